@@ -133,25 +133,32 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
 
 
 def _say_release(result: 'ReleaseResult', console: Console) -> None:
-    """Print delay, tau and impulse with their errors, and how well they repeat."""
+    """Print the law with its errors, and how it explains the drops of each mass."""
+    from bellows_ros.workflows.release import UNITS
+
     fit, milli = result.fit, 1e3
+    console.say(f'Release identified from {len(fit.drops)} drops in {listed(result.bags)}', 'bold')
     rows = [('', '', 'standard error', 'scatter')]
-    for name, unit in (('delay', 'ms'), ('tau', 'ms'), ('impulse', 'mN s')):
-        value, error = milli * vars(fit)[name], milli * vars(fit)[f'{name}_error']
-        scatter = vars(fit).get(f'{name}_scatter')
-        if value == value:  # what is not identifiable is NaN
-            rows.append((f'release.{name}', f'{value:.2f} {unit}', f'{error:.2f} {unit}',
-                         '' if scatter is None else f'{milli * scatter:.2f} {unit}'))
-    console.say(f'Release identified from {len(result.tosses)} tosses in {listed(result.bags)}',
-                'bold')
+    for k in fit.free:
+        name = list(UNITS)[k]
+        unit = UNITS[name]
+        factor, unit = (milli, f'm{unit}') if unit in ('s', 'm', 'N s') else (1.0, unit)
+        rows.append((name, f'{factor * fit.law[k]:.4g} {unit}', *(
+            f'{factor * part[k]:.2g} {unit}' if part[k] else '' for part in (
+                fit.std, fit.scatter))))
     console.table(rows, right=True)
-    if fit.delay == fit.delay:
-        console.paragraph(
-            'From toss to toss, the time at which the cup lets go scatters by '
-            f'{milli * fit.delay_scatter:.2f} ms (one sigma) about the prediction from valve and '
-            f'load; at {result.speed:.2f} m/s, the fastest release, that is '
-            f'{milli * fit.delay_scatter * result.speed:.1f} mm along the flight.')
-    console.paragraph(f'chi2 per pose: {result.chi2:.2f} (1 if model and noise are right).')
+    console.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(
+        (f'{mass:.3g} kg', f'{count}', f'{milli * released:.1f} ms', f'{milli * position:.2f} mm',
+         f'{milli * velocity:.1f} mm/s')
+        for mass, count, released, position, velocity in result.masses())], right=True)
+    speed = max(drop.speed for drop in fit.drops)
+    console.paragraph(
+        f'From drop to drop, the instant scatters by {milli * fit.scatter[0]:.2f} ms (one sigma); '
+        f'at {speed:.2f} m/s, the fastest release, that is {milli * fit.scatter[0] * speed:.1f} '
+        'mm along the flight.')
+    console.paragraph(
+        f'The law leaves {milli * fit.position:.2f} mm of the positions (rms); chi2 per pose: '
+        f'{fit.chi2:.3g} (1 if model and noise are right).')
     console.warn(*result.warnings)
 
 

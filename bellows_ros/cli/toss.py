@@ -26,7 +26,8 @@ EXAMPLES = (
 MILLI = 1e3
 UNITS = {
     'package.mass': (1e3, 'g'), 'package.com': (1e3, 'mm'), 'release.delay': (1e3, 'ms'),
-    'release.tau': (1e3, 'ms'), 'release.impulse': (1e3, 'mN s'),
+    'release.tau': (1e3, 'ms'), 'release.impulse': (1e3, 'mN s'), 'release.closing': (1.0, 'N'),
+    'release.opening': (1e3, 'mm'), 'release.damping': (1.0, 'N s/m'),
 }
 """In which units a standard deviation is printed."""
 
@@ -34,7 +35,8 @@ UNITS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_plan_options(
-        parser, 'the toss', '.png, .svg or .pdf; the toss from the side and from above')
+        parser, 'the toss', '.png, .svg or .pdf; the toss from the side and from above',
+        'tool and package, held, parting and flying until it lands')
     parser.add_argument(
         '--release', metavar='T', type=float,
         help='when to switch the valve, in s from the beginning of the plan',
@@ -57,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Predict, write, report."""
     _require_numbers(arguments)
-    from bellows_ros.workflows.toss import toss_plan
+    from bellows_ros.workflows.toss import toss_plan, write_toss
 
     def draw(result: 'TossResult') -> Any:
         from bellows_ros.plots.plan import toss_figure
@@ -69,7 +71,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.plan, values, arguments.release, arguments.target,
             arguments.target_rotation, arguments.monte_carlo, progress,
             str(arguments.urdf or ''), arguments.topic),
-        draw, _say)
+        draw, _say, lambda result: write_toss(arguments.out, result, arguments.force))
 
 
 def _require_numbers(arguments: argparse.Namespace) -> None:
@@ -97,7 +99,8 @@ def _say(result: 'TossResult', console: Console) -> None:
     x, y, _ = found.landing[0]
     std = np.sqrt(np.diag(result.covariance))
     console.say('Toss', 'bold')
-    mode = 'its lip peels' if found.release_mode == 'peel' else 'after the delay'
+    mode = 'its lip peels' if found.release_mode == 'peel' else (
+        'its suction is blown off' if case.release.law[5] else 'after the delay')
     console.say(
         f'  valve     {case.switched:.4f} s; lets go {late:.1f} ms later ({mode}) at '
         f'{speed:.2f} m/s')

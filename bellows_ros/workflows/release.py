@@ -1,4 +1,4 @@
-"""Identify a valve from recordings of tosses: delay, tau, blow-off, and their scatter."""
+"""Identify the law of release from recordings of drops and tosses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,13 +8,11 @@ from typing import Any
 
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import grip_of
-from bellows_ros.core.toss.release_fit import (
-    LettingGo,
-    tosses_of,
-    valve_fit,
-    ValveFit,
-)
-from bellows_ros.errors import UndeterminedError
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.toss.release import law_of, RELEASE_NAMES
+from bellows_ros.core.toss.release_fit import Drop, drops_of, fit_release, ReleaseFit
+from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import with_units
@@ -22,87 +20,76 @@ from bellows_ros.workflows.identify import resolved
 from bellows_ros.workflows.recordings import load, Progress, values_of_each
 import numpy as np
 
-CHI2_WARNED = 2.0
-"""Chi^2 per pose above which the model does not explain the poses."""
-
-NO_VALVE = (
-    'No valve was recorded on topics.valve: only the blow-off is identifiable, not delay and '
-    'tau. Record the std_msgs/Bool that switches the valve.')
-NO_GRIP = (
-    'cup.lip_radius or vacuum.holding is not set: tau is not identifiable, and the delay is the '
-    'whole time from the valve to the release.')
+UNITS = {name: PARAMETERS[name].unit for name in RELEASE_NAMES}
 
 
 @dataclass(frozen=True, eq=False)
 class ReleaseResult:
     """
-    The estimates of valve and blow-off from recordings of tosses.
+    The law of release from recordings of drops and tosses.
 
     Parameters
     ----------
-    fit : ValveFit
-        Delay, tau and impulse.
+    fit : ReleaseFit
+        The law, and how it explains each drop.
     bags : tuple of str
         Of all recordings.
-    tosses : tuple of (str, LettingGo)
-        Recording, and what was found, of each toss that was used.
+    used : tuple of str
+        The recording of each drop.
     left_out : tuple of str
-        Why others were not.
+        The valve-offs that were not used, and why.
     values : mapping
         All parameters.
 
     """
 
-    fit: ValveFit
+    fit: ReleaseFit
     bags: tuple[str, ...]
-    tosses: tuple[tuple[str, LettingGo], ...]
+    used: tuple[str, ...]
     left_out: tuple[str, ...]
     values: Mapping[str, Any]
 
     @property
-    def speed(self) -> float:
-        """Of the package that is let go fastest, m/s."""
-        return max(toss.speed for _, toss in self.tosses)
-
-    @property
-    def chi2(self) -> float:
-        """Mean over the tosses."""
-        return float(np.mean([toss.chi2 for _, toss in self.tosses]))
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        found = [f'Left out: {text}.' for text in self.left_out]
-        if math.isnan(self.fit.delay):
-            found.append(NO_VALVE)
-        elif math.isnan(self.fit.tau):
-            found.append(NO_GRIP)
-        if self.chi2 > CHI2_WARNED:
-            found.append(
-                f'chi2 per pose is {self.chi2:.2g}, expected 1: cup, package or their frames do '
-                'not explain the tosses. Check them with bellows replay.')
-        return tuple(found)
+        count = len(self.left_out)
+        return (f'{count} of {count + len(self.used)} valve-offs are not used: '
+                f'{"; ".join(self.left_out)}.',) if count else ()
 
-    def parameters(self) -> dict[str, float]:
-        """Return the identifiable parameters for the release file."""
+    def masses(self) -> list[tuple[float, int, float, float, float]]:
+        """Return mass (kg), drops, letting go (s), and rms of position (m) and velocity (m/s)."""
+        out = []
+        for mass in sorted({drop.mass for drop in self.fit.drops}):
+            own = [drop for drop in self.fit.drops if drop.mass == mass]
+            released, position, velocity = (
+                np.array([getattr(drop, name) for drop in own])
+                for name in ('released', 'position', 'velocity'))
+            out.append((mass, len(own), float(np.nanmean(released)), *(
+                math.sqrt(float(np.mean(x**2))) for x in (position, velocity))))
+        return out
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters for the release file."""
         fit = self.fit
-        found = {
-            'release.delay': fit.delay,
-            'release.delay_std': math.hypot(fit.delay_scatter, fit.delay_error),
-            'release.tau': fit.tau, 'release.tau_std': fit.tau_error,
-            'release.impulse': fit.impulse,
-            'release.impulse_std': math.hypot(fit.impulse_scatter, fit.impulse_error),
-        }
-        return {name: value for name, value in found.items() if not math.isnan(value)}
+        std = np.hypot(fit.std, fit.scatter)
+        masses = [drop.mass for drop in fit.drops]
+        return {
+            **dict(zip(RELEASE_NAMES, fit.law, strict=True)),
+            **{f'{name}_std': float(x) for name, x in zip(RELEASE_NAMES, std, strict=True)},
+            'release.mass_range': (min(masses), max(masses))}
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
+        fit = self.fit
         return with_units({
-            **vars(self.fit),
-            'units': {name: 'N s' if 'impulse' in name else 's' for name in vars(self.fit)},
-            'largest_speed': {'value': self.speed, 'unit': 'm/s'},
-            'chi2': self.chi2,
-            'tosses': [{'bag': bag, **vars(toss)} for bag, toss in self.tosses],
+            'law': dict(zip(RELEASE_NAMES, fit.law, strict=True)),
+            'standard_errors': {RELEASE_NAMES[k]: fit.std[k] for k in fit.free},
+            'units': UNITS,
+            'fitted': [RELEASE_NAMES[k] for k in fit.free],
+            'scatter': {RELEASE_NAMES[k]: fit.scatter[k] for k in fit.free},
+            'chi2': fit.chi2,
+            'drops': [{'bag': bag, **vars(drop)}
+                      for bag, drop in zip(self.used, fit.drops, strict=True)],
             'left_out': self.left_out,
             'warnings': self.warnings,
             'settings': self.values,
@@ -114,47 +101,57 @@ def identify_release(
     progress: Progress = lambda what, part: None,
 ) -> ReleaseResult:
     """
-    Identify the valve from the tosses in the recordings that the parameter `bags` names.
+    Identify the law of release from the drops in the recordings that `bags` names.
 
     Parameters
     ----------
     settings : mapping
-        Parameters by name; cup and package are known.
+        Parameters by name; the cup is known, and the package of each recording.
     progress : callable
         Called with what is being done and the part (0 to 1) that is done.
 
     Raises
     ------
     BellowsError
-        If a parameter or a recording is not usable, or the tosses are too few or too much alike.
+        If a parameter or a recording is not usable, the drops are too few, or no law explains
+        them.
 
     """
     values = resolved(settings)
-    grip = grip_of(values)
-    tosses, left_out = list[tuple[str, LettingGo]](), list[str]()
     bags = tuple(os.fspath(bag) for bag in values['bags'])
-    for number, (bag, own) in enumerate(zip(bags, values_of_each(values), strict=True)):
-        progress(f'looking for tosses in {bag}', number / len(bags))
+    each = values_of_each(values)
+    valves = [_valves(bag, own) for bag, own in zip(bags, each, strict=True)]
+    drops, used, left_out = list[Drop](), list[str](), list[str]()
+    for number, (bag, own) in enumerate(zip(bags, each, strict=True)):
+        progress(f'looking for drops in {bag}', 0.5 * number / len(bags))
         model = model_tuple(cup_of(own), package_of(own), own['gravity.magnitude'])
-        found, not_used = tosses_of(load(bag, own), model, grip, _valves(bag, own))
-        tosses += [(bag, toss) for toss in found]
-        left_out += [f'{bag}, {text.rstrip(".")}' for text in not_used]
-    progress('done', 1.0)
+        found, not_used = drops_of(load(bag, own), model, grip_of(own), valves[number])
+        drops += found
+        used += [bag] * len(found)
+        left_out += [f'{bag}, {text}' for text in not_used]
+    progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
-        fit = valve_fit([toss for _, toss in tosses], grip[0] if grip else 0.0)
+        fit = fit_release(drops, law_of(values))
     except UndeterminedError as error:
-        reasons = (f'Left out: {text}.' for text in left_out)
-        raise UndeterminedError(' '.join([str(error), *reasons])) from None
-    return ReleaseResult(fit, bags, tuple(tosses), tuple(left_out), values)
+        raise type(error)(' '.join([str(error), *(f'Not used: {t}.' for t in left_out)])) from None
+    progress('done', 1.0)
+    result = ReleaseResult(fit, bags, tuple(used), tuple(left_out), values)
+    try:
+        resolve({**values, **result.parameters()})
+    except BellowsError as error:
+        raise UnexplainedError(f'The best law of release is not allowed: {error}') from None
+    return result
 
 
-def _valves(bag: str, values: Mapping[str, Any]) -> list[int] | None:
-    """Return when the valve is switched off, ns as received; None without a recording of it."""
-    if not values['topics.valve']:
-        return None
+def _valves(bag: str, values: Mapping[str, Any]) -> list[int]:
+    """Return when the valve is switched off, ns as received."""
+    topic = values['topics.valve']
     said = sorted(
-        (log_ns, on) for _, _, log_ns, data in messages_of(bag, (BOOL,), values['topics.valve'])
-        if (on := decode_bool(data)) is not None)
+        (log_ns, on) for _, _, log_ns, data in messages_of(bag, (BOOL,), topic)
+        if (on := decode_bool(data)) is not None) if topic else []
     if not said:
-        return None
+        raise UndeterminedError(
+            f"'{bag}' has no std_msgs/Bool on '{topic}', so that nothing is "
+            'known of when the valve was switched. Record it (false for off), or name its topic '
+            'with topics.valve.')
     return [log_ns for k, (log_ns, on) in enumerate(said) if not on and (not k or said[k - 1][1])]

@@ -33,7 +33,7 @@ from bellows_ros.core.synthetic.sensing import (
 )
 from bellows_ros.core.synthetic.tossing import Thrown, tossed, Truth
 from bellows_ros.core.toss.landing import release_deviations
-from bellows_ros.core.toss.release import release_of
+from bellows_ros.core.toss.release import RELEASE_NAMES, release_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
@@ -215,7 +215,8 @@ def _simulated(
         always = np.ones(len(tool), dtype=bool)
         hanging = simulate(cup, package, tool, gravity=values['gravity.magnitude'])
         return Truth(tool, hanging, always, always)
-    normal = generator(recipe.seed, 'release').standard_normal((len(recipe.releases), 3))
+    normal = generator(recipe.seed, 'release').standard_normal(
+        (len(recipe.releases), len(RELEASE_NAMES)))
     return tossed(
         model, grip_of(values), release_of(values), tool, recipe.releases, recipe.pickup,
         normal * release_deviations(values))

@@ -8,19 +8,35 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
-from bellows_ros.core.toss.landing import Aim, aim, Case, draw, Drawn, part_inside, Parts, parts_of
-from bellows_ros.core.toss.release import Held, release_of, Toss, toss
+from bellows_ros.core.model.simulation import Rows
+from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.synthetic.motion import sample_stamps
+from bellows_ros.core.toss.landing import (
+    Aim,
+    aim,
+    beyond_masses,
+    Case,
+    draw,
+    Drawn,
+    part_inside,
+    Parts,
+    parts_of,
+)
+from bellows_ros.core.toss.release import Held, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.plan import plan_with_cup, Source
+from bellows_ros.workflows.plan import plan_with_cup, Source, write_prediction
 import numpy as np
 
 MILLI = 1e3
+
+RATE = 500.0
+"""Of the poses of a toss that is written, Hz."""
 
 TOLERANCE = 1e-3
 """A target so far (m) outside the ellipse of a landing still counts as reached."""
 
 GROUPS = ('cup.stiffness', 'cup.damping', 'package.mass', 'package.com', 'package.inertia',
-          'release.delay', 'release.tau', 'release.impulse')
+          *RELEASE_NAMES)
 
 
 class Share(NamedTuple):
@@ -121,10 +137,17 @@ class TossResult:
             found.append(
                 f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched '
                 f'at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
-        if self.held.mode == 'delay':
+        if self.held.mode == 'delay' and not self.case.release.law[5]:
             found.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
                 'the valve, whatever the load; release.tau has no effect.')
+        if beyond_masses(self.case.values):
+            lightest, heaviest = self.case.values['release.mass_range']
+            found.append(
+                f'package.mass is {self.case.values["package.mass"]:.3g} kg, but release.* was '
+                f'identified with packages of {lightest:.3g} to {heaviest:.3g} kg: the release is '
+                'extrapolated, and its uncertainty enlarged. Identify it with drops of this '
+                'mass.')
         if self.aim is not None and self.target is not None and not part_inside(
                 self.covariance + TOLERANCE**2 * np.eye(6),
                 np.subtract([self.toss.landing[0][:2]], self.target)):
@@ -134,6 +157,25 @@ class TossResult:
                 f'{self.aim.distance:.3g} m away, and the target is outside its 95 % ellipse. '
                 'Change the plan or the target.')
         return tuple(found)
+
+
+def write_toss(
+    path: str | os.PathLike[str], result: TossResult, replace_bag: bool = False
+) -> None:
+    """
+    Write tool and package, held, parting and flying to its landing, as `write_prediction` does.
+
+    Raises
+    ------
+    BellowsError
+        If something is in the way, or it cannot be written.
+
+    """
+    stamps_ns = sample_stamps(RATE, result.toss.landing_time, int(result.source.tool.stamps_ns[0]))
+    rows, states = result.held.along(
+        result.case.release, result.case.switched, (stamps_ns - stamps_ns[0]) / NS_PER_S)
+    write_prediction(
+        path, result.source, Rows(stamps_ns, rows).trajectory(), states, replace_bag)
 
 
 def toss_plan(

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from bellows_ros.files.bags import read_streams
 import numpy as np
 import pytest
 
@@ -32,9 +33,24 @@ def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
         assert squares == pytest.approx(
             unit ** 2 * np.trace(covariance[block, block]), rel=1e-6)
     assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
-    assert 'Reduce first: release.delay' in done.stdout
+    assert 'Reduce first: release.' in done.stdout
     assert 'A perfect K and P would gain' in ' '.join(done.stdout.split())
     assert picture.stat().st_size > 20_000
+
+
+def test_writes_the_toss_as_a_recording(bellows: Run, tmp_path: Path) -> None:
+    """Held, parting and flying: the package leaves the cup, and falls to where it lands."""
+    bag = tmp_path / 'thrown'
+    done = bellows('toss', PLAN, '--params', PARAMS, '--release', 3.0, '--out', bag, '--json', '-')
+    found = json.loads(done.stdout)
+    poses = read_streams(bag, {'package_pose': '/package/pose'})['package_pose']
+    seconds = (poses.stamps_ns - poses.stamps_ns[0]) * 1e-9
+    assert seconds[-1] == pytest.approx(found['landing_time'], abs=2.1e-3)
+    speed = np.linalg.norm(found['landing_twist'][:3])
+    miss = np.linalg.norm(poses.position[-1] - found['landing_position'])
+    assert miss < 2.1e-3 * speed
+    at = np.searchsorted(seconds, found['release_time'])
+    np.testing.assert_allclose(poses.position[at], found['release_pose'][:3], atol=6e-3)
 
 
 def test_finds_the_time_for_a_target(bellows: Run) -> None:

@@ -70,13 +70,35 @@ def corners():
     return CENTRE + signs * HALF
 
 
-def integrate(start, switched, delay, tau, impulse, height, grip=GRIP):
+def opened(T_E_S, law, late):
+    """Return the cup whose axial force is that of suction, folds in contact and open bellows."""
+    delay, tau, _, blow_off, closing, opening, damping, _ = law
+    if late < delay or not opening:
+        return CUP
+    stretch = -(T_E_S[:3, :3].T @ T_E_S[:3, 3])[2] - CUP.length
+    suction = (1.0 + blow_off) * np.exp(-(late - delay) / tau) - blow_off
+    K = CUP.stiffness[2, 2]
+    force = closing * suction - max(0.0, closing - K * stretch)
+    force += closing * (max(0.0, stretch) / opening) ** 2
+    P = CUP.damping.copy()
+    P[2, 2] = damping or P[2, 2]
+    return Cup(CUP.stiffness, P, CUP.length + stretch - force / K)
+
+
+def integrate(start, switched, law, height, grip=GRIP):
     """
     Return letting go and landing (time, position, rotation, twist), by SciPy with events.
 
     The rotation's nine entries are integrated as they are; the flight follows Euler's equations.
     """
-    cup, package = CUP, PACKAGE
+    package = PACKAGE
+    delay, tau, impulse, blow_off = law[:4]
+
+    def cup_at(T, t):
+        o_E, R_E, _ = tool_at(t)
+        T_S_B = transform(np.eye(3), package.com)
+        T_E_S = inverse_transform(transform(R_E, o_E)) @ T @ inverse_transform(T_S_B)
+        return opened(T_E_S, law, t - switched)
 
     def parts(y):
         return transform(y[3:12].reshape(3, 3), y[:3]), y[12:]
@@ -84,12 +106,13 @@ def integrate(start, switched, delay, tau, impulse, height, grip=GRIP):
     def slope(t, y):
         T, v = parts(y)
         o_E, R_E, v_E = tool_at(t)
-        dv = oracle.acceleration(cup, package, GRAVITY, transform(R_E, o_E), v_E, T, v)
+        dv = oracle.acceleration(cup_at(T, t), package, GRAVITY, transform(R_E, o_E), v_E, T, v)
         return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(v[3:])).ravel(), dv])
 
     def margin(t, y):
-        f = lip_wrench(cup, package, *parts(y), t)
-        left = grip[0] * np.exp(-max(0.0, t - switched - delay) / tau)
+        f = lip_wrench(cup_at(parts(y)[0], t), package, *parts(y), t)
+        fallen = np.exp(-max(0.0, t - switched - delay) / tau)
+        left = grip[0] * ((1.0 + blow_off) * fallen - blow_off + law[7])
         return left - f[2] - 2.0 * np.hypot(f[3], f[4]) / grip[1]
 
     def falling(t, y):

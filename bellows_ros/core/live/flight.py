@@ -14,25 +14,29 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.kernels import extrapolated, ModelTuple, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, Rows
-from bellows_ros.core.toss.landing import aim, release_deviations
+from bellows_ros.core.toss.landing import aim, as_law, release_deviations
 from bellows_ros.core.toss.release import (
     COARSE_STRIDE,
     flight,
     flight_path,
     Held,
+    latest_release,
+    law_of,
     NO_FLIGHT,
     NO_GRIP,
+    PUSHES,
     release_of,
     sure_toss,
     Toss,
     toss_along,
     upward,
+    wrench_of,
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-AHEAD, TAUS = 0.05, 6.0
-"""The cup lets go within the delay, this time (s) and this many tau, or not at all."""
+AHEAD = 0.05
+"""The cup lets go at most this much (s) later than without a load, or not at all."""
 AIMED_AHEAD = 0.4
 """How far ahead (s) a release for the target is searched."""
 AIMED_SCAN, AIMED_CLOSELY = 0.01, 1
@@ -103,11 +107,10 @@ class Flight:
         self.known = min(values['package.size']) > 0.0
         self._release = release_of(values) if self.known else NO_FLIGHT
         self.grip = grip_of(values)
-        self._ahead = values['release.delay'] + TAUS * values['release.tau'] + AHEAD
-        delay, tau, impulse = release_deviations(values).tolist()
-        self._deviations = delay, tau, impulse
+        self._ahead = latest_release(law_of(values)) + AHEAD
+        self._deviations = as_law(release_deviations(values))
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
-        self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, 15))
+        self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(PUSHES)))
         self._covariance = np.zeros((6, 6))
         self.forget()
 
@@ -156,8 +159,13 @@ class Flight:
             np.concatenate(each.tool) for each in (before, now)]))
         released, body, landed, _ = self._toss(
             model, before, tool, (self._switched_ns - before.stamp_ns) * 1e-9, duration)
-        if released < 0.0:
+        if released < 0.0 and self._values['release.opening'] == 0.0:
             return now
+        if released < 0.0:
+            late = (now.stamp_ns - self._switched_ns) * 1e-9
+            wrench = wrench_of(model, self._release.law, late, now.tool, body)
+            self._before = Prediction(now.stamp_ns, *body, *wrench, *now[7:])
+            return self._before
         self._body = body
         self._stamp_ns = before.stamp_ns + round(released * 1e9)
         self._landing_ns = None if landed < 0.0 else before.stamp_ns + round(landed * 1e9)
@@ -248,16 +256,15 @@ class Flight:
             return None  # so many steps would hold up the poses
         if self._count % RENEWED == 0:
             self._of_state[:] = covariance(prediction)
-        k = self._count % 15
+        k = self._count % len(PUSHES)
         try:
             tool = self._future(prediction)
             rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
             sound, found = sure_toss(
                 model, self.grip or NO_GRIP, self._release, self._deviations, prediction.tool,
                 adapted(model, prediction.tool, prediction.body), rows, seconds, self._ahead,
-                longest,
-                *((k, k + 1) if self._count else (0, 15)), self._of_state, self._by,
-                self._covariance)
+                longest, *((k, k + 1) if self._count else (0, len(PUSHES))), self._of_state,
+                self._by, self._covariance)
         except (BellowsError, ArithmeticError, ValueError):
             sound = False
         self._count = self._count + 1 if sound else 0

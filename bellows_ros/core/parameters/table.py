@@ -415,6 +415,33 @@ _TABLE = (
               'lip; 0 for none.'),
     Parameter('release.impulse_std', 0.0, 'N s', _PREDICTOR, minimum=0.0, maximum=10.0,
               description='Standard deviation of release.impulse.'),
+    Parameter('release.blow_off', 0.0, '', _PREDICTOR, minimum=0.0, maximum=1000.0,
+              description='Blow-off towards which the suction falls, as a part of the suction '
+              'that holds; 0 for none.'),
+    Parameter('release.blow_off_std', 0.0, '', _PREDICTOR, minimum=0.0, maximum=1000.0,
+              description='Standard deviation of release.blow_off.'),
+    Parameter('release.closing', 0.0, 'N', _PREDICTOR, minimum=0.0, maximum=10000.0,
+              description='Force with which the suction that holds closes the bellows; must be '
+              'above 0 if release.opening is.'),
+    Parameter('release.closing_std', 0.0, 'N', _PREDICTOR, minimum=0.0, maximum=10000.0,
+              description='Standard deviation of release.closing.'),
+    Parameter('release.opening', 0.0, 'm', _PREDICTOR, minimum=0.0, maximum=1.0,
+              description='Stretch at which the open bellows pull as much as release.closing; 0 '
+              'for a cup that keeps its nominal length until it lets go.'),
+    Parameter('release.opening_std', 0.0, 'm', _PREDICTOR, minimum=0.0, maximum=1.0,
+              description='Standard deviation of release.opening.'),
+    Parameter('release.damping', 0.0, 'N s/m', _PREDICTOR, minimum=0.0, maximum=10000.0,
+              description='Damping of the opening bellows along z; 0 for that in cup.damping.'),
+    Parameter('release.damping_std', 0.0, 'N s/m', _PREDICTOR, minimum=0.0, maximum=10000.0,
+              description='Standard deviation of release.damping.'),
+    Parameter('release.sticking', 0.0, '', _PREDICTOR, minimum=0.0, maximum=1000.0,
+              description='Force with which the lip sticks, as a part of the suction force that '
+              'holds; without vacuum.holding, the cup lets go at minus this suction.'),
+    Parameter('release.sticking_std', 0.0, '', _PREDICTOR, minimum=0.0, maximum=1000.0,
+              description='Standard deviation of release.sticking.'),
+    Parameter('release.mass_range', (0.0, 0.0), 'kg', _PREDICTOR, minimum=0.0, maximum=1000.0,
+              description='Lightest and heaviest package from whose drops release.* was '
+              'identified; a toss of another is warned of and is less certain. 0, 0: not known.'),
     Parameter('landing.height', 0.0, 'm', _PREDICTOR, minimum=-100.0, maximum=100.0,
               description='Height of the floor on which a tossed package lands, in the world, '
               'along -gravity.'),

@@ -12,7 +12,15 @@ from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import STILL, write_row
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.landing import changed
-from bellows_ros.core.toss.release import flight, Held, LONGEST_WAIT, Release, STRIDE, toss
+from bellows_ros.core.toss.release import (
+    flight,
+    Held,
+    Law,
+    LONGEST_WAIT,
+    Release,
+    STRIDE,
+    toss,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -23,9 +31,8 @@ class Thrown(NamedTuple):
     valve_time: float
     release_time: float
     landing_time: float
-    delay: float
-    tau: float
-    impulse: float
+    law: Law
+    """As it was drawn, in the order of `RELEASE_NAMES`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +76,8 @@ def tossed(
         When the valve is switched off, s since the first stamp, in order.
     pickup : float
         So long (s) after that the next package hangs at rest.
-    changes : array (N, 3)
-        By how much delay (s), tau (s) and impulse (N s) of each toss differ; delay and tau stay
-        at 0 or more.
+    changes : array (N, 8)
+        By how much the law of release of each toss differs; see `changed`.
 
     Raises
     ------
@@ -98,8 +104,9 @@ def tossed(
             if k == len(times):
                 break
             drawn = changed(release, changes[k])
-            drawn = drawn._replace(valve=(max(0.0, drawn.valve[0]), max(0.0, drawn.valve[1])))
             found = toss(hanging, drawn, switched)
+            hanging = hanging.released(drawn, switched)
+            rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]
             if found.landing_time > t[-1] and last < count:
                 raise BellowsError(
                     f'The package lands {found.landing_time - switched:.3g} s after the valve is '
@@ -116,8 +123,7 @@ def tossed(
         write_row(resting := np.zeros(13), (*found.landing[:2], (0.0,) * 3, (0.0,) * 3))
         rows[part][t > found.landing_time] = resting
         tosses.append(Thrown(
-            times[k], start + found.release_time, start + found.landing_time, *drawn.valve,
-            drawn.impulse))
+            times[k], start + found.release_time, start + found.landing_time, drawn.law))
     package = Trajectory(
         tool.stamps_ns, rows[:, :3], quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
     return Truth(tool, package, held, tracked, tuple(tosses))

@@ -25,14 +25,23 @@ from bellows_ros.core.model.perturbed import (
     STEP,
 )
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.core.toss.release import figures, Held, Release, Toss, toss
+from bellows_ros.core.toss.release import (
+    figures,
+    Held,
+    Law,
+    Release,
+    RELEASE_NAMES,
+    Toss,
+    toss,
+)
 from bellows_ros.errors import NoLandingError, UnstableError
 import numpy as np
 
-RELEASE_NAMES = ('release.delay', 'release.tau', 'release.impulse')
-
 MARGIN = 0.25
 """A cup with changed parameters may let go up to this much (s) after the nominal instant."""
+
+EXTRAPOLATION = 10.0
+"""By so much of themselves the deviations of the law of release grow by e times the mass."""
 
 SCAN, TOLERANCE = 4e-3, 1e-6
 """Spacing (s) of the release times in the scan, and accuracy of the best one."""
@@ -80,15 +89,36 @@ class Case(NamedTuple):
 
 
 def changed(release: Release, by: Array) -> Release:
-    """Return a release with delay, tau and impulse changed by (3,)."""
-    delay, tau = release.valve
-    return release._replace(
-        valve=(delay + float(by[0]), tau + float(by[1])), impulse=release.impulse + float(by[2]))
+    """Return a release whose law is changed by (8,); only the impulse may be negative."""
+    law = np.add(release.law, by)
+    law = np.where(np.array(RELEASE_NAMES) == 'release.impulse', law, np.maximum(law, 0.0))
+    return release._replace(law=as_law(law))
+
+
+def as_law(numbers: Array) -> Law:
+    """Return the numbers (8,) of a law as the kernels take them."""
+    law: Any = tuple(numbers.tolist())
+    return law  # type: ignore[no-any-return]
 
 
 def release_deviations(values: Mapping[str, Any]) -> Array:
-    """Return the standard deviations (3,) of delay, tau and impulse."""
-    return np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
+    """
+    Return the standard deviations (8,) of the law's numbers; 0 of those that have no effect.
+
+    They grow with the distance of the mass from the packages of which the law is known.
+    """
+    std = np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
+    std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
+    return std if values['release.opening'] else np.where(np.arange(8) < 3, std, 0.0)
+
+
+def beyond_masses(values: Mapping[str, Any]) -> float:
+    """Return by how much the package is beyond release.mass_range, as a logarithm; 0 inside."""
+    lightest, heaviest = values['release.mass_range']
+    mass = float(values['package.mass'])
+    if not lightest:
+        return 0.0
+    return max(0.0, math.log(lightest / mass), math.log(mass / heaviest))
 
 
 def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
@@ -98,7 +128,7 @@ def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
         case.with_numbers(model, case.release, until), nominal))
     std, rows = list(deviations_of(case.values)[[NAMES.index(name) for name in names]]), []
     for name, sigma, unit in zip(
-            RELEASE_NAMES, release_deviations(case.values), np.eye(3), strict=True):
+            RELEASE_NAMES, release_deviations(case.values), np.eye(8), strict=True):
         if sigma > 0.0:
             up, down = (
                 case.figures(
@@ -133,7 +163,7 @@ def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):
         model = model_with(case.model, numbers + std * rng.standard_normal(len(std)))
-        release = changed(case.release, of_release * rng.standard_normal(3))
+        release = changed(case.release, of_release * rng.standard_normal(8))
         try:
             found = case.with_numbers(model, release, until)
         except (NoLandingError, UnstableError):

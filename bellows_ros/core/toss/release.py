@@ -1,11 +1,19 @@
 """
-The toss: the valve is switched, the cup lets go, the package flies and lands.
+The toss: the valve is switched, the cup opens and lets go, the package flies and lands.
 
-The suction force is V0 until a delay after the valve, and V0 exp(-t / tau) from then on; cup and
-lip stay what they are while they hold. The package is let go at the first instant, not before the
-valve, at which the safety factor against peeling (`holding`) is 1 or less: the seal opens, and
-the rest of the vacuum is gone at once. A blow-off pulse pushes it along -z of S. It flies without
-air, and lands when a corner of its box is at the floor's height, measured against gravity.
+The suction, as a part of that which holds, is 1 until a delay after the valve, and
+s(t) = (1 + b) exp(-t / tau) - b from then on, with the blow-off b. Its force F0 s closes the
+bellows, whose axial force at a stretch y along the lip's z, from the nominal length, is
+
+    F = F0 s - max(0, F0 - K_z y) + F0 (max(0, y) / L)^2,
+
+that of suction, of folds in contact and of open bellows, with damping of its own. While it holds
+(s = 1) that is K_z y; without an opening (L = 0) it stays so: the cup keeps its nominal length.
+The wrench is that of the cup's kernel, with the nominal length at which its axial force is F.
+The package is let go at the first instant, not before the valve, at which the lip's load is that
+of its suction V0 s and of what sticks, or more. A blow-off pulse pushes it along -z of S. It
+flies without air, and lands when a corner of its box is at the floor's height, measured against
+gravity.
 """
 
 from __future__ import annotations
@@ -45,6 +53,7 @@ from bellows_ros.core.model.equilibrium import (
 from bellows_ros.core.model.grip import Grip, peel_load
 from bellows_ros.core.model.kernels import (
     extrapolated,
+    lip_relative_to_tool,
     lip_wrench,
     ModelTuple,
     PackageTuple,
@@ -55,6 +64,7 @@ from bellows_ros.core.model.kernels import (
     tool_at,
     tool_segment,
     weighted,
+    Wrench,
     wrench_at_com,
 )
 from bellows_ros.core.model.simulation import (
@@ -75,6 +85,8 @@ import numpy as np
 
 STRIDE, LONGEST_STRIDE = 0.01, 0.02
 """Rotation (rad) per integration step of the flight, and the longest step (s)."""
+SHORTEST_STRIDE = 1e-5
+"""The shortest step (s): whatever turns faster is no package."""
 COARSE_STRIDE = 0.1
 """As `STRIDE`, where 0.01 mrad is accurate enough, as of a landing."""
 
@@ -87,33 +99,103 @@ LONGEST_WAIT, LONGEST_FLIGHT = 2.0, 10.0
 MOST_STEPS = 1_000_000
 """Most steps of the package held along a plan, each of which is kept."""
 
-PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (1.0,) * 3
+RELEASE_NAMES = tuple(f'release.{name}' for name in (
+    'delay', 'tau', 'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking'))
+"""The numbers of the law of release, in the order of `Law`."""
+
+PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (1.0,) * len(RELEASE_NAMES)
 """Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s), and by
-delay, tau and impulse (standard deviations)."""
+the numbers of the law of release (standard deviations)."""
+
+OPENING_STEP = 1e-3
+"""Longest integration step (s) of a cup that opens."""
+
+TAUS = 6.0
+"""A cup that does not open lets go within the delay and this many tau."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
-"""Stands for an unknown radius or vacuum: the cup lets go after the delay."""
+"""Stands for an unknown radius or vacuum: the cup lets go after the delay, or at the suction with
+which the lip no longer sticks, whatever the load."""
 
-Valve = tuple[float, float]
-"""Delay (s) from the valve to the fall of the suction force, and its time constant tau (s)."""
+Law = tuple[float, float, float, float, float, float, float, float]
+"""Delay (s) from the valve to the fall of suction, its time constant tau (s), impulse of the
+blow-off (N s); blow-off b; force F0 that closes the bellows (N), stretch L at which open bellows
+pull as much (m), 0 for none; damping of the open bellows along z (N s/m), 0 for that of the cup;
+and what the lip sticks with. b and the last as a part of the suction that holds."""
+NO_LAW: Law = (0.0,) * 8
+"""Of a cup that lets go at once."""
 Box = tuple[Vector, Vector]
 """Half the sides (m) along x, y, z of B, and the centre in B."""
 
 
 @kernel
-def spare(grip: Grip, valve: Valve, late: float, load: float) -> float:
+def suction(law: Law, late: float) -> float:
+    """Return the suction a time (s) after the valve, as a part of that which holds."""
+    falling = late - law[0]
+    if falling < 0.0:
+        return 1.0
+    return (1.0 + law[3]) * (math.exp(-falling / law[1]) if law[1] > 0.0 else 0.0) - law[3]
+
+
+@kernel
+def spare(grip: Grip, law: Law, late: float, load: float) -> float:
     """
     Return the lip's excess suction (N) over a load (N) a time (s) after the valve.
 
-    It lets go at 0 and below. Where the grip is not known, the time (s) that is left.
+    It lets go at 0 and below. Where the grip is not known, the part of the suction that is left
+    before it lets go, or the time (s) for a cup that does not open.
     """
-    falling = late - valve[0]
-    if grip[1] <= 0.0:
-        return -falling
-    left = grip[0]
-    if falling >= 0.0:
-        left = left * math.exp(-falling / valve[1]) if valve[1] > 0.0 else 0.0
-    return left - load
+    if grip[1] > 0.0:
+        return grip[0] * (suction(law, late) + law[7]) - load
+    return suction(law, late) + law[7] if law[5] > 0.0 else law[0] - late
+
+
+@kernel
+def length_change(model: ModelTuple, law: Law, late: float, tool: State, body: State) -> float:
+    """Return by how much (m) the nominal length has grown a time (s) after the valve."""
+    if law[5] <= 0.0 or late < law[0]:
+        return 0.0
+    cup, package, _ = model
+    o_E_S, R_E_S, _, _ = lip_relative_to_tool(
+        package[1], tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3])
+    stretch = -apply_transposed(R_E_S, o_E_S)[2] - cup[1]
+    stiffness, part = cup[2][0][8], max(0.0, stretch) / law[5]
+    force = law[4] * (suction(law, late) + part * part) - max(
+        0.0, law[4] - stiffness * stretch)
+    return stretch - force / stiffness
+
+
+@kernel
+def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
+    """Return a model with another nominal length, and the damping of open bellows."""
+    (l1, l0, K, P), package, gravity = model
+    D = P[0]
+    damping = law[6] if law[6] > 0.0 else D[8]
+    D = (D[0], D[1], D[2], D[3], D[4], D[5], D[6], D[7], damping)
+    part = l1 / l0  # of the length, that is on the side of the package
+    return (l1 + part * change, l0 + change, K, (D, P[1], P[2])), package, gravity
+
+
+@kernel
+def step_released(
+    model: ModelTuple, law: Law, late: float, body: State, tool: State, tool_middle: State,
+    tool_end: State, h: float,
+) -> State:
+    """
+    Return the package's state after h, a time (s) after the valve, as `step` does of a held one.
+
+    The nominal length is the mean of those at both ends: second order.
+    """
+    if law[5] <= 0.0 or late + h <= law[0]:
+        return step(model, body, tool, tool_middle, tool_end, h)
+    start = length_change(model, law, late, tool, body)
+    change, end = start, body
+    for _ in range(3):
+        opened = with_length(model, law, change)
+        end = step(opened, body, tool, tool_middle, tool_end, h)
+        change = 0.5 * (start + length_change(model, law, late + h, tool_end, end))
+    return end
 
 
 @kernel
@@ -124,10 +206,23 @@ def between(low: float, high: float, above: float, below: float, least: float) -
 
 
 @kernel
-def load_at(model: ModelTuple, grip: Grip, tool: State, body: State) -> float:
+def wrench_of(model: ModelTuple, law: Law, late: float, tool: State, body: State) -> Wrench:
+    """Return the wrench of the cup at the lip, in S axes, a time (s) after the valve."""
+    if law[5] > 0.0 and late >= law[0]:
+        change = length_change(model, law, late, tool, body)
+        return lip_wrench(with_length(model, law, change), tool, body)
+    return lip_wrench(model, tool, body)
+
+
+@kernel
+def load_at(
+    model: ModelTuple, grip: Grip, law: Law, late: float, tool: State, body: State
+) -> float:
     """Return the suction force (N) at or below which the lip peels in a state."""
-    f, m = lip_wrench(model, tool, body)
-    return peel_load(grip[1], f, m) if grip[1] > 0.0 else 0.0
+    if grip[1] <= 0.0:
+        return 0.0
+    f, m = wrench_of(model, law, late, tool, body)
+    return peel_load(grip[1], f, m)
 
 
 @kernel
@@ -182,7 +277,7 @@ def _spin(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
 def stride_of(body: State, stride: float) -> float:
     """Return how long (s) a step of the flight may be."""
     rate = math.sqrt(dot(body[3], body[3]))
-    return min(LONGEST_STRIDE, stride / max(rate, 1e-9))
+    return max(SHORTEST_STRIDE, min(LONGEST_STRIDE, stride / max(rate, 1e-9)))
 
 
 @kernel
@@ -249,36 +344,44 @@ def _hold(
     tool, j, start, times[0] = row_state(rows[0]), 0, 0.0, 0.0
     write_row(tools[j], tool)
     write_row(states[j], body)
-    loads[j] = load_at(model, grip, tool, body)
+    loads[j] = load_at(model, grip, NO_LAW, 0.0, tool, body)
     for k in range(len(durations)):
         segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
         for i in range(counts[k]):
             j += 1
             times[j] = start + durations[k] * (i + 1.0) / counts[k]
-            tool, body = _within(model, segment, body, i / counts[k], (i + 1.0) / counts[k])
+            tool, body = _within(
+                model, NO_LAW, 0.0, segment, body, i / counts[k], (i + 1.0) / counts[k])
             write_row(tools[j], tool)
             write_row(states[j], body)
-            loads[j] = load_at(model, grip, tool, body)
+            loads[j] = load_at(model, grip, NO_LAW, 0.0, tool, body)
         start += durations[k]
 
 
 @kernel
 def _within(
-    model: ModelTuple, segment: Segment, body: State, low: float, high: float
+    model: ModelTuple, law: Law, late: float, segment: Segment, body: State, low: float,
+    high: float,
 ) -> tuple[State, State]:
-    """Return tool and package at a fraction of a segment, from the package at a lower one."""
+    """
+    Return tool and package at a fraction of a segment, from the package at a lower one.
+
+    The segment begins a time (s) after the valve.
+    """
     tool = tool_at(segment, high)
     middle = tool_at(segment, 0.5 * (low + high))
     h = (high - low) * segment[0]
-    return tool, step(model, body, tool_at(segment, low), middle, tool, h)
+    return tool, step_released(
+        model, law, late + low * segment[0], body, tool_at(segment, low), middle, tool, h)
 
 
 @kernel
 def let_go(
-    model: ModelTuple, grip: Grip, valve: Valve, start: float, tool: State, body: State,
+    model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State,
     rows: Any, seconds: Any, switched: float, until: float, longest: float,
 ) -> tuple[float, State]:
     """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
+    longest = min(longest, OPENING_STEP) if law[5] > 0.0 else longest
     above = -1.0  # by how much it holds, not known before the valve
     for k in range(len(seconds) + 1):
         if start >= until:
@@ -297,9 +400,11 @@ def let_go(
             low, high, freed = max(before, (switched - start) / duration), last, body
             s = last if above > 0.0 or low >= last else low
             while True:  # until it lets go: the step in which it does is narrowed (Illinois)
-                there, carried = _within(model, segment, body, before, s)
-                load, late = load_at(model, grip, there, carried), start + s * duration - switched
-                left = spare(grip, valve, late, load) if s >= low else math.inf
+                late = start + s * duration - switched
+                there, carried = _within(
+                    model, law, start - switched, segment, body, before, s)
+                load = load_at(model, grip, law, late, there, carried)
+                left = spare(grip, law, late, load) if s >= low else math.inf
                 if left <= 0.0:
                     high, below, freed, caught = s, left, carried, True
                     above, side = above * 0.5 if side < 0 else above, -1
@@ -320,18 +425,43 @@ def let_go(
     return -1.0, body
 
 
-class Release(NamedTuple):
-    """Data of valve, blow-off, package and floor."""
+@kernel
+def write_toss(
+    model: ModelTuple, grip: Grip, law: Law, body: State, rows: Any, seconds: Any,
+    switched: float, longest: float, out: Array,
+) -> float:
+    """
+    Write the package's states at the times (N,) of the tool's rows (N, 13).
 
-    valve: Valve
-    impulse: float
-    """Of the blow-off, along -z of S at S, N s."""
+    It is `body` at the first one. Return when it is let go (s), -1 where it is not.
+    """
+    released = -1.0
+    write_row(out[0], body)
+    for k in range(1, len(seconds)):
+        start = seconds[k - 1]
+        if released < 0.0:
+            released, body = let_go(
+                model, grip, law, start, row_state(rows[k - 1]), body, rows[k:k + 1],
+                seconds[k:k + 1], switched, seconds[k], longest)
+            start = released
+            if released >= 0.0:
+                body = pushed_off(model[1], body, law[2])
+        if released >= 0.0:
+            body = flight(model[1], model[2], body, seconds[k] - start, COARSE_STRIDE)
+        write_row(out[k], body)
+    return released
+
+
+class Release(NamedTuple):
+    """Data of valve, cup, package and floor."""
+
+    law: Law
     box: Box
     height: float
     """Of the floor, from the world's origin against gravity, m."""
 
 
-NO_FLIGHT = Release((0.0, 0.0), 0.0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
+NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
 """Of a package whose flight does not count."""
 
 
@@ -350,10 +480,10 @@ def toss_along(
     """
     _, package, gravity = model
     released, body = let_go(
-        model, grip, release.valve, start, tool, body, rows, seconds, switched, until, longest)
+        model, grip, release.law, start, tool, body, rows, seconds, switched, until, longest)
     if released < 0.0:
         return released, body, -1.0, body
-    body = pushed_off(package, body, release.impulse)
+    body = pushed_off(package, body, release.law[2])
     if lowest(release.box, upward(gravity), body) <= release.height:
         return released, body, released, body
     later, landed = land(package, gravity, release.box, release.height, body)
@@ -375,27 +505,55 @@ def figures(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vec
 
 
 @kernel
+def pushed(law: Law, entry: int, by: Law) -> Law:
+    """Return a law of release with one of its numbers changed, none at -1 and below."""
+    return (
+        law[0] + (by[0] if entry == 0 else 0.0), law[1] + (by[1] if entry == 1 else 0.0),
+        law[2] + (by[2] if entry == 2 else 0.0), law[3] + (by[3] if entry == 3 else 0.0),
+        law[4] + (by[4] if entry == 4 else 0.0), law[5] + (by[5] if entry == 5 else 0.0),
+        law[6] + (by[6] if entry == 6 else 0.0), law[7] + (by[7] if entry == 7 else 0.0))
+
+
+@kernel
+def write_covariance(of_state: Array, by: Array, covariance: Array) -> bool:
+    """Write the covariance (6, 6) of a landing from its derivatives (6, 20); return if finite."""
+    covariance[:] = 0.0
+    total = 0.0
+    for i in range(6):
+        for k in range(20):
+            part = by[i, k]
+            if k < 12:
+                part = 0.0
+                for m in range(12):
+                    part += by[i, m] * of_state[m, k]
+            for j in range(6):
+                covariance[i, j] += part * by[j, k]
+            total += covariance[i, i]
+    return total - total == 0.0
+
+
+@kernel
 def sure_toss(
-    model: ModelTuple, grip: Grip, release: Release, deviations: Vector, tool: State, body: State,
+    model: ModelTuple, grip: Grip, release: Release, deviations: Law, tool: State, body: State,
     rows: Any, seconds: Any, until: float, longest: float, first: int, last: int,
     of_state: Array, by: Array, covariance: Array,
 ) -> tuple[bool, tuple[float, State, float, State]]:
     """
     Write the covariance (6, 6) of a landing; return if it is known, and `toss_along` from 0.
 
-    It is that of the `figures`: with their derivatives `by` (6, 15) from the covariance `of_state`
+    It is that of the `figures`: with their derivatives `by` (6, 20) from the covariance `of_state`
     (12, 12) of the package's shift, turn and twist, in its own axes, and from the deviations of
-    delay (s), tau (s) and impulse (N s), by a standard deviation of each. The derivatives from
-    the first to before the last are renewed.
+    the law of release, by a standard deviation of each. The derivatives from the first to before
+    the last are renewed.
     """
     nominal = -1.0, body, -1.0, body
     for i in range(first - 1, last):
         j = i if i >= first else -1  # the first is the toss itself
+        if j >= 12 and deviations[j - 12] == 0.0:
+            by[:, j] = 0.0
+            continue
         size = PUSHES[max(j, 0)]
-        delay, tau, impulse = unit(j - 12, deviations[max(j - 12, 0)])
-        changed = Release(
-            (release.valve[0] + delay, release.valve[1] + tau), release.impulse + impulse,
-            release.box, release.height)
+        changed = Release(pushed(release.law, j - 12, deviations), release.box, release.height)
         found = toss_along(
             model, grip, changed, 0.0, tool,
             moved(body, unit(j, size), unit(j - 3, size), unit(j - 6, size), unit(j - 9, size)),
@@ -408,19 +566,7 @@ def sure_toss(
             shift, turn = figures(found[3], nominal[3], model[2])
             for k in range(3):
                 by[k, j], by[k + 3, j] = shift[k] / size, turn[k] / size
-    covariance[:] = 0.0
-    total = 0.0
-    for i in range(6):
-        for k in range(15):
-            part = by[i, k]
-            if k < 12:
-                part = 0.0
-                for m in range(12):
-                    part += by[i, m] * of_state[m, k]
-            for j in range(6):
-                covariance[i, j] += part * by[j, k]
-            total += covariance[i, i]
-    return total - total == 0.0, nominal
+    return write_covariance(of_state, by, covariance), nominal
 
 
 class Toss(NamedTuple):
@@ -524,6 +670,39 @@ class Held:
             body_row(states[i], self.start), tools[i + 1:], times[i + 1:], switched, times[-1],
             self._longest)
 
+    def released(self, release: Release, switched: float) -> Held:
+        """Return the same with the states that the valve, switched at a time (s), leads to."""
+        other = copy(self)
+        other.states = self.states.copy()
+        first = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
+        times, tools, _ = self._inputs
+        write_toss(
+            self.model, self.grip, release.law, row_state(self._inputs[2][first]), tools[first:],
+            times[first:], switched, self._longest, other.states[first:])
+        return other
+
+    def along(self, release: Release, switched: float, seconds: Array) -> tuple[Array, Array]:
+        """
+        Return tool and package (N, 13) at increasing times (s) from 0 on, held, parting, flying.
+
+        After the plan the tool goes on straight.
+        """
+        times, tools, _ = self._inputs
+        rows, out = np.empty((2, len(seconds), 13))
+        for k, time in enumerate(seconds.tolist()):
+            j = min(max(int(np.searchsorted(times, time, 'right')) - 1, 0), len(times) - 1)
+            tool, since = row_state(tools[j]), time - float(times[j])
+            if since > 0.0 and j + 1 < len(times):
+                duration = float(times[j + 1] - times[j])
+                segment = tool_segment(tool, row_state(tools[j + 1]), duration)
+                tool = tool_at(segment, since / duration)
+            elif since > 0.0:
+                tool = extrapolated(tool, since)
+            write_row(rows[k], tool)
+        write_toss(self.model, self.grip, release.law, self.start, rows, seconds, switched,
+                   self._longest, out)
+        return rows, out
+
     def lost_before(self, switched: float) -> float | None:
         """Return the first time (s) before the valve at which the grip is lost already."""
         if self.mode == 'delay':
@@ -561,7 +740,8 @@ def toss(held: Held, release: Release, switched: float) -> Toss:
         raise NoLandingError(
             f'The cup does not let go within {held.times[-1] - switched:.3g} s after the valve is '
             f'switched at {switched:g} s. ' + (
-                'Check release.delay, release.tau and whether the package hangs from the cup.'
+                'Check release.delay, release.tau, release.sticking and whether the package hangs '
+                'from the cup.'
                 if held.ends_at_rest else
                 'The plan ends earlier, in motion. Make it longer, or release earlier.'))
     if landing == released:
@@ -596,9 +776,34 @@ def release_of(values: Mapping[str, Any]) -> Release:
             'package.size=0.3,0.2,0.15.')
     x, y, z = (0.5 * float(side) for side in size)
     a, b, c = (float(value) for value in values['package.size_center'])
-    return Release(
-        (float(values['release.delay']), float(values['release.tau'])),
-        float(values['release.impulse']), ((x, y, z), (a, b, c)), float(values['landing.height']))
+    return Release(law_of(values), ((x, y, z), (a, b, c)), float(values['landing.height']))
+
+
+def law_of(values: Mapping[str, Any]) -> Law:
+    """
+    Return the law of release as the parameter values describe it.
+
+    Raises
+    ------
+    BellowsError
+        If a cup opens, but nothing closes it.
+
+    """
+    law: Any = tuple(float(values[name]) for name in RELEASE_NAMES)
+    if law[5] > 0.0 and not law[4] > 0.0:
+        raise BellowsError(
+            f'release.closing is {law[4]:g} N, but release.opening {law[5]:g} m; expected a force '
+            'above 0 with which the suction closes a cup that opens. Take both from bellows '
+            'identify --release.')
+    return law  # type: ignore[no-any-return]
+
+
+def latest_release(law: Law) -> float:
+    """Return how long (s) after the valve, at most, a cup lets go; without a load if it opens."""
+    delay, tau, _, blow_off, _, opening, _, sticking = law
+    if opening > 0.0 and blow_off > sticking:
+        return delay + tau * math.log((1.0 + blow_off) / (blow_off - sticking))
+    return delay + TAUS * tau
 
 
 def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:

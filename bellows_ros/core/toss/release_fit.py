@@ -1,182 +1,514 @@
 """
-Identification of the valve from tosses: delay, time constant, blow-off, and their scatter.
+Identification of the law of release from drops and tosses of packages of one or more masses.
 
-Of each toss the instant of letting go and the impulse are fitted to the package's poses, together
-with its state at the beginning. With the load L of the lip at that instant the suction force V
-has fallen to it: late = delay + tau ln(V0 / L), a straight line over all tosses.
+The poses from before each valve until the package has fallen are compared with those of the
+law: its free numbers are common to all drops; each has an instant of its own, and of the state
+before it an offset of the package on the lip where it hangs at rest, else the whole state. The
+sum of squares of positions, of velocities as a local polynomial has them, and of rotations is the
+smallest (Gauss-Newton, damped; the numbers of each drop are eliminated). Standard errors come
+from what each drop contributes to the gradient, so from the scatter between drops.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model.equilibrium import moved
+from bellows_ros.core.geometry.lie import (
+    log_quaternion,
+    log_so3,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.model.equilibrium import largest_step, moved
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import state_row, tool_rows
+from bellows_ros.core.model.simulation import rest, state_row, tool_rows
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.savgol import with_filtered_noise
+from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
-from bellows_ros.core.toss.release import flight, Held, NO_FLIGHT, STRIDE
-from bellows_ros.errors import UndeterminedError, UnstableError
+from bellows_ros.core.toss.landing import as_law
+from bellows_ros.core.toss.release import Law, NO_GRIP, write_toss
+from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
 FEWEST = 3
-"""Fewest tosses for delay and tau."""
+"""Fewest drops."""
 
-FALLS_BELOW, SHORTEST_FALL = 3.0, 0.05
-"""A package flies if its specific force stays below this (m/s^2) for at least this time (s)."""
+FALLS_BELOW, SHORTEST_FALL = 3.0, 0.012
+"""A package falls if its specific force stays below this (m/s^2) for at least this time (s)."""
+
+IMPACT = 80.0
+"""Specific force (m/s^2) of a landing; that of a cup that opens is some 30."""
 
 BEFORE, AFTER = 0.15, 0.3
-"""Part of a toss used, before and after letting go, s."""
+"""Part of a drop used, before the valve and after the beginning of its fall, s."""
 
-LONGEST_LATE = 1.0
-"""Longest time (s) from the valve to the flight."""
+LONGEST_LATE, LATEST_BEGIN = 1.0, 0.01
+"""Longest time (s) from the valve to the fall, and to the first pose."""
 
-REPLICAS = 20
-"""Draws of the tool's noise for the standard errors of a toss."""
+STANDS = (1e-3, 0.01)
+"""A body stands still while it stays this close (m, rad)."""
 
-SIZES = np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
-"""Scales of the corrections of the initial state: m, rad, m/s, rad/s."""
+WINDOW, ORDER = 1.0 / 60.0, 3
+"""Half the time (s) over which a polynomial gives velocities, and its order."""
+
+LEAST_NOISE, VELOCITY_SCALE = (1e-4, 5e-4), 40.0
+"""Errors (m, rad) that count as one, at least, and of velocities over those of positions, 1/s."""
+
+SCATTER = {0: 2.5e-3, 2: 0.01}
+"""A priori scatter of the instant (s) and of the impulse (N s), by number of the law."""
+
+OFFSETS, SIZES = (1e-3, 0.02), np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
+"""A priori scatter of the package on the lip (m, rad), and of the state."""
+
+EXPLAINED, CHI2_EXPLAINED = 1e-3, 2.0
+"""A law explains drops if it leaves less than this of their positions (m, rms), or no more
+than the noise, by chi^2 per pose."""
+
+LINEAR_TAU = 0.5
+"""A fall of suction with this tau (s) is as good as linear over the time of a release."""
+
+GAIN = 0.8
+"""A further number is kept if it leaves less than this part of the squares."""
+
+OPENING = (0, 3, 4, 5, 6, 7)
+"""The numbers of a cup that opens, without tau and an impulse."""
+
+MOST_AT_FIRST, MOST_STEPS, RENEWED = 12, 20, 5
+"""Drops from which a law is chosen, about, most steps of a fit, and after how many of them the
+derivatives by the state of a drop, which hardly change, are renewed."""
+
+MOST_OWN = 30.0
+"""Largest numbers of a drop, in their sizes."""
+
+LOWEST = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
+HIGHEST = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
+"""Least and largest numbers of a law; that of `opening` only where the cup opens."""
+
+SCALES = np.array([1e-3, 1e-2, 1e-2, 1.0, 1.0, 1e-3, 1.0, 0.1])
+"""Steps of Gauss-Newton of the law's numbers are damped by these; differences are 1e-3 of them."""
 
 
 @dataclass(frozen=True, eq=False)
-class LettingGo:
+class Drop:
     """
-    One toss.
-
-    Parameters
-    ----------
-    late : float
-        From the valve to letting go, s.
-    late_std : float
-        Standard error, s.
-    load : float
-        Suction force (N) at which the lip peels then.
-    impulse, impulse_std : float
-        Of the blow-off, N s.
-    speed : float
-        Of B then, m/s.
-    chi2 : float
-        Sum of squared residuals over their number; about 1 where model and noise are right.
-
-    """
-
-    late: float
-    late_std: float
-    load: float
-    impulse: float
-    impulse_std: float
-    speed: float
-    chi2: float
-
-
-def flights(package: Trajectory, gravity: float) -> Array:
-    """
-    Return where a package flies: (N, 2), indices of the first sample of each flight and the last.
-
-    Parameters
-    ----------
-    package : Trajectory
-        B in the world, z up, filtered, with body twists and their derivatives.
-    gravity : float
-        m/s^2.
-
-    """
-    assert package.twist is not None and package.acceleration is not None
-    v, w = package.twist[:, :3], package.twist[:, 3:]
-    felt = package.acceleration[:, :3] + np.cross(w, v) + gravity * package.rotation[:, 2]
-    falls = package.valid & (np.linalg.norm(felt, axis=1) < FALLS_BELOW)
-    edges = np.flatnonzero(np.diff(falls.astype(int), prepend=0, append=0))
-    found = np.column_stack([edges[::2], edges[1::2] - 1])
-    long_enough = np.diff(package.seconds[found], axis=1)[:, 0] >= SHORTEST_FALL
-    return np.asarray(found[long_enough])
-
-
-def letting_go(
-    model: ModelTuple, grip: Grip | None, tool: Trajectory, package: Trajectory, start: State,
-    valve: float, about: float, noise: tuple[float, float], replicas: Sequence[Trajectory] = (),
-) -> LettingGo:
-    """
-    Return when a package was let go.
+    One drop or toss.
 
     Parameters
     ----------
     model, grip : tuple
         As the kernels take them.
     tool, package : Trajectory
-        E with body twists and B, in the world: from one stamp before the valve until before the
-        landing. Every stamp of the package is one of the tool.
+        E with body twists and B, in the world, at common stamps: from before the valve until
+        before the landing.
     start : State
         About that of B at the first stamp.
-    valve, about : float
-        When it was switched, and about when it let go, s since the first stamp.
+    valve : float
+        When it was switched, s since the first stamp.
     noise : (float, float)
         Standard deviations of the package's positions (m) and rotations (rad).
-    replicas : sequence of Trajectory
-        The tool with noise once more, for what that does to the standard errors.
+    stands : bool
+        Whether the tool stands still and the package hangs at rest, in `start`.
+
+    """
+
+    model: ModelTuple
+    grip: Grip
+    tool: Trajectory
+    package: Trajectory
+    start: State
+    valve: float
+    noise: tuple[float, float]
+    stands: bool
+
+    @property
+    def mass(self) -> float:
+        """Of the package, kg."""
+        return float(self.model[1][0])
+
+    @cached_property
+    def _inputs(self) -> tuple[Array, Array, float]:
+        """The tool as the kernels take it, and the longest integration step."""
+        return tool_rows(self.tool), self.tool.seconds, largest_step(self.model)
+
+    def predicted(self, law: Law, by: Array | None = None) -> tuple[float, Array]:
+        """Return when it is let go (s since the first stamp, -1 if not), and states (N, 13)."""
+        rows, seconds, longest = self._inputs
+        start, out = self.start, np.empty((len(seconds), 13))
+        if by is not None and by.any():
+            push: Any = (tuple(part.tolist()) for part in np.split(SIZES * by, 4))
+            start = moved(start, *push)
+        released = write_toss(self.model, self.grip, law, start, rows, seconds, self.valve,
+                              longest, out)
+        return float(released), out
+
+    def errors(self, states: Array) -> Array:
+        """Return measured less predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
+        position = self.package.position - states[:, :3]
+        turn = log_quaternion(quaternion_product(
+            quaternion_conjugate(states[:, 3:7]), self._orientation))
+        return np.vstack([position.T, (self._slopes @ position).T, turn.T])
+
+    @cached_property
+    def _orientation(self) -> Array:
+        return rotation_to_quaternion(self.package.rotation)
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """From positions to velocities of the local polynomials, no further than to the ends."""
+        count = len(self.package)
+        out, step = np.zeros((count, count)), float(np.median(np.diff(self.package.seconds)))
+        n = half_window(step)
+        row = weights(n, ORDER, 1.0 / step)[1]
+        for k in range(n, count - n):
+            out[k, k - n:k + n + 1] = row
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What a law leaves of a drop."""
+
+    mass: float
+    """kg."""
+    released: float
+    """From the valve to letting go, with the drop's own instant, s; NaN where it does not."""
+    late: float
+    """The drop's own instant, from that of all, s."""
+    position: float
+    """Root mean square, m, along the gravity."""
+    velocity: float
+    """The same of the velocity, m/s."""
+    speed: float
+    """Of B at letting go, m/s."""
+    chi2: float
+    """Mean square of positions and rotations over the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReleaseFit:
+    """
+    The law of release, and how it explains the drops.
+
+    Parameters
+    ----------
+    law : Law
+        All its numbers.
+    free : tuple of int
+        Those that were fitted.
+    std : ndarray (8,)
+        Standard errors from the scatter between drops; 0 of those that were not fitted.
+    scatter : ndarray (8,)
+        Standard deviations from drop to drop; 0 of those that are common to all.
+    drops : tuple of Explained
+        In the order they were given.
+
+    """
+
+    law: Law
+    free: tuple[int, ...]
+    std: Array
+    scatter: Array
+    drops: tuple[Explained, ...]
+
+    @property
+    def chi2(self) -> float:
+        """Mean over the drops."""
+        return float(np.mean([drop.chi2 for drop in self.drops]))
+
+    @property
+    def position(self) -> float:
+        """Root mean square of what is left of the positions, m."""
+        return math.sqrt(float(np.mean([drop.position**2 for drop in self.drops])))
+
+    @property
+    def explains(self) -> bool:
+        """Whether the law explains the drops."""
+        latest = max(abs(drop.late) for drop in self.drops)
+        return latest <= 5.0 * SCATTER[0] and (
+            self.chi2 <= CHI2_EXPLAINED or self.position <= EXPLAINED)
+
+
+def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
+    """
+    Return the smallest law that explains drops.
+
+    First that of a cup that keeps its length, then that of one that opens, then with its tau.
+
+    Parameters
+    ----------
+    drops : sequence of Drop
+        At least `FEWEST`.
+    given : Law
+        The numbers that are not identifiable from them.
 
     Raises
     ------
-    BellowsError
-        If no letting go explains the poses.
+    UndeterminedError
+        If there are too few, or no law explains them.
 
     """
-    from scipy.optimize import least_squares
-
-    seconds = package.seconds
-    end = float(seconds[-1])
-    given = Held(model, None, tool, start, end)
-    rows = np.searchsorted(given.times, seconds - 1e-9)
-
-    def run(x: Array, held: Held) -> tuple[Held, State, float]:
-        push: Any = (tuple(part.tolist()) for part in np.split(SIZES * x[:12], 4))
-        begun = held.again(moved(start, *push))
-        time = min(max(valve + float(x[12]) * 1e-3, valve), end - 1e-3)
-        release = NO_FLIGHT._replace(impulse=float(x[13]) * 1e-2)
-        return begun, begun.let_go(release, time)[1], time
-
-    def residuals(x: Array, held: Held = given) -> Array:
-        begun, body, time = run(x, held)
-        states = begun.states[rows].copy()
-        now = time
-        for k in np.flatnonzero(seconds > time):
-            body = flight(model[1], model[2], body, float(seconds[k] - now), 10.0 * STRIDE)
-            now = float(seconds[k])
-            states[k] = [*body[0], *body[1], *body[2], *body[3]]
-        turn = np.swapaxes(package.rotation, -1, -2) @ quaternion_to_rotation(states[:, 3:7])
-        return np.hstack([
-            (states[:, :3] - package.position) / noise[0], log_so3(turn) / noise[1]]).ravel()
-
-    guesses = [np.append(np.zeros(12), [1e3 * (about + by - valve), 0.0]) for by in (-0.02, 0.0)]
-    step = np.full(14, 1e-4)
-    fits = [least_squares(residuals, x, diff_step=step, max_nfev=30) for x in guesses]
-    best = min(fits, key=lambda fit: float(fit.cost))
-    chi2 = 2.0 * float(best.cost) / (len(best.fun) - len(best.x))
-    if not math.isfinite(chi2):
-        raise UndeterminedError('No release time explains the poses of this toss. Leave it out.')
-    back = np.linalg.pinv(np.asarray(best.jac))
-    scatter = [back @ (residuals(best.x, Held(model, None, replica, start, end)) - best.fun)
-               for replica in replicas]
-    std = np.sqrt(np.diag(back @ back.T) + (np.var(scatter, axis=0) if scatter else 0.0))
-    begun, body, time = run(best.x, given)
-    loaded = Held(model, grip, tool, begun.start, end)
-    load = float(np.interp(time, loaded.times, loaded.loads))
-    return LettingGo(
-        time - valve, 1e-3 * float(std[12]), load,
-        1e-2 * float(best.x[13]), 1e-2 * float(std[13]), math.hypot(*body[2]), chi2)
+    if len(drops) < FEWEST:
+        raise UndeterminedError(
+            f'The release needs {FEWEST} or more usable drops, got {len(drops)}. Record more.')
+    known = drops[0].grip[1] > 0.0
+    few = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // MOST_AT_FIRST)]
+    fall = float(np.median([_fall(drop) - drop.valve for drop in few]))
+    closed = np.array(given)
+    closed[[0, 1]] = (max(fall - 0.02, 1e-3), 0.01) if known else (fall, 0.0)
+    closed[3:] = 0.0
+    best = _fitted(few, closed, (0, 1, 2) if known else (0, 2))
+    if known and best.std[1] > 0.5 * best.law[1]:
+        closed[1] = given[1]
+        best = _fitted(few, closed, (0, 2))
+    if not best.explains:
+        openings = [_fitted(few, start, OPENING) for start in _openings(few, fall)]
+        best = min(openings, key=_squares)
+        shorter = np.array(best.law)
+        shorter[[1, 3]] = 0.15, max((1.0 + best.law[3]) * 0.15 / best.law[1] - 1.0, 0.0)
+        further = _fitted(few, shorter, (1, *OPENING))
+        if _squares(further) < GAIN * _squares(best):
+            best = further
+    if len(few) < len(drops):
+        best = _fitted(drops, np.array(best.law), best.free)
+    if best.explains:
+        return best
+    raise UnexplainedError(
+        f'No law of release explains the drops: it leaves {1e3 * best.position:.2g} mm of their '
+        f'positions (rms, chi2 per pose {best.chi2:.3g}), with instants that scatter by '
+        f'{1e3 * best.scatter[0]:.2g} ms; expected less than {1e3 * EXPLAINED:g} mm, and '
+        f'{1e3 * SCATTER[0]:g} ms. The likeliest cause is a wrong package.mass, cup.stiffness or '
+        'cup.length, or a valve stamped by another clock; check the first with bellows static.')
 
 
-def tosses_of(
-    recording: Recording, model: ModelTuple, grip: Grip | None, valves_ns: Sequence[int] | None
-) -> tuple[list[LettingGo], list[str]]:
+def _squares(fit: ReleaseFit) -> float:
+    """Return the mean square of what a fit leaves of positions and velocities, scaled."""
+    return float(np.mean([
+        drop.position**2 + (drop.velocity / VELOCITY_SCALE)**2 for drop in fit.drops]))
+
+
+def _fall(drop: Drop) -> float:
+    """Return when a package begins to fall for good, s since the first stamp."""
+    position, seconds = drop.package.position, drop.package.seconds
+    return float(seconds[falls(position, seconds, drop.model[2])[0]])
+
+
+def half_window(step: float) -> int:
+    """Return half the samples, a step (s) apart, that a velocity is taken from."""
+    return max(2, round(WINDOW / step))
+
+
+def falls(position: Array, seconds: Array, gravity: Any) -> tuple[int, int]:
     """
-    Return the tosses in a recording, and why others cannot be used.
+    Return the first and the last sample of the last fall before an impact.
+
+    Parameters
+    ----------
+    position, seconds : array (N, 3), (N,)
+        Of B in the world, m, s.
+    gravity : (3,)
+        m/s^2.
+
+    Raises
+    ------
+    UndeterminedError
+        If there is none.
+
+    """
+    step = float(np.median(np.diff(seconds)))
+    n = half_window(step)
+    if len(seconds) > 2 * n:
+        row = weights(n, ORDER, 1.0 / step)[2]
+        windows = np.lib.stride_tricks.sliding_window_view(position, 2 * n + 1, axis=0)
+        felt = np.pad(np.linalg.norm(windows @ row - gravity, axis=1), n, 'edge')
+        impact = np.flatnonzero(felt > IMPACT)
+        free = felt[:max(impact[0] - n, 0)] < FALLS_BELOW if len(impact) else felt < FALLS_BELOW
+        edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0)).reshape(-1, 2)
+        for first, end in edges[::-1]:
+            if seconds[end - 1] - seconds[first] >= SHORTEST_FALL:
+                return int(first), int(end - 1)
+    raise UndeterminedError('no tracked fall follows')
+
+
+def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
+    """Return laws of a cup that opens to begin from: about it, all drops let go at its end."""
+    weight = max(drop.mass for drop in drops) * float(np.linalg.norm(drops[0].model[2]))
+    reach = np.median([
+        np.linalg.norm(drop.package.position[np.searchsorted(drop.package.seconds, _fall(drop))]
+                       - drop.package.position[0]) for drop in drops])
+    damping = drops[0].model[0][3][0][8]
+    out = []
+    for part in (0.5, 1.0):
+        delay = 0.12 * fall
+        rate = 4.0 / (fall - delay)  # of the suction: through 0 after a quarter of the time
+        out.append(np.array([
+            delay, LINEAR_TAU, 0.0, rate * LINEAR_TAU - 1.0, part * weight, reach / 1.5,
+            max(damping, 10.0), 3.0]))
+    return out
+
+
+def _fitted(drops: Sequence[Drop], start: Array, free: tuple[int, ...]) -> ReleaseFit:
+    """Return the fit of some numbers of a law, from a start."""
+    problem = [_DropFit(drop, free) for drop in drops]
+    law, chosen = start.copy(), list(free)
+    lowest, highest = LOWEST[chosen], HIGHEST[chosen]
+    damping, cost = 1e-2, math.inf
+    for _ in range(MOST_STEPS):
+        parts = [one.reduced(law) for one in problem]
+        H = np.sum([part[0] for part in parts], axis=0)
+        g = np.sum([part[1] for part in parts], axis=0)
+        cost = sum(one.cost for one in problem)
+        improved = False
+        while damping < 1e6:
+            step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
+            trial = law.copy()
+            trial[chosen] = np.clip(law[chosen] + step * SCALES[chosen], lowest, highest)
+            lower = sum(one.trial(trial, step) for one in problem)
+            if lower < cost:
+                improved = True
+                break
+            damping *= 4.0
+        if not improved:
+            break
+        for one in problem:
+            one.accept()
+        law, gain = trial, cost - lower
+        damping = max(damping / 6.0, 1e-6)
+        if gain < 1e-3 * cost:
+            break
+    parts = [one.reduced(law) for one in problem]
+    H = np.sum([part[0] for part in parts], axis=0)
+    gradients = np.array([part[1] for part in parts])
+    inverse = np.linalg.pinv(H)
+    covariance = inverse @ (gradients.T @ gradients) @ inverse
+    covariance *= len(drops) / max(len(drops) - len(free), 1)
+    std = np.zeros(8)
+    std[chosen] = np.sqrt(np.diag(covariance)) * SCALES[chosen]
+    scatter = np.sqrt(np.maximum(
+        np.var([one.by() for one in problem], axis=0, ddof=1)
+        - np.mean([one.noise for one in problem], axis=0), 0.0))
+    return ReleaseFit(
+        as_law(law), free, std, scatter,
+        tuple(one.explained(law) for one in problem))
+
+
+class _DropFit:
+    """A drop, its own numbers (of the law, then offset or state), and its part of the fit."""
+
+    def __init__(self, drop: Drop, free: tuple[int, ...]) -> None:
+        """Begin from none."""
+        self.drop, self.free = drop, free
+        noise = np.maximum(drop.noise, LEAST_NOISE)
+        self._scale = np.repeat(
+            [1.0 / noise[0], 1.0 / (VELOCITY_SCALE * noise[0]), 1.0 / noise[1]], 3)[:, None]
+        self._scattered = [k for k in free if k in SCATTER]
+        self._scatter = np.array([SCATTER[k] for k in self._scattered])
+        self._offsets = np.repeat(OFFSETS, 3) if drop.stands else None
+        self.own = np.zeros(len(self._scatter) + (6 if drop.stands else 12))
+        self.cost, self._steps = math.inf, 0
+        self._columns = np.empty((0, 0))
+
+    def by(self) -> Array:
+        """Return by how much the law of the drop differs from that of all (8,)."""
+        return self._law(np.zeros(8), self.own)
+
+    def _law(self, law: Array, own: Array) -> Array:
+        """Return the law of the drop."""
+        mine = law.copy()
+        mine[self._scattered] += self._scatter * own[:len(self._scatter)]
+        return mine
+
+    def _predicted(self, law: Array, own: Array) -> tuple[float, Array]:
+        """Return what `Drop.predicted` does."""
+        return self.drop.predicted(
+            as_law(self._law(law, own)), None if self.drop.stands else own[len(self._scatter):])
+
+    def residuals(self, law: Array, own: Array) -> Array:
+        """Return errors over their sizes, with those of the drop's own numbers."""
+        errors = self.drop.errors(self._predicted(law, own)[1])
+        if self._offsets is not None:
+            errors[[0, 1, 2, 6, 7, 8]] -= (self._offsets * own[-6:])[:, None]
+        return np.concatenate([
+            np.nan_to_num(errors * self._scale, nan=1e6).clip(-1e6, 1e6).ravel(), own])
+
+    def reduced(self, law: Array) -> tuple[Array, Array]:
+        """Return matrix and gradient of the law's free numbers, its own ones eliminated."""
+        here = self.residuals(law, self.own)
+        self.cost = float(here @ here)
+        n, m, lead = len(self.free), len(self.own), len(self._scatter)
+        J = np.zeros((len(here), n + m))
+        for i, k in enumerate(self.free):
+            changed = law + 1e-3 * SCALES * np.eye(8)[k]
+            J[:, i] = (self.residuals(changed, self.own) - here) / 1e-3
+        for i, k in enumerate(self._scattered):
+            J[:, n + i] = SCATTER[k] / SCALES[k] * J[:, self.free.index(k)]
+        if self._steps % RENEWED == 0:
+            self._columns = self._by_state(law, here)
+        self._steps += 1
+        J[:, n + lead:] = self._columns
+        J[-m:, n:] = np.eye(m)
+        A, B, C = J[:, :n].T @ J[:, :n], J[:, :n].T @ J[:, n:], J[:, n:].T @ J[:, n:]
+        g, own = -J[:, :n].T @ here, -J[:, n:].T @ here
+        self.noise = np.zeros(8)
+        self.noise[self._scattered] = self._scatter**2 * np.diag(np.linalg.inv(C))[:lead]
+        self._solve, self._own_gradient = np.linalg.solve(C, B.T), np.linalg.solve(C, own)
+        return A - B @ self._solve, g - B @ self._own_gradient
+
+    def _by_state(self, law: Array, here: Array) -> Array:
+        """Return the derivatives of residuals by the offset or the state (N, 6 or 12)."""
+        m, lead = len(self.own), len(self._scatter)
+        out = np.zeros((len(here), m - lead))
+        for k in range(m - lead):
+            if self._offsets is not None:
+                row = k if k < 3 else k + 3
+                count = (len(here) - m) // 9
+                out[row * count:(row + 1) * count, k] = -self._offsets[k] * self._scale[row]
+            else:
+                other = self.own + 1e-3 * np.eye(m)[lead + k]
+                out[:, k] = (self.residuals(law, other) - here) / 1e-3
+        return out
+
+    def trial(self, law: Array, step: Array) -> float:
+        """Return the squares at another law, a step away, with own numbers that go along."""
+        self._tried = np.clip(
+            self.own + self._own_gradient - self._solve @ step, -MOST_OWN, MOST_OWN)
+        left = self.residuals(law, self._tried)
+        return float(left @ left)
+
+    def accept(self) -> None:
+        """Take the own numbers of the trial."""
+        self.own = self._tried
+
+    def explained(self, law: Array) -> Explained:
+        """Return what the law leaves of the drop."""
+        drop = self.drop
+        released, states = self._predicted(law, self.own)
+        left = self.residuals(law, self.own)[:-len(self.own)].reshape(9, -1)
+        errors = left / self._scale
+        n = half_window(float(np.median(np.diff(drop.package.seconds))))
+        up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
+        after = int(np.searchsorted(drop.package.seconds, max(released, 0.0)))
+        after = min(after, len(states) - 1)
+        noise = np.maximum(drop.noise, 1e-9)
+        return Explained(
+            drop.mass, released - drop.valve if released >= 0.0 else math.nan, float(self.by()[0]),
+            float(np.sqrt(np.mean((up @ errors[:3])**2))),
+            float(np.sqrt(np.mean((up @ errors[3:6, n:-n])**2))),
+            float(np.linalg.norm(states[after, 7:10])),
+            float(np.mean(np.vstack([errors[:3] / noise[0], errors[6:] / noise[1]])**2)))
+
+
+def drops_of(
+    recording: Recording, model: ModelTuple, grip: Grip | None, valves_ns: Sequence[int]
+) -> tuple[list[Drop], list[str]]:
+    """
+    Return the drops in a recording, and why valves that were switched off cannot be used.
 
     Parameters
     ----------
@@ -184,124 +516,69 @@ def tosses_of(
         Of tool and package.
     model, grip : tuple
         As the kernels take them.
-    valves_ns : sequence of int or None
-        When the valve was switched off, ns; None where it was not recorded.
+    valves_ns : sequence of int
+        When the valve was switched off, ns.
 
     """
-    package, tool = recording.package, recording.tool
-    stamps_ns, noise = package.stamps_ns, recording.measured_noise[1]
-    step = float(np.median(np.diff(recording.aligned_tool.seconds)))
-    used, found, left_out = set(), list[LettingGo](), list[str]()
-    for first, last in flights(package, recording.settings.gravity):
-        flies_ns = int(stamps_ns[first])
-        where = f'the flight at {recording.since_start(stamps_ns)[first]:.2f} s'
-        valve_ns = flies_ns - round(0.1 * NS_PER_S)
-        if valves_ns is not None:
-            early = [v for v in valves_ns if 0.0 <= (flies_ns - v) / NS_PER_S <= LONGEST_LATE]
-            if not early:
-                left_out.append(f'{where}: the valve was not switched before it')
-                continue
-            valve_ns = max(early)
-            used.add(valve_ns)
-        begin_ns, end_ns = valve_ns - round(BEFORE * NS_PER_S), flies_ns + round(AFTER * NS_PER_S)
-        part = slice(int(np.searchsorted(stamps_ns, begin_ns)),
-                     min(int(last), int(np.searchsorted(stamps_ns, end_ns))) + 1)
-        poses = recording.measured_package.select(part)
-        if not (package.valid[part.start] and poses.valid[0] and tool.valid[part].all()):
-            left_out.append(f'{where}: tool or package was not tracked continuously before it')
-            continue
-        start = state_row(*(row[0] for row in np.split(
-            tool_rows(package.select(slice(part.start, part.start + 1))), [3, 7], axis=1)))
-        since, draw = int(stamps_ns[part.start]), np.random.default_rng(0)
-        replicas = [
-            with_filtered_noise(
-                tool.select(part), recording.noise.tool, recording.tool_weights, step, draw)
-            for _ in range(REPLICAS)]
+    found, left_out = list[Drop](), list[str]()
+    for number, valve_ns in enumerate(valves_ns):
+        later_ns = valve_ns + round((LONGEST_LATE + AFTER) * NS_PER_S)
+        until_ns = min([later_ns, *valves_ns[number + 1:number + 2]])
         try:
-            one = letting_go(
-                model, grip, tool.select(part), poses.select(poses.valid), start,
-                (valve_ns - since) / NS_PER_S, (flies_ns - since) / NS_PER_S, noise, replicas)
-        except (UndeterminedError, UnstableError) as error:
-            left_out.append(f'{where}: {error}')
-            continue
-        found.append(one if valves_ns is not None else replace(one, late=math.nan))
-    for valve_ns in sorted(set(valves_ns or ()) - used):
-        seconds = (valve_ns - recording.start_ns) / NS_PER_S
-        left_out.append(f'the valve at {seconds:.2f} s: no tracked flight follows')
+            found.append(_drop(recording, model, grip or NO_GRIP, valve_ns, until_ns))
+        except UndeterminedError as error:
+            seconds = (valve_ns - recording.start_ns) / NS_PER_S
+            left_out.append(f'the valve at {seconds:.2f} s: {error}')
     return found, left_out
 
 
-@dataclass(frozen=True)
-class ValveFit:
-    """
-    Delay (s), tau (s), impulse (N s): values, standard errors, and scatter from toss to toss.
-
-    NaN where the tosses do not say. The scatter of tau cannot be separated from that of the
-    delay, which holds both.
-    """
-
-    delay: float
-    delay_error: float
-    delay_scatter: float
-    tau: float
-    tau_error: float
-    impulse: float
-    impulse_error: float
-    impulse_scatter: float
-
-
-def valve_fit(tosses: Sequence[LettingGo], suction: float) -> ValveFit:
-    """
-    Return the estimates of valve and blow-off from many tosses.
-
-    Parameters
-    ----------
-    tosses : sequence of LettingGo
-        At least `FEWEST`, with loads that differ. Without the instants of the valve, `late` is
-        NaN: then only the blow-off is found.
-    suction : float
-        V0, the suction force while it holds, N; 0 where it is not known: then only the delay until
-        it lets go is.
-
-    Raises
-    ------
-    BellowsError
-        If there are too few, or all let go under the same load.
-
-    """
-    if len(tosses) < FEWEST:
-        raise UndeterminedError(
-            f'A valve needs {FEWEST} or more usable tosses, got {len(tosses)}. Record more.')
-    impulses = np.array([t.impulse for t in tosses])
-    spread = float(np.var(impulses, ddof=1))
-    noise = float(np.mean([t.impulse_std**2 for t in tosses]))
-    delay, delay_error, scatter, tau, tau_error = _line(tosses, suction)
-    return ValveFit(
-        delay, delay_error, scatter, tau, tau_error, float(impulses.mean()),
-        math.sqrt(spread / len(impulses)), math.sqrt(max(0.0, spread - noise)))
+def _drop(
+    recording: Recording, model: ModelTuple, grip: Grip, valve_ns: int, until_ns: int
+) -> Drop:
+    """Return the drop after a valve, up to a stamp."""
+    package = _tracked(recording.aligned_package, valve_ns, until_ns)
+    tool = _tracked(recording.aligned_tool, valve_ns, int(package.stamps_ns[-1]))
+    before = slice(0, max(int(np.searchsorted(package.stamps_ns, valve_ns)), 1))
+    stands = _spread(tool) and _spread(package.select(before))
+    if not stands:  # the tool is known at the common stamps
+        package = _tracked(recording.measured_package, valve_ns, until_ns)
+    after = int(np.searchsorted(package.stamps_ns, valve_ns))
+    first, last = falls(package.position[after:], package.seconds[after:], model[2])
+    fallen = package.seconds[after + first] + AFTER
+    package = package.select(slice(0, min(
+        after + last + 1, int(np.searchsorted(package.seconds, fallen, 'right')))))
+    if stands:
+        position, rotation = tool.position.mean(axis=0), tool.rotation[len(tool) // 2]
+        count = len(package)
+        tool = Trajectory(package.stamps_ns, np.tile(position, (count, 1)),
+                          np.tile(rotation, (count, 1, 1)), np.zeros((count, 6)))
+        start = rest(model, tool_rows(tool)[0])
+    else:
+        at = np.searchsorted(recording.tool.stamps_ns, package.stamps_ns)
+        tool, body = recording.tool.select(at), recording.package.select(at[:1])
+        if not (tool.valid.all() and body.valid[0]):
+            raise UndeterminedError('the tool was not tracked continuously')
+        start = state_row(*(row[0] for row in np.split(tool_rows(body), [3, 7], axis=1)))
+    return Drop(model, grip, tool, package, start,
+                (valve_ns - int(package.stamps_ns[0])) / NS_PER_S, recording.measured_noise[1],
+                stands)
 
 
-def _line(tosses: Sequence[LettingGo], suction: float) -> tuple[float, float, float, float, float]:
-    """Return delay, its error and scatter, tau and its error: late = delay + tau ln(V0 / L)."""
-    late = np.array([t.late for t in tosses])
-    if np.isnan(late).all():
-        return math.nan, math.nan, math.nan, math.nan, math.nan
-    known = np.array([t.late_std for t in tosses])
-    A, scatter = np.ones((len(late), 1)), 0.0
-    if suction:
-        x = np.log(suction / np.array([t.load for t in tosses]))
-        if np.ptp(x) < 0.05:
-            raise UndeterminedError(
-                'tau is not identifiable: the load at release is nearly the same in all tosses, '
-                f'ln(V0/L) from {x.min():.3g} to {x.max():.3g}. Also release at other times of '
-                'the swing.')
-        A = np.column_stack([A, x])
-    for _ in range(20):  # the scatter weighs the tosses, and comes from what is left over
-        weight = 1.0 / (scatter**2 + known**2)
-        inverse = np.linalg.inv(A.T @ (weight[:, None] * A))
-        line = inverse @ (A.T @ (weight * late))
-        left = late - A @ line
-        total = float(left @ left) / (len(late) - A.shape[1])
-        scatter = math.sqrt(max(0.0, total - float(np.mean(known**2))))
-    tau = (float(line[1]), math.sqrt(inverse[1, 1])) if suction else (math.nan, math.nan)
-    return float(line[0]), math.sqrt(inverse[0, 0]), scatter, tau[0], tau[1]
+def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
+    """Return poses from before a valve to a stamp, as far as none is missing."""
+    stamps_ns = poses.stamps_ns
+    at, end = (int(np.searchsorted(stamps_ns, ns)) for ns in (valve_ns, until_ns))
+    begin = int(np.searchsorted(stamps_ns, valve_ns - round(BEFORE * NS_PER_S)))
+    wrong = np.flatnonzero(~poses.valid)
+    begin = max([begin, *(wrong[wrong < at][-1:] + 1)])
+    end = min([end, *wrong[wrong >= at][:1]])
+    if begin >= end or (stamps_ns[begin] - valve_ns) / NS_PER_S > LATEST_BEGIN:
+        raise UndeterminedError('tool or package was not tracked then')
+    return poses.select(slice(begin, end))
+
+
+def _spread(poses: Trajectory) -> bool:
+    """Return whether poses stay where they are."""
+    turn = log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
+    return bool(np.abs(poses.position - poses.position.mean(axis=0)).max() < STANDS[0]
+                and np.abs(turn).max() < STANDS[1])

@@ -71,7 +71,7 @@ def test_flies_on_as_the_plan_has_it_until_it_lands(plan):
 
 def worked_out(flight, now, std):
     """Return a landing and its covariance from one toss after the other, with NumPy."""
-    release, longest, axes = release_of(VALUES), 2.0 * largest_step(MODEL), np.eye(15)
+    release, longest, axes = release_of(VALUES), 2.0 * largest_step(MODEL), np.eye(len(PUSHES))
 
     def landing(body, release):
         return toss_along(MODEL, tosses.GRIP, release, 0.0, now.tool, body, np.empty((0, 13)),
@@ -83,7 +83,7 @@ def worked_out(flight, now, std):
         found = landing(moved(now.body, *by_state),
                         changed(release, push[12:] * release_deviations(VALUES)))
         by.append(np.concatenate(figures(found, nominal, MODEL[2])) / size)
-    J = np.transpose(by) * np.append(std, np.ones(3))
+    J = np.transpose(by) * np.append(std, np.ones(8))
     return np.concatenate(nominal), J @ J.T
 
 
@@ -122,7 +122,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
         o_moved = o + quaternion_to_rotation(q) @ push[:3]
         start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, twists))
         release = changed(
-            release_of(VALUES), release_deviations(VALUES) * rng.standard_normal(3))
+            release_of(VALUES), release_deviations(VALUES) * rng.standard_normal(8))
         landings.append(toss(steady.again(start), release, 0.0).landing[0][:2])
     linear = np.sqrt(np.diag(found.covariance)[:2])
     np.testing.assert_allclose(linear, np.std(landings, axis=0), rtol=0.12)  # 3.5 % each, 400

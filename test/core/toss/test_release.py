@@ -10,6 +10,7 @@ from bellows_ros.core.toss.release import (
     flight,
     flight_path,
     Held,
+    NO_LAW,
     Release,
     release_of,
     STRIDE,
@@ -47,9 +48,9 @@ def test_is_let_go_and_lands_where_an_independent_integrator_says(held, switched
     """The instant to 1 us, the place to 1 um, the rotation to 10 urad."""
     found = toss(held, RELEASE, switched)
     released, landed = tosses.integrate(
-        plain(held.states[0]), switched, *RELEASE.valve, RELEASE.impulse, RELEASE.height)
+        plain(held.states[0]), switched, RELEASE.law, RELEASE.height)
     assert found.release_mode == 'peel'
-    assert found.release_time > switched + RELEASE.valve[0]
+    assert found.release_time > switched + RELEASE.law[0]
     assert abs(found.release_time - released[0]) < 1e-6
     assert abs(found.landing_time - landed[0]) < 1e-6
     assert np.abs(found.landing[0] - landed[1]).max() < 1e-6
@@ -57,12 +58,38 @@ def test_is_let_go_and_lands_where_an_independent_integrator_says(held, switched
     assert np.abs(np.concatenate(found.landing[2:]) - landed[3]).max() < 1e-5
 
 
+OPENS = (0.015, 0.3, 0.0, 13.0, 60.0, 0.02, 30.0, 1.5)
+"""A cup that opens by some 20 mm under a blow-off."""
+
+
+def test_a_cup_that_opens_lets_go_and_lands_where_an_independent_integrator_says(held):
+    """Swinging, tilted: the instant to 10 us, the place to 20 um, the rotation to 0.3 mrad."""
+    release = RELEASE._replace(law=OPENS)
+    found = toss(held, release, 0.5)
+    released, landed = tosses.integrate(plain(held.states[0]), 0.5, OPENS, release.height)
+    assert found.release_time - 0.5 > 0.04
+    assert abs(found.release_time - released[0]) < 1e-5
+    assert abs(found.landing_time - landed[0]) < 5e-5
+    assert np.abs(np.array(found.release[0]) - released[1]).max() < 2e-5
+    assert np.abs(np.array(found.landing[0]) - landed[1]).max() < 5e-5
+    assert turned(landed[2], found.landing) < 3e-4
+
+
+def test_without_an_opening_the_law_is_that_of_a_cup_that_keeps_its_length(held):
+    """Whatever closes the bellows or damps them, bit for bit; and before the delay anyway."""
+    same = RELEASE._replace(law=(*RELEASE.law[:4], 60.0, 0.0, 30.0, 0.0))
+    assert toss(held, same, 0.5) == toss(held, RELEASE, 0.5)
+    late = held.released(RELEASE._replace(law=(0.2, *OPENS[1:])), 0.5)
+    before = held.times < 0.7
+    np.testing.assert_allclose(late.states[before], held.states[before], atol=1e-12)
+
+
 def test_without_a_grip_it_is_let_go_after_the_delay():
     """The instant is that of the valve and the delay, exactly."""
     held = Held(MODEL, None, tosses.plan())
     found = toss(held, RELEASE, 0.4)
     assert found.release_mode == 'delay'
-    assert abs(found.release_time - 0.4 - RELEASE.valve[0]) < 1e-9
+    assert abs(found.release_time - 0.4 - RELEASE.law[0]) < 1e-9
 
 
 def test_the_more_vacuum_the_later_and_by_tau_times_the_logarithm(held):
@@ -70,9 +97,9 @@ def test_the_more_vacuum_the_later_and_by_tau_times_the_logarithm(held):
     found = toss(held, RELEASE, 0.9)  # where the load hardly changes
     j = int(np.searchsorted(held.times, found.release_time))
     late = found.release_time - 0.9
-    expected = RELEASE.valve[0] + RELEASE.valve[1] * math.log(tosses.GRIP[0] / held.loads[j])
+    expected = RELEASE.law[0] + RELEASE.law[1] * math.log(tosses.GRIP[0] / held.loads[j])
     assert abs(late - expected) < 2e-4
-    at_once = toss(held, RELEASE._replace(valve=(0.012, 0.0)), 0.9)
+    at_once = toss(held, RELEASE._replace(law=(0.012, *NO_LAW[1:])), 0.9)
     assert abs(at_once.release_time - 0.912) < 1e-9
 
 
@@ -140,7 +167,7 @@ def test_in_a_tilted_world_the_same_package_lands_on_the_same_floor(held):
     (1.2, {}, 'outside the plan'),
     (-0.1, {}, 'outside the plan'),
     (0.5, {'height': 2.0}, 'floor is above'),
-    (0.5, {'valve': (0.0, 1e9)}, 'does not let go'),
+    (0.5, {'law': (0.0, 1e9, *NO_LAW[2:])}, 'does not let go'),
 ])
 def test_refuses_what_is_no_toss(held, switched, change, words):
     """Each with its own message."""
@@ -163,5 +190,5 @@ def test_refuses_a_package_without_a_size():
 
 def test_release_is_what_the_parameters_say():
     """Half sides, centre, valve and pulse."""
-    assert Release((0.012, 0.02), 0.05, (
+    assert Release((0.012, 0.02, 0.05, *NO_LAW[3:]), (
         tuple(tosses.HALF), tuple(tosses.CENTRE)), 0.0) == RELEASE

@@ -1,0 +1,26 @@
+"""How well the law of release predicts measured drops of masses that it has not seen."""
+
+from pathlib import Path
+import sys
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from bellows_ros.core.toss.release_fit import fit_release  # noqa: E402
+import numpy as np  # noqa: E402
+
+from test.core import drops  # noqa: E402, I100, I201
+
+
+def main() -> None:
+    """Print a row for each mass left out."""
+    data, by_mass = drops.real_drops()
+    for left_out, own in by_mass.items():
+        others = [drop for mass in by_mass if mass != left_out for drop in by_mass[mass]]
+        off = drops.misses(data, own, fit_release(others, (0.0,) * 8).law)
+        position, velocity = np.sqrt(np.mean(off[:, :2]**2, axis=0))
+        print(f'| {left_out:.3f} kg | {1e3 * position:.2f} mm | {1e3 * velocity:.1f} mm/s | '
+              f'{1e3 * off[:, 2].mean():.1f} ms | {1e3 * off[:, 3].mean():.0f} mm/s |')
+
+
+if __name__ == '__main__':
+    main()
