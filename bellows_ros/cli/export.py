@@ -30,8 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--to', choices=FORMATS, required=True,
-        help='mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in C11',
+        help='mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in C99',
     )
+    parser.add_argument(
+        '--name', default='bellows_exported',
+        help='of the numbers in the header in C, and prefix of their names (default: '
+             '%(default)s); another one for each cup of a program')
     options.add_output(parser, '--out', 'model to write', required=True)
     options.add_json_option(parser, 'what the format cannot express')
 
@@ -49,7 +53,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     target = TARGETS[arguments.to]
     lost = limits(target, cup)
     gravity = tuple(gravity_of(settings).tolist())
-    write_text(arguments.out, target.write(Exported(cup, package, gravity, grip_of(settings))))
+    write_text(arguments.out, target.write(
+        Exported(cup, package, gravity, grip_of(settings), arguments.name)))
     options.put_json(arguments.json, {
         'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
     console.wrote(arguments.out, arguments.json)

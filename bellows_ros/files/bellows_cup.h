@@ -1,10 +1,11 @@
-/* A bellows suction cup and the package it holds: C11 or C++17, no allocation, libm alone.
+/* A bellows suction cup and the package it holds: C99 or C++17, no allocation, libm alone.
 
-   Written by bellows export --to c. The numbers are at the end, in `bellows_exported` and
-   `bellows_exported_grip`. SI units. World A with gravity as a vector; E tip of the tool, z into
-   the arm; S middle of the lip; B centre of mass of the package, with the axes of S. Equation
-   numbers are those of docs/model.md. Where the cup relaxes, BELLOWS_RELAXATION is defined, and
-   z of the package's state are its internal strains, which bellows_equilibrium sets.
+   Written by bellows export --to c. The numbers are at the end, in `NAME` and `NAME_grip`, with
+   the NAME of option --name: a program may include one header for each cup. SI units. World A
+   with gravity as a vector; E tip of the tool, z into the arm; S middle of the lip; B centre of
+   mass of the package, with the axes of S. Equation numbers are those of docs/model.md. Where the
+   cup relaxes, BELLOWS_RELAXATION is defined, and z of the package's state are its internal
+   strains, which bellows_equilibrium sets.
 
    bellows_step           the package a time later, the tool moving from one state to another
    bellows_equilibrium    where it hangs at rest; 0, or 1 where the cup cannot carry it
@@ -33,10 +34,12 @@ typedef struct { bw_mat oo, oR, RR; } bw_blocks;
 typedef struct { bw_vec a, b; } bw_pair; /* two halves of a six-vector */
 typedef struct { double r, tau; } bw_branch; /* strength as a fraction of K, time (s) */
 #ifdef BELLOWS_RELAXATION
+#define BW_RELAXES 1
 #define BW_WITH(code) code
 #define BW_NO_STRAIN , {{{0, 0, 0}, {0, 0, 0}}, {{0, 0, 0}, {0, 0, 0}}}
 #define BW_STRAINS(state) (state)->z
 #else
+#define BW_RELAXES 0
 #define BW_WITH(code)
 #define BW_NO_STRAIN
 #define BW_STRAINS(state) 0

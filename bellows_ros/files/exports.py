@@ -9,12 +9,15 @@ of (3.35). The header in C (bellows_cup.h, and the numbers behind it) is the mod
 from collections.abc import Callable, Mapping
 from itertools import product
 from pathlib import Path
+import re
 from typing import Any, NamedTuple
+import zlib
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import Grip
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 # A link of SDF without a mass weighs 1 kg. The tool and the links between single joints have this
@@ -37,6 +40,8 @@ class Exported(NamedTuple):
     gravity: tuple[float, float, float] = DOWN
     """In the world, m/s^2."""
     grip: Grip | None = None
+    name: str = 'bellows_exported'
+    """Of the numbers in C, and the prefix of their names."""
 
 
 class Target(NamedTuple):
@@ -182,20 +187,41 @@ def _dummy(package: Package) -> list[str]:
 
 
 def header(exported: Exported) -> str:
-    """Return a header in C11: the model, and the numbers of this cup and package."""
+    """
+    Return a header in C99: the model, and the numbers of this cup and package by their name.
+
+    The model has a guard of its own, so that a program may include several cups; two of one name
+    do not compile.
+
+    Raises
+    ------
+    BellowsError
+        If the name is none that C has.
+
+    """
+    name = exported.name
+    if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
+        raise BellowsError(
+            '--name: expected letters, digits and underscores, beginning with a letter; got '
+            f"'{name}'.")
     model = model_tuple(exported.cup, exported.package, exported.gravity)
     grip = [
         '/* Suction force (N), radius of the lip (m), friction. */',
-        f'static const bellows_grip bellows_exported_grip = {_braced(exported.grip)};',
+        f'static const bellows_grip {name}_grip = {_braced(exported.grip)};',
     ] if exported.grip else [
-        '/* There is no bellows_exported_grip: cup.lip_radius and vacuum.holding are not set. */']
-    return '\n'.join([
-        *(['#define BELLOWS_RELAXATION 1'] if len(model[0]) > 4 else []), HEADER.read_text(),
-        f'static const bellows_model bellows_exported = {_braced(model)};', *grip,
+        f'/* There is no {name}_grip: cup.lip_radius and vacuum.holding are not set. */']
+    numbers = '\n'.join([
+        f'static const bellows_model {name} = {_braced(model)};', *grip,
         '/* Longest step of integration, s. */',
-        f'static const double bellows_exported_longest = {largest_step(model)!r};',
-        '', '#endif', '',
-    ])
+        f'static const double {name}_longest = {largest_step(model)!r};'])
+    relaxes = len(model[0]) > 4
+    guard = f'BELLOWS_{zlib.crc32(numbers.encode()):08X}'  # other numbers of one name do clash
+    return '\n'.join([
+        *(['#define BELLOWS_RELAXATION 1'] if relaxes else []), HEADER.read_text(),
+        '#endif', '', f'#ifndef {guard}', f'#define {guard}', '',
+        f'#if BW_RELAXES != {int(relaxes)}',
+        '#error "Either all cups of a program relax, or none: set cup.relaxation of all."',
+        '#endif', numbers, '', '#endif', ''])
 
 
 def _braced(values: Any) -> str:
@@ -229,7 +255,7 @@ TARGETS: Mapping[str, Target] = {
         'the package each, and need time steps of 0.1 ms or less.',
         _TOOL_AXES,
     )),
-    'c': Target('C11 (a header)', header, (
+    'c': Target('C99 (a header)', header, (
         'Release, flight and uncertainties are left out; the model itself is complete.',
     ), whole=True),
 }

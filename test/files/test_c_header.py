@@ -13,6 +13,7 @@ from bellows_ros.core.model.equilibrium import resting_on_tool, static_equilibri
 from bellows_ros.core.model.grip import safety_factors
 from bellows_ros.core.model.kernels import advance, body_acceleration, lip_wrench, ModelTuple
 from bellows_ros.core.model.simulation import body_row, row_state, state_row
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.exports import Exported, header
 import numpy as np
 import pytest
@@ -48,10 +49,12 @@ int rest(const bellows_state *tool, double load, bellows_state *out)
 }
 #endif
 """
+STRICT = ('-Wall', '-Wextra', '-Wpedantic', '-Wconversion', '-Wdouble-promotion', '-Werror',
+          '-ffp-contract=off')
 
 
 @pytest.fixture(scope='module', params=[
-    ('gcc -std=c11 -O0', CUP), ('gcc -std=c11 -O3', CUP), ('g++ -std=c++17 -O2', CUP),
+    ('gcc -std=c99 -O0', CUP), ('gcc -std=c11 -O3', CUP), ('g++ -std=c++17 -O2', CUP),
     ('gcc -std=c11 -O2', RUBBER), ('g++ -std=c++17 -O2', RUBBER)])
 def library(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
@@ -66,8 +69,7 @@ def library(
     (folder / 'cup.h').write_text(header(Exported(cup, PACKAGE, GRAVITY, GRIP)))
     (folder / name).write_text(LIBRARY)
     subprocess.run(
-        [compiler, *options, '-Wall', '-Wextra', '-pedantic', '-Wconversion', '-Wdouble-promotion',
-         '-Werror', '-ffp-contract=off', '-shared', '-fPIC', '-o', 'cup.so', name, '-lm'],
+        [compiler, *options, *STRICT, '-shared', '-fPIC', '-o', 'cup.so', name, '-lm'],
         cwd=folder, check=True)
     loaded = ctypes.CDLL(str(folder / 'cup.so'))
     loaded.factor.restype = ctypes.c_double
@@ -140,3 +142,47 @@ def test_a_grip_that_is_not_known_is_not_made_up() -> None:
     text = header(Exported(CUP, PACKAGE))
     assert 'bellows_grip bellows_exported_grip =' not in text
     assert 'cup.lip_radius' in text
+
+
+TWO = """
+#include "left.h"
+#include "right.h"
+#include "left.h"
+int main(void)
+{
+    bellows_state tool = {{0, 0, 0}, {0, 0, 0, 1}, {0, 0, 0}, {0, 0, 0}}, a, b;
+    if (bellows_equilibrium(&left, &tool, &a) || bellows_equilibrium(&right_cup, &tool, &b))
+        return 1;
+    return a.o.z > b.o.z && left_longest > 0 && left_grip.radius > 0 ? 0 : 2;
+}
+"""
+
+
+@pytest.mark.parametrize('how', ['gcc -std=c99', 'g++ -std=c++17'])
+def test_two_cups_in_one_program(how: str, tmp_path: Path) -> None:
+    """Hang a package on each of two cups by their names; refuse two of one name."""
+    compiler, standard = how.split()
+    if shutil.which(compiler) is None:
+        pytest.skip(f'{compiler} is not installed')
+    soft = Cup(0.5 * CUP.stiffness, CUP.damping, CUP.length)
+    for name, cup in (('left', CUP), ('right_cup', soft), ('left', soft)):
+        (tmp_path / f'{name.split("_")[0]}.h').write_text(
+            header(Exported(cup, PACKAGE, GRAVITY, GRIP, name)))
+        if name == 'right_cup':
+            source = 'two.c' if compiler == 'gcc' else 'two.cpp'
+            (tmp_path / source).write_text(TWO)
+            subprocess.run([compiler, standard, *STRICT, '-o', 'two', source, '-lm'],
+                           cwd=tmp_path, check=True)
+            assert subprocess.run([tmp_path / 'two'], check=False).returncode == 0
+            (tmp_path / 'first.h').write_text((tmp_path / 'left.h').read_text())
+    (tmp_path / source).write_text('#include "first.h"\n#include "left.h"\n')
+    clash = subprocess.run([compiler, standard, '-c', source, '-o', 'clash.o'], cwd=tmp_path,
+                           check=False, capture_output=True)
+    assert clash.returncode != 0
+
+
+@pytest.mark.parametrize('name', ['', '2cups', 'left-cup', 'a b', 'ä'])
+def test_name_that_c_does_not_have_is_refused(name: str) -> None:
+    """Say so instead of writing what does not compile."""
+    with pytest.raises(BellowsError, match='--name'):
+        header(Exported(CUP, PACKAGE, name=name))
