@@ -6,6 +6,7 @@ from a recording of it.
 """
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -90,7 +91,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _say(found: 'DesignedMotion', console: Console) -> None:
     """Print the expected errors and the active limits."""
-    from bellows_ros.core.identification.result import parameter_units
+    from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
 
     motion = found.design.motion
     console.say(f'A motion of {motion.duration:g} s', 'bold')
@@ -100,7 +101,8 @@ def _say(found: 'DesignedMotion', console: Console) -> None:
             found.structure.labels, parameter_units(found.structure), found.guess.tolist(),
             found.errors.tolist(), strict=True)):
         part = f'{100.0 * error / abs(value):.2g} %' if value else ''
-        rows.append([label, with_error(value, error, unit), part, *(
+        known = error if error <= LARGEST_ERROR * abs(value) or not value else math.inf
+        rows.append([label, with_error(value, known, unit), part, *(
             f'{errors[i] / error:.3g} times' for errors in found.beside.values())])
     console.table(rows)
     if found.beside:
@@ -116,6 +118,8 @@ def _say(found: 'DesignedMotion', console: Console) -> None:
 
 def _say_series(found: 'DesignedMotion', console: Console) -> None:
     """Print what to record, in order, and what each recording identifies."""
+    from bellows_ros.core.identification.result import LARGEST_ERROR
+
     if not found.series:
         return
     purposes = (
@@ -132,8 +136,8 @@ def _say_series(found: 'DesignedMotion', console: Console) -> None:
             zip(found.structure.labels, found.guess.tolist(), strict=True)):
         if value:
             rows.append([label, *(
-                f'{100.0 * errors[i] / abs(value):.3g} %' if errors[i] < abs(value) else '-'
-                for _, errors in found.series.values())])
+                f'{100.0 * part:.3g} %' if part <= LARGEST_ERROR else '-'
+                for part in (errors[i] / abs(value) for _, errors in found.series.values()))])
     console.table(rows, right=True)
     console.paragraph('Each column is for this recording alone, with the nominal length known; '
                       '- is not identifiable. Then identify the cup from all of them:')

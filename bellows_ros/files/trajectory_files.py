@@ -154,6 +154,8 @@ def write_urscript(
     """
     Write a program for a Universal Robots arm that moves the tool through evenly timed poses.
 
+    It moves to the first of them slowly, after a confirmation at the teach pendant.
+
     Parameters
     ----------
     path : path
@@ -183,7 +185,9 @@ def write_urscript(
         '  end']
     poses = ['p[' + ', '.join(f'{x:.6f}' for x in row) + ']'
              for row in np.hstack([position, rotation_vector]).tolist()]
-    lines += [f'  movej(get_inverse_kin(pose_trans(world, {poses[0]})))',
+    lines += ['  popup("The arm moves to the start of the motion. Continue if world is set and '
+              'the way is free.", title="bellows_motion", blocking=True)',
+              f'  movej(get_inverse_kin(pose_trans(world, {poses[0]})), a=0.3, v=0.2)',
               *(f'  to({pose})' for pose in poses), '  stopj(2.0)', 'end']
     atomic.write_text(path, '\n'.join(lines) + '\n')
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from bellows_ros.core.excitation.fisher import (
 from bellows_ros.core.excitation.motion_design import cups_near, Design, design, LOADS, RAMP, REST
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.identification.result import parameter_units
+from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.structure import Structure, structure_named
@@ -88,8 +89,17 @@ class DesignedMotion:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings before the motion."""
-        return () if LOADS[-1] in self.design.ratios else (NO_GRIP,)
+        """Return warnings before the motion: what it cannot identify, and what would."""
+        found = () if LOADS[-1] in self.design.ratios else (NO_GRIP,)
+        limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')
+        return found + tuple(
+            f'{label} is not identifiable with this arm and tracking: its expected error is '
+            f'{100.0 * error / abs(value):.2g} % of it. It would be with a noise of the tracking '
+            f'{_rounded_up(factor)} times lower, or a motion {_rounded_up(factor**2)} times '
+            f'longer; a higher limit of {limit} helps most.'
+            for label, value, error in zip(
+                self.structure.labels, self.guess.tolist(), self.errors.tolist(), strict=True)
+            if value and (factor := error / (LARGEST_ERROR * abs(value))) > 1.0)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, SI units."""
@@ -108,6 +118,12 @@ class DesignedMotion:
             'limited_by': self.design.shares,
             'warnings': self.warnings,
         }
+
+
+def _rounded_up(factor: float) -> str:
+    """Return a factor with two digits, not below it."""
+    digits = 10.0 ** (math.floor(math.log10(factor)) - 1)
+    return f'{math.ceil(factor / digits) * digits:.2g}'
 
 
 def excite(

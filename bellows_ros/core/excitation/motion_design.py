@@ -3,7 +3,7 @@ Design of the motion with the most information on K and P, within limits of arm,
 
 The motion is a Fourier series in each axis, with ramps at both ends. Its coefficients maximise the
 determinant of the Fisher information (D-optimal) of small motions, for the guess of K and for a
-softer and a stiffer one (`GUESS_FACTOR`). The largest ratio of a signal to its limit, as a p-norm
+softer and a stiffer one (`GUESS_FACTORS`). The largest ratio of a signal to its limit, as a p-norm
 over limits and time, divides the coefficients, so that only their shape is searched; p grows in
 stages. After each stage the whole model simulates the motion, and corrects the limits of the loads
 in the linear one. The most informative stage is scaled until no limit is violated.
@@ -29,15 +29,15 @@ from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.planning.plan import Run
-from bellows_ros.core.synthetic.motion import Motion, Pose, smooth_step, Vibration
+from bellows_ros.core.synthetic.motion import Motion, Pose, Vibration
 from bellows_ros.errors import BellowsError
 import numpy as np
 
 REST, RAMP = 2.0, 1.0
 """Durations (s): the initial rest, and each ramp of the amplitude."""
 
-GUESS_FACTOR = 1.3
-"""The true K may differ from the guess by this factor in either direction."""
+GUESS_FACTORS = (1.0, 0.7, 1.3)
+"""The true K relative to the guess: as guessed, and as much softer and stiffer as it may be."""
 
 PRIOR = 1.0
 """Prior information on each parameter, relative to its size: known to a factor of about 2."""
@@ -62,10 +62,19 @@ LOADS = ('bending', 'torsion', 'safety factor (peel)', 'safety factor (slip)')
 Progress = Callable[[str, float], None]
 
 
+def septic_step(s: Array) -> Array:
+    """Return the septic from 0 to 1, its jerk zero at both ends, and three derivatives (4, N)."""
+    s = np.clip(s, 0.0, 1.0)
+    u = s - s**2
+    return np.array([
+        s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3), 140.0 * u**3,
+        420.0 * u**2 * (1.0 - 2.0 * s), 840.0 * u * (1.0 - 5.0 * u)])
+
+
 def window(t: Array, period: float) -> Array:
     """Return a window with ramps up and down over a period (s), and three derivatives (4, N)."""
     per_s = (1.0 / RAMP) ** np.arange(4)[:, None]
-    up, down = smooth_step(t / RAMP) * per_s, smooth_step((period - t) / RAMP) * per_s
+    up, down = septic_step(t / RAMP) * per_s, septic_step((period - t) / RAMP) * per_s
     return np.array([
         sum(math.comb(n, m) * up[m] * (-1.0) ** (n - m) * down[n - m] for m in range(n + 1))
         for n in range(4)])
@@ -330,8 +339,7 @@ def design(
 
 def cups_near(cup: Cup) -> list[Cup]:
     """Return the guessed cup, a softer one and a stiffer one."""
-    return [replace(cup, stiffness=factor * cup.stiffness)
-            for factor in (1.0, 1.0 / GUESS_FACTOR, GUESS_FACTOR)]
+    return [replace(cup, stiffness=factor * cup.stiffness) for factor in GUESS_FACTORS]
 
 
 def all_ratios(
