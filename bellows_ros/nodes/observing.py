@@ -82,7 +82,7 @@ class Observing:
             live.on_measured, stamp_ns, header.frame_id, vector(pose.position),
             quaternion_xyzw(pose.orientation), covariance)
         self._outputs.model = live.model
-        own_world = live.observer is not None and live.observer.sight.has_own_world
+        own_world = live.observer is not None and live.observer.sensor.has_own_world
         if header.frame_id != live.frame_id and not own_world:
             self._node.get_logger().warning(
                 f"package/measured is in frame '{short(header.frame_id)}', the tool in "

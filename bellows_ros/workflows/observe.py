@@ -189,9 +189,9 @@ def _held(observer: Observer, poses: PoseStream, at: Trajectory, com: Array) -> 
     x, y, z = com.tolist()
     for position, q in zip(
             poses.position.tolist(), rotation_to_quaternion(poses.rotation).tolist(), strict=True):
-        seen = observer.sight.measurement(1, tuple(position), tuple(q))
+        seen = observer.sensor.measurement(1, tuple(position), tuple(q))
         assert not isinstance(seen, str)
-        found.append(np.concatenate(at_com(*seen[1:], observer.sight.marker, (x, y, z))[:2]))
+        found.append(np.concatenate(at_com(*seen[1:], observer.sensor.marker, (x, y, z))[:2]))
     rows = np.array(found)[newest[inside]]
     return Trajectory(
         at.stamps_ns[inside], rows[:, :3], quaternion_to_rotation(rows[:, 3:]))

@@ -353,10 +353,10 @@ class LivePredictor:
         observer = self._package.observer
         if observer is None:
             return
-        seen = observer.sight.measurement(stamp_ns, position, quaternion_xyzw, covariance)
+        seen = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
         if isinstance(seen, str):
             observer.counts[seen] += 1
-        elif not observer.sight.has_own_world and self.frame_id not in ('', frame_id):
+        elif not observer.sensor.has_own_world and self.frame_id not in ('', frame_id):
             observer.counts['frame_id'] += 1
         elif self.flight is not None and self.flight.is_free:
             observer.counts['not_held'] += 1

@@ -1,123 +1,154 @@
 """
 What is wrong when measured poses are not where they should be: likelihood ratios of causes.
 
-A fault that sets in at some time makes known changes of all later innovations, up to its size.
-Their likelihood with a fault, its size averaged over what is usual, over that without is a
-martingale where nothing is wrong. Summed over the onsets, and over the causes by how usual they
-are, it grows by 1 with each onset on average: it is A or more after A onsets at the earliest, on
-average (Shiryaev and Roberts), so that the threshold follows from the false alarms allowed.
+A fault is a step in some rows of the error of `filter`, at some time. It makes known changes of
+all later innovations, up to its size: its signature, the error that the fault leaves in the
+estimate, goes through transitions and updates as the error does. The likelihood of the innovations
+with a fault, its size averaged over what is usual, over that without is a martingale where nothing
+is wrong. Summed over the onsets, and over the causes by how usual they are, it grows by 1 with
+each onset on average: it is A or more after A onsets at the earliest, on average (Shiryaev and
+Roberts), so that the threshold follows from the false alarms allowed.
 
-The error of `filter`, extended by faults, is extended further (41,): by shift and turn of the
-camera's frame in the world (m, rad), and by how far a lip that is measured has slipped (m).
+What is no fault is part of the error, and of the covariance of the innovations. What was found is
+taken off: the estimate changes by the signature times the likeliest size, and its covariance by
+that of the usual sizes.
+
+The error is extended by what falls: by the part of the cup's force that is gone, and speed and
+shift (m/s, m; world).
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import cross, Quaternion, rotation_matrix, Vector
 from bellows_ros.core.observer.filter import (
     add_product,
-    FORCE,
-    LENGTHENED,
+    CAMERA,
+    carry_theta,
+    COM,
+    FALL,
+    FALL_SPEED,
     LENGTHENING,
-    MOMENT,
+    MARKER,
+    MASS,
     product,
+    SECONDS,
+    SHIFT,
+    STATE,
+    STIFFNESS,
 )
 from bellows_ros.core.observer.measurement import Innovation
 import numpy as np
 
-GONE, SPEED, FALL = 26, 27, 30
-FRAME, SLIPPED, EXTENDED = 33, 39, 41
+GONE, FALLING = -7, 7
+"""The first of the rows of what falls, and how many they are."""
 
 
 class Cause(NamedTuple):
     """A kind of fault."""
 
     name: str
-    rows: tuple[int, ...]
-    """Of the extended error, one for each component of the fault."""
+    steps: tuple[tuple[int, ...], ...]
+    """The rows of the error that step, for each component of the fault."""
     usual: tuple[float, ...]
     """Prior standard deviations of the fault's components."""
+    ends: tuple[int, ...]
+    """How many of the components, from the first on, a fault of this kind has."""
     share: float
     """Prior share among all faults."""
     at_start: bool
     sets_in: bool
     """Whether it may be present from the start, and whether it may have an onset."""
     message: str
-    """The finding, and what to do."""
-    unit: float = 1e3
+    """The finding, by the sizes of its parts, and what to do."""
+    parts: tuple[tuple[int, int, float], ...] = ((0, 1, 1e3),)
+    """Components from first to before last make a size, shown in this unit."""
     every: int = 1
     """One in so many of the onsets is tested, and counts for all of them."""
 
 
 CAUSES = (
-    Cause('slip', (13, 14), (3e-3, 3e-3), 0.4, False, True,
-          'The grip has slipped by {:.1f} mm: move slower, or raise the vacuum.'),
-    Cause('leak', (LENGTHENING,), (5e-3,), 0.15, False, True,
+    Cause('slip', ((COM, SHIFT), (COM + 1, SHIFT + 1), *((MARKER + 3 + i,) for i in range(3))),
+          (3e-3, 3e-3, 0.1, 0.1, 0.1), (2, 5), 0.4, False, True,
+          'The grip has slipped by {:.1f} mm and turned by {:.1f} degrees: move slower, or raise '
+          'the vacuum.', ((0, 2, 1e3), (2, 5, 180.0 / math.pi))),
+    Cause('leak', ((LENGTHENING,),), (5e-3,), (1,), 0.15, False, True,
           'The cup yields by {:.1f} mm/s, as with a leak: check its lip and the vacuum.'),
-    Cause('wear', (FORCE, MOMENT), (0.2, 0.2), 0.1, True, False,
-          'The stiffness of the cup is off by {:.0f} %: it is worn, or another cup is mounted. '
-          "Identify it with 'bellows identify'.", 100.0),
-    Cause('payload', (12, 13, 14, 15), (0.2, 0.01, 0.01, 0.01), 0.1, True,
-          False,
-          'Mass or centre of mass differs from package.*: correct it, or set payload.estimate.'),
-    Cause('lost', (GONE,), (0.3,), 0.1, False, True,
-          'The package is lost: stop the arm.'),
-    Cause('camera', tuple(range(FRAME, FRAME + 6)), (0.01,) * 6, 0.15,
+    Cause('wear', tuple(tuple(range(first, first + 3)) for first in (STIFFNESS, STIFFNESS + 3)),
+          (0.2, 0.2), (2,), 0.1, True, False,
+          'The stiffness of the cup is off by {:.0f} % in translation and {:.0f} % in rotation: '
+          "it is worn, or another cup is mounted. Identify it with 'bellows identify'.",
+          ((0, 1, 100.0), (1, 2, 100.0))),
+    Cause('payload', tuple((row,) for row in range(MASS, MASS + 4)), (0.2, 0.01, 0.01, 0.01),
+          (1, 4), 0.1, True, False,
+          'The mass is off by {:.0f} % and the centre of mass by {:.1f} mm: correct package.*, or '
+          'set payload.estimate.', ((0, 1, 100.0), (1, 4, 1e3))),
+    Cause('lost', ((GONE,),), (0.3,), (1,), 0.1, False, True,
+          'The package is lost: stop the arm.', ((0, 1, 1.0),), 2),
+    Cause('camera', tuple((row,) for row in range(CAMERA, CAMERA + 6)), (0.01,) * 6, (3, 6), 0.15,
           True, True,
-          'The frame of the camera has moved by {:.1f} mm: calibrate it.', every=2),
+          'The frame of the camera has moved by {:.1f} mm and {:.1f} mrad: calibrate it.',
+          ((0, 3, 1e3), (3, 6, 1e3)), 2),
 )
 """The faults that are tested."""
 
+LOST = 4
+AMBIGUOUS = {
+    ('wear', 'payload'), ('payload', 'wear'),
+}
+"""Only the damping tells these apart: mass with inertia is K and P the other way round."""
+
 START = tuple(cause for cause in CAUSES if cause.at_start)
-LOOKED_FOR = START + tuple(cause for cause in CAUSES if cause.sets_in)
+HYPOTHESES = START + tuple(cause for cause in CAUSES if cause.sets_in)
 """First the faults present from the start, then those with an onset."""
-ROWS = tuple(row for cause in LOOKED_FOR for row in cause.rows)
-FIRSTS = tuple(np.cumsum([0, *(len(cause.rows) for cause in LOOKED_FOR)]).tolist())
-"""First column of each fault, and the end of the last one."""
+STEPS = tuple(rows for cause in HYPOTHESES for rows in cause.steps)
+FIRSTS = tuple(np.cumsum([0, *(len(cause.steps) for cause in HYPOTHESES)]).tolist())
+"""First component of each fault, and the end of the last one."""
 AT_START = len(START)
-OF_CAUSE = tuple(CAUSES.index(cause) for cause in LOOKED_FOR)
-SHARES = tuple(math.log(cause.share) for cause in CAUSES)
-USUAL = tuple(std for cause in LOOKED_FOR for std in cause.usual)
-MEAN = tuple(1.0 if row == GONE else 0.0 for row in ROWS)
+IS_END = tuple(n + 1 in cause.ends for cause in HYPOTHESES for n in range(len(cause.steps)))
+"""Whether a fault may have the components up to this one."""
+OF_CAUSE = tuple(CAUSES.index(cause) for cause in HYPOTHESES)
+SHARES = tuple(math.log(cause.share / len(cause.ends)) for cause in CAUSES)
+USUAL = tuple(std for cause in HYPOTHESES for std in cause.usual)
+MEAN = tuple(1.0 if rows == (GONE,) else 0.0 for rows in STEPS)
 """A lost package has lost all of the cup's force."""
 
 ONSET_NS = 30_000_000
 """Spacing (ns) of the onsets tested."""
 
-ONSETS, DENSE_NS, OLDEST_NS = 20, 450_000_000, 10_000_000_000
+ONSETS, DENSE_NS, OLDEST_NS = 16, 360_000_000, 10_000_000_000
 """
 So many of them, beside the beginning: all of a time (ns), what is older farther apart, and nothing
 that is older than this (ns): all that falls for long has fallen out of any number's range.
 """
 
-EVERY = tuple(cause.every for cause in LOOKED_FOR)
+EVERY = tuple(cause.every for cause in HYPOTHESES)
 SLOTS = (1,) * AT_START + tuple(ONSETS // every for every in EVERY[AT_START:])
-"""Onsets of each that is looked for, ..."""
+"""Onsets of each hypothesis, ..."""
 COLUMNS = tuple(np.cumsum([0, *(
-    slots for cause, slots in zip(LOOKED_FOR, SLOTS, strict=True) for _ in cause.rows)]).tolist())
-"""... and where the errors by each number begin, one for each onset, and where the last end."""
-LINE = 8
-"""Rows begin where lines of the processor's cache do, which hold so many numbers."""
-LARGEST = max(len(cause.rows) for cause in LOOKED_FOR)
+    slots for cause, slots in zip(HYPOTHESES, SLOTS, strict=True) for _ in cause.steps)]).tolist())
+"""... and where the signatures of each component begin, one for each onset, and the end."""
+LARGEST = max(len(cause.steps) for cause in HYPOTHESES)
 
 OVERSHOOT = 2.1
 """
 So much lower the threshold is, as the sum does not reach it but leaps over it, older onsets are
-let go, and a cause must lead. Ten hours of sound work gave three alarms, of ten that are allowed.
+let go, and a cause must lead.
 """
 
 START_WEIGHS = 30.0
 """Prior odds of a fault from the start against an onset at any one of the times tested."""
 
+SETTLING = 8
+"""Measurements from the start, or an alarm, that are not compared: the noise is learned first."""
+
 FEWEST = 3
 """Measurements after an onset required for a decision."""
 
-SURE, DECIDE_NS = 5.0, 500_000_000
+SURE, DECIDE_NS = 5.0, 350_000_000
 """
 A cause is named when its log-likelihood ratio leads that of the next by so much, or so long (ns)
 after half-way to the threshold.
@@ -129,6 +160,9 @@ CONFIRMED = 2
 UNEXPLAINED = 0.2
 """Largest fraction of the misfit that a named cause may leave unexplained."""
 
+UNSURE = 100.0
+"""Below these odds the message names the second cause as well."""
+
 
 class Alarm(NamedTuple):
     """A fault that was found."""
@@ -137,7 +171,38 @@ class Alarm(NamedTuple):
     cause: str
     size: float
     """m, m/s or relative."""
+    size_std: float
+    second: str
+    """The second likeliest cause."""
+    odds: float
+    """Of the cause to the second."""
     message: str
+
+
+class Evidence(NamedTuple):
+    """All that is known of faults after a measurement."""
+
+    signatures: Any
+    """(n + 7, columns), of single precision: they are the larger part of the work."""
+    information: Array
+    scores: Array
+    """Of the sizes of each component, by onset (components, 6, onsets), (components, onsets)."""
+    distances: Array
+    counts: Stamps
+    onsets: Stamps
+    """Squared distances summed since each onset; measurements since then; its stamp (ns)."""
+    half_way: tuple[int, ...] = ()
+    """Stamps (ns) since half-way to the threshold."""
+    is_first: bool = True
+    """Whether faults from the start are looked for: no alarm has been raised."""
+
+
+class Found(NamedTuple):
+    """An alarm, and what the fault makes of the error: likeliest value (n,) and spread (n, k)."""
+
+    alarm: Alarm
+    error: Array
+    spread: Array
 
 
 class Alarms:
@@ -148,78 +213,119 @@ class Alarms:
     ----------
     false_per_hour : float
         How many false alarms are allowed.
+    rows : int
+        Of the error.
+    of_lip : bool
+        Whether the lip is measured: a package that slips moves, a marker on it is no longer there.
 
     """
 
-    def __init__(self, false_per_hour: float) -> None:
-        """Start without measurements."""
+    def __init__(self, false_per_hour: float, rows: int, of_lip: bool) -> None:
+        """Know the signatures at the onset."""
         self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour) - OVERSHOOT
-        self.forget()
+        self._steps: Array = np.zeros((rows + FALLING, len(STEPS)))
+        for component, step in enumerate(STEPS):
+            for row in step:
+                self._steps[row, component] = 1.0
+                if of_lip and COM <= row < COM + 3:
+                    self._steps[MARKER + row - COM, component] = 1.0
 
-    def forget(self, named: int = -1) -> None:
-        """Start again; of what is wrong from the start only what has been named is looked for."""
-        self.named = named
-        self.last_ns = -1
-        self._E: Array = np.zeros((EXTENDED, COLUMNS[-1] + -COLUMNS[-1] % LINE))
-        self._information: Array = np.zeros((len(ROWS), LARGEST, ONSETS))
-        self._evidence: Array = np.zeros((len(ROWS), ONSETS))
-        self._distances: Array = np.zeros(1 + ONSETS)  # the sum of the squared ones since each
-        self._counts: Stamps = np.zeros(1 + ONSETS, np.int64)  # of measurements since each
-        self._onsets: Stamps = np.full(1 + ONSETS, -1, np.int64)  # stamps
-        self._half_way: list[int] = []  # stamps since half-way to the threshold
+    def start(self, stamp_ns: int, is_first: bool = True) -> Evidence:
+        """Return that there is none; faults from the start begin at a stamp."""
+        none = Evidence(
+            np.zeros((len(self._steps), COLUMNS[-1]), np.float32),
+            np.zeros((len(STEPS), LARGEST, ONSETS)),
+            np.zeros((len(STEPS), ONSETS)), np.zeros(1 + ONSETS), np.zeros(1 + ONSETS, np.int64),
+            np.full(1 + ONSETS, -1, np.int64), (), is_first)
+        _set_in(*none[:3], none.onsets, self._steps, stamp_ns)
+        return none
 
     def step(
-        self, stamp_ns: int, passage: Array, found: Innovation, used: bool
-    ) -> Alarm | None:
+        self, known: Evidence, stamp_ns: int, found: Innovation, used: bool
+    ) -> tuple[Evidence, Found | None]:
         """
-        Process the next innovation, and return an alarm if there is one.
+        Return the evidence after the next innovation, and a fault if one is found.
 
         Parameters
         ----------
+        known : Evidence
+            Carried to its stamp, and changed.
         stamp_ns : int
             Of the measurement.
-        passage : ndarray (13, 26)
-            Since the one before.
         found : Innovation
             Of its pose.
         used : bool
             Whether the estimate was corrected with it.
 
         """
-        self.last_ns = stamp_ns
-        total, lead, onset, which = _step(
-            self._E, self._information, self._evidence, self._distances, self._counts,
-            self._onsets, stamp_ns, passage, found, used, self.named)
-        self._half_way = [*self._half_way, stamp_ns] if total > 0.5 * self._threshold else []
-        if total < self._threshold or len(self._half_way) <= CONFIRMED or (
-                lead < SURE and stamp_ns - self._half_way[0] < DECIDE_NS):
-            return None
-        cause, size = LOOKED_FOR[which], self._size(onset, which)
-        self.forget(OF_CAUSE[which])
-        return Alarm(stamp_ns, cause.name, size, cause.message.format(cause.unit * size))
+        total, lead, best, second = _step(
+            *known[:6], self._steps, stamp_ns, found, used, known.is_first)
+        half_way = (*known.half_way, stamp_ns) if total > 0.5 * self._threshold else ()
+        known = known._replace(half_way=half_way)
+        if total < self._threshold or len(half_way) <= CONFIRMED or (
+                lead < SURE and stamp_ns - half_way[0] < DECIDE_NS):
+            return known, None
+        return self.start(stamp_ns, is_first=False), self._found(
+            known, stamp_ns, best, CAUSES[second], lead)
+
+    def _found(
+        self, known: Evidence, stamp_ns: int, best: tuple[int, int, int], second: Cause,
+        lead: float,
+    ) -> Found:
+        """Return what is known of the likeliest fault."""
+        onset, which, components = best
+        cause, odds = HYPOTHESES[which], math.exp(min(lead, 50.0))
+        first, end = FIRSTS[which], FIRSTS[which] + components
+        slot = max(onset - 1, 0) // EVERY[which]
+        usual, mean = np.array(cause.usual[:components]), np.array(MEAN[first:end])
+        J = known.information[first:end, :end - first, slot]
+        J = np.tril(J) + np.tril(J, -1).T
+        P = np.linalg.inv(J + np.diag(usual ** -2.0))
+        size = mean + P @ (known.scores[first:end, slot] - J @ mean)
+        E: Array = known.signatures[:-FALLING, [column + slot for column in COLUMNS[first:end]]]
+        sizes = [float(np.linalg.norm(size[a:b])) for a, b, _ in cause.parts]
+        a, b, _ = cause.parts[0]
+        along = size[a:b] / max(sizes[0], 1e-12)
+        message = cause.message.format(*(
+            unit * value for value, (_, _, unit) in zip(sizes, cause.parts, strict=True)))
+        if odds < UNSURE:
+            message += f' It may also be {second.name!r} (odds {max(odds, 1.0):.0f} to 1'
+            message += ': weigh the package to decide).' if (
+                cause.name, second.name) in AMBIGUOUS else ').'
+        return Found(Alarm(
+            stamp_ns, cause.name, sizes[0], float(np.sqrt(along @ P[a:b, a:b] @ along)),
+            second.name, odds, message), E @ size, E * usual)
 
     def lost(self, stamp_ns: int) -> Alarm:
         """Return that the package is lost."""
-        lost = next(cause for cause in CAUSES if cause.name == 'lost')
-        self.forget(CAUSES.index(lost))
-        return Alarm(stamp_ns, lost.name, 1.0, lost.message)
+        return Alarm(stamp_ns, CAUSES[LOST].name, 1.0, 0.0, '', math.inf, CAUSES[LOST].message)
 
-    def _size(self, onset: int, which: int) -> float:
-        """Return the most likely size of a fault: of a vector its length, of the first three."""
-        usual = np.array(LOOKED_FOR[which].usual)
-        part, slot = slice(*FIRSTS[which:which + 2]), max(onset - 1, 0) // EVERY[which]
-        J, d = self._information[part, :len(usual), slot], self._evidence[part, slot]
-        J = np.tril(J) + np.tril(J, -1).T
-        found = np.linalg.solve(J + np.diag(usual ** -2.0), d)
-        return float(np.linalg.norm(found[:3]))
+
+def carried(known: Evidence, T: Array, memory: Array) -> Evidence:
+    """Return the evidence after a transition (13, n) of the error, see `propagated`."""
+    return known._replace(
+        signatures=_carried(known.signatures, T, memory), information=known.information.copy(),
+        scores=known.scores.copy(), distances=known.distances.copy(),
+        counts=known.counts.copy(), onsets=known.onsets.copy())
+
+
+@kernel
+def _carried(E: Any, T: Array, memory: Array) -> Any:
+    """Return the signatures after a transition."""
+    n, last, out = T.shape[1], T[STATE], E.copy()
+    product(T[:STATE].astype(np.float32), E[:n], out[:STATE])
+    carry_theta(out[STATE:n], last[SECONDS], memory)
+    for i in range(3):
+        out[n + 4 + i] += last[SECONDS] * E[n + 1 + i] + last[FALL + i] * E[n]
+        out[n + 1 + i] += last[FALL_SPEED + i] * E[n]
+    return out
 
 
 @kernel
 def _step(
-    E: Array, information: Array, evidence: Array, distances: Array, counts: Stamps,
-    onsets: Stamps, stamp_ns: int, M: Array, found: Innovation, used: bool,
-    named: int,
-) -> tuple[float, float, int, int]:
+    E: Any, information: Array, scores: Array, distances: Array, counts: Stamps,
+    onsets: Stamps, steps: Array, stamp_ns: int, found: Innovation, used: bool, is_first: bool,
+) -> tuple[float, float, tuple[int, int, int], int]:
     """
     Take the next innovation.
 
@@ -229,28 +335,31 @@ def _step(
         Logarithm of the sum of all likelihood ratios.
     lead : float
         By how much that of the likeliest cause leads the next.
-    onset, which : int
-        Of the likeliest cause, and its place in `LOOKED_FOR`.
+    best : tuple of int
+        Of the likeliest cause: slot of its onset, place in `HYPOTHESES`, number of components.
+    second : int
+        The next, its place in `CAUSES`.
 
     """
-    position, quaternion_xyzw, y, H, root, distance, gain = found
-    if stamp_ns - onsets.max() >= ONSET_NS:
-        k = _place(onsets, stamp_ns)
-        onsets[k], distances[k], counts[k] = stamp_ns, 0.0, 0
-        _set_in(E, information, evidence, k)
-    _pass_on(E, M)
-    made = product(_sight(H, position, quaternion_xyzw), E, np.empty((6, E.shape[1])))
-    seen = product(root, made, np.empty((6, E.shape[1])))
+    y, H, root, distance, gain = found
+    n, C = H.shape[1], H.astype(np.float32)
+    made = product(C, E[:n], np.empty((6, E.shape[1]), np.float32))
+    add_product(C[:3, CAMERA:CAMERA + 3], E[n + 4:], made[:3])  # as a shift in the world
+    seen = product(root.astype(np.float32), made, np.empty((6, E.shape[1]), np.float32))
     z = product(root, y.reshape((6, 1)), np.empty((6, 1)))
     for k in range(len(onsets)):
         if onsets[k] >= 0:
-            distances[k] += distance
+            distances[k] += distance if counts[0] >= SETTLING else 0.0
             counts[k] += 1
-    for what in range(len(SLOTS)):
-        _compare(seen, z, what, information, evidence)
+    for what in range(len(SLOTS) if counts[0] > SETTLING else 0):
+        _compare(seen, z, what, information, scores)
     if used:
-        add_product(-gain, made, E[:22])
-    return _judged(information, evidence, distances, counts, named)
+        add_product(-gain.astype(np.float32), made, E[:n])
+    outcome = _judged(information, scores, distances, counts, is_first)
+    if counts[0] >= SETTLING and stamp_ns - onsets.max() >= ONSET_NS:
+        k = _set_in(E, information, scores, onsets, steps, stamp_ns)
+        distances[k], counts[k] = 0.0, 0
+    return outcome
 
 
 @kernel
@@ -273,60 +382,19 @@ def _place(onsets: Stamps, stamp_ns: int) -> int:
 
 
 @kernel
-def _set_in(E: Array, J: Array, d: Array, k: int) -> None:
-    """Write the error that each component of a fault causes at its onset."""
+def _set_in(
+    E: Any, J: Array, d: Array, onsets: Stamps, steps: Array, stamp_ns: int
+) -> int:
+    """Write the error that each fault causes with an onset now; return the onset's slot."""
+    k = _place(onsets, stamp_ns)
+    onsets[k] = stamp_ns
     for what in range(0 if k == 0 else AT_START, AT_START if k == 0 else len(SLOTS)):
         slot, is_tested = max(k - 1, 0) // EVERY[what], k == 0 or (k - 1) % EVERY[what] == 0
         for a in range(FIRSTS[what], FIRSTS[what + 1] if is_tested else FIRSTS[what]):
-            c, row = COLUMNS[a] + slot, ROWS[a]
             d[a, slot] = 0.0
             J[a, :, slot] = 0.0
-            E[:, c] = 0.0
-            E[row, c] = 1.0
-            if k > 0 and 13 <= row <= 14:  # a package that slips moves, its lip does not
-                E[row - 13, c] = E[SLIPPED + row - 13, c] = 1.0
-
-
-@kernel
-def _sight(H: Array, position: Vector, quaternion_xyzw: Quaternion) -> Array:
-    """Return the derivative (6, 41) of an innovation by the extended error."""
-    C = np.zeros((6, EXTENDED))
-    for i in range(6):
-        for j in range(22):
-            C[i, j] = H[i, j]
-    R = rotation_matrix(quaternion_xyzw)
-    for i in range(3):
-        row = R[i], R[3 + i], R[6 + i]
-        across = cross(row, position)
-        for j in range(3):
-            C[i, FRAME + j] = C[3 + i, FRAME + 3 + j] = C[i, FALL + j] = row[j]
-            C[i, FRAME + 3 + j] = -across[j]
-        C[i, SLIPPED], C[i, SLIPPED + 1] = -H[i, 13], -H[i, 14]
-    return C
-
-
-@kernel
-def _pass_on(E: Array, M: Array) -> None:
-    """Carry the state's error along, and let the faults go on as they do."""
-    last = M[12]
-    moved = product(M[:12, :22], E[:22], np.empty((12, E.shape[1])))
-    for i in range(12):  # E[:12] = moved takes seconds to compile: what it may raise
-        for c in range(E.shape[1]):
-            E[i, c] = moved[i, c]
-    for a in range(len(ROWS)):
-        first, end = COLUMNS[a], COLUMNS[a + 1]
-        own, longer = E[ROWS[a], first:end], E[LENGTHENED, first:end]
-        for i in range(12 if LENGTHENING <= ROWS[a] <= MOMENT else 0):
-            part, by_own, by_longer = E[i, first:end], M[i, ROWS[a]], M[i, LENGTHENED]
-            for c in range(len(part)):
-                part[c] += by_own * own[c] + by_longer * longer[c]
-        if ROWS[a] == LENGTHENING:
-            longer += last[0] * own
-        for i in range(3 if ROWS[a] == GONE else 0):
-            fall, speed = E[FALL + i, first:end], E[SPEED + i, first:end]
-            for c in range(len(fall)):
-                fall[c] += last[0] * speed[c] + last[4 + i] * own[c]
-                speed[c] += last[1 + i] * own[c]
+            E[:, COLUMNS[a] + slot] = steps[:, a]
+    return k
 
 
 @kernel
@@ -347,71 +415,74 @@ def _compare(seen: Array, z: Array, what: int, J: Array, d: Array) -> None:
 
 @kernel
 def _judged(
-    information: Array, evidence: Array, distances: Array, counts: Stamps, named: int
-) -> tuple[float, float, int, int]:
+    information: Array, scores: Array, distances: Array, counts: Stamps, is_first: bool
+) -> tuple[float, float, tuple[int, int, int], int]:
     """Return what `_step` does."""
     top, sums = np.full(len(SHARES), -math.inf), np.zeros(len(SHARES))
-    onset, which = np.zeros(len(SHARES), np.int64), np.zeros(len(SHARES), np.int64)
+    best = np.zeros((len(SHARES), 3), np.int64)
     A, z = np.empty((LARGEST, LARGEST, ONSETS)), np.empty((LARGEST, ONSETS))
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
-    for what in range(len(SLOTS)):
-        _explain(information, evidence, what, A, z, explained, determinant)
-        c, later = OF_CAUSE[what], what >= AT_START
-        for slot in range(SLOTS[what] if later or named in (-1, c) else 0):
-            k = slot * EVERY[what] + later
-            usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
-            if counts[k] < FEWEST or (
-                    distances[k] - explained[slot] > usual + UNEXPLAINED * explained[slot]):
-                continue
-            ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
-            ratio += math.log(EVERY[what] if later else START_WEIGHS)
-            if ratio > top[c]:
-                sums[c] = 1.0 + sums[c] * math.exp(top[c] - ratio)
-                top[c], onset[c], which[c] = ratio, k, what
-            else:
-                sums[c] += math.exp(ratio - top[c])
+    for what in range(0 if is_first else AT_START, len(SLOTS)):
+        first, c, later = FIRSTS[what], OF_CAUSE[what], what >= AT_START
+        explained[:], determinant[:] = 0.0, 1.0
+        for i in range(FIRSTS[what + 1] - first):
+            _explain(information, scores, what, i, A, z, explained, determinant)
+            for slot in range(SLOTS[what] if IS_END[first + i] else 0):
+                k = slot * EVERY[what] + later
+                usual = 6.0 * counts[k] + 4.0 * math.sqrt(12.0 * counts[k])
+                if counts[k] < FEWEST or (
+                        distances[k] - explained[slot] > usual + UNEXPLAINED * explained[slot]):
+                    continue
+                ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
+                ratio += math.log(EVERY[what] if later else START_WEIGHS)
+                if ratio > top[c]:
+                    sums[c] = 1.0 + sums[c] * math.exp(top[c] - ratio)
+                    top[c], best[c, 0], best[c, 1], best[c, 2] = ratio, k, what, i + 1
+                else:
+                    sums[c] += math.exp(ratio - top[c])
     for c in range(len(SHARES)):
         top[c] += math.log(max(sums[c], 1.0)) + SHARES[c]
-    best = top.argmax()
-    if top[best] == -math.inf:
-        return -math.inf, 0.0, 0, 0
-    total, second = 0.0, -math.inf
+    likeliest = top.argmax()
+    if top[likeliest] == -math.inf:
+        return -math.inf, 0.0, (0, 0, 0), 0
+    total, second = 0.0, 1 if likeliest == 0 else 0
     for c in range(len(SHARES)):
-        total += math.exp(top[c] - top[best])
-        if c != best:
-            second = max(second, top[c])
-    return top[best] + math.log(total), top[best] - second, onset[best], which[best]
+        total += math.exp(top[c] - top[likeliest])
+        if c != likeliest and top[c] > top[second]:
+            second = c
+    onset, which, components = best[likeliest]
+    return (top[likeliest] + math.log(total), top[likeliest] - top[second],
+            (onset, which, components), second)
 
 
 @kernel
 def _explain(
-    J: Array, d: Array, what: int, A: Array, z: Array, explained: Array, determinant: Array
+    J: Array, d: Array, what: int, i: int, A: Array, z: Array, explained: Array,
+    determinant: Array,
 ) -> None:
     """
-    Write how much of the squared distances a fault explains, and the price of its freedom.
+    Add how much of the squared distances component i explains, and the price of its freedom.
 
-    With J and d information and evidence of its numbers, for each onset: z^T A^-1 z and det A,
+    With J and d information and score of a fault's numbers, for each onset: z^T A^-1 z and det A,
     where A = I + s J s and z = s d with s the numbers' usual sizes; beside what their mean
-    explains. A (6, 6, n) and z (6, n) are room to work in.
+    explains. A (6, 6, n) and z (6, n) hold the factors of the components before.
     """
     first, m = FIRSTS[what], SLOTS[what]
-    explained[:m], determinant[:m] = 0.0, 1.0
-    for i in range(FIRSTS[what + 1] - first):
-        a, usual = first + i, USUAL[first + i]
+    a, usual = first + i, USUAL[first + i]
+    for k in range(m):
+        z[i, k] = usual * d[a, k]
+    if MEAN[a] != 0.0:  # it is the only number of its fault
         for k in range(m):
-            z[i, k] = usual * d[a, k]
-        if MEAN[a] != 0.0:  # it is the only number of its fault
-            for k in range(m):
-                explained[k] = 2.0 * d[a, k] - J[a, 0, k]
-                z[i, k] -= usual * J[a, 0, k]
-        for j in range(i + 1):
-            both, one = usual * USUAL[first + j], 1.0 if i == j else 0.0
-            for k in range(m):
-                A[i, j, k] = both * J[a, j, k] + one
-        _eliminate(A, z, i, m)
+            explained[k] = 2.0 * d[a, k] - J[a, 0, k]
+            z[i, k] -= usual * J[a, 0, k]
+    for j in range(i + 1):
+        both, one = usual * USUAL[first + j], 1.0 if i == j else 0.0
         for k in range(m):
-            explained[k] += z[i, k] ** 2 / A[i, i, k]
-            determinant[k] *= A[i, i, k]
+            A[i, j, k] = both * J[a, j, k] + one
+    _eliminate(A, z, i, m)
+    for k in range(m):
+        explained[k] += z[i, k] ** 2 / A[i, i, k]
+        determinant[k] *= A[i, i, k]
 
 
 @kernel

@@ -1,30 +1,31 @@
 """
-An error-state Kalman filter on SE(3) x R^6, with a wrench bias and what a payload is off by.
+An error-state Kalman filter on SE(3) x R^6, with all that may be off in an ordinary cell.
 
-The error (22,) is in the package's own axes: shift (m), turn (rad), linear and angular twist
-(m/s, rad/s), as in `jacobians`; then the relative error of mass and inertia, that of the centre
-of mass (m), and the wrench (N, N m) on the package at the lip, in S axes, beside the cup's.
+The rows of the error have the names below: pose and twist of the package in its own axes, as in
+`jacobians`; numbers of the model, which change its motion; and what makes a measured pose differ
+from the package's. All but the state is the vector theta. A row without uncertainty stays as it
+is until `alarms` finds that something has happened to it: each fault is a step in some rows.
 
-`alarms` extends it by faults, from `LENGTHENED` on: the cup's length (m) and its rate (m/s), and
-the part by which its spring's force and moment are too small. A passage (13, 26) is what becomes
-of the state's error since the measurement before, by all of these; its last row holds the seconds,
-and speed and shift (m/s, m; world) since then of what falls.
-
-The state goes through all samples of the tool with the predictor's steps. The covariance follows
-where it is asked for, in steps as long as the package's modes allow.
+The state goes through all samples of the tool with the predictor's steps. Between measurements
+the transition T of the state's error (12, n) and the covariance Q of what the tool's noise adds
+are accumulated, in steps as long as the package's modes allow; the covariance follows at once.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import COMPILED, kernel
 from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
+    add_scaled_matrix,
     apply,
     hat,
+    Matrix,
+    multiply,
     rotation_matrix,
     scale,
     scale_matrix,
@@ -41,6 +42,8 @@ from bellows_ros.core.model.jacobians import (
 )
 from bellows_ros.core.model.kernels import (
     advance,
+    Blocks,
+    CupTuple,
     lip_wrench,
     ModelTuple,
     State,
@@ -52,23 +55,46 @@ from bellows_ros.core.model.kernels import (
 from bellows_ros.core.model.simulation import body_row, row_state, write_row
 import numpy as np
 
-CENTRE = slice(13, 16)
-LENGTHENED, LENGTHENING, FORCE, MOMENT = 22, 23, 24, 25
+if TYPE_CHECKING:
+    from bellows_ros.core.observer.alarms import Evidence
+
+SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
+"""
+m, rad, m/s, rad/s; mass and inertia, relative; centre of mass (m); wrench on the package at the
+lip, in S axes, beside the cup's (N, N m).
+"""
+
+LENGTH, LENGTHENING, STIFFNESS = 22, 23, 24
+"""Length of the cup (m) and its rate (m/s); K along each axis, relative: (s K + K s) / 2."""
+
+MARKER, CAMERA, LATENCY, NOISE, LEAST_ROWS = 30, 36, 42, 43, 49
+"""
+Pose of the marker, in B axes, and of the camera, in the world (m, rad); how late stamps are (s);
+the noise with memory of the measured pose, in B axes (m, rad).
+"""
+
+DAMPING, INERTIA, ALL_ROWS = 49, 55, 58
+"""As K; principal moments of inertia (kg m^2). These are left out where they are exact."""
+
+STATE = 12
+SECONDS, FALL_SPEED, FALL = 0, 1, 4
+"""In row `STATE` of a transition: its time, and speed and shift (m/s, m; world) of what falls."""
+
 ZERO = (0.0, 0.0, 0.0)
 
-UNPASSED: Array = np.vstack([np.eye(12, 26), np.zeros((1, 26))])
-"""The transition over no time."""
-
-COARSE = 8
+COARSE = 12
 """The covariance is propagated in steps up to this many times longer than the state's."""
 
 NOT_FOLLOWED: Array = np.zeros((0, 0))
-"""Stands for a covariance or transition that is not computed."""
+"""Stands for a transition and a covariance that are not computed."""
+
+MOST_CORRELATED = 0.97
+"""Largest correlation of the noise of successive measurements."""
 
 
 if COMPILED:
     @kernel
-    def add_product(A: Array, B: Array, out: Array) -> Array:
+    def add_product(A: Any, B: Any, out: Any) -> Any:
         """Add A B, and return the sum: four columns of A at once, and none that are zero."""
         n = A.shape[1]
         for i in range(A.shape[0]):
@@ -84,21 +110,21 @@ if COMPILED:
                         out[i, j] += A[i, k] * B[k, j]
         return out
 else:
-    def add_product(A: Array, B: Array, out: Array) -> Array:
+    def add_product(A: Any, B: Any, out: Any) -> Any:
         """Add A B, and return the sum."""
         out += A @ B
         return out
 
 
 @kernel
-def product(A: Array, B: Array, out: Array) -> Array:
+def product(A: Any, B: Any, out: Any) -> Any:
     """Write A B and return it: two columns of A at a time, skipping zero ones."""
     out[:] = 0.0
     return add_product(A, B, out)
 
 
 @kernel
-def turned_over(A: Array) -> Array:
+def transpose(A: Array) -> Array:
     """Return A^T, its rows one after the other in memory."""
     return np.ascontiguousarray(A.T)
 
@@ -110,37 +136,57 @@ class Estimate(NamedTuple):
     tool: State
     body: State
     theta: Array
-    """The relative error of mass and inertia, that of the centre of mass, and the wrench (10,)."""
+    """The error's rows from `MASS` on (n - 12,)."""
     covariance: Array
-    """Of the error (22, 22)."""
+    """Of the error (n, n)."""
+    memory: Array
+    """Of the noise, see `correlation` (5,)."""
     refused: int = 0
     """Consecutive measurements outside the gate."""
-    passage: Array = NOT_FOLLOWED
-    """Transition since the previous measurement (13, 26), if it is computed."""
-
-
-Driving = tuple[Array, Array]
-"""
-What drives the error: the covariance of the state (12, 12) due to noise of the tool's pose, held
-for a second, and variances of the random walk of the error (22,) per second.
-"""
+    away: int = 0
+    """Consecutive measurements out of reach, after one within it."""
+    evidence: Evidence | None = None
+    """Of faults."""
 
 
 @kernel
-def with_payload(model: ModelTuple, theta: Array) -> ModelTuple:
-    """Return a model with mass and inertia 1 + theta[0] times as large, and B shifted (m)."""
-    cup, package, gravity = model
-    mass, com, inertia, inverse = package
-    k = 1.0 + theta[0]
-    return cup, (
-        k * mass, add(com, (theta[1], theta[2], theta[3])),
-        scale_matrix(k, inertia), scale_matrix(1.0 / k, inverse),
-    ), gravity
+def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
+    """Return a model with its numbers changed by theta."""
+    cup, (mass, com, inertia, inverse), gravity = model
+    k, longer = 1.0 + theta[0], theta[LENGTH - STATE]
+    K, P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
+    inertia, inverse = scale_matrix(k, inertia), scale_matrix(1.0 / k, inverse)
+    if len(theta) > DAMPING - STATE:
+        P = _scaled(P, theta[DAMPING - STATE:])
+        x, y, z = theta[INERTIA - STATE], theta[INERTIA - STATE + 1], theta[INERTIA - STATE + 2]
+        more = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
+        inertia = add_scaled_matrix(inertia, 1.0, more)
+        inverse = add_scaled_matrix(inverse, -1.0, multiply(inverse, multiply(more, inverse)))
+    return (cup[0] + 0.5 * longer, cup[1] + longer, K, P, *cup[4:]), (
+        k * mass, add(com, (theta[1], theta[2], theta[3])), inertia, inverse), gravity
+
+
+@kernel
+def _scaled(M: Blocks, s: Array) -> Blocks:
+    """Return M + (s M + M s) / 2, with s (6,) on a diagonal."""
+    a, b = (s[0], s[1], s[2]), (s[3], s[4], s[5])
+    return _scaled_block(M[0], a, a), _scaled_block(M[1], a, b), _scaled_block(M[2], b, b)
+
+
+@kernel
+def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
+    """Return a 3x3 block of what `_scaled` does."""
+    return (
+        A[0] * (1.0 + 0.5 * (a[0] + b[0])), A[1] * (1.0 + 0.5 * (a[0] + b[1])),
+        A[2] * (1.0 + 0.5 * (a[0] + b[2])), A[3] * (1.0 + 0.5 * (a[1] + b[0])),
+        A[4] * (1.0 + 0.5 * (a[1] + b[1])), A[5] * (1.0 + 0.5 * (a[1] + b[2])),
+        A[6] * (1.0 + 0.5 * (a[2] + b[0])), A[7] * (1.0 + 0.5 * (a[2] + b[1])),
+        A[8] * (1.0 + 0.5 * (a[2] + b[2])))
 
 
 @kernel
 def wrench_of(theta: Array) -> Wrench:
-    """Return the wrench bias (N, N m)."""
+    """Return the wrench beside the cup's (N, N m)."""
     return (theta[4], theta[5], theta[6]), (theta[7], theta[8], theta[9])
 
 
@@ -150,16 +196,17 @@ def changed(body: State, error: Array) -> State:
     return moved(body, (a, b, c), (d, e, f), (g, h, i), (j, k, m))
 
 
-def driving(model: ModelTuple, tool: State, body: State, noise: Array, walk: Array) -> Driving:
+def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
     """
-    Return the effect of white noise (6,) of the tool's pose, linearised about a state.
+    Return the covariance of the state (12, 12) by white noise (6,) of the tool, held for 1 s.
 
     The tool's twist is the derivative of its noise e. Integrated by parts, its slope T_v acts
-    like the slope A T_v of e.
+    like the slope A T_v of e. It is linearised about a state.
     """
     by = linearise(model, tool, body)
-    drive = np.vstack([by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist]) * noise
-    return drive @ drive.T, walk
+    drive: Array = np.vstack(
+        [by.tool_twist, by.tool_pose + by.body_twist @ by.tool_twist]) * noise
+    return drive @ drive.T
 
 
 @kernel
@@ -177,7 +224,8 @@ def pushed(
 
 @kernel
 def slopes(
-    model: ModelTuple, push: Wrench, grown: float, tool: State, body: State, A: Array, B: Array
+    model: ModelTuple, nominal: CupTuple, push: Wrench, grown: float, tool: State, body: State,
+    A: Array, B: Array,
 ) -> Vector:
     """
     Write the slope of the state's error, and return the force of the cup in the world (N).
@@ -185,16 +233,18 @@ def slopes(
     Parameters
     ----------
     model, push, tool, body : tuples
-        With the payload as it is estimated.
+        With the numbers as they are estimated.
+    nominal : tuple
+        The cup as it is given.
     grown : float
         By how much mass and inertia are times the nominal ones.
     A : ndarray (12, 12)
         Slope by the state's error: pose and twist change in axes that turn with the body.
-    B : ndarray (12, 13)
-        By the rest of the error, and by the faults from `LENGTHENED` to `MOMENT` but the rate.
+    B : ndarray (6, n)
+        That of the twist's error by the other rows.
 
     """
-    package, com = model[1], model[1][1]
+    package, com, n = model[1], model[1][1], B.shape[1]
     v_hat, w_hat = hat(body[2]), hat(body[3])
     by_pose, by_twist = body_jacobians(model, tool, body)
     write_block(A, 0, 0, scale_matrix(-1.0, w_hat))
@@ -204,38 +254,49 @@ def slopes(
         A[i, 6 + i] = 1.0
     write_square(A, 6, 0, by_pose)
     write_square(A, 6, 6, by_twist)
-    columns = np.zeros((6, 20))
-    parameter_jacobian(model, tool, body, 42, 62, columns, 0)
+    columns = np.empty((6, 62))
+    parameter_jacobian(model, tool, body, 0, 62, columns, 0)
+    _by_axes(columns, nominal[2], B[:, STIFFNESS:])
+    if n > DAMPING:
+        _by_axes(columns[:, 21:], nominal[3], B[:, DAMPING:])
+        B[:, INERTIA:] = columns[:, 43:46]
+    B[:, LENGTH], B[:, COM:LENGTH] = columns[:, 42], columns[:, 53:]
     f, m = lip_wrench(model, tool, body)
     dv, dw = acceleration_at(package, com, add(f, push[0]), add(m, push[1]))
-    write_column(B[6:], 0, scale(-1.0 / grown, dv), scale(-1.0 / grown, dw))
+    write_column(B, MASS, scale(-1.0 / grown, dv), scale(-1.0 / grown, dw))
     x, y, z = push[0]
     # by the centre of mass (m), the push has another arm: -e x push
     ex = apply(package[3], (0.0, z, -y))
     ey = apply(package[3], (-z, 0.0, x))
     ez = apply(package[3], (y, -x, 0.0))
-    for i in range(6):
-        for j in range(9):
-            B[6 + i, 1 + j] = columns[i, 11 + j]
-        B[6 + i, 10] = columns[i, 0]
     for i in range(3):
-        B[9 + i, 1] += ex[i]
-        B[9 + i, 2] += ey[i]
-        B[9 + i, 3] += ez[i]
-    still = lip_wrench(model, with_twist(tool, ZERO, ZERO), with_twist(body, ZERO, ZERO))
-    dv, dw = acceleration_at(package, com, still[0], ZERO)
-    write_column(B[6:], 11, dv, dw)
-    dv, dw = acceleration_at(package, com, ZERO, still[1])
-    write_column(B[6:], 12, dv, dw)
+        B[3 + i, COM] += ex[i]
+        B[3 + i, COM + 1] += ey[i]
+        B[3 + i, COM + 2] += ez[i]
     return apply(rotation_matrix(body[1]), f)
 
 
 @kernel
-def spread(
-    A: Array, B: Array, h: float, held: float, noise: Array, walk: Array, P: Array
-) -> tuple[Array, Array]:
+def _by_axes(columns: Array, M: Blocks, out: Array) -> None:
+    """Write the slopes by relative changes along the axes, from those by entries of M (21)."""
+    out[:, :6] = 0.0
+    number = 0
+    for j in range(6):
+        for k in range(j, 6):
+            entry = M[(j > 2) + (k > 2)][3 * (j % 3) + k % 3]
+            for i in range(6 if entry != 0.0 else 0):
+                half = 0.5 * entry * columns[i, number]
+                out[i, j] += half
+                out[i, k] += half
+            number += 1
+
+
+@kernel
+def accumulate(
+    A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, falling: Vector
+) -> None:
     """
-    Propagate a covariance (22, 22) in place; return the transition (12, 12 + 13).
+    Carry a transition (13, n) and the noise's covariance (12, 12) through a step, in place.
 
     With G the mean of exp(A t) over the step, to fourth order, the error becomes
     (I + h A G) x + h G B theta. What drives it acts half before and half after the step.
@@ -244,40 +305,41 @@ def spread(
     ----------
     A, B : ndarray
         As `slopes` gives them, for the whole step.
-    h, held : float
-        Length of the step (s); sum of products (s^2) with the times the tool's noise is held.
-    noise, walk : ndarray
-        Of `Driving`.
-    P : ndarray (22, 22)
-        Covariance of the error.
+    h : float
+        Length of the step, s.
+    drive : ndarray (12, 12)
+        Half of the covariance that is added.
+    T, Q : ndarray
+        What is changed.
+    falling : tuple
+        How what falls is accelerated against the model, which holds it (m/s^2, world).
 
     """
-    X, F = np.empty((12, 12)), np.empty((12, 12))
-    G = _beside_unity(0.25 * h, A, np.empty((12, 12)))
-    for n in (3.0, 2.0):
-        _beside_unity(h / n, product(A, G, X), G)
-    _beside_unity(h, product(A, G, X), F)
-    D = product(G[:, 6:], B[6:], np.empty((12, 13)))  # rows of poses are zero in B
-    T, side = np.empty((12, 22)), np.empty((22, 12))
-    for i in range(12):
-        for j in range(13):
-            D[i, j] *= h
-        for j in range(22):
-            T[i, j] = F[i, j] if j < 12 else D[i, j - 12]
-    _drive(P, 0.5 * h, 0.5 * held, noise, walk)
-    product(P, turned_over(T), side)
-    product(T, side, X)
-    for i in range(12):
-        for j in range(12):
-            P[i, j] = X[i, j]
-        for j in range(12, 22):
-            P[i, j] = P[j, i] = side[j, i]
-    _drive(P, 0.5 * h, 0.5 * held, noise, walk)
-    return F, D
+    X, F, n = np.empty((12, 12)), np.empty((12, 12)), T.shape[1]
+    G = identity_plus(0.25 * h, A, np.empty((12, 12)))
+    for k in (3.0, 2.0):
+        identity_plus(h / k, product(A, G, X), G)
+    identity_plus(h, product(A, G, X), F)
+    Q += drive
+    product(F, transpose(product(F, Q, X)), Q)
+    Q += drive
+    last = T[STATE]
+    for first, end in ((0, MARKER), (LEAST_ROWS, n)):
+        moved = product(F, T[:STATE, first:end], np.empty((12, end - first)))
+        by_theta = product(h * G[:, 6:], B[:, first:end], np.empty((12, end - first)))
+        for i in range(12):
+            for j in range(end - first):
+                T[i, first + j] = moved[i, j] + by_theta[i, j]
+            if first == 0:
+                T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_theta[i, LENGTH]
+    for i in range(3):
+        last[FALL + i] += h * (last[FALL_SPEED + i] + 0.5 * h * falling[i])
+        last[FALL_SPEED + i] += h * falling[i]
+    last[SECONDS] += h
 
 
 @kernel
-def _beside_unity(factor: float, A: Array, out: Array) -> Array:
+def identity_plus(factor: float, A: Array, out: Array) -> Array:
     """Write I + factor A, and return it."""
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
@@ -287,35 +349,55 @@ def _beside_unity(factor: float, A: Array, out: Array) -> Array:
 
 
 @kernel
-def _drive(P: Array, h: float, held: float, noise: Array, walk: Array) -> None:
-    """Add the process noise to the error's covariance."""
-    for i in range(12):
-        for j in range(12):
-            P[i, j] += held * noise[i, j]
-    for i in range(22):
-        P[i, i] += h * walk[i]
+def identity_transition(rows: int) -> Array:
+    """Return the transition (13, n) over no time."""
+    T = np.zeros((STATE + 1, rows))
+    for i in range(STATE):
+        T[i, i] = 1.0
+    return T
 
 
 @kernel
-def pass_on(M: Array, F: Array, D: Array, h: float, falling: Vector) -> None:
-    """
-    Carry a passage (13, 26) through a step that `spread` has described, in place.
+def carry_theta(columns: Array, seconds: float, memory: Array) -> None:
+    """Let theta, or rows of errors by something (n - 12, m), go on by themselves, in place."""
+    for c in range(columns.shape[1]):
+        columns[LENGTH - STATE, c] += seconds * columns[LENGTHENING - STATE, c]
+    for i in range(6):
+        columns[NOISE - STATE + i] *= correlation(memory, seconds, i)
 
-    What falls is accelerated by `falling` (m/s^2, world) against the model, which holds it.
+
+@kernel
+def correlation(memory: Array, seconds: float, axis: int) -> float:
     """
-    X, last = product(F, M[:12], np.empty((12, 26))), M[12]
-    for i in range(12):
-        for j in range(26):
-            M[i, j] = X[i, j]
-        for j in range(11):
-            M[i, 12 + j] += D[i, j]
-        M[i, LENGTHENING] += (last[0] + 0.5 * h) * D[i, 10]
-        M[i, FORCE] += D[i, 11]
-        M[i, MOMENT] += D[i, 12]
-    for i in range(3):
-        last[4 + i] += h * (last[1 + i] + 0.5 * h * falling[i])
-        last[1 + i] += h * falling[i]
-    last[0] += h
+    Return that of the noise now and a time later, 0 to 2 for the position, 3 to 5 the rotation.
+
+    The memory: mean time (s) between measurements, and for position and rotation the sums of
+    squares of the noise and of its products with the noise before, in standard deviations.
+    """
+    squares, products = memory[1 + axis // 3], memory[3 + axis // 3]
+    kept = min(max(products / squares, 1e-3), MOST_CORRELATED)
+    return math.exp(math.log(kept) * seconds / memory[0])
+
+
+@kernel
+def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Array) -> Array:
+    """Return the covariance (n, n) after a transition; half of the walk acts before it."""
+    n, h = len(P), T[STATE, SECONDS]
+    out = P.copy()
+    for i in range(6):
+        out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
+    side = product(T[:STATE], out, np.empty((12, n)))
+    state = product(T[:STATE], transpose(side), np.empty((12, 12)))
+    for i in range(STATE):
+        for j in range(n):
+            out[i, j] = state[i, j] + Q[i, j] if j < STATE else side[i, j]
+            out[j, i] = out[i, j]
+    carry_theta(out[STATE:], h, memory)
+    carry_theta(out.T[STATE:], h, memory)
+    for i in range(6):
+        out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
+        out[NOISE + i, NOISE + i] += 1.0 - correlation(memory, h, i) ** 2
+    return out
 
 
 @kernel
@@ -326,22 +408,22 @@ def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
 
 
 @kernel
-def swept(
-    model: ModelTuple, theta: Array, tool: State, body: State, P: Array, M: Array,
+def propagated(
+    model: ModelTuple, theta: Array, tool: State, body: State, T: Array, Q: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, driven: Driving,
+    until_ns: int, longest: float, drive: Array,
 ) -> tuple[State, State]:
     """
-    Return tool and package at a later stamp, and carry covariance and passage there in place.
+    Return tool and package at a later stamp, and carry transition and noise there in place.
 
     Parameters
     ----------
     model, theta : tuple and ndarray
-        With the payload and the wrench as they are estimated.
+        Nominal, and as it is estimated.
     tool, body : State
         At the beginning.
-    P, M : ndarray (22, 22), (13, 26)
-        Covariance and passage; of no size where they are not followed.
+    T, Q : ndarray (13, n), (12, 12)
+        Transition, and covariance of the noise; of no size where they are not followed.
     stamps, starts, ends : sequences
         Of the tool's samples: stamp (ns), and states (13,) at the beginning and at the end of
         its motion from the sample before.
@@ -355,22 +437,23 @@ def swept(
         Beginning, and end.
     longest : float
         Longest step of the state, s.
-    driven : tuple of ndarray
-        `Driving`.
+    drive : ndarray (12, 12)
+        Of `driving`.
 
     """
-    push, follows, fresh, h, held = wrench_of(theta), P.shape[0] > 0, True, 0.0, 0.0
-    A0, B0 = np.zeros((12, 12)), np.zeros((12, 13))
-    A1, B1 = np.zeros((12, 12)), np.zeros((12, 13))
+    push, follows, fresh, h, held = wrench_of(theta), T.shape[0] > 0, True, 0.0, 0.0
+    nominal, model = model[0], with_theta(model, theta)
+    A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
+    A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     while True:
         if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or is_coarse(
                 now_ns, stamps[k], longest)):
-            force = slopes(model, push, 1.0 + theta[0], tool, body, A1, B1)
+            force = slopes(
+                model, nominal, push, 1.0 + theta[0], tool, body, A1, B1)
             if not fresh:
-                F, D = spread(
-                    0.5 * (A0 + A1), 0.5 * (B0 + B1), h, held, driven[0], driven[1], P)
-                if M.shape[0]:
-                    pass_on(M, F, D, h, scale(-1.0 / model[1][0], force))
+                accumulate(
+                    0.5 * (A0 + A1), 0.5 * (B0 + B1), h, 0.5 * held * drive, T, Q,
+                    scale(-1.0 / model[1][0], force))
             A0, B0, A1, B1 = A1, B1, A0, B0
             fresh, h, held = False, 0.0, 0.0
         if now_ns == until_ns:
@@ -392,6 +475,22 @@ def swept(
         tool, now_ns, h, held = there, later_ns, h + part, held + part * whole_ns * 1e-9
         if now_ns == stamps[k]:
             k += 1
+
+
+@kernel
+def predicted(
+    model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
+    stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
+    until_ns: int, longest: float, drive: Array, walk: Array,
+) -> tuple[State, State, Array, Array, Array]:
+    """Return tool, body, theta and covariance of an estimate at a later stamp, and T."""
+    T, Q, theta = identity_transition(len(P)), np.zeros((STATE, STATE)), theta.copy()
+    tool, body = propagated(
+        model, theta, tool, body, T, Q, stamps, starts, ends, bodies, is_known, k, now_ns,
+        until_ns, longest, drive)
+    P = propagated_covariance(P, T, Q, walk, memory)
+    carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], memory)
+    return tool, body, theta, P, T
 
 
 @kernel

@@ -10,7 +10,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import (
     add,
+    add_scaled,
     apply,
+    cross,
     dot,
     exp_quaternion,
     hat,
@@ -20,23 +22,41 @@ from bellows_ros.core.geometry.tuples import (
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
+    scale,
     subtract,
     transposed,
     Vector,
 )
 from bellows_ros.core.model.equilibrium import moved, pose_error
-from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.jacobians import acceleration_at
+from bellows_ros.core.model.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.observer.filter import (
     add_product,
-    CENTRE,
+    CAMERA,
+    COM,
+    LATENCY,
+    MARKER,
+    NOISE,
     product,
-    turned_over,
+    STATE,
+    transpose,
+    with_theta,
+    wrench_of,
 )
 from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
 
 Marker = tuple[Vector, Quaternion, bool]
 ZERO = (0.0, 0.0, 0.0)
+
+WHITE = 0.05
+"""Part of the noise's variance that has no memory."""
+
+COUNTED = 1000.0
+"""The noise's memory is that of so many measurements."""
+
+FIRST_MEMORY = (15.0, 7.5)
+"""Sums of squares and of products of noise before the first: as of 5 with a correlation of 0.5."""
 
 
 class Measurement(NamedTuple):
@@ -50,7 +70,7 @@ class Measurement(NamedTuple):
     """Covariance (6, 6) of position and rotation (m^2, rad^2) about axes of the world."""
 
 
-class Sight:
+class PoseSensor:
     """
     The measured frame and its noise.
 
@@ -63,8 +83,6 @@ class Sight:
     ----------
     marker : tuple
         Position (m) and orientation of what is measured, in axes of B, from the lip or from B.
-    H : ndarray (6, 22)
-        Derivative of an innovation by the error.
 
     """
 
@@ -74,8 +92,6 @@ class Sight:
         of_lip = values['measured.frame'] == 'lip'
         x, y, z, *turn = values['measured.offset']
         self.marker: Marker = (x, y, z), exp_quaternion((turn[0], turn[1], turn[2])), of_lip
-        self.H: Array = np.eye(6, 22)
-        self.H[:3, CENTRE] = -np.eye(3) * of_lip
         world = values['recording.package_world'] or '0 0 0 0 0 0 1'
         self.has_own_world = bool(values['recording.package_world'])
         x, y, z, qx, qy, qz, qw = map(float, world.split())
@@ -118,7 +134,7 @@ def at_com(
     """
     Return the pose of B, and its noise (6, 6) in B axes, as a marker has measured it.
 
-    With B at com (m) from the lip; the rest are those of a `Measurement` and of `Sight`.
+    With B at com (m) from the lip; the rest are those of a `Measurement` and of `PoseSensor`.
     """
     offset, turn, of_lip = marker
     arm = subtract(com if of_lip else ZERO, offset)
@@ -130,8 +146,42 @@ def at_com(
         for j in range(3):
             T[i, j] = T[3 + i, 3 + j] = R[3 * j + i]
             T[i, 3 + j] = -across[3 * i + j]
-    found = product(product(T, noise, np.empty((6, 6))), turned_over(T), np.empty((6, 6)))
+    found = product(product(T, noise, np.empty((6, 6))), transpose(T), np.empty((6, 6)))
     return add(position, apply(R, arm)), q, found
+
+
+@kernel
+def three(theta: Array, row: int) -> Vector:
+    """Return three numbers of theta, from a row of the error on."""
+    return theta[row - STATE], theta[row - STATE + 1], theta[row - STATE + 2]
+
+
+@kernel
+def corrected_pose(
+    position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
+) -> tuple[Vector, Quaternion, Array]:
+    """Return what `at_com` does, without the estimated errors of camera, marker and noise."""
+    turn = exp_quaternion(scale(-1.0, three(theta, CAMERA + 3)))
+    position = apply(rotation_matrix(turn), subtract(position, three(theta, CAMERA)))
+    position, q, noise = at_com(position, quaternion_product(turn, q), noise, marker, com)
+    q = quaternion_product(q, exp_quaternion(scale(-1.0, three(theta, MARKER + 3))))
+    position = subtract(position, apply(rotation_matrix(q), three(theta, MARKER)))
+    return position, q, noise
+
+
+@kernel
+def when_exposed(model: ModelTuple, tool: State, body: State, theta: Array) -> State:
+    """Return the package by the estimated latency earlier."""
+    late = theta[LATENCY - STATE]
+    if late == 0.0:
+        return body
+    push, half = wrench_of(theta), 0.5 * late * late
+    dv, dw = body_acceleration(model, tool, body)
+    more = acceleration_at(model[1], model[1][1], push[0], push[1])
+    dv = add(add(dv, more[0]), cross(body[3], body[2]))
+    return moved(
+        body, add_scaled(scale(-late, body[2]), half, dv),
+        add_scaled(scale(-late, body[3]), half, add(dw, more[1])), ZERO, ZERO)
 
 
 @kernel
@@ -146,106 +196,142 @@ def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length:
 class Innovation(NamedTuple):
     """The difference of a measured pose from an estimate, with its covariance."""
 
-    position: Vector
-    quaternion_xyzw: Quaternion
-    """Measured pose of B in the world (m)."""
     y: Array
     """Shift (m) and turn (rad) from the estimated to the measured pose, in B axes (6,)."""
     H: Array
-    """Its derivative by the error (6, 22)."""
+    """Its derivative by the error (6, n)."""
     whitener: Array
     """Triangular (6, 6); makes its covariance the identity."""
     distance: float
     """Its squared Mahalanobis distance."""
     gain: Array
-    """(22, 6)."""
+    """(n, 6)."""
 
 
 @kernel
-def whitener(S: Array) -> Array:
-    """Return the inverse of the Cholesky factor of a covariance (6, 6)."""
+def cholesky(S: Array) -> tuple[Array, Array]:
+    """Return the Cholesky factor of a covariance (6, 6), and its inverse."""
     L, W = np.zeros((6, 6)), np.zeros((6, 6))
     for i in range(6):
         for j in range(i + 1):
             a = S[i, j]
             for k in range(j):
                 a -= L[i, k] * L[j, k]
-            L[i, j] = math.sqrt(a) if i == j else a / L[j, j]
+            L[i, j] = math.sqrt(max(a, 1e-12 * S[i, i])) if i == j else a / L[j, j]
         for j in range(i + 1):
             a = 1.0 if i == j else 0.0
             for k in range(j, i):
                 a -= L[i, k] * W[k, j]
             W[i, j] = a / L[i, i]
-    return W
+    return L, W
 
 
 @kernel
-def compared(
-    body: State, P: Array, position: Vector, q: Quaternion, noise: Array, H: Array
-) -> tuple[Array, Array, float, Array]:
-    """Return y, whitener, squared distance and gain of an `Innovation`; noise is in B axes."""
+def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
+    """Return the derivative (6, n) of an innovation by the error."""
+    H, root = np.zeros((6, rows)), cholesky(noise)[0]
+    R = rotation_matrix(body[1])
+    lever = multiply(transposed(R), hat(body[0]))
+    v = body[2] + body[3]
+    for i in range(6):
+        H[i, i] = H[i, MARKER + i] = 1.0
+        H[i, LATENCY] = -v[i]
+        for j in range(i + 1):
+            H[i, NOISE + j] = math.sqrt(1.0 - WHITE) * root[i, j]
+    for i in range(3):
+        if of_lip:
+            H[i, COM + i] = -1.0
+        for j in range(3):
+            H[i, CAMERA + j] = H[3 + i, CAMERA + 3 + j] = R[3 * j + i]
+            H[i, CAMERA + 3 + j] = -lever[3 * i + j]
+    return H
+
+
+@kernel
+def innovation(
+    body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
+    of_lip: bool,
+) -> tuple[tuple[Array, Array, Array, float, Array], Array]:
+    """Return an `Innovation` as a tuple, and H P; noise is in B axes."""
+    n = len(P)
     shift, turn = pose_error(body, position, q)
     y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
-    HP = product(H, P, np.empty((6, 22)))
-    S = product(H, turned_over(HP), np.empty((6, 6)))
+    H = observation(body, noise, of_lip, n)
     for i in range(6):
-        for j in range(6):
-            S[i, j] += noise[i, j]
-    W, distance = whitener(S), 0.0
+        for j in range(i + 1):
+            y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
+    HP = product(H, P, np.empty((6, n)))
+    PH = transpose(HP)
+    S = add_product(H, PH, WHITE * noise)
+    _, W = cholesky(S)
+    distance = 0.0
     for i in range(6):
         z = 0.0
         for j in range(i + 1):
             z += W[i, j] * y[j]
         distance += z * z
-    inverse = product(turned_over(W), W, np.empty((6, 6)))
-    return y, W, distance, product(turned_over(HP), inverse, np.empty((22, 6)))
+    inverse = product(transpose(W), W, np.empty((6, 6)))
+    return (y, H, W, distance, product(PH, inverse, np.empty((n, 6)))), HP
+
+
+@kernel
+def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
+    """Return state and theta changed by an error (n,)."""
+    theta = theta.copy()
+    for i in range(len(theta)):
+        theta[i] += e[STATE + i]
+    return moved(
+        body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11])
+    ), theta
 
 
 @kernel
 def corrected(
-    body: State, theta: Array, P: Array, y: Array, H: Array, gain: Array, noise: Array
+    body: State, theta: Array, P: Array, y: Array, HP: Array, gain: Array
 ) -> tuple[State, Array, Array]:
-    """Return state, theta and covariance after a measurement, in Joseph's form."""
-    e, theta = np.zeros(22), theta.copy()
-    for i in range(22):
-        for j in range(6):
-            e[i] += gain[i, j] * y[j]
-        if i >= 12:
-            theta[i - 12] += e[i]
-    body = moved(
-        body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
-    found, less, of_noise = P, -gain, product(gain, noise, np.empty((22, 6)))
-    for _ in range(2):
-        found = turned_over(found)
-        add_product(less, product(H, found, np.empty((6, 22))), found)
-    add_product(of_noise, turned_over(gain), found)
-    for i in range(22):
+    """Return state, theta and covariance after a measurement."""
+    n = len(P)
+    body, theta = changed_by(body, theta, product(gain, y.reshape((6, 1)), np.empty((n, 1)))[:, 0])
+    out = P.copy()
+    add_product(-gain, HP, out)
+    for i in range(n):
         for j in range(i):
-            found[i, j] = found[j, i] = 0.5 * (found[i, j] + found[j, i])
-    return body, theta, found
+            out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])
+    return body, theta, out
+
+
+@kernel
+def remembered(memory: Array, theta: Array, seconds: float) -> Array:
+    """Return the memory of the noise (see `correlation`) after another measurement."""
+    out, kept = memory.copy(), 1.0 - 1.0 / COUNTED
+    out[0] += (seconds - out[0]) / min(max(out[1] / 3.0, 1.0), COUNTED)
+    out[1:5] *= kept
+    for i in range(6):
+        noise = theta[NOISE - STATE + i]
+        out[1 + i // 3] += noise * noise
+        out[3 + i // 3] += noise * out[5 + i]
+        out[5 + i] = noise
+    return out
 
 
 USED, OUTSIDE, OUT_OF_REACH = 0, 1, 2
 
 
 @kernel
-def taken(
-    tool: State, body: State, theta: Array, P: Array, position: Vector,
-    quaternion_xyzw: Quaternion, noise: Array, marker: Marker, H: Array, com: Vector,
-    length: float, reach: float, gate: float,
-) -> tuple[int, tuple[Vector, Quaternion, Array, Array, Array, float, Array],
-           State, Array, Array]:
+def updated(
+    model: ModelTuple, tool: State, body: State, theta: Array, P: Array, memory: Array,
+    seconds: float, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
+    reach: float, gate: float,
+) -> tuple[int, tuple[Array, Array, Array, float, Array], State, Array, Array, Array]:
     """
-    Take a measurement in.
+    Update an estimate with a measurement.
 
     Parameters
     ----------
-    tool, body, theta, P
-        The estimate at its stamp.
-    position, quaternion_xyzw, noise, marker, H
-        Of the measurement, and of `Sight`.
-    com, length : tuple, float
-        Nominal centre of mass, and length of the cup, m.
+    model, tool, body, theta, P, memory, seconds
+        The estimate at its stamp, so long (s) after the one before; the model is the nominal one.
+    position, quaternion_xyzw, noise, marker
+        Of the measurement, and of `PoseSensor`.
     reach : float
         How far (m) a lip can be from where it is without load.
     gate : float
@@ -257,19 +343,23 @@ def taken(
         `USED`, `OUTSIDE` the gate or `OUT_OF_REACH`, where no lip can be: another package.
     tuple
         `Innovation`.
-    State, ndarray (10,), ndarray (22, 22)
-        Body, theta and covariance: corrected where it is used, else as they were.
+    State, ndarray (n - 12,), ndarray (n, n), ndarray (11,)
+        Body, theta, covariance and memory: corrected where it is used, else as they were.
 
     """
-    com = add(com, (theta[1], theta[2], theta[3]))
-    position, q, noise = at_com(position, quaternion_xyzw, noise, marker, com)
-    y, W, distance, gain = compared(body, P, position, q, noise, H)
+    model = with_theta(model, theta)
+    com = model[1][1]
+    position, q, noise = corrected_pose(position, quaternion_xyzw, noise, marker, theta, com)
+    exposed = when_exposed(model, tool, body, theta)
+    found, HP = innovation(exposed, theta, P, position, q, noise, marker[2])
+    y, _, _, distance, gain = found
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     verdict = USED
-    if lip_shift(position, q, com, tool, length) > reach + 5.0 * spread:
+    if lip_shift(position, q, com, tool, model[0][1]) > reach + 5.0 * spread:
         verdict = OUT_OF_REACH
     elif distance > gate:
         verdict = OUTSIDE
     else:
-        body, theta, P = corrected(body, theta, P, y, H, gain, noise)
-    return verdict, (position, q, y, H, W, distance, gain), body, theta, P
+        body, theta, P = corrected(body, theta, P, y, HP, gain)
+        memory = remembered(memory, theta, seconds)
+    return verdict, found, body, theta, P, memory

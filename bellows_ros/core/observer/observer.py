@@ -18,26 +18,42 @@ from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.observer.alarms import Alarm, Alarms
+from bellows_ros.core.observer.alarms import Alarm, Alarms, carried
 from bellows_ros.core.observer.filter import (
+    ALL_ROWS,
+    CAMERA,
+    COM,
+    DAMPING,
     driving,
     Estimate,
     followed,
+    INERTIA,
     is_coarse,
+    LATENCY,
+    LEAST_ROWS,
+    MARKER,
+    MASS,
+    NOISE,
     NOT_FOLLOWED,
+    predicted,
+    propagated,
     pushed,
-    swept,
-    UNPASSED,
-    with_payload,
+    STATE,
+    STIFFNESS,
+    with_theta,
+    WRENCH,
     wrench_of,
 )
 from bellows_ros.core.observer.measurement import (
+    changed_by,
+    FIRST_MEMORY,
     Innovation,
     Measurement,
     OUT_OF_REACH,
     OUTSIDE,
-    Sight,
-    taken,
+    PoseSensor,
+    updated,
+    USED,
 )
 import numpy as np
 
@@ -49,6 +65,9 @@ GATE = 27.86
 
 WRONG_GATE = 8
 """Consecutive measurements outside the gate after which the filter restarts from them."""
+
+SILENT = 2.5
+"""After a pose out of reach the camera is silent if this many of its periods pass."""
 
 KEPT_NS = 100_000_000
 """
@@ -137,7 +156,7 @@ class Observer:
     Parameters
     ----------
     values : mapping
-        Parameters by name: measured.*, payload.*, package.*_std, tool_noise.*.
+        Parameters by name: measured.*, payload.*, package.*_std, cup.*_std, tool_noise.*.
 
     Attributes
     ----------
@@ -150,7 +169,7 @@ class Observer:
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         """Know of no package."""
-        self.sight = Sight(values)
+        self.sensor = PoseSensor(values)
         self._values = values
         self.counts = dict.fromkeys(('used', 'recovered', *VERDICTS), 0)
         self._track = Track()
@@ -158,57 +177,41 @@ class Observer:
         self._seen: list[Measurement] = []
         self._ahead: list[Measurement] = []
         self._asked: Estimate | None = None  # for, last
-        self._kept = np.zeros(10), np.zeros((4, 4))  # payload of the same package
-        self._opened_ns: set[int] = set()  # stamps of measurements at which an alarm was raised
-        allowed = values['alarm.false_per_hour']
-        self._alarms = Alarms(allowed) if allowed > 0.0 else None
-        self._unpassed = UNPASSED if allowed > 0.0 else NOT_FOLLOWED
+        self._lag_ns = 0  # of the newest measurement, when it came
         self.alarms: list[Alarm] = []
-        self._away, self._were_near = 0, False
 
     def set_model(self, model: ModelTuple, longest_step: float, reach: float) -> None:
         """Take a nominal model, the longest step (s) of it, and how far (m) a lip can be."""
         self._nominal, self._longest, self._reach = model, longest_step, reach
+        self._prior = prior_std(self._values, model)
         weight = model[1][0] * math.hypot(*model[2])
-        bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
-        self._prior = np.concatenate([START, self._payload_std(), bias])
-        walk = BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3)
-        self._walk = np.concatenate([np.zeros(16), np.square(walk)])
+        self._walk = np.square(BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3))
+        allowed, of_lip = self._values['alarm.false_per_hour'], self.sensor.marker[2]
+        self._alarms = Alarms(allowed, len(self._prior), of_lip) if allowed > 0.0 else None
+        self._known.clear()
+        self._memory = first_memory()
+        self._kept = np.zeros(len(self._prior) - STATE), np.diag(np.square(self._prior))
         self.forget()
 
-    def _payload_std(self) -> Array:
-        """Return the standard deviations (4,) of mass, relative, and centre of mass (m)."""
-        values = self._values
-        if not values['payload.estimate']:
-            return np.zeros(4)
-        mass = values['package.mass_std'] / values['package.mass'] or MASS_SHARE
-        return np.array([mass, *(std or COM_UNCERTAIN for std in values['package.com_std'])])
-
     def forget(self, is_another: bool = True) -> None:
-        """Start again, with the same or another package."""
-        if is_another:
-            self._kept = np.zeros(10), np.diag(np.square(self._prior[12:16]))
-        elif self._known:
+        """Start again, with the same or another package; the camera is the same."""
+        if self._known:
             known = self._known[-1]
-            self._kept = np.r_[known.theta[:4], np.zeros(6)], known.covariance[12:16, 12:16]
+            theta, P, self._memory = known.theta.copy(), known.covariance.copy(), known.memory
+            rows = [row for row in OF_MOTION + is_another * OF_PACKAGE if row < len(P)]
+            P[rows], P[:, rows] = 0.0, 0.0
+            P[rows, rows] = np.square(self._prior[rows])
+            theta[[row - STATE for row in rows if row >= STATE]] = 0.0
+            self._kept = theta, P
         self._known.clear()
         self._seen.clear()
         self._ahead.clear()
-        self._opened_ns.clear()
-        self._away, self._were_near = 0, False
         self._use(self._kept[0])
-        if self._alarms is not None:
-            self._alarms.forget()
 
     def _use(self, theta: Array) -> None:
-        """Put the estimated payload into the model."""
+        """Put the estimated numbers into the model."""
         self._theta, self._asked = theta, None
-        self.model = self._with(theta)
-
-    def _with(self, theta: Array) -> ModelTuple:
-        """Return the model with the estimated payload."""
-        return with_payload(self._nominal, theta) if self._values['payload.estimate'] else (
-            self._nominal)
+        self.model = with_theta(self._nominal, theta)
 
     @property
     def estimate(self) -> Estimate | None:
@@ -217,7 +220,7 @@ class Observer:
             return None
         known, newest_ns = self._asked or self._known[-1], self._track.newest_ns
         if known.stamp_ns < newest_ns:
-            known = self._carried(known, newest_ns, True)
+            known = self._carried(known._replace(evidence=None), newest_ns, True)
         self._asked = known
         return known
 
@@ -233,7 +236,7 @@ class Observer:
             return None
         known = self._known[-1]
         mass, com, inertia, _ = self.model[1]
-        std = np.sqrt(np.diag(known.covariance)[12:16])
+        std = np.sqrt(np.diag(known.covariance)[MASS:MASS + 4])
         return Payload(known.stamp_ns, mass, com, inertia, float(std[0] * self._nominal[1][0]),
                        std[1:])
 
@@ -241,14 +244,15 @@ class Observer:
 
     def start(self, stamp_ns: int, tool: State, body: State) -> None:
         """Begin with a package at rest."""
-        P = np.diag(np.square(self._prior))
-        theta, P[12:16, 12:16] = self._kept
+        theta, P = self._kept
         noise = np.repeat([self._values['tool_noise.position'],
                            self._values['tool_noise.rotation']], 3)
-        self._driven = driving(self._nominal, tool, body, noise, self._walk)
+        self._drive = driving(self._nominal, tool, body, noise)
         self._track.begin(stamp_ns)
         self._seen.clear()
-        self._known = [Estimate(stamp_ns, tool, body, theta, P, 0, self._unpassed)]
+        evidence = self._alarms.start(stamp_ns) if self._alarms else None
+        self._known = [Estimate(
+            stamp_ns, tool, body, theta, P, self._memory, evidence=evidence)]
         self._use(theta)
         self.body = body
 
@@ -262,12 +266,24 @@ class Observer:
         track.count += 1
         while self._ahead and self._ahead[0].stamp_ns <= stamp_ns:
             self._seen.append(self._ahead.pop(0))
-            self._work_out(len(self._seen) - 1)
+            self._reprocess(len(self._seen) - 1)
         if stamp_ns - self._known[0].stamp_ns > LATEST_NS + KEPT_NS:
-            self._let_go(stamp_ns - LATEST_NS)
+            self._drop_old(stamp_ns - LATEST_NS)
+        if self._known[-1].away == 1:
+            self._look_for_silence(stamp_ns)
         return self.body
 
-    def _let_go(self, before_ns: int) -> None:
+    def _look_for_silence(self, stamp_ns: int) -> None:
+        """Raise an alarm if a camera sees nothing after a package has left its reach."""
+        seen, known = self._seen, self._known[-1]
+        if len(seen) < 2 or self._alarms is None:
+            return
+        usual_ns = known.stamp_ns - seen[-2].stamp_ns
+        if stamp_ns - known.stamp_ns > SILENT * usual_ns + self._lag_ns:
+            self._known[-1] = known._replace(away=2)
+            self._raise(self._alarms.lost(stamp_ns))
+
+    def _drop_old(self, before_ns: int) -> None:
         """Discard estimates that nothing can change any more, except the last of them."""
         known, seen = self._known, self._seen
         while seen and seen[0].stamp_ns <= before_ns:
@@ -289,20 +305,13 @@ class Observer:
 
     def _carried(self, known: Estimate, stamp_ns: int, is_known: bool) -> Estimate:
         """Return an estimate carried along with the tool, where the package has been before."""
-        P, passage = known.covariance.copy(), known.passage.copy()
-        tool, body = self._swept(
-            self._with(known.theta), known, stamp_ns, is_known, P, passage)
-        return Estimate(stamp_ns, tool, body, known.theta, P, known.refused, passage)
-
-    def _swept(
-        self, model: ModelTuple, known: Estimate, stamp_ns: int, is_known: bool = False,
-        P: Array = NOT_FOLLOWED, passage: Array = NOT_FOLLOWED,
-    ) -> tuple[State, State]:
-        """Return tool and package at a stamp; carry covariance and passage there in place."""
-        return swept(
-            model, known.theta, known.tool, known.body, P, passage, *self._track.rows, is_known,
-            self._track.after(known.stamp_ns), known.stamp_ns, stamp_ns, self._longest,
-            self._driven)
+        tool, body, theta, P, T = predicted(
+            self._nominal, known.theta, known.tool, known.body, known.covariance, known.memory,
+            *self._track.rows, is_known, self._track.after(known.stamp_ns), known.stamp_ns,
+            stamp_ns, self._longest, self._drive, self._walk)
+        evidence = known.evidence and carried(known.evidence, T, known.memory)
+        return known._replace(
+            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, evidence=evidence)
 
     # ------------------------------------------------------------ measurements
 
@@ -329,74 +338,133 @@ class Observer:
             return 'late'
         others.insert(at, seen)
         if others is self._seen:
-            self._work_out(at)
+            self._lag_ns = max(newest_ns - stamp_ns, self._lag_ns // 2)
+            self._reprocess(at)
         return ''
 
-    def _work_out(self, at: int) -> None:
-        """Take a measured pose in, and all that followed again."""
+    def _reprocess(self, at: int) -> None:
+        """Update with a measured pose, and again with all that followed."""
         del self._known[at + 1:]
+        while self.alarms and self.alarms[-1].stamp_ns >= self._seen[at].stamp_ns and (
+                at < len(self._seen) - 1):
+            self.alarms.pop()
         for k in range(at, len(self._seen)):
             known = self._carried(self._known[k], self._seen[k].stamp_ns, k == at)
-            self._known.append(self._taken(known, self._seen[k], k == at))
+            self._known.append(self._updated(
+                known, self._seen[k], self._known[k].stamp_ns, k == at))
         known, newest_ns = self._known[-1], self._track.newest_ns
         self._use(known.theta)
         self.body = known.body
         if known.stamp_ns < newest_ns:
-            self.body = self._swept(self.model, known, newest_ns)[1]
+            self.body = propagated(
+                self._nominal, known.theta, known.tool, known.body, NOT_FOLLOWED, NOT_FOLLOWED,
+                *self._track.rows, False, self._track.after(known.stamp_ns), known.stamp_ns,
+                newest_ns, self._longest, self._drive)[1]
 
-    def _taken(self, estimate: Estimate, seen: Measurement, is_new: bool) -> Estimate:
+    def _updated(
+        self, known: Estimate, seen: Measurement, before_ns: int, is_new: bool
+    ) -> Estimate:
         """Correct an estimate, or leave it where the measurement is outside the gate."""
-        verdict, found, body, theta, P = self._compared(estimate, seen, GATE)
+        verdict, found, body, theta, P, memory = self._update(known, seen, before_ns, GATE)
         name = ('used', 'gate', 'out_of_reach')[verdict]
-        if verdict == OUTSIDE and estimate.refused + 1 >= WRONG_GATE:
+        if verdict == OUTSIDE and known.refused + 1 >= WRONG_GATE:
             name = 'recovered'
         if is_new:
             self.counts[name] += 1
-            self._look_for_causes(seen.stamp_ns, estimate, found, name)
         if verdict == OUT_OF_REACH:
-            return estimate
-        if name == 'recovered' or seen.stamp_ns in self._opened_ns:
-            _, _, body, theta, P = self._compared(self._opened(estimate), seen, math.inf)
-        elif verdict == OUTSIDE:
-            return estimate._replace(passage=self._unpassed, refused=estimate.refused + 1)
-        return Estimate(seen.stamp_ns, estimate.tool, body, theta, P, 0, self._unpassed)
+            return self._away(known)
+        if verdict == USED:
+            known = known._replace(
+                body=body, theta=theta, covariance=P, memory=memory, refused=0, away=0)
+        else:
+            known = known._replace(refused=known.refused + 1)
+        if self._alarms is not None and known.evidence is not None:
+            after, fault = self._alarms.step(
+                known.evidence, seen.stamp_ns, Innovation(*found), verdict == USED)
+            known = known._replace(evidence=after)
+            if fault is not None:
+                self._raise(fault.alarm)
+                body, theta = changed_by(known.body, known.theta, fault.error)
+                return known._replace(  # the fault was taken for noise, too
+                    body=body, theta=theta, memory=first_memory(), refused=0,
+                    covariance=self._opened(known) + fault.spread @ fault.spread.T)
+        if name == 'recovered':
+            _, _, body, theta, P, _ = self._update(
+                known._replace(covariance=self._opened(known)), seen, before_ns, math.inf)
+            evidence = self._alarms.start(seen.stamp_ns, False) if self._alarms else None
+            return known._replace(
+                body=body, theta=theta, covariance=P, refused=0, evidence=evidence)
+        return known
 
-    def _compared(self, estimate: Estimate, seen: Measurement, gate: float) -> Any:
-        """Return what `taken` does."""
-        return taken(
-            *estimate[1:5], *seen[1:], self.sight.marker, self.sight.H, self._nominal[1][1],
-            self._nominal[0][1], self._reach, gate)
+    def _opened(self, known: Estimate) -> Array:
+        """Return the covariance of an estimate whose motion is as uncertain as at the start."""
+        P: Array = known.covariance.copy()
+        rows = np.r_[:STATE, WRENCH:WRENCH + 6]
+        P[rows, rows] += np.square(self._prior[rows])
+        return P
 
-    def _look_for_causes(
-        self, stamp_ns: int, estimate: Estimate, found: Any, verdict: str
-    ) -> None:
-        """Raise an alarm for a fault, and widen the states that it affects."""
-        alarms, alarm = self._alarms, None
-        if alarms is None:
-            return
-        if verdict == 'out_of_reach':
-            self._away += 1
-            if self._away == WRONG_GATE and self._were_near:
-                alarm = alarms.lost(stamp_ns)
-        elif stamp_ns > alarms.last_ns:
-            self._away, self._were_near = 0, self._were_near or verdict == 'used'
-            alarm = alarms.step(
-                stamp_ns, estimate.passage, Innovation(*found), verdict == 'used')
-            if verdict == 'recovered':
-                alarms.forget(alarms.named)
-        if alarm is not None:
-            before = self.alarms[-1] if self.alarms else None
-            if before is None or before.cause != alarm.cause or (
-                    stamp_ns - before.stamp_ns >= REPEATED_NS):
-                self.alarms.append(alarm)
-            if alarm.cause not in ('camera', 'lost'):
-                self._opened_ns.add(stamp_ns)
+    def _away(self, known: Estimate) -> Estimate:
+        """Count a pose out of reach; a package that was within reach is lost after two."""
+        if known.away == 1 and self._alarms is not None:
+            self._raise(self._alarms.lost(known.stamp_ns))
+        return known._replace(away=known.away + 1 if known.away or self._is_near(known) else 0)
 
-    def _opened(self, estimate: Estimate) -> Estimate:
-        """Return an estimate as uncertain as at the start, except for the payload."""
-        P = estimate.covariance + np.diag(
-            np.square(self._prior) * ([1.0] * 12 + [0.0] * 4 + [1.0] * 6))
-        return estimate._replace(covariance=P)
+    def _is_near(self, known: Estimate) -> bool:
+        """Return whether the package has been seen within reach."""
+        return bool(known.memory[1] > FIRST_MEMORY[0])
+
+    def _update(
+        self, known: Estimate, seen: Measurement, before_ns: int, gate: float
+    ) -> Any:
+        """Return what `updated` does."""
+        return updated(
+            self._nominal, *known[1:6], (seen.stamp_ns - before_ns) * 1e-9, *seen[1:],
+            self.sensor.marker, self._reach, gate)
+
+    def _raise(self, alarm: Alarm) -> None:
+        """Keep an alarm, unless the same one has just been raised."""
+        before = next((a for a in reversed(self.alarms) if a.cause == alarm.cause), None)
+        if before is None or alarm.stamp_ns - before.stamp_ns >= REPEATED_NS:
+            self.alarms.append(alarm)
+
+
+OF_MOTION = (*range(STATE), *range(WRENCH, STIFFNESS), *range(NOISE, NOISE + 6))
+"""Rows that are forgotten at a fresh start with the same package, ..."""
+
+OF_PACKAGE = (*range(MASS, COM + 3), *range(MARKER, MARKER + 6), *range(INERTIA, ALL_ROWS))
+"""... and with another one, too."""
+
+
+def first_memory() -> Array:
+    """Return the memory of the noise before the first measurement, see `correlation`."""
+    memory: Array = np.r_[0.03, np.repeat(FIRST_MEMORY, 2), np.zeros(6)]
+    return memory
+
+
+def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
+    """Return the standard deviations (n,) of the error at the start."""
+    (_, _, *blocks), (mass, *_), gravity = (model[0][:4], *model[1:])
+    weight = mass * math.hypot(*gravity)
+    K, P = (
+        np.minimum(np.diag(np.reshape(values[f'cup.{name}_std'], (6, 6))) / np.r_[
+            matrix[0][::4], matrix[2][::4]], 1.0)
+        for name, matrix in zip(('stiffness', 'damping'), blocks, strict=True))
+    inertia = np.array(values['package.inertia_std'][:3])
+    std: Array = np.zeros(ALL_ROWS if P.any() or inertia.any() else LEAST_ROWS)
+    std[:STATE] = START
+    mass, com = values['package.mass_std'] / mass, values['package.com_std']
+    if values['payload.estimate']:
+        mass, com = mass or MASS_SHARE, [each or COM_UNCERTAIN for each in com]
+    std[MASS], std[COM:COM + 3] = mass, com
+    std[WRENCH:WRENCH + 6] = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
+    std[STIFFNESS:STIFFNESS + 6] = K
+    offset = np.repeat(values['measured.offset_std'], 3)
+    std[MARKER:MARKER + 6] = std[CAMERA:CAMERA + 6] = offset
+    std[LATENCY] = values['measured.latency_std']
+    std[NOISE:NOISE + 6] = 1.0
+    if len(std) > LEAST_ROWS:
+        std[DAMPING:INERTIA], std[INERTIA:] = P, inertia
+    return std
 
 
 def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:
@@ -407,4 +475,3 @@ def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:
     made.start(1, tool, resting_on_tool(model, tool))
     made.see(Measurement(500_000, *made.body[:2], np.eye(6)))
     made.drifted(made.follow(1_000_000, tool, tool), tool, tool, 1e-3)
-    with_payload(model, np.zeros(10))  # if the payload is estimated later

@@ -371,7 +371,13 @@ _TABLE = (
     Parameter('measured.offset', (0.0,) * 6, 'm, rad', _PREDICTOR, minimum=-10.0, maximum=10.0,
               description='Pose of the measured marker in the frame named by measured.frame: '
               'position and rotation vector.'),
-    Parameter('payload.estimate', False, '', _PREDICTOR,
+    Parameter('measured.offset_std', (1e-3, 2e-3), 'm, rad', _PREDICTOR, minimum=0.0, maximum=1.0,
+              description='Standard deviations of a constant error of the calibration of the '
+              'camera, and of measured.offset: position and rotation in each axis.'),
+    Parameter('measured.latency_std', 5e-3, 's', _PREDICTOR, minimum=0.0, maximum=0.5,
+              description='Standard deviation of a constant error of the stamps of measured '
+              'poses.'),
+    Parameter('payload.estimate', True, '', _PREDICTOR,
               description='Whether to estimate mass and centre of mass of each package from its '
               'measured poses, starting from package.* and its standard deviations (10 % and 10 '
               'mm if these are 0).'),

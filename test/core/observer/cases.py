@@ -23,6 +23,7 @@ SETTINGS = {
     'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
     'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
     'tool_noise.position': 2e-5, 'tool_noise.rotation': 1e-4,
+    'measured.offset_std': [0.0, 0.0], 'measured.latency_std': 0.0, 'payload.estimate': False,
 }
 
 
@@ -81,12 +82,17 @@ def truth(tool, package=PACKAGE, cup=CUP, start=None, change=None, period_ns=PER
 
 
 def later(state, theta, start, end, seconds):
-    """Give a state later: payload by a package of its own, bias as many small kicks."""
+    """Give a state later: model and package of their own, the wrench as many small kicks."""
+    t = np.zeros(46)
+    t[:len(theta)] = theta
+    K, P = (M + 0.5 * (np.diag(s) @ M + M @ np.diag(s)) for M, s in (
+        (CUP.stiffness, t[12:18]), (CUP.damping, t[37:43])))
+    cup = Cup(K, P, CUP.length + t[10])
     package = Package(
-        PACKAGE.mass * (1.0 + theta[0]), PACKAGE.inertia * (1.0 + theta[0]),
-        PACKAGE.com + theta[1:4])
-    model = model_tuple(CUP, package, 9.81)
-    force, moment = theta[4:7], theta[7:]
+        PACKAGE.mass * (1.0 + t[0]), PACKAGE.inertia * (1.0 + t[0]) + np.diag(t[43:]),
+        PACKAGE.com + t[1:4])
+    model = model_tuple(cup, package, 9.81)
+    force, moment = t[4:7], t[7:10]
     push = np.concatenate([
         force / package.mass,
         np.linalg.solve(package.inertia, moment - np.cross(package.com, force))])
@@ -115,7 +121,7 @@ def error_of(made, body):
 
 def measured(made, stamp_ns, body):
     """Give the measured pose of a body."""
-    return made.sight.measurement(int(stamp_ns), body[0], body[1])
+    return made.sensor.measurement(int(stamp_ns), body[0], body[1])
 
 
 def follow(made, stamps, tool, start, came, before=None, after=None):

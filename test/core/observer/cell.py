@@ -1,0 +1,192 @@
+"""
+An ordinary cell: a camera and numbers that are a little wrong, and faults.
+
+The package is simulated with the model; nothing else is taken from the observer. Its noise has a
+memory, stamps are late, K, P, mass, centre of mass, inertia and the camera's pose are off.
+"""
+
+from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.tuples import quaternion_product
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.observer.filter import changed
+import numpy as np
+
+from .cases import CUP, NOISE, observer, PACKAGE, tool_motion, truth, with_noise
+
+PERIOD_NS = 8_000_000
+WORKPLACE = np.array([0.6, 0.3, 0.4])  # m, in the camera's world
+TOOL_NOISE = np.repeat([2e-5, 1e-4], 3)
+DIAGONAL = np.eye(6).ravel()
+ORDINARY = {'measured__offset_std': [1e-3, 2e-3], 'measured__latency_std': 5e-3,
+            'payload__estimate': True}
+"""As a node has it."""
+EXACT = {'measured__offset_std': [0.0, 0.0], 'measured__latency_std': 0.0}
+
+
+def stated(stiffness=0.0, damping=0.0, mass=0.0, com=0.0, inertia=0.0):
+    """Give parameters that state relative standard deviations, and that of com (m)."""
+    return {
+        'cup__stiffness_std': (stiffness * CUP.stiffness.ravel() * DIAGONAL).tolist(),
+        'cup__damping_std': (damping * CUP.damping.ravel() * DIAGONAL).tolist(),
+        'package__mass_std': mass * PACKAGE.mass, 'package__com_std': [com] * 3,
+        'package__inertia_std': [*(inertia * np.diag(PACKAGE.inertia)), 0.0, 0.0, 0.0],
+    }
+
+
+CONDITIONS = {
+    'white': {},
+    'memory 33 ms': {'memory': 0.033},
+    'memory 100 ms': {'memory': 0.1},
+    '3 ms late': {'late': 0.003},
+    '10 ms late': {'late': 0.01},
+    'K 3 %': {'stiffness': 0.03},
+    'com 1 mm': {'com': 1e-3},
+    'com 2 mm': {'com': 2e-3},
+    'camera 1 mm, 2 mrad': {'offset': (1e-3, 2e-3)},
+    'mass 2 %': {'mass': 0.02},
+    'all, small': {'stiffness': 0.01, 'damping': 0.05, 'com': 1e-3, 'late': 0.003,
+                   'offset': (5e-4, 0.0), 'memory': 0.033},
+}
+"""What is wrong in sound work: by how much, in either direction."""
+
+
+class Cell:
+    """
+    A run of a cell.
+
+    Parameters
+    ----------
+    seed : int
+    seconds : float
+    wrong : dict
+        Of `CONDITIONS`; stated as standard deviations where there is a parameter for it.
+    fault : str
+        Cause of an alarm, of `faults`, or none.
+    at : float
+        When it sets in, s.
+    rate_hz : float
+        Of the camera.
+    more : parameters of the observer
+
+    """
+
+    def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0, **more):
+        """Simulate the package and its measured poses."""
+        self.rng = rng = np.random.default_rng(seed)
+        self.at, self.fault, self.size = at, fault, size
+        self.wrong = wrong = {'memory': 0.0, 'late': 0.0, 'offset': (0.0, 0.0), **wrong}
+        self.stamps, self.tool = tool_motion(rng, seconds, period_ns=PERIOD_NS)
+        self.tool = [(tuple(np.add(o, WORKPLACE).tolist()), *rest) for o, *rest in self.tool]
+        self.package, self.cup = self._true()
+        self.first = round(at * 1e9 / PERIOD_NS)
+        self.body = truth(self.tool, self.package, self.cup, change=self._change(),
+                          period_ns=PERIOD_NS)
+        self.made = observer(**{**ORDINARY, **stated(**{
+            name: value for name, value in wrong.items()
+            if name not in ('memory', 'late', 'offset')}), **more})
+        self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))
+
+    def _sign(self):
+        return self.rng.choice([-1.0, 1.0])
+
+    def _across(self, length):
+        angle = self.rng.uniform(0.0, 2.0 * np.pi)
+        return length * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+    def _direction(self, length):
+        direction = self.rng.normal(size=3)
+        return length * direction / np.linalg.norm(direction)
+
+    def _true(self):
+        """Give package and cup as they are."""
+        off = {name: self._sign() * self.wrong.get(name, 0.0)
+               for name in ('mass', 'inertia', 'stiffness', 'damping')}
+        com = self._direction(self.wrong.get('com', 0.0))
+        if self.fault == 'payload':
+            com = com + self._across(0.01 * self.size)
+        if self.fault == 'wear':
+            off['stiffness'] -= 0.2 * self.size
+        if self.fault == 'mass':
+            off['mass'] += 0.1 * self.size
+        mass, inertia = 1.0 + off['mass'], 1.0 + off['inertia']
+        return Package(
+            mass * PACKAGE.mass, mass * inertia * PACKAGE.inertia, PACKAGE.com + com), Cup(
+                (1.0 + off['stiffness']) * CUP.stiffness, (1.0 + off['damping']) * CUP.damping,
+                CUP.length)
+
+    def _change(self):
+        """Give the change of state and model at each sample of the tool."""
+        self.by = by = self._across(3e-3 * self.size)
+        turn, rate = 0.1 * self.size, 5e-3 * self.size
+
+        def model(com=None, part=1.0, longer=0.0):
+            cup = Cup(part * self.cup.stiffness, part * self.cup.damping, self.cup.length + longer)
+            com = self.package.com if com is None else com
+            return model_tuple(cup, Package(self.package.mass, self.package.inertia, com), 9.81)
+
+        def change(k, body, before):
+            since = (k - self.first) * PERIOD_NS * 1e-9
+            if since < 0.0 or self.fault in ('', 'wear', 'payload', 'mass', 'camera', 'turn'):
+                return body, before
+            if self.fault == 'slip':
+                body = changed(body, np.r_[by, np.zeros(9)]) if since == 0.0 else body
+                return body, model(self.package.com + by)
+            if self.fault == 'leak':
+                return body, model(longer=rate * since)
+            part = max(1.0 - since / 0.15, 1e-9) if self.fault == 'peel' else 1e-9
+            return body, model(part=part)
+
+        self.turn = np.array([0.0, 0.0, turn])
+        return change
+
+    def _seen(self, every):
+        """Give the measured poses (stamp, pose) by sample of the tool."""
+        wrong, rng, n = self.wrong, self.rng, np.zeros(6)
+        kept = np.exp(-every * PERIOD_NS * 1e-9 / wrong['memory']) if wrong['memory'] else 0.0
+        offset = [self._direction(size) for size in wrong['offset']]
+        moved = [self._direction(5e-3 * self.size), self._direction(5e-3 * self.size)]
+        out, n = {}, rng.normal(size=6) * NOISE
+        for k in range(every, len(self.tool), every):
+            n = kept * n + np.sqrt(1.0 - kept**2) * rng.normal(size=6) * NOISE
+            body, late = self.body[k], wrong['late']
+            if late:
+                w = late * 1e9 / PERIOD_NS
+                a, b = self.body[max(k - int(w) - 1, 0)], self.body[max(k - int(w), 0)]
+                step = (1.0 - w % 1.0) * np.concatenate([a[2], a[3]]) * PERIOD_NS * 1e-9
+                mean = (1.0 - w % 1.0) * (np.r_[a[2], a[3]] + np.r_[b[2], b[3]]) / 2
+                step = mean * PERIOD_NS * 1e-9
+                body = changed(a, np.r_[step, np.zeros(6)])
+            after = k >= self.first
+            if after and self.fault in ('drop', 'peel') and (
+                    np.linalg.norm(np.subtract(body[0], self.tool[k][0])) > 0.55):
+                break
+            if after and self.fault == 'turn':
+                body = changed(body, np.r_[np.zeros(3), self.turn, np.zeros(6)])
+            pose = changed(body, np.r_[n, np.zeros(6)])[:2]
+            pose = _from_elsewhere(pose, *offset, pivot=WORKPLACE)
+            if after and self.fault == 'camera':
+                pose = _from_elsewhere(pose, *moved, pivot=WORKPLACE)
+            out[k] = [(int(self.stamps[k]), pose)]
+        return out
+
+    def run(self, after=None):
+        """Let the observer follow; give its alarms (cause, s since the fault)."""
+        made, rng = self.made, self.rng
+        noisy = [with_noise(rng, state, TOOL_NOISE) for state in self.tool]
+        made.start(int(self.stamps[0]), noisy[0], truth(noisy[:1])[0])
+        for k in range(1, len(noisy)):
+            made.follow(int(self.stamps[k]), noisy[k - 1], noisy[k])
+            for stamp_ns, pose in self.seen.get(k, []):
+                made.see(made.sensor.measurement(stamp_ns, *pose))
+            if after is not None:
+                after(k)
+        return [(alarm.cause, (alarm.stamp_ns - int(self.stamps[0])) * 1e-9 - self.at)
+                for alarm in made.alarms]
+
+
+def _from_elsewhere(pose, shift, turn, pivot):
+    """Give a pose as a camera sees it that is shifted, and turned about a pivot."""
+    R = exp_so3(np.array(turn))
+    q = tuple(rotation_to_quaternion(R).tolist())
+    return tuple((R @ (np.array(pose[0]) - pivot) + pivot + shift).tolist()), quaternion_product(
+        q, pose[1])
