@@ -333,10 +333,10 @@ class _Collector:
         """Start empty."""
         self.topic = topic
         self._layout = layout = messages.LAYOUTS[topic.type_name]
-        self._twists = role.endswith('twist')
+        self._twists, self._by_stamp = role.endswith('twist'), role == 'measured'
         part = layout.twist if self._twists else layout.pose
         assert part  # as accepted types have it
-        covariance = layout.pose_covariance if role == 'measured' else 0
+        covariance = layout.pose_covariance if self._by_stamp else 0
         self._part = slice(part.start, part.stop + covariance)
         self._log_times = array('q')
         self._batch: list[bytes] = []
@@ -361,10 +361,12 @@ class _Collector:
         self._batch = []
 
     def stream(self, recording: Path) -> Stream:
-        """Return the usable messages, in the order they were recorded in."""
+        """Return the usable messages as they were recorded, measured poses by their stamps."""
         self._flush()
         log_times = np.maximum(self._log_times, 0)
-        order: Any = np.argsort(log_times, kind='stable')
+        order: Any = np.argsort(np.concatenate(
+            [part.stamps_ns for part in self._decoded]) if self._by_stamp else log_times,
+            kind='stable')
         if np.array_equal(order, np.arange(len(order))):
             order = slice(None)  # which copies nothing
         stamps_ns, values, frame = (

@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_qu
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.core.observer import Alarm, Observer, Payload
+from bellows_ros.core.observer import Alarm, Calibration, Observer, Payload
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.parameters.checks import pose_text
 from bellows_ros.core.recording.alignment import world_rotation
@@ -45,6 +45,8 @@ class Observed:
         What was found to be wrong, and when, s from the first pose of the tool.
     payload : Payload or None
         What mass and centre of mass were found to be, where payload.estimate is set.
+    calibration : Calibration or None
+        By how much the camera was found to be off, where measured.calibrate is set.
 
     """
 
@@ -55,6 +57,7 @@ class Observed:
     counts: Mapping[str, int]
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None = None
+    calibration: Calibration | None = None
 
     @property
     def sentence(self) -> str:
@@ -76,6 +79,12 @@ class Observed:
             said.append(
                 f'Found: mass {found.mass:.4g} ± {found.mass_std:.2g} kg, centre of mass {com} mm '
                 'from the lip (± is the bound of Cramér and Rao).')
+        if off := self.calibration:
+            shift, turn = (', '.join(f'{1e3 * x:.2f} ± {1e3 * std:.2g}' for x, std in zip(
+                *pair, strict=True)) for pair in (off[:2], off[2:4]))
+            said.append(
+                f'The camera is off by {shift} mm and {turn} mrad along and about the axes of the '
+                f'world, its stamps by {1e3 * off.latency:.2f} ± {1e3 * off.latency_std:.2g} ms.')
         return ' '.join(said + ([] if self.alarms else ['No alarm.']))
 
     @property
@@ -101,10 +110,13 @@ class Observed:
         return {
             'topic': self.topic, 'counts': dict(self.counts),
             'alarms': [
-                {'time': seconds, **attributes(alarm, 'cause', 'message')}
+                {'time': seconds, **attributes(
+                    alarm, 'cause', 'size', 'size_std', 'second', 'odds', 'message')}
                 for seconds, alarm in self.alarms],
             'payload': self.payload and attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
+            'calibration': self.calibration and attributes(
+                self.calibration, *self.calibration._fields),
             **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
         }
 
@@ -167,7 +179,8 @@ def observed(
     alarms = tuple(
         ((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm) for alarm in observer.alarms)
     return Observed(
-        topic, prediction, compare(held, tool, package), both, counts, alarms, observer.payload)
+        topic, prediction, compare(held, tool, package), both, counts, alarms, observer.payload,
+        observer.calibration)
 
 
 def live_predictor(values: Mapping[str, Any]) -> LivePredictor:

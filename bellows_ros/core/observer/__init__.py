@@ -2,7 +2,13 @@
 
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import Measurement
-from bellows_ros.core.observer.observer import Observer, Payload, VERDICTS, warm_up_observer
+from bellows_ros.core.observer.observer import (
+    Calibration,
+    Observer,
+    Payload,
+    VERDICTS,
+    warm_up_observer,
+)
 
 __all__ = [
-    'Alarm', 'Measurement', 'Observer', 'Payload', 'VERDICTS', 'warm_up_observer']
+    'Alarm', 'Calibration', 'Measurement', 'Observer', 'Payload', 'VERDICTS', 'warm_up_observer']

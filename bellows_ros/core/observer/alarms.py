@@ -73,24 +73,24 @@ class Cause(NamedTuple):
 CAUSES = (
     Cause('slip', ((COM, SHIFT), (COM + 1, SHIFT + 1), *((MARKER + 3 + i,) for i in range(3))),
           (3e-3, 3e-3, 0.1, 0.1, 0.1), (2, 5), 0.4, False, True,
-          'The grip has slipped by {:.1f} mm and turned by {:.1f} degrees: move slower, or raise '
+          'The grip has slipped by {} mm and turned by {} degrees: move slower, or raise '
           'the vacuum.', ((0, 2, 1e3), (2, 5, 180.0 / math.pi))),
     Cause('leak', ((LENGTHENING,),), (5e-3,), (1,), 0.15, False, True,
-          'The cup yields by {:.1f} mm/s, as with a leak: check its lip and the vacuum.'),
+          'The cup yields by {} mm/s, as with a leak: check its lip and the vacuum.'),
     Cause('wear', tuple(tuple(range(first, first + 3)) for first in (STIFFNESS, STIFFNESS + 3)),
           (0.2, 0.2), (2,), 0.1, True, False,
-          'The stiffness of the cup is off by {:.0f} % in translation and {:.0f} % in rotation: '
+          'The stiffness of the cup is off by {} % in translation and {} % in rotation: '
           "it is worn, or another cup is mounted. Identify it with 'bellows identify'.",
           ((0, 1, 100.0), (1, 2, 100.0))),
     Cause('payload', tuple((row,) for row in range(MASS, MASS + 4)), (0.2, 0.01, 0.01, 0.01),
           (1, 4), 0.1, True, False,
-          'The mass is off by {:.0f} % and the centre of mass by {:.1f} mm: correct package.*, or '
+          'The mass is off by {} % and the centre of mass by {} mm: correct package.*, or '
           'set payload.estimate.', ((0, 1, 100.0), (1, 4, 1e3))),
     Cause('lost', ((GONE,),), (0.3,), (1,), 0.1, False, True,
           'The package is lost: stop the arm.', ((0, 1, 1.0),), 2),
     Cause('camera', tuple((row,) for row in range(CAMERA, CAMERA + 6)), (0.01,) * 6, (3, 6), 0.15,
           True, True,
-          'The frame of the camera has moved by {:.1f} mm and {:.1f} mrad: calibrate it.',
+          'The frame of the camera has moved by {} mm and {} mrad: calibrate it.',
           ((0, 3, 1e3), (3, 6, 1e3)), 2),
 )
 """The faults that are tested."""
@@ -161,7 +161,7 @@ UNEXPLAINED = 0.2
 """Largest fraction of the misfit that a named cause may leave unexplained."""
 
 UNSURE = 100.0
-"""Below these odds the message names the second cause as well."""
+"""Below these odds of two ambiguous causes the message says what would decide."""
 
 
 class Alarm(NamedTuple):
@@ -175,7 +175,7 @@ class Alarm(NamedTuple):
     second: str
     """The second likeliest cause."""
     odds: float
-    """Of the cause to the second."""
+    """Of the cause to the second, at most a million."""
     message: str
 
 
@@ -274,7 +274,7 @@ class Alarms:
     ) -> Found:
         """Return what is known of the likeliest fault."""
         onset, which, components = best
-        cause, odds = HYPOTHESES[which], math.exp(min(lead, 50.0))
+        cause, odds = HYPOTHESES[which], math.exp(min(lead, 14.0))
         first, end = FIRSTS[which], FIRSTS[which] + components
         slot = max(onset - 1, 0) // EVERY[which]
         usual, mean = np.array(cause.usual[:components]), np.array(MEAN[first:end])
@@ -283,22 +283,26 @@ class Alarms:
         P = np.linalg.inv(J + np.diag(usual ** -2.0))
         size = mean + P @ (known.scores[first:end, slot] - J @ mean)
         E: Array = known.signatures[:-FALLING, [column + slot for column in COLUMNS[first:end]]]
-        sizes = [float(np.linalg.norm(size[a:b])) for a, b, _ in cause.parts]
-        a, b, _ = cause.parts[0]
-        along = size[a:b] / max(sizes[0], 1e-12)
+        sizes = [_length(size[a:b], P[a:b, a:b]) for a, b, _ in cause.parts]
         message = cause.message.format(*(
-            unit * value for value, (_, _, unit) in zip(sizes, cause.parts, strict=True)))
-        if odds < UNSURE:
-            message += f' It may also be {second.name!r} (odds {max(odds, 1.0):.0f} to 1'
-            message += ': weigh the package to decide).' if (
-                cause.name, second.name) in AMBIGUOUS else ').'
-        return Found(Alarm(
-            stamp_ns, cause.name, sizes[0], float(np.sqrt(along @ P[a:b, a:b] @ along)),
-            second.name, odds, message), E @ size, E * usual)
+            f'{unit * value:.1f} ± {unit * std:.1f}'
+            for (value, std), (_, _, unit) in zip(sizes, cause.parts, strict=True)))
+        message += f' Second likeliest: {second.name}, odds {max(odds, 1.0):.0f} to 1.'
+        if (cause.name, second.name) in AMBIGUOUS and odds < UNSURE:
+            message += ' Weigh the package to decide between them.'
+        return Found(
+            Alarm(stamp_ns, cause.name, *sizes[0], second.name, odds, message), E @ size,
+            E * usual)
 
     def lost(self, stamp_ns: int) -> Alarm:
         """Return that the package is lost."""
         return Alarm(stamp_ns, CAUSES[LOST].name, 1.0, 0.0, '', math.inf, CAUSES[LOST].message)
+
+
+def _length(size: Array, P: Array) -> tuple[float, float]:
+    """Return the length of a vector with a covariance, and its standard deviation."""
+    length = float(np.linalg.norm(size))
+    return length, float(np.sqrt(size @ P @ size)) / max(length, 1e-12)
 
 
 def carried(known: Evidence, T: Array, memory: Array) -> Evidence:

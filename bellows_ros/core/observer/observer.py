@@ -87,6 +87,9 @@ START = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 MASS_SHARE, COM_UNCERTAIN = 0.1, 0.01
 """Default standard deviations of the payload: relative mass, centre of mass (m)."""
 
+UNCALIBRATED = 0.03, 0.05, 0.05
+"""Standard deviations of position (m), rotation and latency (s) of a camera to be calibrated."""
+
 BIAS_WALK, WALK_ARM = 0.01, 0.02
 """Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
 
@@ -147,6 +150,20 @@ class Payload(NamedTuple):
     inertia: Matrix
     mass_std: float
     com_std: Array
+
+
+class Calibration(NamedTuple):
+    """Errors of a camera, with standard deviations: shift and turn in the world, latency."""
+
+    shift: Array
+    """m."""
+    shift_std: Array
+    turn: Array
+    """rad."""
+    turn_std: Array
+    latency: float
+    """s."""
+    latency_std: float
 
 
 class Observer:
@@ -239,6 +256,17 @@ class Observer:
         std = np.sqrt(np.diag(known.covariance)[MASS:MASS + 4])
         return Payload(known.stamp_ns, mass, com, inertia, float(std[0] * self._nominal[1][0]),
                        std[1:])
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """By how much the camera is off, if that is estimated."""
+        if not self._known or not self._values['measured.calibrate']:
+            return None
+        known, rows = self._known[-1], slice(CAMERA, LATENCY + 1)
+        found, std = known.theta[CAMERA - STATE:LATENCY + 1 - STATE], np.sqrt(
+            np.diag(known.covariance)[rows])
+        return Calibration(
+            found[:3], std[:3], found[3:6], std[3:6], float(found[6]), float(std[6]))
 
     # ---------------------------------------------------------------- the tool
 
@@ -458,9 +486,11 @@ def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
     std[MASS], std[COM:COM + 3] = mass, com
     std[WRENCH:WRENCH + 6] = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
     std[STIFFNESS:STIFFNESS + 6] = K
-    offset = np.repeat(values['measured.offset_std'], 3)
-    std[MARKER:MARKER + 6] = std[CAMERA:CAMERA + 6] = offset
-    std[LATENCY] = values['measured.latency_std']
+    offset, latency = values['measured.offset_std'], values['measured.latency_std']
+    std[MARKER:MARKER + 6] = np.repeat(offset, 3)
+    if values['measured.calibrate']:
+        offset, latency = np.maximum(offset, UNCALIBRATED[:2]), max(latency, UNCALIBRATED[2])
+    std[CAMERA:CAMERA + 6], std[LATENCY] = np.repeat(offset, 3), latency
     std[NOISE:NOISE + 6] = 1.0
     if len(std) > LEAST_ROWS:
         std[DAMPING:INERTIA], std[INERTIA:] = P, inertia

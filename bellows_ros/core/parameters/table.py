@@ -377,6 +377,10 @@ _TABLE = (
     Parameter('measured.latency_std', 5e-3, 's', _PREDICTOR, minimum=0.0, maximum=0.5,
               description='Standard deviation of a constant error of the stamps of measured '
               'poses.'),
+    Parameter('measured.calibrate', False, '', _PREDICTOR,
+              description='Whether to estimate pose and latency of the camera, with standard '
+              'deviations of at least 30 mm, 50 mrad and 50 ms at the beginning; bellows replay '
+              '--observe prints them.'),
     Parameter('payload.estimate', True, '', _PREDICTOR,
               description='Whether to estimate mass and centre of mass of each package from its '
               'measured poses, starting from package.* and its standard deviations (10 % and 10 '

@@ -9,6 +9,7 @@ from bellows_ros.core.excitation.motion_design import (
     load_rows,
     loads,
     Search,
+    window,
 )
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, rpy_rotation
@@ -210,6 +211,15 @@ def test_small_motions_tell_what_the_linear_response_says():
     y = np.einsum('nfij,fj->nfi', found.changes, lines).reshape(8, -1)
     linear = 0.5 * 360.0 * 8.0 * np.real(y.conj() @ y.T) + 360.0 * 10.0 * found.constant
     assert_allclose(standard_errors(linear), whole / TRUTH, rtol=0.05)
+
+
+def test_ramps_begin_and_end_at_rest_without_jerk():
+    """Let value, speed, acceleration and jerk be zero at both ends, and be derivatives."""
+    np.testing.assert_allclose(window(np.array([0.0, 10.0]), 10.0), 0.0, atol=1e-9)
+    t = np.linspace(0.0, 10.0, 20_001)
+    W = window(t, 10.0)
+    for rate, value in zip(W[1:], W[:-1], strict=True):
+        np.testing.assert_allclose(rate, np.gradient(value, t), atol=0.05)
 
 
 def test_motion_moves_as_it_says():

@@ -107,6 +107,18 @@ def test_late_and_shuffled_equals_in_order_with_an_alarm(kind):
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-15)
 
 
+def test_camera_is_calibrated():
+    """Find shift and latency of a camera 20 mm off and 20 ms late, within 4 standard errors."""
+    wrong = {'offset': (0.02, 0.0), 'late': 0.02}
+    cell = Cell(7, 10.0, wrong, measured__calibrate=True, payload__estimate=False)
+    assert cell.run() == []
+    found = cell.made.calibration
+    assert found.latency == pytest.approx(0.02, abs=4 * found.latency_std)
+    assert found.latency_std < 1e-3
+    pivot = found.shift + np.cross(found.turn, [0.6, 0.3, 0.4])
+    assert np.linalg.norm(pivot) == pytest.approx(0.02, abs=2e-3)
+
+
 @pytest.mark.stress
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize('estimate', [False, True])
