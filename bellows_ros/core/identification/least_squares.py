@@ -329,7 +329,8 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
 
     """
     whole = [own for own in recordings if isinstance(own, Recording)]
-    if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
+    if (values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings)
+            or values['fit.method'] == 'output_error'):  # whose recordings may be too slow for it
         return list(recordings)
     simplest = next(iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
     found = relaxation_of(
