@@ -32,7 +32,7 @@ from bellows_ros.core.model.jacobians import (
 )
 from bellows_ros.core.model.kernels import advance, ModelTuple, State
 from bellows_ros.core.model.simulation import row_state
-from bellows_ros.core.observer.filter import add_product, product, turned_over
+from bellows_ros.core.observer.filter import add_product, product, transpose
 import numpy as np
 
 CLIPPED = 3.0
@@ -174,9 +174,9 @@ def _pass(
     if lasting or P.shape[0] > 18:
         P[:12] = product(F, P[:12], np.empty((12, P.shape[0])))
         P[:, :12] = product(
-            np.ascontiguousarray(P[:, :12]), turned_over(F), np.empty((P.shape[0], 12)))
+            np.ascontiguousarray(P[:, :12]), transpose(F), np.empty((P.shape[0], 12)))
     else:  # what is known of a sample's noise is of no use later
-        side = product(np.ascontiguousarray(P[:12, :12]), turned_over(F), np.empty((12, 12)))
+        side = product(np.ascontiguousarray(P[:12, :12]), transpose(F), np.empty((12, 12)))
         P[:12, :12] = product(F, side, np.empty((12, 12)))
     for i in range(6):
         P[6 + i, 6 + i] += walk[i] * h
@@ -288,7 +288,7 @@ def likeliest(
             way[k] = -(1.0 - kept * kept) * noise[k] * slope[12:18]
             slope[12:18] *= kept
         if k > 0:
-            slope[:12] = turned_over(F[k]) @ slope[:12]
+            slope[:12] = transpose(F[k]) @ slope[:12]
             if size > 18:
                 slope[18:] *= fading[k - 1]
 
