@@ -13,6 +13,9 @@ from test.core import drops  # noqa: E402, I100, I201
 
 def main() -> None:
     """Print a row for each mass left out."""
+    if not drops.SHARED.exists():
+        print(f'The measured drops are not here: {drops.SHARED.name}.')
+        return
     data, by_mass = drops.real_drops()
     for left_out, own in by_mass.items():
         others = [drop for mass in by_mass if mass != left_out for drop in by_mass[mass]]

@@ -163,8 +163,10 @@ class Flight:
             return now
         if released < 0.0:
             late = (now.stamp_ns - self._switched_ns) * 1e-9
-            wrench = wrench_of(model, self._release.law, late, now.tool, body)
-            self._before = Prediction(now.stamp_ns, *body, *wrench, *now[7:])
+            force, moment = wrench_of(model, self._release.law, late, now.tool, body)
+            self._before = now._replace(
+                position=body[0], quaternion_xyzw=body[1], linear=body[2], angular=body[3],
+                force=force, moment=moment, strains=body[4:])
             return self._before
         self._body = body
         self._stamp_ns = before.stamp_ns + round(released * 1e9)

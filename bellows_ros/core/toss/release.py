@@ -169,12 +169,14 @@ def length_change(model: ModelTuple, law: Law, late: float, tool: State, body: S
 @kernel
 def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
     """Return a model with another nominal length, and the damping of open bellows."""
-    (l1, l0, K, P), package, gravity = model
+    cup, package, gravity = model
+    (l1, l0), P = cup[:2], cup[3]
     D = P[0]
     damping = law[6] if law[6] > 0.0 else D[8]
     D = (D[0], D[1], D[2], D[3], D[4], D[5], D[6], D[7], damping)
     part = l1 / l0  # of the length, that is on the side of the package
-    return (l1 + part * change, l0 + change, K, (D, P[1], P[2])), package, gravity
+    opened = (l1 + part * change, l0 + change, cup[2], (D, P[1], P[2]), *cup[4:])
+    return opened, package, gravity
 
 
 @kernel
@@ -675,10 +677,10 @@ class Held:
         other = copy(self)
         other.states = self.states.copy()
         first = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
-        times, tools, _ = self._inputs
+        times, tools, states = self._inputs
         write_toss(
-            self.model, self.grip, release.law, row_state(self._inputs[2][first]), tools[first:],
-            times[first:], switched, self._longest, other.states[first:])
+            self.model, self.grip, release.law, body_row(states[first], self.start),
+            tools[first:], times[first:], switched, self._longest, other.states[first:])
         return other
 
     def along(self, release: Release, switched: float, seconds: Array) -> tuple[Array, Array]:

@@ -25,10 +25,10 @@ from bellows_ros.core.geometry.lie import (
     quaternion_product,
     rotation_to_quaternion,
 )
-from bellows_ros.core.model.equilibrium import largest_step, moved
+from bellows_ros.core.model.equilibrium import adapted, largest_step, moved
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import rest, state_row, tool_rows
+from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -140,7 +140,8 @@ class Drop:
     def predicted(self, law: Law, by: Array | None = None) -> tuple[float, Array]:
         """Return when it is let go (s since the first stamp, -1 if not), and states (N, 13)."""
         rows, seconds, longest = self._inputs
-        start, out = self.start, np.empty((len(seconds), 13))
+        start = adapted(self.model, row_state(rows[0]), self.start)
+        out = np.empty((len(seconds), 13))
         if by is not None and by.any():
             push: Any = (tuple(part.tolist()) for part in np.split(SIZES * by, 4))
             start = moved(start, *push)
