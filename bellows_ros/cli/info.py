@@ -75,6 +75,9 @@ def _say(found: 'Info', console: Console) -> None:
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
         name = f'probably {guess.topic}' if guess else 'not found'
         console.paragraph(f'{role.capitalize():8} {name}{why}.')
+    if found.valve:
+        console.paragraph(
+            f'Valve    probably {found.valve}: the only std_msgs/Bool (topics.valve).')
     if world := found.settings.get('recording.world'):
         axes = 'z up' if world == 'z_up' else "Motive's, y up"
         console.say(f'World    probably {axes} (recording.world: {world}).')

@@ -22,6 +22,7 @@ from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
 from bellows_ros.core.signals.timing import timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
+from bellows_ros.files.messages import BOOL
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import Guess, likely_alone, likely_pair, likely_twist, Pair
 import numpy as np
@@ -119,9 +120,15 @@ class Info:
     settings: Mapping[str, Any]
     notes: tuple[str, ...]
 
+    @property
+    def valve(self) -> str:
+        """The topic that switches the valve, if only one can; else ''."""
+        able = [topic.name for topic in self.topics if topic.type_name == BOOL]
+        return able[0] if len(able) == 1 else ''
+
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return {**vars(self), 'version': __version__}
+        return {**vars(self), 'valve': self.valve, 'version': __version__}
 
 
 def info(
