@@ -29,11 +29,11 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-COMPARED_HZ = 50.0
-"""Rate at which the bodies' speeds of rotation are compared."""
+COMPARED_HZ, OVER = 50.0, 15
+"""Rate at which turns of the bodies are compared, and over how many samples they go."""
 
-ALIKE = 0.5
-"""Correlation of these speeds at which two clocks are aligned."""
+ALIKE = 0.3
+"""Correlation of these turns at which two clocks are aligned: of others it is below 0.2."""
 
 
 def rough_offset(tool: Trajectory, package: Trajectory) -> float:
@@ -46,22 +46,22 @@ def rough_offset(tool: Trajectory, package: Trajectory) -> float:
         If they do not turn alike at any offset.
 
     """
-    speeds = []
+    turns = []
     for body in (tool, package):
         count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * COMPARED_HZ)
         stamps = body.stamps_ns[0] + np.rint(
             np.arange(count) * (NS_PER_S / COMPARED_HZ)).astype(np.int64)
         R = resample(body, stamps).rotation
-        speed = np.linalg.norm(log_so3(np.swapaxes(R[:-2], 1, 2) @ R[2:]), axis=1)
-        speeds.append((speed - speed.mean()) / max(float(np.linalg.norm(speed)), 1e-12))
-    product = np.correlate(speeds[0], speeds[1], 'full')
+        turn = np.linalg.norm(log_so3(np.swapaxes(R[:-OVER], 1, 2) @ R[OVER:]), axis=1)
+        turns.append((turn - turn.mean()) / max(float(np.linalg.norm(turn)), 1e-12))
+    product = np.correlate(turns[0], turns[1], 'full')
     best = int(np.argmax(product))
-    size = float(product[best] / np.sqrt(np.prod([own @ own for own in speeds])))
+    size = float(product[best] / np.sqrt(np.prod([own @ own for own in turns])))
     if size < ALIKE:
         raise BellowsError(
             'The stamps of tool and package cannot be aligned: the two do not turn alike at any '
             f'offset (correlation {size:.2f}). Check the topics, or turn the tool more.')
-    lag = (best - len(speeds[1]) + 1) / COMPARED_HZ
+    lag = (best - len(turns[1]) + 1) / COMPARED_HZ
     return lag + float(tool.stamps_ns[0] - package.stamps_ns[0]) / NS_PER_S
 
 
