@@ -143,9 +143,9 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
         name = list(UNITS)[k]
         unit = UNITS[name]
         factor, unit = (milli, f'm{unit}') if unit in ('s', 'm', 'N s') else (1.0, unit)
-        rows.append((name, f'{factor * fit.law[k]:.4g} {unit}', *(
-            f'{factor * part[k]:.2g} {unit}' if part[k] else '' for part in (
-                fit.std, fit.scatter))))
+        std, scatter = (
+            f'{factor * part[k]:.2g} {unit}' if part[k] else '' for part in (fit.std, fit.scatter))
+        rows.append((name, f'{factor * fit.law[k]:.4g} {unit}', std, scatter))
     console.table(rows, right=True)
     console.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(
         (f'{mass:.3g} kg', f'{count}', f'{milli * released:.1f} ms', f'{milli * position:.2f} mm',

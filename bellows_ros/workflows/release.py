@@ -64,8 +64,9 @@ class ReleaseResult:
             released, position, velocity = (
                 np.array([getattr(drop, name) for drop in own])
                 for name in ('released', 'position', 'velocity'))
-            out.append((mass, len(own), float(np.nanmean(released)), *(
-                math.sqrt(float(np.mean(x**2))) for x in (position, velocity))))
+            out.append((mass, len(own), float(np.nanmean(released)),
+                        math.sqrt(float(np.mean(position**2))),
+                        math.sqrt(float(np.mean(velocity**2)))))
         return out
 
     def parameters(self) -> dict[str, Any]:

@@ -124,7 +124,7 @@ def product(A: Any, B: Any, out: Any) -> Any:
 
 
 @kernel
-def turned_over(A: Array) -> Array:
+def transpose(A: Array) -> Array:
     """Return A^T, its rows one after the other in memory."""
     return np.ascontiguousarray(A.T)
 
@@ -321,7 +321,7 @@ def accumulate(
         identity_plus(h / k, product(A, G, X), G)
     identity_plus(h, product(A, G, X), F)
     Q += drive
-    product(F, turned_over(product(F, Q, X)), Q)
+    product(F, transpose(product(F, Q, X)), Q)
     Q += drive
     last = T[STATE]
     for first, end in ((0, MARKER), (LEAST_ROWS, n)):
@@ -387,7 +387,7 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
     for i in range(6):
         out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
     side = product(T[:STATE], out, np.empty((12, n)))
-    state = product(T[:STATE], turned_over(side), np.empty((12, 12)))
+    state = product(T[:STATE], transpose(side), np.empty((12, 12)))
     for i in range(STATE):
         for j in range(n):
             out[i, j] = state[i, j] + Q[i, j] if j < STATE else side[i, j]

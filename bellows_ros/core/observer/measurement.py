@@ -39,7 +39,7 @@ from bellows_ros.core.observer.filter import (
     NOISE,
     product,
     STATE,
-    turned_over,
+    transpose,
     with_theta,
     wrench_of,
 )
@@ -146,7 +146,7 @@ def at_com(
         for j in range(3):
             T[i, j] = T[3 + i, 3 + j] = R[3 * j + i]
             T[i, 3 + j] = -across[3 * i + j]
-    found = product(product(T, noise, np.empty((6, 6))), turned_over(T), np.empty((6, 6)))
+    found = product(product(T, noise, np.empty((6, 6))), transpose(T), np.empty((6, 6)))
     return add(position, apply(R, arm)), q, found
 
 
@@ -261,7 +261,7 @@ def innovation(
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
     HP = product(H, P, np.empty((6, n)))
-    PH = turned_over(HP)
+    PH = transpose(HP)
     S = add_product(H, PH, WHITE * noise)
     _, W = cholesky(S)
     distance = 0.0
@@ -270,7 +270,7 @@ def innovation(
         for j in range(i + 1):
             z += W[i, j] * y[j]
         distance += z * z
-    inverse = product(turned_over(W), W, np.empty((6, 6)))
+    inverse = product(transpose(W), W, np.empty((6, 6)))
     return (y, H, W, distance, product(PH, inverse, np.empty((n, 6)))), HP
 
 
