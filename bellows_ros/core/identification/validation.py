@@ -231,8 +231,9 @@ def _validated(cup: Cup, recording: Recording) -> Validation:
     compared = compare(body, measured_tool, measured_package)
     return Validation(
         **vars(compared),
-        noise=_noise_of_errors((cup, package, gravity), *(
-            motion.select(slice(ENOUGH)) for motion in (tool, body)), start, noises),
+        noise=_noise_of_errors(
+            (cup, package, gravity), tool.select(slice(ENOUGH)), body.select(slice(ENOUGH)),
+            start, noises),
         cup=cup,
         recording=recording,
         tool=tool,

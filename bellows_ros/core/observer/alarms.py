@@ -280,7 +280,7 @@ class Alarms:
         usual, mean = np.array(cause.usual[:components]), np.array(MEAN[first:end])
         J = known.information[first:end, :end - first, slot]
         J = np.tril(J) + np.tril(J, -1).T
-        P: Array = np.linalg.inv(J + np.diag(usual ** -2.0))
+        P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
         size = mean + P @ (known.scores[first:end, slot] - J @ mean)
         E: Array = known.signatures[:-FALLING, [column + slot for column in COLUMNS[first:end]]]
         sizes = [_length(size[a:b], P[a:b, a:b]) for a, b, _ in cause.parts]
