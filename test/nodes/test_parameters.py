@@ -321,6 +321,7 @@ def ends(parameter: Any) -> list[Any]:
     return [(value * of).tolist() for value in values]
 
 
+@pytest.mark.timeout(400)  # it compiles the kernels of a cup that relaxes, too
 def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[..., Any]) -> None:
     """
     Predict, plan, aim and report with each, or change nothing and name what is wrong.
@@ -344,10 +345,11 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[...,
         before = node.get_parameter(parameter.name)
         for value in ends(parameter):
             kept, tried = node.values, tried + 1
+            shown = node.get_parameter(parameter.name).value
             (result,) = node.set_parameters([Parameter(parameter.name, value=value)])
             if not result.successful:
                 assert result.reason and node.values == kept, parameter.name
-                assert node.get_parameter(parameter.name).value == before.value
+                assert node.get_parameter(parameter.name).value == shown
                 continue
             begun = time.process_time()
             for k in range(1, 12):
@@ -363,7 +365,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[...,
             node._say_report()
             assert not node.failures, (parameter.name, value)
             assert time.process_time() - begun < 10.0, (parameter.name, value)
-            node.set_parameters([before])
+        assert node.set_parameters([before])[0].successful, parameter.name
     assert tried > 70
 
 
