@@ -227,10 +227,9 @@ def stiffening(strength: Array, times: Array, frequency: float) -> complex:
 
 
 def identified(recording: Recording, relaxation: str) -> Fit:
-    """Return the fit to a recording with fit.relaxation auto or off, by least squares."""
+    """Return the fit to a recording with fit.relaxation auto or off."""
     values = resolve({
-        'fit.method': 'least_squares', 'fit.relaxation': relaxation, 'cup.length': CUP.length,
-        'package.mass': PLATE.mass})
+        'fit.relaxation': relaxation, 'cup.length': CUP.length, 'package.mass': PLATE.mass})
     return fit(with_relaxation([recording], values), values).fit
 
 

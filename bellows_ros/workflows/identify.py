@@ -59,10 +59,6 @@ MOST_ON_A_PAGE = 20
 """Most recordings shown in a report."""
 
 BY_LEAST_SQUARES = {'fit.method': 'least_squares'}
-
-RELAXES = (
-    'The rubber of the cup relaxes, which fit.method: prediction_error cannot take into account: '
-    'the cup is that of least squares. Set fit.relaxation: off to fit one that does not relax.')
 """How recordings are fitted whose data are certainly wrong."""
 
 NEEDING_RECORDINGS = ('static.length', 'fit.compare_structures', 'output.report')
@@ -125,13 +121,10 @@ def identify(
     parts, failed = read(effective)
     whole = [part for part in parts if isinstance(part, Recording)]
     notes = assumed(settings)
-    if values['fit.method'] == 'prediction_error' and any(
-            any(own.relaxation.strengths) for own in whole):
-        effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, RELAXES)
     if guess := first_guess(whole, effective):
         values, effective = (with_freed(own, guess) for own in (values, effective))
         parts, failed = read(effective)
-    elif effective['fit.method'] == 'prediction_error' and not (force or static):
+    elif values['fit.method'] == 'prediction_error' and not (force or static):
         tell(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole, effective['cup.length'], effective)
         if early and early.refusals:
@@ -158,7 +151,8 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
          'No recording is given: the parameter bags is empty. Name at least one rosbag2 '
          'folder, or a .mcap or .db3 file.'),
         (values['fit.relaxation'] == 'on' and values['fit.method'] == 'output_error',
-         'fit.relaxation: on needs fit.method: least_squares. Set it, or fit.relaxation: off.'),
+         'fit.relaxation: on needs fit.method: prediction_error or least_squares. Set one, or '
+         'fit.relaxation: off.'),
         (values['static.length'] and not values['static.bags'],
          'static.length is set, but static.bags is empty: the length comes from standstills '
          'with two or more masses. Name their recordings in static.bags.'),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.motion_equations import KINDS
@@ -144,13 +144,20 @@ def fitted(
     structure = structure_named(values['fit.structure'])
     margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
     free = tuple(dict.fromkeys([*(['time_offset'] if margin else []), *values['fit.free']]))
-    start = start_cup([reduced(own, values).statistics for own in recordings], cup_of(values))
+    whole = _whole(recordings)
+    strengths, _, _, assumed = whole[0].relaxation
+    if any(strengths) and not assumed:
+        free += ('relaxation',)
+    start = start_cup([reduced(own, values).statistics for own in recordings],
+                      replace(cup_of(values), relaxation=strengths))
     segments = []
-    for number, own in enumerate(_whole(recordings)):
+    for number, own in enumerate(whole):
         lip = own.settings.package_frame == 'lip'
         sideways = lip or own.settings.align_at_rest
-        segments += [replace(segment, recording=number, moves_with_com=(sideways, sideways, lip))
-                     for segment in segments_of(own, margin)]
+        segments += [
+            replace(segment, recording=number, moves_with_com=(sideways, sideways, lip),
+                    history=_history_at(own, segment.package.stamps_ns))
+            for segment in segments_of(own, margin)]
     return prediction_error(segments, structure, start, _told(progress), free)
 
 
@@ -203,13 +210,29 @@ def _with_relaxation(found: Fit, recordings: Sequence[Recording | Reduced]) -> F
     relaxation = next((own.relaxation for own in recordings if isinstance(own, Recording)), None)
     if relaxation is None or not any(relaxation.strengths):
         return found
+    notes = (R2_ASSUMED,) if relaxation.assumed else ()
+    if found.freed:  # by the prediction error, beside those of least squares
+        (own,) = found.freed
+        r = np.maximum(np.add(relaxation.strengths, own.change), 0.0)
+        return replace(
+            found, freed=(), relaxation=(float(r[0]), float(r[1])),
+            relaxation_std=(own.std[0], own.std[1]), notes=(*found.notes, *notes))
     known = np.isfinite(np.diag(found.covariance))
     more = relaxation.by @ relaxation.covariance @ relaxation.by.T
-    notes = (R2_ASSUMED,) if relaxation.assumed else ()
     return replace(
         found, covariance=found.covariance + np.where(np.outer(known, known), more, 0.0),
         relaxation=relaxation.strengths, relaxation_std=relaxation.std,
         notes=(*found.notes, *notes))
+
+
+def _history_at(recording: Recording, stamps_ns: Stamps) -> Array | None:
+    """Return what the internal strains follow from at stamps (N, 2, 9), if the cup relaxes."""
+    if not any(recording.relaxation.strengths):
+        return None
+    samples = samples_of(recording)
+    columns = samples.histories.reshape(len(samples.tool), 18).T
+    return np.stack([np.interp(stamps_ns, samples.tool.stamps_ns, own) for own in columns],
+                    axis=1).reshape(-1, 2, 9)
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
@@ -292,7 +315,7 @@ def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:
             (found.damping, found.damping_std, known.damping),
         )
     )
-    return Cup(stiffness, damping, known.length)
+    return Cup(stiffness, damping, known.length, known.relaxation)
 
 
 def _diagonal(matrix: Array, digits: int) -> str:

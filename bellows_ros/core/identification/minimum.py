@@ -256,6 +256,7 @@ class Search:
         self, segments: list[Segment], structure: Structure, start: Cup, free: Sequence[str]
     ) -> None:
         self.segments, self.structure, self.length = segments, structure, start.length
+        self.relaxation = start.relaxation
         recordings = 1 + max(segment.measured.recording for segment in segments)
         diagonals = [np.abs(np.diag(M)) for M in (start.stiffness, start.damping)]
         for diagonal in diagonals:
@@ -282,7 +283,7 @@ class Search:
     def cup(self, theta: Array) -> Cup:
         """Return the cup of the free parameters."""
         x = (self.units * theta)[:self.count]
-        return Cup(*self.structure.matrices(x), self.length)
+        return Cup(*self.structure.matrices(x), self.length, self.relaxation)
 
     def own_places(self, segment: Segment) -> dict[str, Places]:
         """Return where a segment's free parameters are, by name."""

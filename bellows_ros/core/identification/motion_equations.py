@@ -18,8 +18,10 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import COMPILED, kernel
 from bellows_ros.core.geometry.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
+from bellows_ros.core.identification.equations import internal_strains
 from bellows_ros.core.identification.segments import Measured
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, varied
+from bellows_ros.core.model.equilibrium import resting_on_tool
 from bellows_ros.core.model.jacobians import (
     body_jacobians,
     COM,
@@ -29,12 +31,13 @@ from bellows_ros.core.model.jacobians import (
     MASS,
     parameter_jacobian,
     PARAMETERS,
+    relaxation_jacobian,
     tool_jacobians,
     write_column,
     write_square,
 )
-from bellows_ros.core.model.kernels import body_acceleration, ModelTuple
-from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.model.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.core.model.simulation import body_row, row_state
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import savgol, weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -49,6 +52,11 @@ SMOOTHED_OVER = 1 / 12
 """Half window (s) of the polynomials that smooth the motion of the linearisation."""
 
 SMOOTHED_ORDER = 6
+
+LEAST_STRENGTH = 1e-6
+"""Strengths of relaxation are not below this where they are searched for."""
+
+ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Kind(NamedTuple):
@@ -85,14 +93,16 @@ KINDS: Mapping[str, Kind] = {
     'mass': Kind(1e-2, 1, 0.1, False, 0.7),
     'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
     'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
+    'relaxation': Kind(1e-2, 2, 0.1, False, 0.1),
 }
 """
 By their names in fit.free.
 
 By how much the tool's stamps are behind the package's, s; the centre of mass beside the given one
 in axes of the lip, m; the length beside the given one, m; logarithms of the factors of the moments
-of inertia and of the mass; and shift and turn of the package's world about the middle of the
-package's way, and of B in its own axes against the measured pose, m and rad.
+of inertia and of the mass; shift and turn of the package's world about the middle of the
+package's way, and of B in its own axes against the measured pose, m and rad; and the strengths of
+relaxation beside those of the start.
 """
 
 Free = Mapping[str, Array]
@@ -164,9 +174,21 @@ class Segment:
     def _model(self, cup: Cup, free: Free) -> ModelTuple:
         """Return the model with the free quantities in it."""
         longer = float(free['length'][0]) if 'length' in free else 0.0
+        r = np.add(cup.relaxation, free.get('relaxation', 0.0))
+        if any(cup.relaxation):
+            r = np.maximum(r, LEAST_STRENGTH)
         return model_tuple(
-            replace(cup, length=cup.length + longer), payload_of(self.measured.payload, free),
-            self.measured.gravity)
+            replace(cup, length=cup.length + longer, relaxation=tuple(r.tolist())),
+            payload_of(self.measured.payload, free), self.measured.gravity)
+
+    def _strained(self, model: ModelTuple, body: Array) -> tuple[State, Array]:
+        """Return a state like those of a package (13, N), and these with internal strains."""
+        like, history = resting_on_tool(model, ORIGIN), self.measured.history
+        if len(like) == 4 or history is None:
+            return ORIGIN, body
+        inner = history[REACH:len(history) - REACH]
+        strains = internal_strains(inner, model[0][1]).reshape(len(inner), 12)
+        return like, np.vstack([body, strains.T])
 
     def errors(
         self, cup: Cup, noise: Array, free: Free, package: Array, tool: Array
@@ -177,7 +199,8 @@ class Segment:
             _states(_changed_poses(poses, -own), REACH, 2 * REACH)
             for poses, own in zip((self.package(free), self.tool(free)), parts, strict=True))
         of_model: Array = np.empty((6, len(rate)))
-        _accelerations(self._model(cup, free), of_tool, body, of_model)
+        model = self._model(cup, free)
+        _accelerations(model, of_tool, *self._strained(model, body), of_model)
         errors = rate - of_model.T
         for A, own in zip((package, tool), parts, strict=True):
             for j in range(STEPS):
@@ -191,8 +214,9 @@ class Segment:
             self._smooth(_changed_poses(own, -part)) for own, part in zip(
                 (poses, self.tool(free)), np.hsplit(noise, 2), strict=True))
         last = PARAMETERS if free.keys() - {'time_offset'} else DAMPING.stop
-        out = np.zeros((6, 24 + last, len(rate)))
-        _derivatives(self._model(cup, free), tool, body, 0, last, out)
+        out = np.zeros((6, 24 + last + 2, len(rate)))
+        model = self._model(cup, free)
+        _derivatives(model, tool, *self._strained(model, body), 0, last, out)
         by_pose, by_twist, by_tool, by_tool_twist, parameters = (
             np.ascontiguousarray(part) for part in np.split(
                 np.moveaxis(out, 2, 0), (6, 12, 18, 24), axis=2))
@@ -256,20 +280,24 @@ else:
 
 
 @kernel
-def _accelerations(model: ModelTuple, tool: Any, body: Any, out: Any) -> None:
+def _accelerations(model: ModelTuple, tool: Any, like: State, body: Any, out: Any) -> None:
     """Write the rates (6, N) of the package's twist."""
     for k in columns(tool.shape[1]):
-        dv, dw = body_acceleration(model, row_state(tool[:, k]), row_state(body[:, k]))
+        dv, dw = body_acceleration(model, row_state(tool[:, k]), body_row(body[:, k], like))
         write_column(out, k, dv, dw)
 
 
 @kernel
 def _derivatives(
-    model: ModelTuple, tool: Any, body: Any, first: int, last: int, out: Any
+    model: ModelTuple, tool: Any, like: State, body: Any, first: int, last: int, out: Any
 ) -> None:
-    """Write derivatives (6, 24 + p, N): by pose and twist of package and tool, by parameters."""
+    """
+    Write derivatives (6, 24 + p + 2, N).
+
+    By pose and twist of package and tool, by parameters, and by the strengths of relaxation.
+    """
     for k in columns(tool.shape[1]):
-        own, other, here = row_state(body[:, k]), row_state(tool[:, k]), out[:, :, k]
+        own, other, here = body_row(body[:, k], like), row_state(tool[:, k]), out[:, :, k]
         by_pose, by_twist = body_jacobians(model, other, own)
         write_square(here, 0, 0, by_pose)
         write_square(here, 0, 6, by_twist)
@@ -277,6 +305,7 @@ def _derivatives(
         write_square(here, 0, 12, by_pose)
         write_square(here, 0, 18, by_twist)
         parameter_jacobian(model, other, own, first, last, here, 24)
+        relaxation_jacobian(model, other, own, here, 24 + last - first)
 
 
 def payload_of(held: Package, free: Free) -> Package:
@@ -319,6 +348,8 @@ def model_columns(name: str, payload: Package, parameters: Array) -> Array:
         return parameters[..., LENGTH]
     if name == 'com':
         return parameters[..., COM]
+    if name == 'relaxation':
+        return parameters[..., -2:]
     if name == 'mass':
         return np.asarray(payload.mass * parameters[..., MASS])
     if name == 'inertia':

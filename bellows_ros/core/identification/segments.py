@@ -111,6 +111,8 @@ class Measured:
     moves_with_com : tuple of 3 bool
         Components of the centre of mass with which the poses of B move, as those of the lip are
         known.
+    history : ndarray (N, 2, 9), optional
+        What the internal strains of a cup that relaxes follow from; see `strain_history`.
 
     """
 
@@ -122,6 +124,7 @@ class Measured:
     package_noise: PoseNoise
     recording: int = 0
     moves_with_com: tuple[bool, bool, bool] = (False, False, False)
+    history: Array | None = None
 
 
 def measured_segments(

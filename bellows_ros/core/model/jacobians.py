@@ -316,7 +316,13 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
 def relaxation_jacobian(
     model: ModelTuple, tool: State, body: State, out: Any, column: int
 ) -> None:
-    """Write the derivatives of `body_acceleration` by r1 and r2 into two columns (6,)."""
+    """
+    Write the derivatives of `body_acceleration` by r1 and r2 into two columns (6,).
+
+    Nothing is written for a cup that does not relax.
+    """
+    if len(body) == 4:
+        return
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
     h, strains = strain(o, R), body[4:]
     for b in range(2):
