@@ -100,8 +100,9 @@ def test_the_rubber_that_relaxes_is_found(bags):
     found = identify({
         **read_parameters(bags / 'package.yaml'), 'bags': [str(bags / 'rubber')],
         'topics.tool_twist': ''})
-    assert_allclose(found.fit.relaxation, truth['cup.relaxation'], atol=0.05)
-    assert_allclose(sum(found.fit.relaxation), sum(truth['cup.relaxation']), atol=0.02)
+    assert_allclose(found.fit.relaxation, truth['cup.relaxation'], atol=5.0 * max(
+        found.fit.relaxation_std))
+    assert max(found.fit.relaxation_std) < 0.002
     stiffness = np.reshape(truth['cup.stiffness'], (6, 6))
-    assert_allclose(np.diag(found.fit.stiffness), np.diag(stiffness), rtol=0.015)
+    assert_allclose(np.diag(found.fit.stiffness), np.diag(stiffness), rtol=0.01)
     assert not found.refusals
