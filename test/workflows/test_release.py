@@ -77,12 +77,12 @@ def test_a_cup_that_opens_is_simulated_and_found(tmp_path):
     motion = load(BAGS / 'tosses.yaml')
     motion['waypoints']['repeat'] = 3
     motion['release']['times'] = motion['release']['times'][:4]
-    simulate_recording({**VALUES, **law}, motion, tmp_path / 'bag')
+    drawn = simulate_recording({**VALUES, **law}, motion, tmp_path / 'bag').tosses
     found = identify_release({**VALUES, 'bags': [str(tmp_path / 'bag')]})
-    assert found.fit.free == (0, 3, 4, 5, 6, 7)
-    assert found.fit.chi2 == pytest.approx(1.0, abs=0.2)
-    assert found.fit.law[5] == pytest.approx(0.02, rel=0.1)
-    assert found.fit.law[4] == pytest.approx(60.0, rel=0.2)
+    assert set(found.fit.free) >= {0, 3, 4, 5, 6, 7}
+    assert found.fit.chi2 == pytest.approx(1.0, abs=0.4)  # one mass does not tell all numbers
+    late = [toss.release_time - toss.valve_time for toss in drawn]
+    np.testing.assert_allclose([drop.released for drop in found.fit.drops], late, atol=2e-3)
 
 
 def test_a_recording_without_tosses_is_refused(tmp_path):
