@@ -17,13 +17,13 @@ import numpy as np
 
 ROOT = Path(__file__).parents[2]
 PLAN = ROOT / 'bags' / 'throw.yaml'
-TIMES = np.arange(2.75, 3.3, 0.025)
+TIMES = np.arange(2.7, 3.25, 0.025)
 
 
 def main() -> None:
     """Draw the picture and print the table."""
     parameters = read_parameters(ROOT / 'bags' / 'tossing.yaml')
-    result = toss_plan(PLAN, parameters, 3.0, monte_carlo=500)
+    result = toss_plan(PLAN, parameters, 2.95, monte_carlo=500)
     write_figure(ROOT / 'docs' / 'images' / 'toss.png', toss_figure(result, 'A toss'))
     values = resolve(parameters)
     cup, package, release = cup_of(values), package_of(values), release_of(values)
@@ -45,7 +45,8 @@ def main() -> None:
             except BellowsError:
                 failed += 1
                 continue
-            off.append(figures(found, toss(truth, release, time), truth.model[2]))
+            off.append(np.concatenate(figures(
+                found.landing, toss(truth, release, time).landing, truth.model[2])))
         metres = 1e3 * np.linalg.norm(np.array(off)[:, :3], axis=1)
         turned = np.degrees(np.linalg.norm(np.array(off)[:, 3:], axis=1))
         print(f'| {name} | {np.median(metres):.3g} | {metres.max():.3g} | '
