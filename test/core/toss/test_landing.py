@@ -5,7 +5,15 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.toss.landing import aim, Case, changed, draw, part_inside, parts_of
+from bellows_ros.core.toss.landing import (
+    aim,
+    Case,
+    changed,
+    draw,
+    part_inside,
+    parts_of,
+    release_deviations,
+)
 from bellows_ros.core.toss.release import Held, release_of, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -105,3 +113,15 @@ def test_what_cannot_be_tossed_is_counted(case):
     drawn = draw(loose, nominal, 12, seed=1)
     assert 0 < drawn.failed < 12
     assert len(drawn.figures) == 12 - drawn.failed
+
+
+def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
+    """Not within their range, twice as far in the logarithm twice as much more."""
+    values = {**resolve(tosses.values()), 'release.opening': 0.02, 'release.closing': 20.0,
+              'release.closing_std': 0.5}
+    inside, near, far = (
+        release_deviations({**values, 'release.mass_range': (0.1, heaviest)})
+        for heaviest in (2.0, 1.8 / 1.1, 1.8 / 1.21))
+    np.testing.assert_allclose(inside, release_deviations(values))
+    np.testing.assert_allclose(far - inside, 2.0 * (near - inside), rtol=1e-9)
+    assert (near[:2] > 1.5 * inside[:2]).all() and inside[4] == 0.5
