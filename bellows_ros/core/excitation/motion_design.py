@@ -396,7 +396,7 @@ def _within(
     for attempt in range(20):
         ratios = all_ratios(motion, limits, models, grip)
         worst = max(ratios, key=lambda name: ratios[name])
-        if ratios[worst] <= 1.0 and (attempt > 0 or ratios[worst] > 1.0 - 2.0 * MARGIN):
+        if ratios[worst] <= 1.0 and (attempt > 3 or ratios[worst] > 1.0 - 2.0 * MARGIN):
             return motion, ratios
         motion = motion.scaled((1.0 - MARGIN) / min(ratios[worst], 4.0))
     raise BellowsError(
