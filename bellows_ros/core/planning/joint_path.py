@@ -12,7 +12,6 @@ from bellows_ros.core.planning.points import quintic
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 SMALLEST_GAIN = 0.01
 """A pose is singular where a unit speed of the joints (rad/s, m/s) moves the tool less in some
@@ -58,6 +57,8 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
         configuration; with the time.
 
     """
+    from scipy.interpolate import CubicSpline  # late: the predictor starts without
+
     seconds = tool.seconds
     position = arm.positions(transform(tool.rotation, tool.position), near)
     J = arm.jacobian(position)
@@ -162,6 +163,8 @@ class Joints:
             As `joint_path`.
 
         """
+        from scipy.interpolate import CubicSpline  # late: the predictor starts without
+
         step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, LARGEST_JOINT_STEP)
         every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
         rows = np.arange(0, len(tool), every)
