@@ -22,8 +22,8 @@ import numpy as np
 BLOCK = 4096
 """Samples processed at a time, so that memory does not grow with the recording."""
 
-LARGEST_KEPT = 2**25
-"""Largest regressor of one recording that is kept for reuse, bytes."""
+MOST_KEPT = 50_000
+"""Samples of the longest recording whose lip motion and regressors are kept for reuse."""
 
 CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart count as independent for standard errors."""
@@ -163,7 +163,7 @@ class LipMotion:
         key = (cup_length, structure.name, self.relaxation)
         strains = internal_strains(self.history, cup_length) if any(self.relaxation) else None
         size = 2 * structure.size
-        keep &= 8 * 6 * size * len(self.index) <= LARGEST_KEPT
+        keep &= len(self.index) <= MOST_KEPT
         kept = self._kept.get(key)
         L = np.empty((len(self.index), 6, size)) if keep and kept is None else None
         for start in range(0, max(len(self.index), 1), BLOCK):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.equations import LipMotion, Moments, Rows
+from bellows_ros.core.identification.equations import LipMotion, Moments, MOST_KEPT, Rows
 from bellows_ros.core.identification.samples import (
     envelope,
     filtered_samples,
@@ -306,10 +306,6 @@ def reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduce
         ('reduced', length, structure.name), lambda: _reduced(recording, length, structure))
 
 
-LONG = 50_000
-"""Samples of a recording whose lip motion, as large as itself, is not kept."""
-
-
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
     """Return the validity range of a recording."""
     return recording.once(
@@ -319,7 +315,7 @@ def envelope_of(recording: Recording, cup_length: float) -> Envelope:
 def _reduced(recording: Recording, length: float, structure: Structure) -> Reduced:
     """Return a recording reduced."""
     samples, noise = samples_of(recording), recording.noise
-    if len(samples.tool) > LONG:  # a copy, with which the motion of the lip is dropped
+    if len(samples.tool) > MOST_KEPT:  # a copy, with which the motion of the lip is dropped
         samples = replace(samples)
     seen = recording.once(  # refuses a recording without valid samples
         ('envelope', length), lambda: envelope(samples, length))
