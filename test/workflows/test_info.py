@@ -71,6 +71,8 @@ def test_two_worlds_are_said_and_not_measured(tmp_path: Path) -> None:
     write_bag(tmp_path / 'bag', [replace(tool, frame_id='base'), replace(plate, frame_id='mocap')])
     found = info(tmp_path / 'bag')
     assert found.settings['recording.package_world'] == 'estimate'
+    assert found.settings['fit.method'] == 'output_error' and found.settings['fit.time_offset']
+    assert found.settings['fit.free'] == ('package_marker',)
     assert 'recording.world' not in found.settings
     assert not found.settings['recording.align_at_rest']
     (note,) = [note for note in found.notes if 'frame' in note]
