@@ -12,7 +12,7 @@ class BellowsError(Exception):
     Attributes
     ----------
     exit_code : int
-        What the process ends with, 2 as for a wrong command line.
+        What the process ends with: 2 as for a wrong command line, 1 where the answer is no.
 
     """
 
@@ -30,12 +30,18 @@ class NoTopicError(BellowsError):
 class UndeterminedError(BellowsError):
     """The recordings do not determine what is to be estimated."""
 
+    exit_code = 1
+
 
 class UnexplainedError(UndeterminedError):
     """No model explains the recordings."""
 
-    exit_code = 1
-
 
 class NoLandingError(BellowsError):
     """A package is not let go, or not above the floor, or does not come down."""
+
+
+class NoReleaseError(NoLandingError):
+    """No release of a plan leads to a landing."""
+
+    exit_code = 1

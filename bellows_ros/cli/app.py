@@ -76,6 +76,10 @@ class Parser(argparse.ArgumentParser):
         self._words = list(args or ())
         return super().parse_known_args(args, namespace)
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print help or an error; unlike the base class, raise where that cannot be written."""
+        print(message, end='', file=file or sys.stderr, flush=True)
+
     def error(self, message: str) -> NoReturn:
         """Report what is wrong with the command line, and exit with 2."""
         options = self._option_string_actions
@@ -125,7 +129,6 @@ def _run(arguments: list[str], console: Console) -> int:
         console.keep_stdout_free()
     code: int = parsed.run(parsed, console)
     console.warn(*console.remarks)
-    sys.stdout.flush()  # now: an error at the very end could not be reported
     return code
 
 

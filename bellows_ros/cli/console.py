@@ -7,9 +7,11 @@ and none divides finished work.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+import errno
 import math
 import os
+import re
 import shutil
 import signal
 import sys
@@ -17,7 +19,7 @@ import textwrap
 import threading
 import time
 from types import FrameType
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 from bellows_ros.errors import BellowsError
 
@@ -30,7 +32,7 @@ PIPE_CLOSED = 141
 EXIT_CODES = """exit codes:
   0    done
   1    done, with a finding that scripts want to know; see the command
-  2    something to put right: the message says what; nothing was written
+  2    something to put right: the message says what; no output is half written
   130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is left half done
 """
 
@@ -64,9 +66,9 @@ class Console:
 
     """
 
-    def __init__(self, out: TextIO, err: TextIO) -> None:
-        """Remember the streams."""
-        self._out, self._err = out, err
+    def __init__(self, out: TextIO, err: TextIO, signals: Sequence[int] = ()) -> None:
+        """Remember the streams, and where signals are noted."""
+        self._out, self._err, self._signals = out, err, signals
         self._gap = self._begun = False
         self.remarks: list[str] = []
 
@@ -74,11 +76,17 @@ class Console:
         """Print results on stderr from now on: stdout takes a file's content."""
         self._out = self._err
 
+    def require_no_signal(self) -> None:
+        """End where a signal has been noted, but what it raised was lost."""
+        if self._signals:
+            raise KeyboardInterrupt
+
     def say(self, text: str = '', style: str = '') -> None:
         """Print a line of the result; without a text an empty one, but never two, nor first."""
         if not text:
             self._gap = self._begun
             return
+        self.require_no_signal()
         self._close_gap()
         self._begun = True
         _write(self._out, self._styled(self._out, printable(text), style))
@@ -125,6 +133,13 @@ class Console:
         """Print an error."""
         self._tell(self._styled(self._err, 'bellows:', 'red') + ' ' + printable(text, '\n'))
 
+    def last_error(self, text: str) -> None:
+        """Print an error where stderr takes it."""
+        try:
+            self.error(text)
+        except OSError:
+            _discard(self._err)
+
     def _tell(self, text: str) -> None:
         """Print on stderr, in order if both streams have the same target."""
         self._close_gap()
@@ -134,7 +149,7 @@ class Console:
     @contextmanager
     def progress(self) -> Iterator['Progress']:
         """Show progress on stderr while the work in this context runs."""
-        progress = Progress(self._err, _is_terminal(self._err))
+        progress = Progress(self._err, _is_terminal(self._err), self.require_no_signal)
         try:
             yield progress
         finally:
@@ -149,9 +164,11 @@ class Console:
 class Progress:
     """One line with the current stage, a bar, and the time left."""
 
-    def __init__(self, stream: TextIO, shown: bool) -> None:
+    def __init__(
+        self, stream: TextIO, shown: bool, require_no_signal: Callable[[], None] = lambda: None
+    ) -> None:
         """Start the clock."""
-        self._stream = stream
+        self._stream, self._require_no_signal = stream, require_no_signal
         self._shown = shown
         self._start = time.monotonic()
         self._next = 0.0
@@ -159,6 +176,7 @@ class Progress:
 
     def __call__(self, stage: str, fraction: float | None = None) -> None:
         """Show a stage and, if known, the completed fraction of the whole work."""
+        self._require_no_signal()
         now = time.monotonic()
         if not self._shown or (now < self._next and stage == self._stage):
             return
@@ -187,8 +205,12 @@ def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
     return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{left}'
 
 
+NEGATIVE_ZERO = re.compile(r'(?<![\w.+-])-(?=0(?:\.0+)?(?![\d.eE]))')
+
+
 def printable(text: str, kept: str = '') -> str:
-    """Return a text with control characters escaped: names may be hostile."""
+    """Return a text with control characters escaped, as names may be hostile, and without -0.0."""
+    text = NEGATIVE_ZERO.sub('', text)
     return ''.join(
         c if c.isprintable() or c in kept else c.encode('unicode_escape').decode() for c in text)
 
@@ -268,6 +290,7 @@ def many(count: int, noun: str) -> str:
 
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def run_guarded(work: Callable[[Console], int]) -> int:
@@ -276,36 +299,70 @@ def run_guarded(work: Callable[[Console], int]) -> int:
 
     An error ends as a message, and so do signals that would end this process at once: they raise
     what Ctrl-C does, so that all is removed. Once, as they often come twice, to a process and to
-    its group: the second must not stop that.
+    its group: the second must not stop that. They are noted, too: what is raised in a callback of
+    a library is lost, and the command ends where it prints next.
     """
-    console, ended = Console(sys.stdout, sys.stderr), list[signal.Signals]()
+    ended = list[int]()
+    console = Console(sys.stdout, sys.stderr, ended)
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
         for each in taken:
-            signal.signal(each, signal.SIG_IGN)
-        ended.append(signal.Signals(number))
+            if each != signal.SIGINT:  # Ctrl-C is pressed again where the first one did not help
+                signal.signal(each, signal.SIG_IGN)
+        ended.append(number)
         raise KeyboardInterrupt
 
+    def lost(what: Any) -> None:
+        if not (ended and issubclass(what.exc_type, KeyboardInterrupt)):
+            sys.__unraisablehook__(what)
+
     in_main = threading.current_thread() is threading.main_thread()
-    taken = [n for n in ENDING if in_main and signal.getsignal(n) is signal.SIG_DFL]
-    for number in taken:
-        signal.signal(number, end)
+    taken = [n for n in (signal.SIGINT, *ENDING) if in_main and signal.getsignal(n) in (
+        signal.SIG_DFL, signal.default_int_handler)]
+    before = {number: signal.signal(number, end) for number in taken}
+    unraisable, sys.unraisablehook = sys.unraisablehook, lost
     try:
-        return work(console)
+        return _ended_in_order(work, console, ended)
+    except BrokenPipeError:  # the reader of the output has closed it
+        _discard(sys.stdout)
+        return PIPE_CLOSED
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        _discard(sys.stdout)
+        console.last_error(f'The output cannot be written: {error.strerror}. Write elsewhere.')
+        return USER_ERROR
+    finally:
+        sys.unraisablehook = unraisable
+        for number in taken if not ended else ():  # ignored: what is left is to clean up
+            signal.signal(number, before[number])
+
+
+def _ended_in_order(
+    work: Callable[[Console], int], console: Console, ended: Sequence[int]
+) -> int:
+    """Do some work, and print why it ends; return the exit code."""
+    try:
+        code = work(console)
+        sys.stdout.flush()  # now: an error at the very end could not be reported
+        console.require_no_signal()
+        return code
     except BellowsError as error:
         console.error(str(error))
         return error.exit_code
     except KeyboardInterrupt:
-        how = f'Ended by {ended[0].name}' if ended else 'Interrupted'
+        number = (*ended, signal.SIGINT)[0]
+        how = 'Interrupted' if number == signal.SIGINT else (
+            f'Ended by {signal.Signals(number).name}')
         console.note(f'{how}; nothing was left half done.')
-        return 128 + (ended or [signal.SIGINT])[0]
-    except BrokenPipeError:  # the reader of the output has closed it
-        # Let nothing be written any more, also not when the process ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PIPE_CLOSED
-    finally:
-        for number in taken if not ended else ():  # ignored: what is left is to clean up
-            signal.signal(number, signal.SIG_DFL)
+        return 128 + number
+
+
+def _discard(stream: TextIO) -> None:
+    """Let nothing be written any more, also not when the process ends."""
+    with suppress(OSError):
+        stream.flush()
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @contextmanager

@@ -24,6 +24,8 @@ EXAMPLES = (
      "a plan of an arm's joints"),
 )
 
+FOUND = 'the cup lets go, or --fastest finds no time that is safe'
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
@@ -51,7 +53,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
             arguments.fastest),
         draw, _say, lambda report: write_prediction(
-            arguments.out, report.source, report.driven[0], report.driven[1], arguments.force))
+            arguments.out, report.source, report.driven[0], report.driven[1], arguments.force),
+        good=lambda report: report.holds)
 
 
 def _say(report: 'PlanReport', console: Console) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from . import options
-from .console import Console, OK
+from .console import Console, NOT_USABLE, OK
 
 
 def add_plan_options(
@@ -37,6 +37,7 @@ def run_plan_command(
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
     draw: Callable[[Any], Any], say: Callable[[Any, Console], None],
     write: Callable[[Any], None] | None = None, films: bool = False,
+    good: Callable[[Any], bool] = lambda result: True,
 ) -> int:
     """
     Read, work, write, report.
@@ -55,6 +56,8 @@ def run_plan_command(
         Print the result.
     films : bool
         Whether `draw` makes films, too.
+    good : callable
+        Whether the answer is yes.
 
     """
     values = options.cup_parameters(arguments, console)
@@ -82,4 +85,4 @@ def run_plan_command(
     say(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))
-    return OK
+    return OK if good(result) else NOT_USABLE

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='colours on a light or dark background')
     parser.add_argument(
         '--speed', metavar='S', type=float, default=0.25,
-        help='speed of an animation: seconds of the recording per second (default: %(default)g)',
+        help='speed of an animation: seconds of the recording per second (default: %(default)s)',
     )
     parser.add_argument(
         '--from', metavar='S', type=float, dest='first', default=FULL_RANGE[0],

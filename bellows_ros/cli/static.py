@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from bellows_ros.errors import BellowsError
 
 from . import options
-from .console import Console, OK
+from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
     from bellows_ros.core.parameters.table import Value
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
     _say(result, console)
     console.wrote(arguments.out, arguments.json)
-    return OK
+    return OK if result.spring is None or result.spring.passed else NOT_USABLE
 
 
 def _bags(

@@ -23,7 +23,10 @@ EXAMPLES = (
     ('bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.9 0.15 --plot toss.png',
      'the time to switch the valve to land at x = 1.9 m, y = 0.15 m, with a picture'),
 )
+FOUND = 'no release of the plan lands, or none at the target'
 MILLI = 1e3
+FARTHEST = 100.0
+"""Largest coordinate of a target, m."""
 UNITS = {
     'package.mass': (1e3, 'g'), 'package.com': (1e3, 'mm'), 'release.delay': (1e3, 'ms'),
     'release.tau': (1e3, 'ms'), 'release.impulse': (1e3, 'mN s'), 'release.closing': (1.0, 'N'),
@@ -71,7 +74,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.plan, values, arguments.release, arguments.target,
             arguments.target_rotation, arguments.monte_carlo, progress,
             str(arguments.urdf or ''), arguments.topic),
-        draw, _say, lambda result: write_toss(arguments.out, result, arguments.force))
+        draw, _say, lambda result: write_toss(arguments.out, result, arguments.force),
+        good=lambda result: result.reached)
 
 
 def _require_numbers(arguments: argparse.Namespace) -> None:
@@ -87,6 +91,9 @@ def _require_numbers(arguments: argparse.Namespace) -> None:
             raise BellowsError(
                 f'--{name.replace("_", "-")} is {given}; expected finite numbers'
                 f'{", a quaternion of length 1" if name == "target_rotation" else ""}.')
+        if name == 'target' and max(map(abs, numbers)) > FARTHEST:
+            raise BellowsError(
+                f'--target is {given} m; expected at most {FARTHEST:g} m. Is it in mm?')
 
 
 def _say(result: 'TossResult', console: Console) -> None:

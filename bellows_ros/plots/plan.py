@@ -71,7 +71,7 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
             if len(names) > 1:
                 _legend(panel)
         for panel, name in zip(panels.ravel(), (
-                'position of tool and package (m)', 'safety factor of the grip',
+                'position (m)', 'safety factor',
                 'package seen from the tool tip (mm)', 'force at the lip (N)',
                 'bending of the cup (degrees)', 'moment at the lip (N m)'), strict=True):
             name_panel(panel, name)
@@ -95,22 +95,22 @@ def _draw_bands(
 
 
 def _legend(panel: Any) -> None:
-    """Draw the legend above the panel."""
-    legend = panel.legend(fontsize=8, ncols=3, loc='upper right', handlelength=1.4, frameon=True,
-                          facecolor=panel.get_facecolor(), edgecolor='none', framealpha=0.85)
-    legend.set_zorder(5)
+    """Draw the legend above the panel, where no curve is."""
+    panel.legend(fontsize=8, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 1.0),
+                 handlelength=1.4, borderaxespad=0.2, columnspacing=1.2)
 
 
 def _draw_path(panel: Any, curves: Curves, colours: Theme) -> None:
     """Draw the positions of tool and package in the world."""
     for axis, style in enumerate(STYLES):
         for values, colour, width, name in (
-            (curves.tool[:, axis], colours.measured, 2.6, 'tool'),
-            (curves.values[:, axis], colours.predicted, 1.0, 'package'),
+            (curves.tool[:, axis], colours.quiet, 2.6, 'tool'),
+            (curves.values[:, axis], colours.predicted, 1.2, 'package'),
         ):
             panel.plot(curves.seconds, values, style, color=colour, linewidth=width,
                        label=f'{name} {"xyz"[axis]}')
-    panel.legend(fontsize=7, ncols=3, loc='best', handlelength=2.0)
+    panel.legend(fontsize=6.5, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 0.98),
+                 handlelength=2.2, borderaxespad=0.2, columnspacing=1.0, labelspacing=0.2)
 
 
 def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
@@ -251,7 +251,7 @@ def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') ->
             name_panel(panel, title)
         longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
         panels[0].set_xlim(0.0, longest + AFTER)
-        panels[0].legend(fontsize=9, loc='upper right', frameon=False)
+        panels[0].legend(fontsize=9, loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=3)
         panels[-1].set_xlabel('time (s)')
     return figure
 
@@ -282,6 +282,7 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
     path = flight_path(result.case.model, found, PATH_POINTS)
     half, middle = map(np.array, result.case.release.box)
     held = result.held.states[result.held.times <= found.release_time]
+    valve = held[np.searchsorted(result.held.times[:len(held)], result.case.switched) - 1]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
     x, y, _ = found.landing[0]
     note = (f'valve {result.case.switched:.3f} s, lets go {found.release_time:.3f} s, lands '
@@ -297,9 +298,9 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
         above = figure.add_subplot(grid[1, 0], sharex=side)
         close = figure.add_subplot(grid[1, 1])
         for panel, (i, j) in ((side, (0, 2)), (above, (0, 1))):
-            panel.plot(tool.position[:, i], tool.position[:, j], color=colours.measured,
-                       linewidth=3.0, label='tool')
-            panel.plot(held[:, i], held[:, j], color=colours.quiet, linewidth=1.2,
+            panel.plot(tool.position[:, i], tool.position[:, j], color=colours.quiet,
+                       linewidth=3.0, alpha=0.5, label='tool')
+            panel.plot(held[:, i], held[:, j], '--', color=colours.predicted, linewidth=1.2,
                        label='package, held')
             panel.plot(path[:, i], path[:, j], color=colours.predicted, linewidth=1.2,
                        label='package, flying')
@@ -310,14 +311,21 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
                 for line in corners[BOX_EDGES]:
                     panel.plot(line[:, i], line[:, j], color=colours.predicted,
                                linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
+            for o, marker, name in ((valve, 'v', 'valve'), (path[0], 'o', 'lets go')):
+                panel.plot([o[i]], [o[j]], marker, color=colours.text, markersize=6.0,
+                           zorder=5, label=name)
             panel.set_aspect('equal', adjustable='box')
+        if result.target is not None:
+            side.plot(result.target[0], result.case.release.height, '+', color=colours.text,
+                      markersize=12, markeredgewidth=1.6)
         side.axhline(result.case.release.height, color=colours.text, linewidth=1.0)
         side.set_ylabel('z (m), from the side')
         above.set_ylabel('y (m), from above')
         above.set_xlabel('x (m)')
         _draw_landing(above, close, result, colours)
         handles, labels = above.get_legend_handles_labels()
-        figure.legend(handles, labels, loc='upper right', bbox_to_anchor=(0.99, 0.985), ncols=3)
+        figure.legend(handles, labels, loc='upper right', bbox_to_anchor=(0.99, 0.985), ncols=3,
+                      fontsize=8.5)
     return figure
 
 
@@ -332,8 +340,10 @@ def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:
             panel.plot(*(scale * result.drawn.figures[:, :2] + about).T, '.', markersize=2.0,
                        color=colours.error, alpha=0.5, label='drawn tosses')
     if result.target is not None:
-        above.plot(*result.target, '+', color=colours.text, markersize=10, label='target')
+        for panel, about, scale in ((above, np.zeros(2), 1.0), (close, centre, 1e3)):
+            panel.plot(*(scale * np.subtract(result.target, about)), '+', color=colours.text,
+                       markersize=12, markeredgewidth=1.6, label='target')
     close.set_aspect('equal', adjustable='datalim')
-    close.set_title('where B lands (mm)', fontsize=10)
-    close.set_xlabel('x')
-    close.set_ylabel('y')
+    close.set_title('where the package lands', fontsize=10)
+    close.set_xlabel('x from the prediction (mm)')
+    close.set_ylabel('y from the prediction (mm)')

@@ -16,7 +16,7 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.perturbed import contributions
 from bellows_ros.core.model.simulation import Rows, stands
 from bellows_ros.core.model.validity_range import known_envelope
-from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.fastest import Fastest, fastest
 from bellows_ros.core.planning.joint_path import joint_excess, Joints
@@ -205,6 +205,12 @@ class PlanReport:
         """Safety factor that is needed."""
         return float(self.source.values['safety.least'])
 
+    @property
+    def holds(self) -> bool:
+        """Whether the cup holds, as far as is known, and a safe time is found where sought."""
+        held = not self.prediction.grip_known or self.prediction.smallest_safety[0] >= 1.0
+        return held and (self.fastest is not None or not self.sought)
+
     @cached_property
     def driven(self) -> tuple[Trajectory, Array, str]:
         """
@@ -233,7 +239,7 @@ class PlanReport:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the motion."""
-        found = list(self.source.notes)
+        found = [*self.source.notes, *implausible(self.source.values)]
         if not self.prediction.grip_known:
             found.append(NO_GRIP)
         elif sentence := safety_sentence(
@@ -371,7 +377,7 @@ def plan_with_cup(
     path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '', topic: str = ''
 ) -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
-    if not Path(path).exists():
+    if not os.path.exists(path):
         raise BellowsError(
             f"Plan '{path}' does not exist. Give a recording, or a YAML, TUM, KITTI or EuRoC "
             'file.')

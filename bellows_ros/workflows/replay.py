@@ -1,13 +1,13 @@
 """Predict a recording with a cup, and rate the cup."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import os
 import time
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.identification.reduction import envelope_of
 from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
@@ -15,7 +15,7 @@ from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import grip_of, Margin, margin
 from bellows_ros.core.model.validity_range import beyond, known_envelope
-from bellows_ros.core.parameters.checks import RECORDING_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import implausible, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
@@ -245,8 +245,35 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
         outside = (
             'The recording leaves the validity range of the fit: '
             f'{"; ".join(phrases[:SHOWN])}{more}. There the errors say little about the fit.',)
-    warnings = recording.report.warnings + found.warnings + outside
+    warnings = recording.report.warnings + found.warnings + outside + (
+        *implausible(values), *(_causes(values, found) if found.worse_than_noise else ()))
     return Replay(recording.name, dict(values), recording, found, warnings)
+
+
+OFF = (0.7, 1.4)
+"""Ratios of stretch that a wrong stiffness hardly makes are outside."""
+
+
+def _causes(values: Mapping[str, Any], found: Validation) -> Iterator[str]:
+    """Yield the likeliest cause of a bad prediction, where the data show it."""
+    com, length = np.array(values['package.com']), values['cup.length']
+    stretched, expected = (  # of the lip in the tool
+        float(np.nanmean(-rows[:, 2] + (exp_so3(rows[:, 3:]) @ com)[:, 2])) - length
+        for rows in (found.measured, found.predicted))
+    height = float(np.nanmean(found.measured[:, 2]))
+    if height > 0.0:
+        yield (
+            f'On average the package is {1e3 * height:.0f} mm above the tool tip. The topics '
+            'are likely exchanged: check topics.tool_pose and topics.package_pose, or the frames '
+            'of tool and package.')
+        return
+    factor = stretched / expected if expected > 0.0 else 0.0
+    if factor > 0.0 and not OFF[0] < factor < OFF[1]:
+        mass = values['package.mass']
+        yield (
+            f'On average the cup is stretched {factor:.2g} times as far as predicted: '
+            f'package.mass is likely {factor * mass:.2g} kg instead of {mass:g}, or package.com '
+            'or cup.length is wrong.')
 
 
 def predicted_live(

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.simulation import Rows
+from bellows_ros.core.parameters.checks import implausible
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss.landing import (
@@ -129,9 +130,16 @@ class TossResult:
         return float(np.linalg.norm(np.subtract(self.asked.landing[0][:2], self.target)))
 
     @property
+    def reached(self) -> bool:
+        """Whether the target, if there is one, is in the 95 % ellipse of the landing."""
+        return self.aim is None or self.target is None or bool(part_inside(
+            self.covariance + TOLERANCE**2 * np.eye(6),
+            np.subtract([self.toss.landing[0][:2]], self.target)))
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        found = list(self.source.notes)
+        found = [*self.source.notes, *implausible(self.source.values)]
         lost = self.held.lost_before(self.case.switched)
         if lost is not None:
             found.append(
@@ -148,9 +156,7 @@ class TossResult:
                 f'identified with packages of {lightest:.3g} to {heaviest:.3g} kg: the release is '
                 'extrapolated, and its uncertainty enlarged. Identify it with drops of this '
                 'mass.')
-        if self.aim is not None and self.target is not None and not part_inside(
-                self.covariance + TOLERANCE**2 * np.eye(6),
-                np.subtract([self.toss.landing[0][:2]], self.target)):
+        if self.aim is not None and not self.reached:
             turned = ' in this orientation' if self.aim.angle else ''
             found.append(
                 f'No release of this plan lands at the target{turned}: the best one is '

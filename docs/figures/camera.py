@@ -56,8 +56,11 @@ def main() -> None:
                 seconds = (way.stamps_ns - found.both.stamps_ns[0]) * 1e-9
                 panel.plot(seconds, 1e3 * way.error[:, axis], color=colour, label=name)
             panel.set_ylabel(f'error of {unit}')
-            panel.set_ylim(*((-20.0, 20.0), (-60.0, 60.0))[row])
-        figure.axes[0].legend(loc='upper right', ncols=3)
+            reach = 1.05e3 * max(np.nanmax(np.abs(way.error[:, axis]))
+                                 for way in found.ways.values())
+            panel.set_ylim(-reach, reach)
+        figure.align_ylabels()
+        figure.axes[0].legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=3)
         figure.axes[1].set_xlabel('time (s)')
         write_figure(ROOT / 'docs' / 'images' / 'camera.png', figure)
     for name, way in found.ways.items():

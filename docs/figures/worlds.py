@@ -30,10 +30,11 @@ def worlds(theme: Theme) -> Any:
         draw_cup(axes, tool, lip, theme.measured, theme.quiet)
         draw_box(axes, package, (-0.055, 0.055), (-0.035, 0.04), theme.grid, theme.quiet)
         for frame, name in ((tool, 'E'), (package, 'B'), (base, 'base'), (mocap, 'mocap')):
-            draw_frame(axes, frame, name, 0.026, theme, (-0.9, -0.3))
+            draw_frame(axes, frame, name, 0.026, theme,
+                       (0.1, -0.9) if frame is mocap else (-0.9, -0.3))
         for first, last, words, at in (
             (base, tool, 'tool_pose: the driver', (-0.06, -0.045)),
-            (mocap, package, 'package_pose: the cameras', (0.19, -0.018)),
+            (mocap, package, 'package_pose: the cameras', (0.135, -0.010)),
             (base, mocap, 'recording.package_world', (0.21, -0.145)),
         ):
             bend = 0.42 if last is mocap else 0.0

@@ -78,3 +78,17 @@ def test_bad_input_ends_with_2_and_writes_nothing(
     assert done.returncode == 2, done.stdout + done.stderr
     assert words in ' '.join(done.stderr.split())
     assert contents(tmp_path) == before
+
+
+def test_a_cup_that_lets_go_is_a_no(bellows: Run, workshop: Path, transport: Path) -> None:
+    """End with 1; never say that the grip holds where the data are doubtful."""
+    line = ('plan', transport, '--params', workshop / 'cup.yaml', '--set', 'cup.lip_radius=0.03')
+    weak = bellows(*line, '--set', 'vacuum.holding=15000')
+    assert weak.returncode == 1 and 'lets go' in ' '.join(weak.stderr.split())
+    above = bellows(*line, '--set', 'vacuum.holding=60000', '--set', 'package.com=0,0,0.03')
+    assert 'above the lip' in ' '.join(above.stderr.split())
+    assert 'The grip holds' not in above.stdout
+    in_bar = bellows(*line, '--set', 'vacuum.holding=0.6')
+    assert in_bar.returncode == 2 and '60000' in in_bar.stderr
+    nameless = bellows('plan', 'a' * 5000, '--params', workshop / 'cup.yaml')
+    assert nameless.returncode == 2 and 'Traceback' not in nameless.stderr

@@ -1,5 +1,6 @@
 """Commands that are ended from outside: by SIGTERM in order, and after SIGKILL by the next one."""
 
+from contextlib import suppress
 import os
 from pathlib import Path
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import time
 
+from bellows_ros.cli.console import Console, ENDING, run_guarded
 from bellows_ros.files.atomic import PREFIX
 from bellows_ros.files.messages import encode, LAYOUTS
 import numpy as np
@@ -112,3 +114,43 @@ def test_workers_end_with_a_command_that_is_killed(
     _, err = next_one.communicate(timeout=WITHIN)
     assert next_one.returncode == 0, err
     assert list((tmp_path / 'tmp').glob(f'{PREFIX}*')) == []
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(
+    number: signal.Signals, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where it comes in a callback that a library made."""
+    def work(console: Console) -> int:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(number)
+        console.say('It goes on.')
+        return 0
+
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, *ENDING)}
+    try:
+        assert run_guarded(work) == 128 + number
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)
+    out, err = capsys.readouterr()
+    assert out == '' and 'nothing was left half done' in err
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='there is no /dev/full here')
+@pytest.mark.parametrize('line', [
+    ('parameters',), ('--help',), ('export', '--help'), ('--version',),
+    ('plan', 'transport.yaml', '--params', 'tossing.yaml', '--json', '-')])
+def test_a_full_device_is_one_sentence(
+    line: tuple[str, ...], user_environment: dict[str, str], root: Path
+) -> None:
+    """Where all commands print; also with nowhere to say it."""
+    with open('/dev/full', 'w') as full:
+        for err in (subprocess.PIPE, full):
+            done = subprocess.run(
+                [sys.executable, '-m', 'bellows_ros.cli', *line], cwd=root / 'bags', text=True,
+                env=user_environment, stdout=full, stderr=err)
+            assert done.returncode == 2
+            if err == subprocess.PIPE:
+                assert 'No space left on device' in done.stderr.splitlines()[-1]
+                assert 'Traceback' not in done.stderr

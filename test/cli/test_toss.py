@@ -93,3 +93,14 @@ def test_bad_input_ends_with_a_message_and_nothing_written(
     assert words in ' '.join(done.stderr.split())
     assert 'Traceback' not in done.stderr
     assert not file.exists()
+
+
+def test_no_landing_at_the_target_is_a_no(bellows: Run) -> None:
+    """End with 1, and with 2 where the target is in mm."""
+    far = bellows('toss', PLAN, '--params', PARAMS, '--target', 4.0, 0.0)
+    assert far.returncode == 1 and 'No release of this plan lands' in ' '.join(far.stderr.split())
+    in_mm = bellows('toss', PLAN, '--params', PARAMS, '--target', 1900, 150)
+    assert in_mm.returncode == 2 and 'mm?' in in_mm.stderr
+    never = bellows('toss', PLAN, '--params', PARAMS, '--target', 1.9, 0.15, '--set',
+                    'landing.height=5.0')
+    assert never.returncode == 1

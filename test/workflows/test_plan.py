@@ -449,10 +449,7 @@ def test_a_plan_in_a_frame_that_transforms_tilt_is_refused(tmp_path):
 def test_the_settling_time_has_a_deviation_where_it_may_be_longer_than_is_watched(tmp_path):
     """With half of the damping it is not over after 30 s."""
     bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
-    P = CUP.damping.copy()
-    P[3, 3] = P[4, 4] = 6e-4
-    std = np.zeros((6, 6))
-    std[3, 3] = std[4, 4] = 6e-4
-    found = figures(bag, values={'cup.damping': P.ravel(), 'cup.damping_std': std.ravel()})
-    assert 10.0 < found['settled_after'] < 30.0
-    assert 1.0 < found['settled_after_std'] < 30.0
+    weak = 0.04 * CUP.damping.ravel()
+    found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': weak})
+    assert 20.0 < found['settled_after'] < 30.0
+    assert 5.0 < found['settled_after_std'] < 30.0

@@ -45,6 +45,9 @@ LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
 LIMIT = 0.05
 """NRMSE that the thesis asks for."""
 
+NOISE_FACTOR = 3.0
+"""RMS error over that due to noise, above which the cup is to blame."""
+
 NOISE_RUNS = 2
 """Simulations with added tool noise that give the error due to noise."""
 
@@ -169,6 +172,12 @@ class Validation(Comparison):
         """Return the names of the axes that move and whose NRMSE is above a limit."""
         above = self.moves & ~(self.scores.nrmse <= limit)
         return tuple(AXES[i] for i in np.flatnonzero(above))
+
+    @property
+    def worse_than_noise(self) -> tuple[str, ...]:
+        """Names of the axes that fail, by more than `NOISE_FACTOR` times the noise."""
+        beyond = self.scores.rms > NOISE_FACTOR * self.noise
+        return tuple(name for name in self.failing() if beyond[AXES.index(name)])
 
     def verdict(self, limit: float = LIMIT) -> str:
         """Return in a sentence whether the axes that move are within a limit."""

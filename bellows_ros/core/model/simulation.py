@@ -247,8 +247,9 @@ def simulate(
         out = np.full(1, np.nan)
     if not np.all(np.isfinite(out)):
         raise UnstableError(
-            'The simulation diverged. The cup is too stiff for the sampling time, or its '
-            'damping is negative. Check cup.stiffness, cup.damping and their units.'
+            'The simulation diverged. The package is too heavy for the cup, the cup too stiff for '
+            'the sampling time, or its damping negative. Check package.mass, cup.stiffness, '
+            'cup.damping and their units.'
         )
     return Trajectory(
         stamps_ns=tool.stamps_ns,

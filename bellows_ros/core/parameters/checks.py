@@ -40,6 +40,13 @@ ESTIMATE = 'estimate'
 """Value of recording.package_world that asks for its estimation."""
 
 
+LEAST_VACUUM = 1000.0
+"""Smallest vacuum (Pa below ambient) that is no mistake of unit."""
+
+LEAST_MASS, LARGEST_MASS = 0.01, 50.0
+"""Masses (kg) outside are likely in another unit."""
+
+
 def validate(name: str, value: object) -> Value:
     """
     Check one value and return it in its normal form.
@@ -108,7 +115,27 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
                 f'({body}.half_window {half_window}) determines at most order {2 * half_window}. '
                 'Widen the window or lower the order.'
             )
+    holding = resolved['vacuum.holding']
+    if isinstance(holding, float) and 0.0 < holding < LEAST_VACUUM:
+        raise BellowsError(
+            f'vacuum.holding is {holding:g} Pa, which holds nothing; expected 0 for unknown, or '
+            f'{LEAST_VACUUM:g} Pa and more. If it is in bar, give {1e5 * holding:g}.')
     return resolved
+
+
+def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a sentence for each of the package's data that is unlikely though allowed."""
+    found = []
+    height, mass = values['package.com'][2], values['package.mass']
+    if height > 0.0:
+        found.append(
+            f'package.com is {height:g} m above the lip, inside the cup; z points into the arm. '
+            f'Is it {-height:g}?')
+    if not LEAST_MASS <= mass <= LARGEST_MASS:
+        found.append(
+            f'package.mass is {mass:g} kg; cups of this kind carry {LEAST_MASS:g} to '
+            f'{LARGEST_MASS:g} kg. Is it in another unit?')
+    return tuple(found)
 
 
 def pose_text(pose: Array) -> str:

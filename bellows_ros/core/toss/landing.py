@@ -34,7 +34,7 @@ from bellows_ros.core.toss.release import (
     Toss,
     toss,
 )
-from bellows_ros.errors import NoLandingError, UnstableError
+from bellows_ros.errors import NoLandingError, NoReleaseError, UnstableError
 import numpy as np
 
 MARGIN = 0.25
@@ -263,7 +263,7 @@ def aim(
             tried += [(cost(t), float(t)) for t in (best.x, times[k], times[k + 1])]
     size, switched = min(tried, default=(1e6, 0.0))
     if size >= 1e6:
-        raise NoLandingError(
+        raise NoReleaseError(
             'No release during the plan leads to a landing. Check landing.height, release.*, and '
             'whether the plan throws the package.')
     left = miss(switched)

@@ -41,6 +41,13 @@ EXPLAINED = 0.25
 LINEAR_WITHIN = 0.05
 """The linear range ends where the polynomial deviates from its tangent by this fraction."""
 
+LEAST_STIFFNESS, LARGEST_STIFFNESS = 100.0, 1e6
+"""Axial stiffness of cups, N/m."""
+
+ALIKE_WITHIN, OFF = 0.2, (0.7, 1.4)
+"""Deflections are a multiple of those predicted, if this part of them is left; multiples that
+a wrong mass makes are outside."""
+
 MISFIT = 0.01
 """p-value of the polynomial's residuals below which a misfit is reported."""
 
@@ -158,6 +165,12 @@ def nominal_length(
             f'lightest to the heaviest mass, {"up" if coefficients[1] > 0.0 else "down"}, and '
             f'the lengths scatter by {1e3 * left:.2g} mm about it. Check each mass, and that the '
             'poses are those of E and S.')
+    if not LEAST_STIFFNESS * coefficients[1] < 1.0 < LARGEST_STIFFNESS * coefficients[1]:
+        raise UndeterminedError(
+            f'From {loads.min():.4g} to {loads.max():.4g} N the cup is '
+            f'{1e3 * lengths.min():.2f} to {1e3 * lengths.max():.2f} mm long, a stiffness of '
+            f'{1.0 / coefficients[1] if coefficients[1] else np.inf:.3g} N/m; expected '
+            f'{LEAST_STIFFNESS:g} to {LARGEST_STIFFNESS:g}. Check each --mass (kg) and its order.')
     linear_load = _linear_range(coefficients, float(loads.max()))
     return NominalLength(
         float(coefficients[0]), std, chi2, freedom,
@@ -264,11 +277,29 @@ def check_spring(
         sentence = f'The spring holds in all {len(poses)} poses.'
     else:
         sentence = (
-            f'The spring is off in {len(off)} of {len(poses)} poses. If it is off in all of them '
-            'alike, check cup.length, package.mass and package.com; if only in some directions, '
-            'check their stiffness, or the alignment.'
-        )
+            f'The spring is off in {len(off)} of {len(poses)} poses. {_cause(poses)}')
     return SpringCheck(poses, not off, sentence)
+
+
+def _cause(poses: Sequence[PoseCheck]) -> str:
+    """Return the likeliest cause of a spring that is off."""
+    mass = poses[0].standstill.payload.mass
+    if all(pose.verdict == 'falls' for pose in poses):
+        return f'It carries {mass:g} kg in none of them: package.mass is likely in another unit.'
+    upright = [pose for pose in poses if pose.standstill.tilt <= UPRIGHT_WITHIN]
+    measured, predicted = (
+        np.array([getattr(pose, name)[2] for pose in upright if pose.verdict != 'falls'])
+        for name in ('measured', 'predicted'))
+    factor = float(measured @ predicted / max(predicted @ predicted, 1e-18))
+    left = np.linalg.norm(measured - factor * predicted)
+    if left < ALIKE_WITHIN * np.linalg.norm(measured) and not OFF[0] < factor < OFF[1]:
+        return (
+            f'Hanging straight the cup is stretched {factor:.2g} times as far as predicted: '
+            f'package.mass is likely {factor * mass:.3g} kg instead of {mass:g}, or cup.length or '
+            'the axial stiffness is wrong.')
+    return (
+        'If it is off in all of them alike, check cup.length and package.com; if only in some '
+        'directions, check their stiffness, or the alignment.')
 
 
 def _different(values: Sequence[float] | Array, within: float) -> int:

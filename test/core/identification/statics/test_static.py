@@ -5,7 +5,7 @@ from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -197,3 +197,15 @@ def test_a_length_known_badly_is_said_to_be():
     found = nominal_length(standstills, G)
     assert found.length_std > 1e-4
     assert any('is uncertain by' in warning for warning in found.warnings)
+
+
+def test_a_wrong_mass_is_named_as_the_cause():
+    """By the factor between the deflections; a length that does not depend on load is refused."""
+    cup = Cup(np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]), np.eye(6), 0.046)
+    hangs = 0.046 + 1.8 * G / 9200.0
+    found = check_spring(cup, [upright(hangs, 5.4)], G)
+    assert not found.passed and 'package.mass is likely 1.8 kg instead of 5.4' in found.sentence
+    found = check_spring(cup, [upright(hangs, 1800.0)], G)
+    assert 'in another unit' in found.sentence
+    with pytest.raises(UndeterminedError, match='Check each --mass'):
+        nominal_length([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
