@@ -180,8 +180,15 @@ def inputs_of(values: Mapping[str, Any]) -> list[str]:
 
 def given_span(arguments: argparse.Namespace) -> 'dict[str, Value]':
     """Return the parameters that --from and --to set."""
-    return dict(parse_override(f'{name}={text}') for name in SPAN.values()
-                if (text := getattr(arguments, name, '')))
+    found = {}
+    for option, name in SPAN.items():
+        if text := getattr(arguments, name, ''):
+            try:
+                found |= [parse_override(f'{name}={text}')]
+            except BellowsError as error:
+                why = str(error).removeprefix(f'--set {name}: ')
+                raise BellowsError(f'--{option}: {why}') from None
+    return found
 
 
 def parameter_assignments(**_: object) -> 'dict[str, str]':

@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from bellows_ros.extras import require_pictures
+
 from . import options
 from .console import Console, NOT_USABLE, OK
 
@@ -66,6 +68,7 @@ def run_plan_command(
     if arguments.plot:
         from bellows_ros.plots import style
 
+        require_pictures()
         style.require_picture(arguments.plot, (*style.PICTURES, *(style.FILMS if films else ())))
     with console.progress() as progress:
         progress('planning')

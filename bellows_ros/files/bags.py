@@ -444,6 +444,10 @@ def _file_messages(
                 yield from sqlite_storage.scan(plain, wanted, counts)
         elif not magic:
             lost.append('it is empty')
+        elif magic.startswith(b'#ROSBAG'):
+            raise DamagedError(
+                f"it is a bag of ROS 1. Convert it with 'rosbags-convert --src {path} --dst "
+                "FOLDER', of the Python package rosbags; it is neither an MCAP nor an SQLite file")
         else:
             raise DamagedError('it is neither an MCAP nor an SQLite file')
 

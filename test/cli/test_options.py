@@ -1,10 +1,12 @@
 """Values from the command line, and what else the commands share."""
 
+import argparse
 import os
 import signal
 
 from bellows_ros.cli.console import progress_line, uninterrupted
-from bellows_ros.cli.options import parse_override
+from bellows_ros.cli.options import given_span, parse_override
+from bellows_ros.errors import BellowsError
 import pytest
 
 
@@ -62,3 +64,10 @@ def test_progress_says_how_far_and_how_long(
 ) -> None:
     """Show a bar and the time left once it is known."""
     assert progress_line('reading', fraction, elapsed) == line
+
+
+def test_an_end_that_is_none_is_named_as_it_was_given() -> None:
+    """Name the option, not the parameter behind it alone."""
+    arguments = argparse.Namespace(**{'recording.start': '0', 'recording.end': '-1'})
+    with pytest.raises(BellowsError, match=r'^--to: recording.end must be'):
+        given_span(arguments)

@@ -657,3 +657,9 @@ def test_reading_holds_little_more_than_what_it_returns(tmp_path):
     assert len(stream) == count
     # 650,000 messages in 400 MB are 600 bytes each; fixed costs are below 8 MB.
     assert peak < 600 * count + 8e6
+
+
+def test_a_bag_of_ros_1_names_what_converts_it(tmp_path):
+    (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0\n' + bytes(4096))
+    with pytest.raises(BellowsError, match='rosbags-convert --src .*old.bag'):
+        topics(tmp_path / 'old.bag')
