@@ -78,6 +78,13 @@ def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture
+def elsewhere(user_environment: dict[str, str], tmp_path: Path) -> dict[str, str]:
+    """Give an environment with a folder of its own for temporary files."""
+    (tmp_path / 'tmp').mkdir()
+    return {**user_environment, 'TMPDIR': str(tmp_path / 'tmp')}
+
+
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_in_order(
     number: int, workshop: Path, tmp_path: Path, elsewhere: dict[str, str]
