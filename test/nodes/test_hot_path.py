@@ -70,7 +70,7 @@ def spin_until(true, what):
 
 def wanted():
     topics = [part for name, part in vars(predictor._outputs).items()
-              if isinstance(part, Topic) and name != '_state']
+              if isinstance(part, Topic) and name not in ('_state', '_ok')]
     return all(topic.wanted for topic in topics) and predictor._live.expect_twists
 
 sent = 0
