@@ -29,6 +29,7 @@ from bellows_ros.core.observer.filter import (
     CAMERA,
     carry_theta,
     COM,
+    Evidence,
     FALL,
     FALL_SPEED,
     LENGTHENING,
@@ -177,24 +178,6 @@ class Alarm(NamedTuple):
     odds: float
     """Of the cause to the second, at most a million."""
     message: str
-
-
-class Evidence(NamedTuple):
-    """All that is known of faults after a measurement."""
-
-    signatures: Any
-    """(n + 7, columns), of single precision: they are the larger part of the work."""
-    information: Array
-    scores: Array
-    """Of the sizes of each component, by onset (components, 6, onsets), (components, onsets)."""
-    distances: Array
-    counts: Stamps
-    onsets: Stamps
-    """Squared distances summed since each onset; measurements since then; its stamp (ns)."""
-    half_way: tuple[int, ...] = ()
-    """Stamps (ns) since half-way to the threshold."""
-    is_first: bool = True
-    """Whether faults from the start are looked for: no alarm has been raised."""
 
 
 class Found(NamedTuple):

@@ -14,9 +14,9 @@ are accumulated, in steps as long as the package's modes allow; the covariance f
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import COMPILED, kernel
 from bellows_ros.core.geometry.tuples import (
     add,
@@ -54,9 +54,6 @@ from bellows_ros.core.model.kernels import (
 )
 from bellows_ros.core.model.simulation import body_row, row_state, write_row
 import numpy as np
-
-if TYPE_CHECKING:
-    from bellows_ros.core.observer.alarms import Evidence
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
 """
@@ -127,6 +124,24 @@ def product(A: Any, B: Any, out: Any) -> Any:
 def transpose(A: Array) -> Array:
     """Return A^T, its rows one after the other in memory."""
     return np.ascontiguousarray(A.T)
+
+
+class Evidence(NamedTuple):
+    """All that is known of faults after a measurement."""
+
+    signatures: Any
+    """(n + 7, columns), of single precision: they are the larger part of the work."""
+    information: Array
+    scores: Array
+    """Of the sizes of each component, by onset (components, 6, onsets), (components, onsets)."""
+    distances: Array
+    counts: Stamps
+    onsets: Stamps
+    """Squared distances summed since each onset; measurements since then; its stamp (ns)."""
+    half_way: tuple[int, ...] = ()
+    """Stamps (ns) since half-way to the threshold."""
+    is_first: bool = True
+    """Whether faults from the start are looked for: no alarm has been raised."""
 
 
 class Estimate(NamedTuple):
