@@ -14,10 +14,11 @@ adding as much again.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.minimum import Found, Root, Search, Whitened
+from bellows_ros.core.identification.minimum import Found, Root, Search
 from bellows_ros.core.identification.motion_equations import KINDS, Segment
 from bellows_ros.core.identification.result import (
     Fit,
@@ -304,7 +305,7 @@ def _directions(information: Array, signal: Array) -> tuple[Array, Array]:
     return np.linalg.solve(root.T, vectors), np.maximum(values, LEAST_SIGNAL)
 
 
-def left_out(information: Array, part: Whitened, period: float) -> Iterator[Array]:
+def left_out(information: Array, part: Any, period: float) -> Iterator[Array]:
     """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
     length = 6 * max(round(CLUSTER / period), 1)
     for first in range(0, len(part.innovations), length):

@@ -132,7 +132,8 @@ def registered(
     std = search.units * np.sqrt(np.diag(np.linalg.inv(found.information)))
     places = {name: own[0] for name, own in search.places.items()}
     return Registered({name: x[own] for name, own in places.items()},
-                      {name: std[own] for name, own in places.items()}, measured[0].middle)
+                      {name: std[own] for name, own in places.items()},
+                      np.asarray(measured[0].middle))
 
 
 def regripped(known: Alignment, theta: Array) -> Alignment:

@@ -15,7 +15,7 @@ is taken away in stages, all that lies further back than a moment is forgotten.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, rotation_to_quaternion
@@ -144,7 +144,7 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
     lip = recording.settings.package_frame == 'lip'
     sideways = lip or recording.settings.align_at_rest
     tool, package = recording.aligned_tool, recording.aligned_package
-    noises = [
+    tool_noise, package_noise = [
         BodyNoise(own.std, own.kept) for own in (
             PoseNoise(pose_noise(poses).ripple, max(colour.correlation for colour in colours))
             for poses, colours in zip((tool, package), recording.colours, strict=True))]
@@ -161,8 +161,8 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
                              & (poses.stamps_ns <= first + edges[1])) for poses in (tool, package))
             if edges[1] - edges[0] > SHORTEST_SEGMENT * NS_PER_S and of_package.valid.any():
                 parts.append(Measured(
-                    of_tool, of_package, recording.payload, recording.settings.gravity, *noises,
-                    number, (sideways, sideways, lip), middle))
+                    of_tool, of_package, recording.payload, recording.settings.gravity, tool_noise,
+                    package_noise, number, (sideways, sideways, lip), middle))
     if not parts:
         raise UndeterminedError(
             f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '
@@ -292,7 +292,7 @@ class Search:
         self, segments: list[Segment], structure: Structure, start: Cup, free: Free
     ) -> None:
         if min(np.linalg.eigvalsh(M)[0] for M in (start.stiffness, start.damping)) <= 0.0:
-            start = Cup(*(np.diag(np.diag(M)) for M in (start.stiffness, start.damping)),
+            start = Cup(np.diag(np.diag(start.stiffness)), np.diag(np.diag(start.damping)),
                         start.length)
         self.segments, self.structure, self.given = segments, structure, start
         units = structure.sizes(start.stiffness, start.damping)
@@ -330,10 +330,12 @@ class Search:
         theta = self.start if near is None else near
         for forgets in STAGES if near is None else STAGES[-1:]:
             parts, H, g = self.system(theta, forgets)
-            damping, share, last = 1e-2 if forgets else 0.0, 1.0, np.zeros(len(theta))
+            damping, share = 1e-2 if forgets else 0.0, 1.0
+            last: Array = np.zeros(len(theta))
             end = NEAR if forgets else ENOUGH
             for _ in range(MOST_STEPS):
-                step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+                step = np.asarray(
+                    np.linalg.solve(H + damping * np.diag(np.diag(H)), g), dtype=np.float64)
                 turns = step @ H @ last < -0.5 * np.sqrt((step @ H @ step) * (last @ H @ last))
                 share = max(0.5 * share, 0.25) if turns else min(1.5 * share, 1.0)
                 there, way = self.moved(theta, share * step), float(g @ step)
@@ -450,7 +452,7 @@ class Search:
                   np.exp(-fading * lengths), found, slope)
         change = np.zeros_like(segment.way)
         change[nodes.sampled] = found[nodes.samples]
-        first = (ahead - START**2 * slope[:12]).reshape(4, 3).tolist()
+        first: Any = (ahead - START**2 * slope[:12]).reshape(4, 3).tolist()
         return Part(
             out.ravel(), slopes.reshape(6 * size, -1), K[:, :, -1] ** -2, own,
             _accumulated(change, segment.measured.tool_noise.kept),

@@ -78,7 +78,7 @@ def _exponential(h: float, A: Any, F: Any) -> Array:
     for n in (3.0, 2.0):
         G = np.eye(12) + (h / n) * product(A, G, X)
     F[:] = np.eye(12) + h * product(A, G, X)
-    return G
+    return G  # type: ignore[no-any-return]
 
 
 @kernel
