@@ -526,7 +526,7 @@ def _hint(name: str, named: re.Match[str] | None) -> str:
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
-    """Return the nearest known name, the names of the same group, or all names."""
+    """Return the nearest known name, the names of the same group, or the groups."""
     name = name[:80]
     group, _, leaf = name.rpartition('.')
     inside = [other for other in known if other.startswith(f'{name}.')]
@@ -540,7 +540,10 @@ def _nearest(name: str, known: Sequence[str]) -> str:
     near += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
     if near:
         return f"Did you mean '{near[0]}'?"
-    return f'Known {"there " if beside else ""}are: {", ".join(beside or known)}.'
+    if beside:
+        return f'Known there are: {", ".join(beside)}.'
+    groups = dict.fromkeys(f'{own.partition(".")[0]}.*' for own in known if '.' in own)
+    return f"Known are {', '.join(groups)}; 'bellows parameters' lists them all."
 
 
 def short(value: object, most: int = 80) -> str:
