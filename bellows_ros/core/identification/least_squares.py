@@ -16,9 +16,11 @@ from typing import Any, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.equations import (
+    BLOCK,
     CLUSTER_WINDOWS,
     IN_NULL_SPACE,
     joined,
+    LipMotion,
     Moments,
     r_factor,
     regular,
@@ -348,14 +350,18 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
     return [replace(own, relaxation=found) for own in recordings]  # type: ignore[arg-type]
 
 
+def _branches(samples: Samples) -> list[LipMotion]:
+    """Return the motion of the lip of a cup that does not relax, and with one branch each."""
+    return [samples.lip, *(samples.relaxing(r).lip for r in ((1.0, 0.0), (0.0, 1.0)))]
+
+
 def _relaxing_rows(
-    samples: Samples, cup_length: float, structure: Structure
+    lips: Sequence[LipMotion], cup_length: float, structure: Structure, keep: bool = True
 ) -> Iterator[tuple[Array, list[slice]]]:
     """Yield rows [L, L1, L2, c] (N, 6, q), L_b by r_b K, and the clusters, block by block."""
     n = structure.size
-    lips = [samples.relaxing(r).lip for r in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]
     for own, *others in zip(*(
-            lip.equations(cup_length, structure, keep=False) for lip in lips), strict=True):
+            lip.equations(cup_length, structure, keep) for lip in lips), strict=True):
         of_branches = [other.A[..., :n] - own.A[..., :n] for other in others]
         yield np.dstack([own.A, *of_branches, own.b]), own.clusters
 
@@ -370,17 +376,20 @@ def _products(
     size, clusters = 4 * structure.size + 1, []
     added = np.zeros((size, size))
     for samples, noise in zip(recordings, noises, strict=True):
-        for rows, parts in _relaxing_rows(samples, cup_length, structure):
+        lips = _branches(samples)
+        for rows, parts in _relaxing_rows(lips, cup_length, structure):
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
         if noise is not None:
             some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(ENOUGH), draws(1)
             part = max(some.count, 1) / max(samples.count, 1)
-            for block in some.blocks():
-                noisy = with_noise(block, noise, draw)
-                for (own, _), (other, _) in zip(*(
-                        _relaxing_rows(each, cup_length, structure) for each in (block, noisy)),
-                        strict=True):
+            lips = [lip.thinned(max(len(samples.tool) // ENOUGH, 1)) for lip in lips]
+            for start, block in zip(range(0, some.count, BLOCK), some.blocks(), strict=True):
+                noisy = _branches(with_noise(block, noise, draw).relaxing((0.0, 0.0)))
+                exact = [lip.select(slice(start, start + BLOCK)) for lip in lips]
+                for (own, _), (other, _) in zip(
+                        _relaxing_rows(exact, cup_length, structure),
+                        _relaxing_rows(noisy, cup_length, structure, keep=False), strict=True):
                     added += _square(whitening @ (other - own)) / part
     return Products(np.array(clusters), added)
 
