@@ -180,7 +180,7 @@ def inputs_of(values: Mapping[str, Any]) -> list[str]:
 
 def given_span(arguments: argparse.Namespace) -> 'dict[str, Value]':
     """Return the parameters that --from and --to set."""
-    found: 'dict[str, Value]' = {}
+    found: dict[str, Value] = {}
     for option, name in SPAN.items():
         if text := getattr(arguments, name, ''):
             try:
