@@ -174,10 +174,10 @@ def command_parser(name: str) -> Parser:
     module = importlib.import_module(f'{__package__}.{name}')
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in module.EXAMPLES)
     found = f'1 if {module.FOUND}, ' if hasattr(module, 'FOUND') else ''
+    ends = textwrap.fill(
+        f'Ends with 0 when done, {found}2 if something must be put right.', WIDTH)
     parser = Parser(
-        f'bellows {name}', str(module.__doc__),
-        f'examples:\n{examples}\n\nEnds with 0 when done, {found}2 if something must be put '
-        'right.')
+        f'bellows {name}', str(module.__doc__), f'examples:\n{examples}\n\n{ends}')
     module.add_arguments(parser)
     parser.set_defaults(run=module.run)
     return parser
