@@ -95,7 +95,7 @@ def signatures():
     kernels = {}
     for module in [m for name, m in sys.modules.items() if name.startswith('bellows_ros')]:
         for name, thing in vars(module).items():
-            if hasattr(thing, 'signatures'):
+            if isinstance(getattr(thing, 'signatures', None), list):
                 kernels[getattr(module, '__name__'), name] = len(thing.signatures)
     return kernels
 
