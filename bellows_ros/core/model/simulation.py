@@ -83,6 +83,10 @@ def require_steps(steps: float, most: int = MOST_STEPS) -> None:
             'package.inertia, whose fastest mode sets the step.')
 
 
+NEWTON_STEPS, LARGEST_NEWTON_STEP = 30, 0.1
+"""Most steps of the search for steady motion, and the largest (m, rad)."""
+
+
 def steady_start(
     model: ModelTuple, tool: Trajectory | Rows, near: State | None = None
 ) -> State:
@@ -98,8 +102,6 @@ def steady_start(
         If the package cannot hang so.
 
     """
-    from scipy.optimize import root
-
     rows = tool_rows(tool)
     hanging = rest(model, rows[0], near if stands(rows[0]) else None)
     if stands(rows[0]):
@@ -124,13 +126,19 @@ def steady_start(
         return np.ravel(body_acceleration(model, first, state)) - needed
 
     still = (0.0, 0.0, 0.0)
-    found = root(unbalance, np.zeros(6), tol=1e-9)
-    state, _ = carried(found.x)
-    if not found.success:
-        raise UnstableError(
-            'The plan begins in motion, and the cup cannot hold the package in steady motion at '
-            f'the first acceleration, {math.hypot(*dv):.3g} m/s^2. Give the plan from rest.')
-    return adapted(model, first, state)
+    offset, shifts = np.zeros(6), 1e-6 * np.eye(6)
+    for _ in range(NEWTON_STEPS):
+        J = np.column_stack([
+            (unbalance(offset + h) - unbalance(offset - h)) / 2e-6 for h in shifts])
+        if not abs(np.linalg.det(J)) > 0.0:
+            break
+        step = np.linalg.solve(J, unbalance(offset))
+        offset -= step * min(1.0, LARGEST_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
+        if np.abs(step).max() < 1e-10:
+            return adapted(model, first, carried(offset)[0])
+    raise UnstableError(
+        'The plan begins in motion, and the cup cannot hold the package in steady motion at '
+        f'the first acceleration, {math.hypot(*dv):.3g} m/s^2. Give the plan from rest.')
 
 
 def diverged() -> UnstableError:
