@@ -71,7 +71,8 @@ def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, pac
 def test_every_derivative_is_that_of_the_differences():
     own = measured(4, duration=4.0, silent=True)
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {
-        name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()})
+        name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()
+        if name != 'relaxation'})  # which this method leaves out
     for _ in range(3):  # the first state
         parts, _, _ = search.system(search.start, 0.0)
         search.take(parts)
