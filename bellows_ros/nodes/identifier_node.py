@@ -116,7 +116,8 @@ class IdentifierNode(TableNode):
         result.require_usable()
         cup = {name: validate(name, value) for name, value in result.parameters().items()
                if name.startswith(OF_THE_CUP)}
-        self.values = {**self.values, **{name: cup[name] for name in SHOWN}}
+        cup.setdefault('cup.relaxation', (0.0, 0.0))  # of a cup that does not relax, K is of this
+        self.values = {**self.values, **{name: cup[name] for name in SHOWN if name in cup}}
         for name in SHOWN:
             self.declare_from_table(name, self.values[name])
         for name in ('cup.stiffness', 'cup.damping'):

@@ -124,7 +124,7 @@ def topics_of(predictor: Any) -> list[Any]:
 
     outputs = predictor._outputs
     return [part for name, part in vars(outputs).items()
-            if isinstance(part, Topic) and name != '_state']
+            if isinstance(part, Topic) and name not in ('_state', '_ok')]
 
 
 INPUTS = {'pose': 'tool_arm/pose', 'twist': 'tool_arm/twist'}

@@ -138,7 +138,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
 
 @pytest.mark.parametrize(('part', 'name'), [
     ('_diagnostics', 'report'), ('_diagnostics.load', 'watch_force'),
-    ('_outputs', 'publish_more'), ('_outputs', 'say_state'), ('_planning', 'follow'),
+    ('_outputs', 'publish_more'), ('_outputs', 'publish_state'), ('_planning', 'follow'),
     ('_tossing', 'publish')])
 def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
         part: str, name: str, make_partner: Callable[..., Any], listener: Listener) -> None:
