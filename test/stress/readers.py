@@ -1,7 +1,6 @@
 """Damaged and hostile files of every reader: refused, read as if sound, or the loss reported."""
 
 from collections.abc import Callable, Iterator
-import json
 from pathlib import Path
 import shutil
 from typing import Any
@@ -14,6 +13,7 @@ from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import Contents, read_contents, topics
 from bellows_ros.files.motive import read_motive
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
 from bellows_ros.files.trajectory_files import read_euroc, read_tum
 from bellows_ros.workflows.info import info
 from bellows_ros.workflows.plan import read_plan
@@ -171,7 +171,7 @@ def looked_into(bag: Path, values: Any) -> str:
     outcome = CLEAN
     try:
         found = info(bag)
-        json.dumps(found.as_json())
+        format_json(found.as_json())
         if found.notes or any(t.refused or t.outliers for t in found.topics):
             outcome = COUNTED
         prepared = load(bag, values)
