@@ -161,7 +161,7 @@ def _answer(arguments: list[str]) -> NoReturn:
         sys.exit(USER_ERROR)
     if parser.parse_known_args(arguments[:1])[0].version:
         from bellows_ros import __version__
-        print(f'bellows {__version__}')
+        print(f'bellows {__version__}', flush=True)
         sys.exit(0)
     first = arguments[0]
     near = difflib.get_close_matches(first, COMMANDS, n=1)

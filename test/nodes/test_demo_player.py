@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from threading import Event, Thread
 from typing import Any
 
-from bellows_ros.files.bag_folder import Message, Topic
+from bellows_ros.files.bag_folder import Channel, Message
 from bellows_ros.files.messages import encode, LAYOUTS
 from bellows_ros.nodes import demo_player
 from bellows_ros.nodes.conversions import stamp_to_ns
@@ -73,7 +73,7 @@ def test_late_answers_to_probes_are_no_predictions(
     """Wait for the answers to the recording, however many to probes come during it."""
     monkeypatch.setattr(demo_player, 'ANSWER_TIMEOUT', 60.0)
     stamps = START + 20 * MS * np.arange(COUNT)
-    topic = Topic('/arm', 'geometry_msgs/msg/PoseStamped', 'cdr')
+    topic = Channel('/arm', 'geometry_msgs/msg/PoseStamped', 'cdr')
     rows = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (COUNT, 1))
     poses = [Message(topic, *each) for each in zip(
         stamps.tolist(), encode(stamps, rows, ['world'], LAYOUTS[topic.type_name]), strict=True)]

@@ -1,7 +1,7 @@
 """What is said of residuals: no doubt where a free simulation is as good as the poses."""
 
 from bellows_ros.core.identification.hypotheses import Diagnosis, Finding
-from bellows_ros.workflows.verdict import Simulated, Verdict
+from bellows_ros.workflows.verdict import FitVerdict, Simulated
 import numpy as np
 import pytest
 
@@ -14,6 +14,6 @@ def test_what_filters_take_is_not_doubted(off: float, left: float, said: str) ->
     rms = noise * np.where(np.arange(6) == 4, off, 1.0)
     none = np.empty(0)
     finding = Finding('structure', 'full', none, none, left, 0.0, False, False, '')
-    verdict = Verdict(
+    verdict = FitVerdict(
         (Simulated('recording', rms, noise, 100.0 * noise, ()),), Diagnosis(2.7, (finding,)), {})
     assert len(verdict.cause) == bool(said) and said in ' '.join(verdict.cause)

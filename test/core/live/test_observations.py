@@ -144,7 +144,7 @@ def test_twists_that_serve_no_pose_are_said(messages, alone, level):
     assert (f'{alone} of 500 poses had no twist' in status.message) is (level == Level.WARN)
 
 
-@pytest.mark.parametrize(('seen', 'held', 'speaks_once', 'level', 'words'), [
+@pytest.mark.parametrize(('seen', 'held', 'latched', 'level', 'words'), [
     ({}, True, True, Level.OK, 'Held.'),
     ({}, False, False, Level.OK, 'Not held.'),
     ({'rhythm': SILENT}, True, True, Level.OK, 'Held.'),
