@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.hypotheses import DISTINCT, Finding, SIGNIFICANT
-from bellows_ros.core.identification.motion_equations import KINDS
+from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.search import Found, Search
 from bellows_ros.core.model.structure import Structure
 import numpy as np

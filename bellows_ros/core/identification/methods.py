@@ -8,7 +8,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares
-from bellows_ros.core.identification.motion_equations import KINDS
+from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
@@ -274,8 +274,8 @@ def first_guess(
     if not names or values['fit.method'] == 'output_error':
         return ()
     from bellows_ros.core.identification.free import BLOCKS, refine
-    from bellows_ros.core.identification.motion_equations import KINDS
     from bellows_ros.core.identification.objective import ensemble_of, Objective
+    from bellows_ros.core.identification.quantities import KINDS
 
     ensemble = ensemble_of(recordings, values['cup.length'], structure_named(
         values['fit.structure']))

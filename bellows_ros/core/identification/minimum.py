@@ -18,11 +18,10 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.identification.motion_equations import (
     Equations,
-    Free,
-    KINDS,
     Segment,
     STEPS,
 )
+from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.segments import Measured, PoseNoise
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure

@@ -11,24 +11,27 @@ such a quantity moves poses, it acts on the equations as noise of the poses woul
 the model, it is a column of `parameter_jacobian`.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import COMPILED, kernel
-from bellows_ros.core.geometry.lie import apply, exp_so3, hat, rotation_to_quaternion, twist_cross
+from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion, twist_cross
 from bellows_ros.core.identification.equations import internal_strains
+from bellows_ros.core.identification.quantities import (
+    Free,
+    model_columns,
+    payload_of,
+    pose_changes,
+    poses_of,
+)
 from bellows_ros.core.identification.segments import Measured
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, varied
+from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import resting_on_tool
 from bellows_ros.core.model.jacobians import (
     body_jacobians,
-    COM,
     DAMPING,
-    INERTIA,
-    LENGTH,
-    MASS,
     parameter_jacobian,
     PARAMETERS,
     relaxation_jacobian,
@@ -57,56 +60,6 @@ LEAST_STRENGTH = 1e-6
 """Strengths of relaxation are not below this where they are searched for."""
 
 ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-class Kind(NamedTuple):
-    """
-    A kind of quantity that may be estimated together with K and P.
-
-    Parameters
-    ----------
-    unit : float
-        Size in which it is searched for: s, m, or a logarithm.
-    size : int
-        How many there are.
-    known : float
-        With a larger standard error it is not identifiable.
-    each : bool
-        Whether each recording has its own.
-    wide : float
-        Standard deviation of what may be anything.
-
-    """
-
-    unit: float
-    size: int
-    known: float
-    each: bool = False
-    wide: float = np.inf
-
-
-KINDS: Mapping[str, Kind] = {
-    'time_offset': Kind(1e-3, 1, 3e-3, True, 0.1),
-    'com': Kind(1e-3, 3, 3e-3, False, 0.05),
-    'length': Kind(1e-3, 1, 1e-3, False, 0.02),
-    'inertia': Kind(1e-2, 3, 0.1, False, 0.7),
-    'mass': Kind(1e-2, 1, 0.1, False, 0.7),
-    'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
-    'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
-    'relaxation': Kind(1e-2, 2, 0.1, False, 0.1),
-}
-"""
-By their names in fit.free.
-
-By how much the tool's stamps are behind the package's, s; the centre of mass beside the given one
-in axes of the lip, m; the length beside the given one, m; logarithms of the factors of the moments
-of inertia and of the mass; shift and turn of the package's world about the middle of the
-package's way, and of B in its own axes against the measured pose, m and rad; and the strengths of
-relaxation beside those of the start.
-"""
-
-Free = Mapping[str, Array]
-"""Values by name, for one recording."""
 
 
 class Equations(NamedTuple):
@@ -306,75 +259,3 @@ def _derivatives(
         write_square(here, 0, 18, by_twist)
         parameter_jacobian(model, other, own, first, last, here, 24)
         relaxation_jacobian(model, other, own, here, 24 + last - first)
-
-
-def payload_of(held: Package, free: Free) -> Package:
-    """Return the package with the free quantities in it."""
-    own = {name: free[name] for name in ('com', 'mass', 'inertia') if name in free}
-    return varied(held, **own) if own else held
-
-
-def poses_of(
-    package: Trajectory, free: Free, moves: Array, middle: Array | None = None
-) -> Trajectory:
-    """
-    Return the poses of B for given free quantities.
-
-    Moves (3,) is 1 for the components of the centre of mass that B moves with, else 0. The world
-    turns about a middle (3,), that of the poses where none is given.
-    """
-    position, R = package.position, package.rotation
-    if 'com' in free:
-        position = position + apply(R, moves * free['com'])
-    if 'package_world' in free:
-        way, turn = np.split(free['package_world'], 2)
-        middle = _middle(package) if middle is None else middle
-        position = middle + way + apply(exp_so3(turn), position - middle)
-        R = exp_so3(turn) @ R
-    if 'package_marker' in free:
-        way, turn = np.split(free['package_marker'], 2)
-        position, R = position + apply(R, way), R @ exp_so3(turn)
-    return Trajectory(package.stamps_ns, position, R)
-
-
-def _middle(package: Trajectory) -> Array:
-    """Return the mean position (3,)."""
-    return np.asarray(package.position.mean(axis=0))
-
-
-def model_columns(name: str, payload: Package, parameters: Array) -> Array:
-    """Return derivatives (..., count) by a free quantity of the model from those by parameters."""
-    if name == 'length':
-        return parameters[..., LENGTH]
-    if name == 'com':
-        return parameters[..., COM]
-    if name == 'relaxation':
-        return parameters[..., -2:]
-    if name == 'mass':
-        return np.asarray(payload.mass * parameters[..., MASS])
-    if name == 'inertia':
-        rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-        sizes = payload.inertia[rows, columns]
-        by_log = 0.5 * sizes[:, None] * (np.eye(3)[list(rows)] + np.eye(3)[list(columns)])
-        return np.asarray(parameters[..., INERTIA] @ by_log)
-    return np.zeros((*parameters.shape[:-1], KINDS[name].size))
-
-
-def pose_changes(
-    name: str, package: Trajectory, moves: Array, middle: Array | None = None
-) -> Array | None:
-    """Return the derivatives of poses (M, 6, count) in their own axes, None if they are fixed."""
-    if name == 'com' and moves.any():
-        change = np.zeros((6, 3))
-        change[:3] = np.diag(moves)
-        return np.broadcast_to(change, (len(package), 6, 3))
-    if name == 'package_marker':
-        return np.broadcast_to(np.eye(6), (len(package), 6, 6))
-    if name == 'package_world':
-        inverse = np.swapaxes(package.rotation, 1, 2)
-        change = np.zeros((len(package), 6, 6))
-        change[:, :3, :3] = change[:, 3:, 3:] = inverse
-        change[:, :3, 3:] = -inverse @ hat(
-            package.position - (_middle(package) if middle is None else middle))
-        return change
-    return None

@@ -6,15 +6,18 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.causes import causes
 from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.identifiability import DIRECTIONS
-from bellows_ros.core.identification.motion_equations import Free, KINDS
-from bellows_ros.core.identification.prediction_error import (
+from bellows_ros.core.identification.quantities import Free, KINDS
+from bellows_ros.core.identification.result import (
     condition,
     excess,
+    Fit,
+    Freed,
+    Iteration,
+    LARGEST_ERROR,
     left_out,
     MEDIAN_OF_NORMAL,
     misfit,
 )
-from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR
 from bellows_ros.core.identification.search import Found, Measured, Search, Segment, squares
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
@@ -66,7 +69,7 @@ def output_error(
 
 
 def covariance_of(search: Search, found: Found) -> Array:
-    """Return the covariance (m, m) of the unknowns, SI units; see `prediction_error`."""
+    """Return the covariance (m, m) of the unknowns, SI units; by the jackknife."""
     directions = np.linalg.inv(np.linalg.cholesky(found.information)).T
     scatter = excess(np.array([
         directions.T @ gradient for segment, own in zip(search.segments, found.parts, strict=True)

@@ -13,18 +13,23 @@ left in the motion that is linearised about looks like information: how much it 
 adding as much again.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.minimum import Found, Root, Search
-from bellows_ros.core.identification.motion_equations import KINDS, Segment
+from bellows_ros.core.identification.motion_equations import Segment
+from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.result import (
+    condition,
+    excess,
     Fit,
     Freed,
     Iteration,
     LARGEST_ERROR,
+    left_out,
+    MEDIAN_OF_NORMAL,
+    misfit,
 )
 from bellows_ros.core.identification.segments import Measured, SMALLEST
 from bellows_ros.core.model.cup_package import Cup
@@ -34,8 +39,6 @@ import numpy as np
 
 Progress = Callable[[Iteration], None]
 
-LARGEST_CHI2 = 1.2
-"""Chi^2 per degree of freedom above this triggers a warning."""
 
 SHORTEST_COLOUR = 0.6
 """Autocorrelation between successive poses below which noise is treated as white."""
@@ -161,23 +164,6 @@ def _colour(search: Search) -> str:
         'poses give smaller ones.')
 
 
-def misfit(chi2: float) -> str:
-    """Return a sentence if chi^2 per degree of freedom is too large."""
-    if chi2 <= LARGEST_CHI2:
-        return ''
-    return (
-        f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f}, '
-        'expected 1. Check package.mass, package.com, the frames and whether one clock stamped '
-        'both streams (else set fit.time_offset), or use a richer fit.structure.')
-
-
-def condition(information: Array) -> float:
-    """Return the condition number of the scaled problem behind an information matrix."""
-    scale = np.sqrt(np.diag(information))
-    values = np.linalg.eigvalsh(information / np.outer(scale, scale))
-    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-
-
 LAST_WEIGHT = 1e-3
 """Final weight of the barrier function."""
 
@@ -235,23 +221,8 @@ def _barrier(x: Array, units: Array) -> tuple[Array, Array]:
     return slope, curvature
 
 
-CLUSTER = 1.0
-"""Length (s) of the segments whose gradients are kept."""
-
-COMMON = 10.0
-"""Weight of the scatter common to all parameters, in segments of the recordings."""
-
-LEAST_EXCESS = 0.25
-"""Scatter below this fraction of the noise model's belongs to directions without information."""
-
-LARGEST_LEVERAGE = 0.999
-"""Largest leverage of one second in the jackknife."""
-
 LEAST_SIGNAL = 0.05
 """Smallest share of the information on a direction that is taken to be signal."""
-
-MEDIAN_OF_NORMAL = 0.6744897501960817
-"""Median of the absolute value of a standard normal variable."""
 
 
 def _covariance(search: Search, found: Found) -> Array:
@@ -303,30 +274,6 @@ def _directions(information: Array, signal: Array) -> tuple[Array, Array]:
     part = np.linalg.solve(root, np.linalg.solve(root, signal).T)
     values, vectors = np.linalg.eigh(0.5 * (part + part.T))
     return np.linalg.solve(root.T, vectors), np.maximum(values, LEAST_SIGNAL)
-
-
-def left_out(information: Array, part: Any, period: float) -> Iterator[Array]:
-    """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
-    length = 6 * max(round(CLUSTER / period), 1)
-    for first in range(0, len(part.innovations), length):
-        J, r = part.jacobian[first:first + length], part.innovations[first:first + length]
-        rest = information - LARGEST_LEVERAGE * (J.T @ J)
-        yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
-
-
-def excess(influences: Array) -> Array:
-    """
-    Return the variances (m,) along directions over those of the noise model.
-
-    Influences (c, m) are by how much each part of the recordings moves the estimates along them,
-    in standard deviations.
-    """
-    count = len(influences)
-    if count < 2:
-        return np.ones(influences.shape[1])
-    own = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), LEAST_EXCESS)
-    common = float(np.median(own))
-    return np.asarray((COMMON * common + count * own) / (COMMON + count))
 
 
 def _largest_errors(search: Search, theta: Array) -> Array:

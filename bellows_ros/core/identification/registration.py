@@ -17,7 +17,7 @@ from bellows_ros.core.geometry.lie import (
     mean_rotation,
     rotation_to_quaternion,
 )
-from bellows_ros.core.identification.motion_equations import KINDS
+from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.search import measured_of, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure

@@ -19,21 +19,13 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, rotation_to_quaternion
-from bellows_ros.core.identification.motion_equations import (
+from bellows_ros.core.identification.quantities import (
     Free,
     KINDS,
     model_columns,
     payload_of,
     pose_changes,
     poses_of,
-)
-from bellows_ros.core.identification.segments import (
-    bridged,
-    LONGEST_GAP,
-    pose_noise,
-    PoseNoise,
-    SHORTEST_SEGMENT,
-    SMALLEST,
 )
 from bellows_ros.core.identification.whitening import likeliest, whiten
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -42,9 +34,9 @@ from bellows_ros.core.model.jacobians import DAMPING, PARAMETERS
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import state_row, tool_rows
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.recording.recording import pose_noise, Recording
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.savgol import bridged, savgol
 from bellows_ros.core.signals.timing import MAD_TO_STD, subdivided
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -52,6 +44,12 @@ import numpy as np
 
 SMOOTHED_OVER, SMOOTHED_ORDER, FEWEST = 1 / 12, 6, 4
 """Half window (s) and order of the polynomials of the tool's path, and its fewest samples."""
+
+SMALLEST = np.repeat([2e-7, 2e-6], 3)
+"""Smallest noise of a pose (m, rad): interpolation and rounding."""
+
+LONGEST_GAP, SHORTEST_SEGMENT = 0.15, 1.0
+"""Longest gap (s) of the tool that is bridged, and shortest part (s) between such gaps."""
 
 MISSING = np.repeat([5e-3, 5e-2], 3)
 """Standard deviation of a pose of the tool that is bridged (m, rad)."""
@@ -144,10 +142,10 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
     lip = recording.settings.package_frame == 'lip'
     sideways = lip or recording.settings.align_at_rest
     tool, package = recording.aligned_tool, recording.aligned_package
+    kept = [max(colour.correlation for colour in own) for own in recording.colours]
     tool_noise, package_noise = [
-        BodyNoise(own.std, own.kept) for own in (
-            PoseNoise(pose_noise(poses).ripple, max(colour.correlation for colour in colours))
-            for poses, colours in zip((tool, package), recording.colours, strict=True))]
+        BodyNoise(np.maximum(pose_noise(poses, own), SMALLEST), own)
+        for poses, own in zip((tool, package), kept, strict=True)]
     middle = package.position[package.valid].mean(axis=0)
     known = tool.stamps_ns[tool.valid]
     cuts = np.flatnonzero(np.diff(known) > LONGEST_GAP * NS_PER_S)
@@ -199,7 +197,7 @@ class Segment:
 
     def __init__(self, measured: Measured) -> None:
         self.measured = measured
-        self.tool = bridged(measured.tool, None)
+        self.tool = bridged(measured.tool)
         rate = uniform_rate_hz(self.tool.stamps_ns)
         self.reach = max(round(SMOOTHED_OVER * rate), FEWEST)
         self.inner = slice(self.reach, len(self.tool) - self.reach)

@@ -14,8 +14,7 @@ from bellows_ros.core.recording.recording import (
     TOOL_HALF_WINDOW,
     TOOL_ORDER,
 )
-from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.savgol import bridged, savgol
 from bellows_ros.core.signals.timing import MAD_TO_STD
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import UndeterminedError
@@ -74,9 +73,6 @@ def pose_noise(poses: Trajectory) -> PoseNoise:
 
 LONGEST_GAP = 0.15
 """Longest gap (s) that is bridged; at longer ones the recording is split."""
-
-BRIDGE_HALF_WINDOW, BRIDGE_ORDER = 2, 4
-"""Quartics through exactly five poses give the twists beside gaps."""
 
 SHORTEST_SEGMENT = 1.0
 """Shortest segment (s) between gaps that is used."""
@@ -160,7 +156,7 @@ def measured_segments(
     seen = package.stamps_ns[package.valid & _tool_seen(tool, package, BLIND_STEPS / tool_rate)]
     segments = []
     for part in _parts(in_motion(tool), LONGEST_GAP):
-        for own in _parts(bridged(package), 1.5 / rate):
+        for own in _parts(bridged(package, LONGEST_GAP), 1.5 / rate):
             edge = round(margin * NS_PER_S)
             inside = own.select(
                 (own.stamps_ns >= part.stamps_ns[0] + edge)
@@ -202,30 +198,7 @@ def in_motion(poses: Trajectory) -> Trajectory:
     Short gaps are bridged first: a filter that stopped at each gap would lose half a window more
     before it and behind it.
     """
-    return savgol(bridged(poses), TOOL_HALF_WINDOW, TOOL_ORDER)
-
-
-def bridged(poses: Trajectory, longest: float | None = LONGEST_GAP) -> Trajectory:
-    """
-    Return poses with gaps bridged by cubics that meet poses and twists on both sides.
-
-    Those longer than the longest (s) stay, where one is given.
-    """
-    lost = ~poses.valid
-    if not lost.any():
-        return poses
-    quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
-    known = quartic.select(quartic.valid)
-    if not len(known):
-        return poses
-    lost &= poses.stamps_ns > known.stamps_ns[0]
-    lost &= poses.stamps_ns < known.stamps_ns[-1]
-    between = Trajectory(known.stamps_ns, known.position, known.rotation, known.twist)
-    bridge = resample(
-        between, poses.stamps_ns[lost], None if longest is None else round(longest * NS_PER_S))
-    position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
-    position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
-    return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+    return savgol(bridged(poses, LONGEST_GAP), TOOL_HALF_WINDOW, TOOL_ORDER)
 
 
 def _tool_seen(tool: Trajectory, package: Trajectory, longest: float) -> Mask:

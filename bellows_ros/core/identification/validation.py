@@ -13,7 +13,6 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.segments import (
-    bridged,
     Measured,
     measured_segments,
     segments_of,
@@ -34,7 +33,7 @@ from bellows_ros.core.signals.residuals import (
     spectrum,
     Whiteness,
 )
-from bellows_ros.core.signals.savgol import savgol, weights, with_filtered_noise
+from bellows_ros.core.signals.savgol import bridged, savgol, weights, with_filtered_noise
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -270,7 +269,7 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
     Returns
     -------
     Trajectory
-        Bridged (see `segments.bridged`), and filtered with a short window.
+        Bridged (see `bridged`), and filtered with a short window.
     ndarray (G, 2)
         Start (s, from the first sample) and duration (s) of each gap.
 
@@ -280,7 +279,7 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
         If the poses do not fill one window.
 
     """
-    filtered = savgol(bridged(measured, None), half_window, LIGHT_ORDER)
+    filtered = savgol(bridged(measured), half_window, LIGHT_ORDER)
     usable = np.flatnonzero(filtered.valid)
     if len(usable) < 2:
         raise BellowsError(

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import short
@@ -46,6 +46,9 @@ products with the noise of the poses (not seen by linearised noise models) then 
 PLACES = 8
 """Interpolation points between two tool poses that represent all others."""
 
+
+CUT_AT = 5.0
+"""Residuals are clipped at this many typical deviations, so that outliers do not count."""
 
 WIDE_WINDOW, COLOURED = 0.06, 1.15
 """Time (s) over which poses are compared for the colour of noise, and by how much more is seen."""
@@ -104,6 +107,19 @@ def ripple_part(kept: Array | float) -> Array:
     steps = np.arange(len(residue))
     lags = np.abs(np.subtract.outer(steps, steps))
     return np.asarray(np.asarray(kept)[..., None, None] ** lags @ residue @ residue)
+
+
+def pose_noise(poses: Trajectory, kept: float) -> Array:
+    """
+    Return the standard deviations (6,) of poses at a uniform rate, in own axes, m and rad.
+
+    Of first-order noise that keeps a part of itself from pose to pose. Errors as of `ripple`.
+    """
+    left, rotation = ripple(poses)
+    left[:, :3] = apply(np.swapaxes(rotation, 1, 2), left[:, :3])
+    typical = MAD_TO_STD * np.median(np.abs(left), axis=0)
+    squares = np.mean(np.minimum(left**2, (CUT_AT * typical) ** 2), axis=0)
+    return np.asarray(np.sqrt(squares / ripple_part(kept)))
 
 
 def noise_of(poses: Trajectory) -> Noise:

@@ -20,10 +20,12 @@ from bellows_ros.core.geometry.lie import (
     quaternion_product,
     rotation_to_quaternion,
 )
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import (
     any_within,
     Filtered,
     frozen,
+    NS_PER_S,
     Trajectory,
     uniform_rate_hz,
 )
@@ -40,6 +42,8 @@ LARGEST_TURN = 0.75 * pi
 # Samples filtered at a time: the working arrays stay in the processor's cache, and memory is
 # bounded.
 BLOCK = 4096
+# Quartics through exactly five poses give the twists beside gaps.
+BRIDGE_HALF_WINDOW, BRIDGE_ORDER = 2, 4
 
 
 def weights(half_window: int, order: int, rate_hz: float) -> Array:
@@ -293,3 +297,26 @@ def displaced(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
         motion.stamps_ns, motion.position + o[0], R_new, np.hstack([v_new, w_new]),
         acceleration, motion.valid,
     )
+
+
+def bridged(poses: Trajectory, longest: float | None = None) -> Trajectory:
+    """
+    Return poses with gaps bridged by cubics that meet poses and twists on both sides.
+
+    Those longer than the longest (s) stay, where one is given.
+    """
+    lost = ~poses.valid
+    if not lost.any():
+        return poses
+    quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
+    known = quartic.select(quartic.valid)
+    if not len(known):
+        return poses
+    lost &= poses.stamps_ns > known.stamps_ns[0]
+    lost &= poses.stamps_ns < known.stamps_ns[-1]
+    between = Trajectory(known.stamps_ns, known.position, known.rotation, known.twist)
+    bridge = resample(
+        between, poses.stamps_ns[lost], None if longest is None else round(longest * NS_PER_S))
+    position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
+    position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
+    return Trajectory(poses.stamps_ns, position, rotation, valid=valid)

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.motion_equations import KINDS, Segment
+from bellows_ros.core.identification.motion_equations import Segment
 from bellows_ros.core.identification.prediction_error import prediction_error
+from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.signals.trajectory import Trajectory

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
-from bellows_ros.core.identification.motion_equations import KINDS
 from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
