@@ -12,9 +12,10 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [  # noqa: F405
-    'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'identify',
-    'read_cup', 'read_package', 'read_parameters', 'savgol', 'simulate', 'static_equilibrium',
-    'write_cup', 'write_parameters',
+    'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
+    'design_motion', 'fastest', 'identify', 'observe', 'parameters_of', 'plan', 'read_cup',
+    'read_package', 'read_parameters', 'replay', 'savgol', 'simulate', 'static_equilibrium',
+    'steer', 'toss', 'write_cup', 'write_parameters',
 ]
 
 

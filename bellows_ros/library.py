@@ -1,18 +1,21 @@
 """
 The public API, `import bellows_ros`: arrays and paths in, arrays and frozen data out.
 
-Most of it stands in other rooms; the functions here only spare a user the way there.
+Most of it stands in other rooms; the functions here are shortcuts to it. A workflow is loaded when
+its function is called.
 """
 
 from collections.abc import Mapping, Sequence
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, Prediction
-from bellows_ros.core.model import equilibrium
+from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import (
+    box_inertia,
     Cup,
     cup_of,
     model_tuple,
@@ -20,7 +23,7 @@ from bellows_ros.core.model.cup_package import (
     package_of,
     STANDARD_GRAVITY,
 )
-from bellows_ros.core.model.simulation import simulate, state_row
+from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
@@ -31,15 +34,25 @@ from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:  # loads much that the others do without
     from bellows_ros.core.identification.result import Fit
+    from bellows_ros.workflows.excite import DesignedMotion
+    from bellows_ros.workflows.plan import Motion, PlanReport
+    from bellows_ros.workflows.replay import Replay
+    from bellows_ros.workflows.steer import SteerReport
+    from bellows_ros.workflows.toss import TossResult
 
 __all__ = [
-    'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'identify',
-    'read_cup', 'read_package', 'read_parameters', 'savgol', 'simulate', 'static_equilibrium',
-    'write_cup', 'write_parameters',
+    'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
+    'design_motion', 'fastest', 'identify', 'observe', 'parameters_of', 'plan', 'read_cup',
+    'read_package', 'read_parameters', 'replay', 'savgol', 'simulate', 'static_equilibrium',
+    'steer', 'toss', 'write_cup', 'write_parameters',
 ]
 
+File = str | os.PathLike[str]
+Parameters = Mapping[str, object] | File
+"""Parameters by name, as `read_parameters` and `parameters_of` return them, or their file."""
 
-def read_cup(path: str | os.PathLike[str]) -> Cup:
+
+def read_cup(path: File) -> Cup:
     """
     Read a cup from a parameter file, such as `bellows identify` writes.
 
@@ -65,7 +78,7 @@ def read_cup(path: str | os.PathLike[str]) -> Cup:
     return cup_of(_read(path, ('cup.stiffness', 'cup.damping', 'cup.length')))
 
 
-def read_package(path: str | os.PathLike[str]) -> Package:
+def read_package(path: File) -> Package:
     """
     Read a package from a parameter file.
 
@@ -88,7 +101,7 @@ def read_package(path: str | os.PathLike[str]) -> Package:
     return package_of(_read(path, PACKAGE_PARAMETERS))
 
 
-def write_cup(path: str | os.PathLike[str], cup: Cup, package: Package | None = None) -> None:
+def write_cup(path: File, cup: Cup, package: Package | None = None) -> None:
     """
     Write a cup, and a package if one is given, for both nodes and all commands.
 
@@ -113,20 +126,38 @@ def write_cup(path: str | os.PathLike[str], cup: Cup, package: Package | None = 
     0.0481
 
     """
+    write_parameters(path, parameters_of(cup, package))
+
+
+def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]:
+    """
+    Return the parameters of a cup, and of a package, for what takes parameters by name.
+
+    Examples
+    --------
+    >>> cup = bellows_ros.read_cup('bags/cup.yaml')
+    >>> bellows_ros.parameters_of(cup)['cup.length']
+    0.046
+
+    """
     values: dict[str, object] = {
         'cup.stiffness': cup.stiffness.ravel().tolist(),
         'cup.damping': cup.damping.ravel().tolist(),
-        'cup.length': cup.length,
+        'cup.length': float(cup.length),
         'cup.relaxation': cup.relaxation,
         'cup.relaxation_times': cup.relaxation_times,
     }
     if package is not None:
-        values.update(_package_values(package))
-    write_parameters(path, values)
+        values.update({
+            'package.mass': float(package.mass),
+            'package.inertia': package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist(),
+            'package.com': package.com.tolist(),
+        })
+    return values
 
 
 def identify(
-    recordings: Sequence[str | os.PathLike[str] | tuple[Trajectory, Trajectory]],
+    recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File,
     package: Package,
     cup_length: float,
     settings: Mapping[str, object] | None = None,
@@ -136,7 +167,7 @@ def identify(
 
     Parameters
     ----------
-    recordings : sequence of path or of (Trajectory, Trajectory)
+    recordings : path, or sequence of path or of (Trajectory, Trajectory)
         Each a rosbag2 recording, or the measured poses of the tool tip E and of the package's
         centre of mass B in a world whose z is up. Samples that are not valid are left out; twists
         are not needed.
@@ -173,12 +204,68 @@ def identify(
     from bellows_ros.core.recording.preparation import prepare
     from bellows_ros.workflows.recordings import load, prepare_settings
 
-    values = resolve({**(settings or {}), **_package_values(package), 'cup.length': cup_length})
+    values = resolve({
+        **(settings or {}), **parameters_of(Cup.thesis(), package), 'cup.length': cup_length})
+    if isinstance(recordings, str | os.PathLike):
+        recordings = [recordings]
     parts = [
         load(own, values) if isinstance(own, str | os.PathLike) else
         prepare(_stream(own[0], 'tool'), _stream(own[1], 'package'), prepare_settings(values))
         for own in recordings]
     return fit(parts, values).fit
+
+
+def simulate(
+    cup: Cup,
+    package: Package,
+    tool: Trajectory,
+    gravity: float | ArrayLike = STANDARD_GRAVITY,
+) -> Trajectory:
+    """
+    Simulate the package under a whole motion of the tool, from rest.
+
+    Parameters
+    ----------
+    cup : Cup
+        What connects tool and package.
+    package : Package
+        What hangs on it.
+    tool : Trajectory
+        N poses of E in the world with body twists, as `savgol` returns; cubic Hermite in between.
+    gravity : float or array_like (3,)
+        Along -z of the world, or as a vector there, m/s^2.
+
+    Returns
+    -------
+    Trajectory
+        N poses and body twists of B in the world, at the tool's stamps.
+
+    Raises
+    ------
+    BellowsError
+        If cup or package are not physical, there is no static equilibrium to start from, or the
+        simulation does not stay finite.
+
+    Examples
+    --------
+    A tool that moves steadily along x for a second: the package, which hung straight below it,
+    is pulled along and swings.
+
+    >>> t = np.linspace(0.0, 1.0, 501)
+    >>> tool = bellows_ros.Trajectory(
+    ...     stamps_ns=np.arange(501) * 2_000_000,
+    ...     position=np.column_stack([0.2 * t, 0.0 * t, 0.0 * t]),
+    ...     rotation=np.broadcast_to(np.eye(3), (501, 3, 3)),
+    ...     twist=np.tile([0.2, 0.0, 0.0, 0.0, 0.0, 0.0], (501, 1)))
+    >>> cup = bellows_ros.read_cup('bags/cup.yaml')
+    >>> package = bellows_ros.read_package('bags/package.yaml')
+    >>> moved = bellows_ros.simulate(cup, package, tool)
+    >>> len(moved), bool(moved.position[-1, 0] > 0.15)
+    (501, True)
+
+    """
+    resolve(parameters_of(cup, package))
+    return simulation.simulate(cup, package, tool, gravity=gravity)
 
 
 def static_equilibrium(
@@ -222,6 +309,7 @@ def static_equilibrium(
     [0.0, 0.0, -0.07792]
 
     """
+    resolve(parameters_of(cup, package))
     T = np.eye(4) if T_world_tool is None else np.asarray(T_world_tool, dtype=np.float64)
     R = T[:3, :3] if T.shape == (4, 4) else np.full((3, 3), np.nan)
     if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or not np.all(np.isfinite(T)):
@@ -236,14 +324,274 @@ def static_equilibrium(
     return T_world_package
 
 
-def _package_values(package: Package) -> dict[str, object]:
-    """Return the parameters of a package."""
-    inertia = package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return {
-        'package.mass': package.mass,
-        'package.inertia': inertia.tolist(),
-        'package.com': package.com.tolist(),
-    }
+def plan(
+    motion: 'Motion', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'PlanReport':
+    """
+    Predict what a planned motion of the tool does to the package, as `bellows plan`.
+
+    Parameters
+    ----------
+    motion : path or Trajectory
+        A recording with a plan, joint states, transforms or poses of the tool; a TUM, KITTI
+        or EuRoC file; a message or a motion as YAML; or the poses of E in a world whose z is up,
+        with body twists, or without from rest to rest.
+    parameters : mapping or path
+        Package and cup by name, and the grip where it is known; or a file with them.
+    urdf, topic : str
+        The arm, where its joints are planned; and the plan, where a recording has several.
+
+    Returns
+    -------
+    PlanReport
+        prediction, std, warnings, holds; `plot()` draws it and `to_json(path)` writes it.
+
+    Raises
+    ------
+    BellowsError
+        If the motion cannot be read, no arm moves so, or the cup cannot hold the package.
+
+    Examples
+    --------
+    >>> found = bellows_ros.plan('bags/transport.yaml', 'bags/tossing.yaml')
+    >>> found.holds
+    True
+
+    """
+    from bellows_ros.workflows.plan import plan
+
+    return plan(motion, _with_package(parameters), urdf, topic)
+
+
+def fastest(
+    motion: 'Motion', parameters: Parameters, urdf: str = '', topic: str = ''
+) -> 'PlanReport':
+    """
+    Predict a motion as `plan`, and find the shortest time in which the grip surely holds.
+
+    Returns
+    -------
+    PlanReport
+        As of `plan`; `fastest.scale` is the shortest time over that of the motion, and `driven`
+        the motion in that time. `fastest` is None where no time is safe.
+
+    Raises
+    ------
+    BellowsError
+        As `plan`; or if the grip is not known, or the motion is not one from rest to rest.
+
+    Examples
+    --------
+    >>> found = bellows_ros.fastest('bags/transport.yaml', 'bags/tossing.yaml')
+    >>> bool(0.3 < found.fastest.scale < 1.5)
+    True
+
+    """
+    from bellows_ros.workflows.plan import plan
+
+    return plan(motion, _with_package(parameters), urdf, topic, seek_fastest=True)
+
+
+def steer(
+    motion: 'Motion', parameters: Parameters, method: str = 'inverse',
+    limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
+) -> 'SteerReport':
+    """
+    Change a motion so that the package does not swing, as `bellows steer`.
+
+    Parameters
+    ----------
+    motion, parameters, urdf, topic
+        As of `plan`.
+    method : {'inverse', 'zv', 'zvd'}
+        The inverse of cup and package, or input shaping for their modes at rest.
+    limits : mapping or path, optional
+        Of the arm, which the motion is slowed down for; as config/limits_example.yaml.
+
+    Returns
+    -------
+    SteerReport
+        steered.tool is the new motion; advice, motions; `plot()` and `to_json(path)`.
+
+    Raises
+    ------
+    BellowsError
+        As `plan`; or if the motion cannot be steered within the limits.
+
+    Examples
+    --------
+    >>> found = bellows_ros.steer('bags/transport.yaml', 'bags/tossing.yaml')
+    >>> bool(found.motions['inverse'].figures()['swing_left'] < 0.01)
+    True
+
+    """
+    from bellows_ros.core.planning.steering import METHODS
+    from bellows_ros.workflows.steer import steer_plan
+
+    if method not in METHODS:
+        raise BellowsError(f"method is '{method}'; expected one of {', '.join(METHODS)}.")
+    return steer_plan(motion, _with_package(parameters), method, limits, urdf, topic)
+
+
+def toss(
+    motion: 'Motion', parameters: Parameters, release: float | None = None,
+    target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
+    monte_carlo: int = 0, urdf: str = '', topic: str = '',
+) -> 'TossResult':
+    """
+    Predict where a toss lands and how surely, as `bellows toss`.
+
+    Parameters
+    ----------
+    motion, parameters, urdf, topic
+        As of `plan`, with release.* among the parameters.
+    release : float, optional
+        When the valve is switched, s since the first point of the motion.
+    target : (x, y), optional
+        Where B should land, m; the time of the valve is then sought.
+    target_rotation : array_like (4,), optional
+        Quaternion (x, y, z, w) wanted at the landing.
+    monte_carlo : int
+        So many random tosses are drawn as well.
+
+    Returns
+    -------
+    TossResult
+        toss, covariance (6, 6) of the landing, groups(), warnings; `plot()`, `to_json(path)`.
+
+    Raises
+    ------
+    BellowsError
+        As `plan`; or if neither a time nor a target is given.
+
+    Examples
+    --------
+    >>> found = bellows_ros.toss('bags/throw.yaml', 'bags/tossing.yaml', release=1.0)
+    >>> found.covariance.shape
+    (6, 6)
+
+    """
+    from bellows_ros.workflows.toss import toss_plan
+
+    x_y = None if target is None else (float(target[0]), float(target[1]))
+    rotation = None if target_rotation is None else np.asarray(target_rotation, dtype=np.float64)
+    return toss_plan(
+        motion, _with_package(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
+        topic=topic)
+
+
+def design_motion(
+    parameters: Parameters, limits: Mapping[str, Any] | File, duration: float = 12.0,
+    urdf: str = '', seed: int = 0,
+) -> 'DesignedMotion':
+    """
+    Design the motion that identifies a cup best, as `bellows excite`.
+
+    Parameters
+    ----------
+    parameters : mapping or path
+        Package and a guess of the cup by name, or a file with them.
+    limits : mapping or path
+        Of the arm and of the tracking; config/limits_example.yaml explains them.
+    duration : float
+        Of rest and motion, s.
+    urdf : str
+        File with the arm, whose joints are limited, too.
+    seed : int
+        Of the shape from which the search begins.
+
+    Returns
+    -------
+    DesignedMotion
+        design.motion, errors (2 n,) to expect, warnings; `plot()` and `to_json(path)`.
+
+    Raises
+    ------
+    BellowsError
+        If something is missing or not allowed, or no motion is within the limits.
+
+    Examples
+    --------
+    >>> found = bellows_ros.design_motion(
+    ...     'bags/tossing.yaml', 'config/limits_example.yaml', duration=8.0)
+    >>> found.design.motion.duration
+    8.0
+
+    """
+    from bellows_ros.files.safe_yaml import load
+    from bellows_ros.workflows.excite import excite
+
+    return excite(
+        _with_package(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
+        duration, urdf, seed=seed)
+
+
+def replay(recording: File, parameters: Parameters) -> 'Replay':
+    """
+    Predict a recording with a cup from start to end and compare, as `bellows replay`.
+
+    Parameters
+    ----------
+    recording : path
+        rosbag2 folder, or a bare .mcap or .db3 file, which the cup was not identified from.
+    parameters : mapping or path
+        Package, cup, topics and how it was recorded by name, or a file with them.
+
+    Returns
+    -------
+    Replay
+        validation, live, warnings; `plot()` draws it and `to_json(path)` writes it.
+
+    Raises
+    ------
+    BellowsError
+        If a parameter or the recording is not usable, or the cup cannot hold the package.
+
+    Examples
+    --------
+    >>> found = bellows_ros.replay(
+    ...     'bags/validation', bellows_ros.read_parameters('bags/tossing.yaml'))
+    >>> bool(found.validation.scores.nrmse[3] < 0.05)
+    True
+
+    """
+    from bellows_ros.workflows.replay import replay
+
+    return replay(recording, _with_package(parameters))
+
+
+def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
+    """
+    Replay a recording, with another prediction that measured poses of the package correct.
+
+    Parameters
+    ----------
+    recording, parameters
+        As of `replay`, with measured.* as the node takes it.
+    topic : str
+        Of the poses of the package from a camera.
+
+    Returns
+    -------
+    Replay
+        As of `replay`; `observed` compares prediction, camera and both, and has the alarms.
+
+    Raises
+    ------
+    BellowsError
+        As `replay`; or if there are no poses on the topic.
+
+    Examples
+    --------
+    >>> found = bellows_ros.observe(
+    ...     'bags/validation', 'bags/tossing.yaml', 'package/pose')
+    >>> sorted(found.observed.ways)[0]
+    'both'
+
+    """
+    from bellows_ros.workflows.replay import replay
+
+    return replay(recording, _with_package(parameters), observe=topic)
 
 
 def _stream(poses: Trajectory, name: str) -> PoseStream:
@@ -252,10 +600,20 @@ def _stream(poses: Trajectory, name: str) -> PoseStream:
     return PoseStream(name, 'world', good.stamps_ns, good.position, good.rotation)
 
 
-def _read(path: str | os.PathLike[str], names: tuple[str, ...]) -> Mapping[str, object]:
+def _read(path: File, names: tuple[str, ...]) -> Mapping[str, object]:
     """Return parameters of a file, which must all be there."""
     values = read_parameters(path)
     missing = [name for name in names if name not in values]
     if missing:
         raise BellowsError(f"Parameter file '{path}' lacks {', '.join(missing)}.")
+    return values
+
+
+def _with_package(parameters: Parameters) -> Mapping[str, object]:
+    """Return parameters by name, which must have a package."""
+    values = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
+    if missing := [name for name in PACKAGE_PARAMETERS if name not in values]:
+        raise BellowsError(
+            f'The parameters lack {", ".join(missing)}. Add parameters_of(cup, package), or read '
+            'a file that has them.')
     return values

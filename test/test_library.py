@@ -1,9 +1,12 @@
 """The library: what `import bellows_ros` offers, by its own examples."""
 
+from collections.abc import Callable
 import doctest
+import json
 from pathlib import Path
 import subprocess
 import sys
+from typing import Any
 
 import bellows_ros
 from bellows_ros.errors import BellowsError
@@ -109,3 +112,62 @@ def test_a_cup_is_identified_from_arrays() -> None:
         'fit.method': 'least_squares', 'recording.package_frame': 'com'})
     assert_allclose(np.diag(fit.stiffness), np.diag(cup.stiffness), rtol=0.02)
     assert_allclose(np.diag(fit.damping), np.diag(cup.damping), rtol=0.1)
+
+
+TOSSING = 'bags/tossing.yaml'
+
+
+@pytest.mark.parametrize('make', [
+    lambda: bellows_ros.plan('bags/transport.yaml', TOSSING),
+    lambda: bellows_ros.steer('bags/transport.yaml', TOSSING, 'zvd'),
+    lambda: bellows_ros.toss('bags/throw.yaml', TOSSING, release=3.0),
+    lambda: bellows_ros.design_motion(TOSSING, 'config/limits_example.yaml', 8.0),
+    lambda: bellows_ros.replay('bags/validation', TOSSING),
+], ids=['plan', 'steer', 'toss', 'design_motion', 'replay'])
+def test_a_result_draws_and_writes_itself(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[], Any]
+) -> None:
+    """Make a figure with something in it, and a file of all numbers."""
+    pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
+    monkeypatch.chdir(root)
+    found = make()
+    figure = found.plot()
+    assert figure.axes
+    assert all(panel.has_data() for panel in figure.axes)
+    found.to_json(tmp_path / 'found.json')
+    content = json.loads((tmp_path / 'found.json').read_text())
+    assert set(found.as_json()) < set(content)
+    assert content['version'] == bellows_ros.__version__
+
+
+def test_a_motion_in_arrays_is_planned_as_its_file(root: Path) -> None:
+    """Predict the same of the poses of a plan as of the plan."""
+    parameters = bellows_ros.read_parameters(root / TOSSING)
+    of_file = bellows_ros.plan(root / 'bags/transport.yaml', parameters)
+    of_arrays = bellows_ros.plan(of_file.source.tool, parameters)
+    expected, found = (each.prediction.figures() for each in (of_file, of_arrays))
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_package_is_needed() -> None:
+    """Name what the parameters lack, and the function that has it."""
+    with pytest.raises(BellowsError, match=r'package\.mass.*parameters_of'):
+        bellows_ros.plan('plan.yaml', bellows_ros.parameters_of(bellows_ros.Cup.thesis()))
+
+
+@pytest.mark.parametrize(('com', 'soft', 'name'), [
+    ((0.0, 0.0, -30.0), 1.0, 'package.com'), ((0.0, 0.0, -0.03), -1.0, 'cup.stiffness')])
+def test_what_files_refuse_is_refused(
+    com: tuple[float, float, float], soft: float, name: str
+) -> None:
+    """Simulate no package of another planet, and no cup that pushes itself away."""
+    inertia = bellows_ros.box_inertia(1.8, 0.2, 0.16, 0.06)
+    cup = bellows_ros.Cup.thesis()
+    cup = bellows_ros.Cup(soft * cup.stiffness, cup.damping, cup.length)
+    package = bellows_ros.Package(1.8, inertia, com)
+    tool = bellows_ros.Trajectory(
+        [0, 1_000_000], np.zeros((2, 3)), Rotation.identity(2), np.zeros((2, 6)))
+    with pytest.raises(BellowsError, match=name):
+        bellows_ros.simulate(cup, package, tool)
+    with pytest.raises(BellowsError, match=name):
+        bellows_ros.static_equilibrium(cup, package)

@@ -8,7 +8,7 @@ from a recording of it.
 import argparse
 import math
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from . import options
 from .console import Console, with_error
@@ -76,16 +76,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.excite import excite, write_motion
 
-    def draw(found: 'DesignedMotion') -> Any:
-        from bellows_ros.plots.plan import excite_figure
-
-        return excite_figure(found.design, f'{arguments.time:g} s, for {arguments.limits}')
-
     return run_plan_command(
         arguments, console, lambda values, progress: excite(
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
             arguments.beside, arguments.seed, progress, arguments.series),
-        draw, _say, lambda found: write_motion(
+        _say, lambda found: write_motion(
             arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
 
 

@@ -7,7 +7,7 @@ uncertainty of all these. With --fastest, find how short the motion can be.
 
 import argparse
 import math
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from .console import Console, with_error
 from .planned import add_plan_options, run_plan_command
@@ -43,16 +43,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, predict, write, report."""
     from bellows_ros.workflows.plan import plan, write_prediction
 
-    def draw(report: 'PlanReport') -> Any:
-        from bellows_ros.plots.plan import plan_figure
-
-        return plan_figure(report, f'{arguments.plan}')
-
     return run_plan_command(
         arguments, console, lambda values, progress: plan(
             arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
             arguments.fastest),
-        draw, _say, lambda report: write_prediction(
+        _say, lambda report: write_prediction(
             arguments.out, report.source, report.driven[0], report.driven[1], arguments.force),
         good=lambda report: report.holds)
 

@@ -37,8 +37,8 @@ def add_plan_options(
 def run_plan_command(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
-    draw: Callable[[Any], Any], say: Callable[[Any, Console], None],
-    write: Callable[[Any], None] | None = None, films: bool = False,
+    say: Callable[[Any, Console], None],
+    write: Callable[[Any], None] | None = None, film: Callable[[Any], None] | None = None,
     good: Callable[[Any], bool] = lambda result: True,
 ) -> int:
     """
@@ -49,15 +49,13 @@ def run_plan_command(
     arguments, console
         Of the command.
     work : callable
-        From parameters by name and a progress to a result, which has `as_json()`.
-    draw : callable
-        Returns the figure of a result to write as `plot`, or writes a film and returns None.
+        From parameters by name and a progress to a `workflows.result.Result`.
     write : callable
         Writes a result as the recording `out`.
     say : callable
         Print the result.
-    films : bool
-        Whether `draw` makes films, too.
+    film : callable
+        Writes a film of a result as `plot`.
     good : callable
         Whether the answer is yes.
 
@@ -65,16 +63,18 @@ def run_plan_command(
     values = options.cup_parameters(arguments, console)
     if write is not None:
         options.require_free(arguments.out, arguments.force)
-    if arguments.plot:
-        from bellows_ros.plots import style
+    from bellows_ros.plots import style
 
+    if arguments.plot:
         require_pictures()
-        style.require_picture(arguments.plot, (*style.PICTURES, *(style.FILMS if films else ())))
+        style.require_picture(arguments.plot, (*style.PICTURES, *(style.FILMS if film else ())))
     with console.progress() as progress:
         progress('planning')
         result = work(values, progress)
-        if arguments.plot and (figure := draw(result)):
-            style.write_figure(arguments.plot, figure)
+        if film and arguments.plot.lower().endswith(style.FILMS):
+            film(result)
+        elif arguments.plot:
+            style.write_figure(arguments.plot, result.plot())
     if arguments.json:
         from bellows_ros import __version__
         from bellows_ros.files.results import provenance

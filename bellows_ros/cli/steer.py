@@ -8,7 +8,7 @@ longer and are less sensitive to errors in cup and package.
 import argparse
 import math
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from .console import Console
 from .planned import add_plan_options, run_plan_command
@@ -48,19 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
-    from bellows_ros.plots import style
     from bellows_ros.workflows.plan import write_prediction
     from bellows_ros.workflows.steer import steer_plan
 
-    def draw(report: 'SteerReport') -> Any:
-        if not arguments.plot.lower().endswith(style.FILMS):
-            from bellows_ros.plots.plan import steer_figure
-
-            return steer_figure(report.motions, f'{arguments.plan}')
+    def film(report: 'SteerReport') -> None:
         from bellows_ros.plots.animation import write_steering
 
         write_steering(arguments.plot, report, f'{arguments.plan}', speed=1.0 / SLOWER)
-        return None
 
     def write(report: 'SteerReport') -> None:
         motion = report.motions[report.method]
@@ -72,7 +66,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: steer_plan(
             arguments.plan, values, arguments.method, arguments.limits or '',
             str(arguments.urdf or ''), arguments.topic),
-        draw, _say, write, films=True)
+        _say, write, film)
 
 
 def _say(report: 'SteerReport', console: Console) -> None:

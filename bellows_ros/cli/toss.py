@@ -7,7 +7,7 @@ release for a target.
 
 import argparse
 import math
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
@@ -64,17 +64,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     _require_numbers(arguments)
     from bellows_ros.workflows.toss import toss_plan, write_toss
 
-    def draw(result: 'TossResult') -> Any:
-        from bellows_ros.plots.plan import toss_figure
-
-        return toss_figure(result, f'Toss of {arguments.plan.name}')
-
     return run_plan_command(
         arguments, console, lambda values, progress: toss_plan(
             arguments.plan, values, arguments.release, arguments.target,
             arguments.target_rotation, arguments.monte_carlo, progress,
             str(arguments.urdf or ''), arguments.topic),
-        draw, _say, lambda result: write_toss(arguments.out, result, arguments.force),
+        _say, lambda result: write_toss(arguments.out, result, arguments.force),
         good=lambda result: result.reached)
 
 

@@ -35,6 +35,7 @@ from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_me
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
 from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows.result import Result
 import numpy as np
 
 Progress = Callable[[str, float], None]
@@ -54,7 +55,7 @@ NO_GRIP = (
 
 
 @dataclass(frozen=True, eq=False)
-class DesignedMotion:
+class DesignedMotion(Result):
     """
     A designed motion and its expected information.
 

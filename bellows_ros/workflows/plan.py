@@ -55,6 +55,7 @@ from bellows_ros.files.plans import (
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.files.transforms import read_transforms, rotations_in_root
 from bellows_ros.workflows.recordings import inside
+from bellows_ros.workflows.result import Result
 import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
@@ -84,6 +85,10 @@ BEGINS_IN_MOTION = (
     'lasted. What swings from before is unknown.')
 ENDS_IN_MOTION = (
     'The plan ends in motion, so the swing after its end is unknown.')
+
+
+Motion = str | os.PathLike[str] | Trajectory
+"""A file with a motion, or the motion of E."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +177,7 @@ class Curves:
 
 
 @dataclass(frozen=True, eq=False)
-class PlanReport:
+class PlanReport(Result):
     """
     The effects of a plan on the package.
 
@@ -270,7 +275,7 @@ class PlanReport:
 
 
 def plan(
-    path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '',
+    path: Motion, settings: Mapping[str, object], urdf: str = '',
     topic: str = '', seek_fastest: bool = False,
 ) -> PlanReport:
     """
@@ -278,9 +283,10 @@ def plan(
 
     Parameters
     ----------
-    path : path
+    path : path or Trajectory
         A recording with a plan, joint states, transforms or poses of the tool; a TUM, KITTI
-        or EuRoC file; a message or a motion as YAML.
+        or EuRoC file; a message or a motion as YAML. Or the motion of E itself; without twists,
+        from rest to rest.
     settings : mapping
         Parameters by name: cup, package, and how the plan is to be read.
     urdf : str
@@ -374,15 +380,19 @@ def standing(tool: Trajectory, seconds: float) -> Trajectory:
 
 
 def plan_with_cup(
-    path: str | os.PathLike[str], settings: Mapping[str, object], urdf: str = '', topic: str = ''
+    path: Motion, settings: Mapping[str, object], urdf: str = '', topic: str = ''
 ) -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
+    values = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
+    if isinstance(path, Trajectory):
+        return Source(plan_of(
+            path.stamps_ns, path.position, rotation_to_quaternion(path.rotation), path.twist,
+            twist_frame='tool', name='The motion'), '', path='a motion', values=values)
     if not os.path.exists(path):
         raise BellowsError(
             f"Plan '{path}' does not exist. Give a recording, or a YAML, TUM, KITTI or EuRoC "
             'file.')
-    return read_plan(
-        path, with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS)), urdf, topic)
+    return read_plan(path, values, urdf, topic)
 
 
 def read_plan(

@@ -25,6 +25,7 @@ from bellows_ros.files.results import provenance, with_units
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load, Progress
+from bellows_ros.workflows.result import Result
 import numpy as np
 
 SHOWN = 3
@@ -85,7 +86,7 @@ class Margins:
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class Replay(Result):
     """
     A recording predicted with a cup.
 

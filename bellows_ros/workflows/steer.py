@@ -19,7 +19,8 @@ from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_abo
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
-from bellows_ros.workflows.plan import NO_GRIP, plan_with_cup, Source, standing
+from bellows_ros.workflows.plan import Motion, NO_GRIP, plan_with_cup, Source, standing
+from bellows_ros.workflows.result import Result
 import numpy as np
 
 TAIL = 2.0
@@ -68,7 +69,7 @@ OF_EXCITE = (
 
 
 @dataclass(frozen=True, eq=False)
-class SteerReport:
+class SteerReport(Result):
     """
     A plan and the same motion steered.
 
@@ -152,8 +153,8 @@ class SteerReport:
 
 
 def steer_plan(
-    path: str | os.PathLike[str], settings: Mapping[str, object], method: str,
-    limits: str | os.PathLike[str] = '', urdf: str = '', topic: str = '',
+    path: Motion, settings: Mapping[str, object], method: str,
+    limits: str | os.PathLike[str] | Mapping[str, object] = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """
     Steer a plan of the tool, or of the package, so that the package does not swing.
@@ -164,8 +165,8 @@ def steer_plan(
         As `workflows.plan.plan` takes them. A plan of what frames.package names is one of B.
     method : str
         Of `core.planning.steering.METHODS`.
-    limits : path
-        YAML file with limits, see `read_limits`; '' for none.
+    limits : path or mapping
+        YAML file with limits or its content, see `read_limits`; '' for none.
 
     Raises
     ------
@@ -173,7 +174,8 @@ def steer_plan(
         If the plan cannot be read or steered, or the limits cannot be kept to.
 
     """
-    kept = read_limits(safe_yaml.load(Path(limits)) if limits else {})
+    kept = read_limits(
+        limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)
     model, of_package = source.model, source.moves == source.values['frames.package']
     bound = bool(limits) or source.joints is not None

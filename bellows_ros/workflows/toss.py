@@ -25,7 +25,8 @@ from bellows_ros.core.toss.landing import (
 )
 from bellows_ros.core.toss.release import Held, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.plan import plan_with_cup, Source, write_prediction
+from bellows_ros.workflows.plan import Motion, plan_with_cup, Source, write_prediction
+from bellows_ros.workflows.result import Result
 import numpy as np
 
 MILLI = 1e3
@@ -51,7 +52,7 @@ class Share(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TossResult:
+class TossResult(Result):
     """A toss of a plan, with all that was asked of it."""
 
     source: Source
@@ -185,7 +186,7 @@ def write_toss(
 
 
 def toss_plan(
-    path: str | os.PathLike[str],
+    path: Motion,
     parameters: Mapping[str, object],
     switched: float | None,
     target: tuple[float, float] | None = None,

@@ -225,23 +225,6 @@ def simulate(
     BellowsError
         If there is no static equilibrium to start from, or the simulation does not stay finite.
 
-    Examples
-    --------
-    A tool that moves steadily along x for a second: the package, which hung straight below it,
-    is pulled along and swings.
-
-    >>> t = np.linspace(0.0, 1.0, 501)
-    >>> tool = bellows_ros.Trajectory(
-    ...     stamps_ns=np.arange(501) * 2_000_000,
-    ...     position=np.column_stack([0.2 * t, 0.0 * t, 0.0 * t]),
-    ...     rotation=np.broadcast_to(np.eye(3), (501, 3, 3)),
-    ...     twist=np.tile([0.2, 0.0, 0.0, 0.0, 0.0, 0.0], (501, 1)))
-    >>> cup = bellows_ros.read_cup('bags/cup.yaml')
-    >>> package = bellows_ros.read_package('bags/package.yaml')
-    >>> moved = bellows_ros.simulate(cup, package, tool)
-    >>> len(moved), bool(moved.position[-1, 0] > 0.15)
-    (501, True)
-
     """
     model = model_tuple(cup, package, gravity)
     rows = tool_rows(tool)

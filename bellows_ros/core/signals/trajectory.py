@@ -130,7 +130,7 @@ class Trajectory:
         Strictly increasing, ns.
     position : array (N, 3)
         Origin of the body in the world, m.
-    rotation : array (N, 3, 3)
+    rotation : array (N, 3, 3) or scipy Rotation
         R_world_body.
     twist : array (N, 6), optional
         Body twist, linear first: R^T do/dt (m/s) and body rate (rad/s) (4.30).
@@ -299,7 +299,8 @@ def _freeze_arrays(owner: Any, of: str, **shapes: tuple[int, ...]) -> None:
 
 def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
     """Check one of the owner's float arrays and store it, or a copy if it is writeable."""
-    array = np.asarray(getattr(owner, name), dtype=np.float64)
+    given = getattr(owner, name)
+    array = np.asarray(given.as_matrix() if hasattr(given, 'as_matrix') else given, np.float64)
     if not _is_frozen(array):
         array = np.array(array, order='C')
     if array.shape != shape:

@@ -1,0 +1,53 @@
+"""What the results of workflows have in common: they draw and write themselves."""
+
+import os
+from typing import Any
+
+from bellows_ros.extras import require_pictures
+from bellows_ros.files.results import write_json
+
+
+class Result:
+    """A result that has `as_json()`."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all figures by name, SI units, null for unknown values."""
+        raise NotImplementedError
+
+    def to_json(self, path: str | os.PathLike[str]) -> None:
+        """
+        Write all figures as JSON, whole or not at all.
+
+        Raises
+        ------
+        BellowsError
+            If the file cannot be written.
+
+        """
+        from bellows_ros import __version__
+
+        write_json(path, {**self.as_json(), 'version': __version__})
+
+    def plot(self, theme: str = 'light') -> Any:
+        """
+        Draw the result.
+
+        Parameters
+        ----------
+        theme : {'light', 'dark'}
+            Colours for a light or a dark background.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        BellowsError
+            If matplotlib is not installed.
+
+        """
+        require_pictures()
+        from bellows_ros.plots.results import figure_of  # needs matplotlib, which is optional
+
+        return figure_of(self, theme)
