@@ -14,7 +14,7 @@ from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.kernels import body_acceleration
 from bellows_ros.core.model.simulation import state_row, tool_rows
 from bellows_ros.core.planning.fastest import fastest
-from bellows_ros.core.planning.plan import rest, Run
+from bellows_ros.core.planning.plan import PlanSimulation, rest
 from bellows_ros.core.planning.points import plan_of
 from bellows_ros.core.planning.steering import hanging, impulses, METHODS, shaped, steer
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -53,7 +53,7 @@ def run(short: bool) -> dict[str, Any]:
     }, 1, process_time)
     plain = in_process(INTERPRETED, environment={'NUMBA_DISABLE_JIT': '1'})
     slow |= {f'{name}, interpreted': figures([seconds]) for name, seconds in plain.items()}
-    along = Run(MODEL, GRIP, tool, tail=0.0)
+    along = PlanSimulation(MODEL, GRIP, tool, tail=0.0)
     zvd = impulses(steer(MODEL, tool, 'zvd').modes, 'zvd')
     subjects: dict[str, Work] = {
         'predict': lambda: _once(along.at, 1.0),
@@ -87,12 +87,12 @@ import json
 from time import process_time
 from timeit import timeit
 from benchmarks.plans import GRIP, MODEL, plan
-from bellows_ros.core.planning.plan import Run
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.steering import steer
 tool = plan()
-along = Run(MODEL, GRIP, tool, tail=0.0)
+along = PlanSimulation(MODEL, GRIP, tool, tail=0.0)
 print(json.dumps({
-    'predict': timeit(lambda: along.at(1.0), timer=process_time, number=1),
+    'predict': timeit(lambda: along.predict(1.0), timer=process_time, number=1),
     'steer, inverse': timeit(lambda: steer(MODEL, tool, 'inverse'), timer=process_time,
                              number=1)}))
 """
@@ -111,7 +111,7 @@ def _steering(tool: Trajectory, method: str) -> Work:
 
 def _swing(tool: Trajectory, wanted: Trajectory) -> dict[str, float]:
     """Return time (s), largest tilt from where it is wanted and swing left (degrees)."""
-    found = Run(MODEL, GRIP, tool, tail=2.0).at(1.0)
+    found = PlanSimulation(MODEL, GRIP, tool, tail=2.0).predict(1.0)
     R = quaternion_to_rotation(found.states[:, 3:7])
     cosine = np.sum(R[:, :, 2] * wanted.rotation[:, :, 2], axis=1)
     return {

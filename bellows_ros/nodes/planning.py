@@ -23,14 +23,14 @@ from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
 from .worker import Worker
 from ..core.live import LivePredictor, Prediction
-from ..core.live.ahead import Ahead, LONGEST_WAIT, thin_out
 from ..core.live.health import Level, number, Status
+from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import Rows
 from ..core.model.validity_range import known_envelope
-from ..core.planning.plan import COARSE, predict, Run
+from ..core.planning.plan import COARSE, PlanSimulation, predict
 from ..core.planning.plan import Prediction as Predicted
 from ..core.planning.points import rows_of
 from ..core.planning.steering import steer
@@ -141,7 +141,7 @@ class Planning:
         """Drop the plan and all answers."""
         self.worker.forget()
         self.steerer.forget()
-        self._ahead: Ahead | None = None
+        self._ahead: PlanTracker | None = None
         self._found: Predicted | Status | None = None
         self._predicted_ns = 0
 
@@ -168,7 +168,7 @@ class Planning:
 
     def _compile(self) -> None:
         """Compile the answer to a plan, by answering a dummy plan."""
-        at_rest = Ahead(_still(), 0)
+        at_rest = PlanTracker(_still(), 0)
         at_rest.follow(STILL)
         predict(self._live.model, grip_of(self._values), at_rest.rest(STILL), tail=0.1)
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
@@ -215,7 +215,7 @@ class Planning:
         """Predict a plan of the tool with its stamp (ns), and follow it from now on."""
         try:
             stamp_ns, tool = read()
-            ahead = Ahead(tool, stamp_ns)
+            ahead = PlanTracker(tool, stamp_ns)
             now, grip = self.held, grip_of(self._values)
             rest, body = ahead.plan, None
             if now is not None:
@@ -227,11 +227,11 @@ class Planning:
                         'give the plan the stamp 0.')
                 ahead.follow(now)
                 grip = self.grip
-                if wait <= LONGEST_WAIT and not ahead.off:
+                if wait <= LONGEST_WAIT and not ahead.deviated:
                     rest = ahead.rest(now, self._coarse)  # points as far apart as steps
                     body, stamp_ns = now.body, now.stamp_ns
             self._ahead = ahead
-            self._answer(Run(self._live.model, grip, rest, body, TAIL, self._coarse,
+            self._answer(PlanSimulation(self._live.model, grip, rest, body, TAIL, self._coarse,
                              self.worker.stop), stamp_ns)
         except BellowsError as error:
             self.refuse('plan', error)
@@ -260,17 +260,17 @@ class Planning:
             self._predicted_ns = time.monotonic_ns()
             self.worker.submit(PLAN, self._predict_rest, ahead, now)
 
-    def _predict_rest(self, ahead: Ahead, now: Prediction) -> None:
+    def _predict_rest(self, ahead: PlanTracker, now: Prediction) -> None:
         """Predict the rest of a plan from a live state, once that has been delivered."""
         time.sleep(DELIVERED)
         try:
-            self._answer(Run(
+            self._answer(PlanSimulation(
                 self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse,
                 self.worker.stop), now.stamp_ns)
         except BellowsError as error:
             self.refuse('plan', error)
 
-    def _answer(self, run: Run, stamp_ns: int) -> None:
+    def _answer(self, run: PlanSimulation, stamp_ns: int) -> None:
         """Publish the package along a plan, then its summary."""
         frame, states = self._live.frame_id, run.states()
         times = run.tool.stamps_ns - run.tool.stamps_ns[0]

@@ -20,7 +20,7 @@ from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, 
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.fastest import Fastest, fastest
 from bellows_ros.core.planning.joint_path import joint_excess, Joints
-from bellows_ros.core.planning.plan import LONGEST_TAIL, Prediction, Run
+from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanSimulation, Prediction
 from bellows_ros.core.planning.points import plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
@@ -231,7 +231,7 @@ class PlanReport(Result):
             factor, limit = joint_excess(
                 source.joints.arm, source.joints.along(tool, source.tool), math.inf)
             tool = timed(tool, factor * TIME_ROUNDING if limit else 1.0)
-        return tool, Run(source.model, None, tool, tail=0.0).at(1.0).states, limit
+        return tool, PlanSimulation(source.model, None, tool, tail=0.0).predict(1.0).states, limit
 
     @cached_property
     def curves(self) -> Curves:
@@ -304,11 +304,11 @@ def plan(
     """
     source = plan_with_cup(path, settings, urdf, topic)
     values, model, grip = source.values, source.model, source.grip
-    run = Run(model, grip, source.tool)
-    prediction = run.at(1.0)
+    run = PlanSimulation(model, grip, source.tool)
+    prediction = run.predict(1.0)
 
     def figures(changed: ModelTuple) -> Array:
-        found = run.of(changed).at(1.0).figures()
+        found = run.with_model(changed).predict(1.0).figures()
         found['settled_after'] = min(found['settled_after'], LONGEST_TAIL)  # it jumps there
         return np.array(list(found.values()))
 
@@ -352,10 +352,10 @@ def curves(
     start: State | None = None,
 ) -> Curves:
     """Return the curves of a motion; the package rests at its start when that is left out."""
-    run = Run(model, grip, tool, start, tail=0.0)
+    run = PlanSimulation(model, grip, tool, start, tail=0.0)
 
     def compute(changed: ModelTuple) -> Array:
-        found = run.of(changed).at(1.0)
+        found = run.with_model(changed).predict(1.0)
         angle = bending(tool.rotation, quaternion_to_rotation(found.states[:, 3:7]))
         factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
         return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])

@@ -13,7 +13,7 @@ from bellows_ros.core.model.perturbed import deviations_of, mean_square
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.planning.joint_path import joint_excess
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
-from bellows_ros.core.planning.plan import Prediction, Run, SETTLED
+from bellows_ros.core.planning.plan import PlanSimulation, Prediction, SETTLED
 from bellows_ros.core.planning.points import timed
 from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -246,7 +246,7 @@ def _scale(
         tool = steer(source.model, timed(source.tool, scale), method, of_package).tool
         factor = math.inf
         if grip is not None and limits.safety_factor > 0.0:
-            factor = 1.0 / Run(source.model, grip, tool, tail=TAIL).load(1.0)
+            factor = 1.0 / PlanSimulation(source.model, grip, tool, tail=TAIL).load(1.0)
         needed = (1.0, '')
         if source.joints is not None:
             needed = joint_excess(
@@ -260,11 +260,11 @@ def _scale(
 def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float) -> SteeredMotion:
     """Return the effect of a motion of the tool on the package, which arrives then (s)."""
     model = source.model
-    run, longer = Run(model, source.grip, tool), standing(tool, TAIL)
+    run, longer = PlanSimulation(model, source.grip, tool), standing(tool, TAIL)
     square = mean_square(
         source.values, model,
-        lambda changed: float(run.of(changed).at(1.0).figures()['swing_left']))
+        lambda changed: float(run.with_model(changed).predict(1.0).figures()['swing_left']))
     return SteeredMotion(
-        tool, run.at(1.0), arrival - source.duration, longer,
-        Run(model, None, longer, tail=0.0).at(1.0).states, standing(wanted, TAIL),
+        tool, run.predict(1.0), arrival - source.duration, longer,
+        PlanSimulation(model, None, longer, tail=0.0).predict(1.0).states, standing(wanted, TAIL),
         math.sqrt(square))

@@ -28,7 +28,7 @@ from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.planning.plan import Run
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.synthetic.motion import Motion, Pose, Vibration
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -355,7 +355,7 @@ def loads(
 ) -> Array:
     """Return the largest parts (M, 4) of the limits of `LOADS`, with M models; (M, 2) gripless."""
     tool = motion.at_rate(CHECK_RATE)
-    found = [Run(model, grip, tool).at(1.0) for model in models]
+    found = [PlanSimulation(model, grip, tool).predict(1.0) for model in models]
     return np.array([
         [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
          *(limits.safety * each.peaks[:2, 0] if grip else ())] for each in found])

@@ -293,7 +293,7 @@ class LivePredictor:
         elif newest_ns >= 0:
             self._period_ns = stamp_ns - newest_ns
         if self._screen.doubted:
-            self._package.settling.doubt(stamp_ns, *self._screen.jump)
+            self._package.settling.inflate(stamp_ns, *self._screen.jump)
         if arrival_ns is not None and self.arrival_ns is not None:
             pause_ns = arrival_ns - self.arrival_ns
             if pause_ns <= LONGEST_BURST_NS:  # they grow quickly, and shrink slowly
@@ -431,7 +431,7 @@ class LivePredictor:
             self._counts['twist_misses_pose'] += 1
             return None
         if doubt > 1.0:
-            self._package.settling.doubt(pose.stamp_ns, *off)
+            self._package.settling.inflate(pose.stamp_ns, *off)
         return now
 
 

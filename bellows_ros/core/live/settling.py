@@ -47,16 +47,16 @@ class Modes(NamedTuple):
     """Of the mode that dies away slowest, 1/s."""
     frequency: float
     """Of the slowest mode, rad/s."""
-    give: tuple[float, float, float]
+    compliance: tuple[float, float, float]
     """Shift (m) and turn (rad) by 1 m/s^2 of the tool, and turn by 1 rad/s^2 of it."""
 
 
 def modes_of(system: Array) -> Modes:
     """Return the modes of the small motions with a system matrix (12, 12), without relaxation."""
     eigenvalues = np.linalg.eigvals(system)
-    give = np.linalg.inv(system[6:, :6])
-    by_shift, by_turn, turn_by_turn = (
-        float(np.linalg.norm(part, 2)) for part in (give[:3, :3], give[3:, :3], give[3:, 3:]))
+    compliance = np.linalg.inv(system[6:, :6])
+    by_shift, by_turn, turn_by_turn = (float(np.linalg.norm(part, 2)) for part in (
+        compliance[:3, :3], compliance[3:, :3], compliance[3:, 3:]))
     return Modes(
         max(SLOWEST_DECAY, -float(eigenvalues.real.max())),
         max(SLOWEST_MODE, float(np.abs(eigenvalues).min())),
@@ -92,7 +92,7 @@ class Settling:
         self._seen = [(stamp_ns, tool)]
         self.now = self._left_by(stamp_ns, *UNSEEN)
 
-    def doubt(self, stamp_ns: int, shift: float, turn: float) -> None:
+    def inflate(self, stamp_ns: int, shift: float, turn: float) -> None:
         """Note that the tool was shifted (m) and turned (rad) as no arm moves."""
         before = self.now or Unsettled(stamp_ns, 0.0, 0.0, 0.0, 0.0)
         self.now = before._replace(
@@ -128,7 +128,7 @@ class Settling:
         self, stamp_ns: int, speed: float, rate: float, acceleration: float, turning: float
     ) -> Unsettled:
         """Return the error of assuming rest below a moving tool."""
-        by_shift, by_turn, turn_by_turn = self.modes.give
+        by_shift, by_turn, turn_by_turn = self.modes.compliance
         turn = by_turn * acceleration + turn_by_turn * turning
         return Unsettled(stamp_ns, by_shift * acceleration, turn, speed, rate)
 

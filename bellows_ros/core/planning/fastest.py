@@ -11,7 +11,7 @@ from bellows_ros.core.model.equilibrium import largest_step, system_matrix
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.perturbed import perturbed, STEP
-from bellows_ros.core.planning.plan import COARSE, Run
+from bellows_ros.core.planning.plan import COARSE, PlanSimulation
 from bellows_ros.core.signals.screening import LARGEST_SPEED
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
@@ -79,11 +79,11 @@ def fastest(
     thin = tool.select(np.unique([*first, len(tool) - 1]))  # with its ends
     slowest = float(np.abs(np.linalg.eigvals(system_matrix(model))).min())
     tail = min(LONGEST_TAIL, 2.0 * math.pi / slowest)
-    quick = Run(model, grip, thin, tail=tail, longest=COARSE * longest)
-    spread = [quick.of(each) for _, *both in perturbed(values, model) for each in both]
-    fine = Run(model, grip, tool, tail=tail, longest=longest)
+    quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE * longest)
+    spread = [quick.with_model(each) for _, *both in perturbed(values, model) for each in both]
+    fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)
 
-    def margin(scale: float, part: float, run: Run) -> float:
+    def margin(scale: float, part: float, run: PlanSimulation) -> float:
         """Return the excess of the factor, less two sigma, over the required one."""
         needed = least / max(1.0 - 2.0 * part, 0.01)
         return _factor(run, scale, 1.0 / (ABORT_BELOW * needed)) / needed - 1.0
@@ -113,7 +113,7 @@ def fastest(
     return None
 
 
-def _factor(run: Run, scale: float, ceiling: float = math.inf) -> float:
+def _factor(run: PlanSimulation, scale: float, ceiling: float = math.inf) -> float:
     """Return the smallest safety factor, or one that is below that of a ceiling of the load."""
     load = run.load(scale, ceiling)
     return 1.0 / load if load > 0.0 else math.inf
@@ -131,7 +131,7 @@ def _local_maximum(margin: Callable[[float], float], scale: float) -> tuple[floa
 
 
 def _narrowed(
-    margin: Callable[[float], float], scale: float, run: Run, part: float
+    margin: Callable[[float], float], scale: float, run: PlanSimulation, part: float
 ) -> Fastest:
     """Return the shortest safe time scale near a safe one, by bisection with fine steps."""
     low, high = scale / (1.0 + SCAN_STEP), scale

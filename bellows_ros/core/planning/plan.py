@@ -58,7 +58,7 @@ import numpy as np
 
 SETTLED = math.radians(0.5)
 """The package has settled when its rotation from rest stays below this (rad) ..."""
-QUIET, LONGEST_TAIL = 2.0, 30.0
+SETTLING_TIME, LONGEST_TAIL = 2.0, 30.0
 """... for this time (s); the wait ends at the latest this long (s) after the end."""
 
 OVERTURNED = 1.5
@@ -166,13 +166,13 @@ def predict(
     model : tuple
         As the kernels take it.
     grip : tuple, optional
-        As `grip_of` returns it; without it nothing is said of the safety factor.
+        As `grip_of` returns it; without it the safety factor is unknown.
     tool : Trajectory or Rows
         A plan, as `plan_points.plan_of` returns it.
     start : State, optional
         Of B in the world at the first point; in steady motion there when left out.
     tail : float
-        How long (s) after the end the package is watched, at most.
+        Longest time (s) simulated after the end.
     longest : float
         Longest step of the integration (s), that of the model when left out.
 
@@ -182,14 +182,14 @@ def predict(
         If the package cannot rest under the tool, or the prediction does not stay finite.
 
     """
-    return Run(model, grip, tool, start, tail, longest).at(1.0)
+    return PlanSimulation(model, grip, tool, start, tail, longest).predict(1.0)
 
 
-class Run:
+class PlanSimulation:
     """
     A plan made ready to be predicted at several speeds.
 
-    Parameters are those of `predict`; `tail` is how long after the end is looked at (s), and
+    Parameters are those of `predict`; `tail` is the simulated time after the end (s), and
     `longest` the longest step of the integration (s), that of the model when left out. `stop`
     (1,) ends the work with a BellowsError as soon as another thread sets it to true.
     """
@@ -212,7 +212,7 @@ class Run:
         require_steps(float(tool.seconds[-1]) / self._longest)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
 
-    def of(self, model: ModelTuple) -> Run:
+    def with_model(self, model: ModelTuple) -> PlanSimulation:
         """Return the same run with a slightly different model."""
         other = copy(self)
         other._model = model
@@ -225,18 +225,18 @@ class Run:
 
     def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
         """Return 1 over the smallest safety factor, or a load above a ceiling if one is."""
-        if self._follow(duration_scale, ceiling):
-            self._swing_out(ceiling)
+        if self._simulate_plan(duration_scale, ceiling):
+            self._simulate_decay(ceiling)
         return float(self._out[3][:2, 0].max())
 
-    def at(self, duration_scale: float) -> Prediction:
+    def predict(self, duration_scale: float) -> Prediction:
         """Return the prediction of the plan stretched in time by a factor."""
         self.states(duration_scale)
         return self.prediction()
 
     def states(self, duration_scale: float = 1.0) -> Array:
         """Predict along the plan alone, which is available first, as an array (N, 13)."""
-        self._follow(duration_scale, math.inf)
+        self._simulate_plan(duration_scale, math.inf)
         states = self._out[0].copy()
         if not np.isfinite(states).all():
             raise diverged()
@@ -244,43 +244,43 @@ class Run:
 
     def prediction(self) -> Prediction:
         """Return the whole prediction after `states`, including the time after the end."""
-        settled = self._swing_out(math.inf)
+        settled = self._simulate_decay(math.inf)
         states, wrench, loads, peaks, lip = self._out
         return Prediction(
             self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
             self._grip is not None, self._tail > 0.0,
         )
 
-    def _follow(self, duration_scale: float, ceiling: float) -> bool:
+    def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
         """Fill in the arrays along the plan; return whether all loads were below the ceiling."""
         n = len(self._rows)
         self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
                      np.empty((len(PEAKS), 2)), np.empty((6, 3)))
         self._past = np.full((len(PEAKS), 4), math.inf)  # no sample yet
         try:
-            self._body, self._seconds, below = _follow(
+            self._body, self._seconds, below = _simulate_plan(
                 self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,
                 duration_scale, self._longest, ceiling, *self._out, self._past, self._stop)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise diverged() from None
-        self._require_wanted()
+        self._require_not_stopped()
         return bool(below)
 
-    def _swing_out(self, ceiling: float) -> float:
+    def _simulate_decay(self, ceiling: float) -> float:
         """Continue after the end; return the time (s) until the package has settled."""
         h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
         _, _, _, peaks, lip = self._out
         try:
-            settled = float(_swing_out(
+            settled = float(_simulate_decay(
                 self._model, self._grip or UNKNOWN_GRIP, self._end[1],
                 row_state(self._inputs[0][-1]), self._body, self._seconds, h,
                 math.ceil(self._tail / h), ceiling, peaks, self._past, lip, self._stop))
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise diverged() from None
-        self._require_wanted()
+        self._require_not_stopped()
         return settled
 
-    def _require_wanted(self) -> None:
+    def _require_not_stopped(self) -> None:
         """Raise where another thread has stopped the prediction."""
         if self._stop[0]:
             raise BellowsError('The prediction was stopped before its end.')
@@ -337,7 +337,7 @@ def turn_between(p: Quaternion, q: Quaternion) -> float:
 
 
 @kernel
-def note(peaks: Array, past: Array, i: int, t: float, value: float) -> None:
+def update_peak(peaks: Array, past: Array, i: int, t: float, value: float) -> None:
     """
     Keep the largest value of a quantity: the vertex of the parabola through three samples.
 
@@ -357,7 +357,7 @@ def note(peaks: Array, past: Array, i: int, t: float, value: float) -> None:
 
 
 @kernel
-def look(
+def record_sample(
     model: ModelTuple, grip: Grip, tool: State, body: State, t: float,
     wrench: Array, loads: Array, peaks: Array, past: Array, lip: Array,
 ) -> float:
@@ -376,12 +376,12 @@ def look(
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
     turn = log_quaternion(quaternion_product(quaternion_conjugate(tool[1]), body[1]))
-    note(peaks, past, 0, t, loads[0])
-    note(peaks, past, 1, t, loads[1])
-    note(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
-    note(peaks, past, 3, t, norm(shift))
-    note(peaks, past, 4, t, norm(f))
-    note(peaks, past, 5, t, norm(m))
+    update_peak(peaks, past, 0, t, loads[0])
+    update_peak(peaks, past, 1, t, loads[1])
+    update_peak(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
+    update_peak(peaks, past, 3, t, norm(shift))
+    update_peak(peaks, past, 4, t, norm(f))
+    update_peak(peaks, past, 5, t, norm(m))
     for i in range(3):
         lip[i, 0], lip[i, 1] = min(lip[i, 0], shift[i]), max(lip[i, 1], shift[i])
         lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], turn[i]), max(lip[i + 3, 1], turn[i])
@@ -390,7 +390,7 @@ def look(
 
 
 @kernel
-def _follow(
+def _simulate_plan(
     model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any,
     duration_scale: float, longest: float, ceiling: float,
     states: Array, wrench: Array, loads: Array, peaks: Array, lip: Array, past: Array,
@@ -407,7 +407,7 @@ def _follow(
     body, tool, t = start, slowed(row_state(rows[0]), duration_scale), 0.0
     write_row(states[0], body)
     velocity = rigid_velocity(tool, arm)
-    if look(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
+    if record_sample(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
         return body, t, False
     for k in range(len(durations)):
         if stop[0]:
@@ -423,7 +423,7 @@ def _follow(
             body = step(model, body, tool, middle, end, h)
             tool = end
             now = t + (i + 1.0) * h
-            load = look(
+            load = record_sample(
                 model, grip, tool, body, now, wrench[k + 1], loads[k + 1], peaks, past, lip)
             if load > ceiling:
                 return body, now, False
@@ -437,7 +437,7 @@ def _follow(
 
 
 @kernel
-def _swing_out(
+def _simulate_decay(
     model: ModelTuple, grip: Grip, rest: Quaternion, tool: State, body: State, t: float, h: float,
     count: int, ceiling: float, peaks: Array, past: Array, lip: Array, stop: Mask,
 ) -> float:
@@ -449,19 +449,19 @@ def _swing_out(
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
     settled, turn = 0.0, turn_between(rest, body[1])
-    note(peaks, past, 7, t, turn)
+    update_peak(peaks, past, 7, t, turn)
     for i in range(count):
         before, since = turn, (i + 1.0) * h
         body = step(model, body, tool, tool, tool, h)
-        load = look(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
+        load = record_sample(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
         turn = turn_between(rest, body[1])
-        note(peaks, past, 7, t + since, turn)
+        update_peak(peaks, past, 7, t + since, turn)
         if load > ceiling or turn > OVERTURNED or stop[0]:
             return math.inf
         if turn > SETTLED:
             settled = math.inf
         elif before > SETTLED:
             settled = since - h * (SETTLED - turn) / (before - turn)
-        elif since > settled + QUIET:
+        elif since > settled + SETTLING_TIME:
             break
     return settled if turn <= SETTLED else math.inf

@@ -83,12 +83,12 @@ METHODS = ('inverse', 'zv', 'zvd')
 GRID = 0.001
 """Spacing (s) of the resulting motion."""
 
-SPACING, JUMP, LITTLE = 0.005, 100.0, 0.1
-"""Spacing (s) at which the fourth derivative is looked at, and changes that are none: of this size
+SPACING, JUMP, RELATIVE_JUMP = 0.005, 100.0, 0.1
+"""Spacing (s) at which the fourth derivative is evaluated, and changes that are none: of this size
 (m/s^4), or this part of it."""
-STEEPEST = 0.25 * math.pi
+PEAK_MOMENT_BENDING = 0.25 * math.pi
 """Bending (rad) at which the cup's restoring moment is largest."""
-PARTS = 5
+SUBDIVISION = 5
 """Smoothing uses points this many times closer ..."""
 SMOOTHED, LONGEST_SMOOTHING = 0.12, 0.2
 """... over this part of its duration, but no longer than this (s): a longer time makes the rest so
@@ -109,7 +109,7 @@ FADE = 0.02
 
 SWINGING = SETTLED
 """Modes that the plan leaves swinging by more than this (rad) are shaped ..."""
-ALIKE = 0.05
+MERGE_WITHIN = 0.05
 """... and modes whose frequencies differ by less than this fraction are shaped as one."""
 
 
@@ -150,7 +150,7 @@ def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wre
 
 
 @kernel
-def leading_tool(
+def inverse_dynamics(
     model: ModelTuple, tool: State, body: State, dv: Vector, dw: Vector
 ) -> State:
     """
@@ -183,21 +183,21 @@ def leading_tool(
 
 
 @kernel
-def wanted_at(rows: Any, i: int) -> tuple[State, Vector, Vector]:
+def reference_at(rows: Any, i: int) -> tuple[State, Vector, Vector]:
     """Return the state of a row (19,), or of the last one, and the rates of its twist."""
     row = rows[min(i, len(rows) - 1)]
     return row_state(row), (row[13], row[14], row[15]), (row[16], row[17], row[18])
 
 
 @kernel
-def _lead(
-    model: ModelTuple, tool: State, wanted: Any, h: float, way: float, turn: float,
+def _invert_kernel(
+    model: ModelTuple, tool: State, reference: Any, h: float, way: float, turn: float,
     out: Array, package: Array,
 ) -> int:
     """
     Write the states of tool and package along a motion; return how many there are.
 
-    What is wanted of the package (N, 19) is half a step of h (s) apart; then it rests. Once the
+    The reference of the package (N, 19) is half a step of h (s) apart; then it rests. Once the
     tool moves by less than way (m) and turn (rad) per s, it stops over `FADE`.
     """
     still, faded, fading = (0.0, 0.0, 0.0), 0, math.ceil(FADE / h)
@@ -205,11 +205,11 @@ def _lead(
         do, ds, sum_o, sum_s, stage = still, still, still, still, tool
         dz = sum_z = moved_strains(tool[4:], -1.0, tool[4:])
         for i in range(4):  # of a step of RKMK4
-            body, dv, dw = wanted_at(wanted, 2 * k + (i + 1) // 2)
+            body, dv, dw = reference_at(reference, 2 * k + (i + 1) // 2)
             at = 0.5 * ((i + 1) // 2) * h
-            stage = leading_tool(
+            stage = inverse_dynamics(
                 model, stage_state(tool, at, do, ds, still, still, dz), body, dv, dw)
-            if i == 0 and faded == 0 and 2 * k >= len(wanted) - 1 and (
+            if i == 0 and faded == 0 and 2 * k >= len(reference) - 1 and (
                     dot(stage[2], stage[2]) < way * way and (
                         dot(stage[3], stage[3]) < turn * turn)):
                 faded = k
@@ -266,16 +266,16 @@ def relaxation_rates(model: ModelTuple) -> Array:
 
 
 def inverse(
-    model: ModelTuple, wanted: Trajectory, start: State | None = None
+    model: ModelTuple, reference: Trajectory, start: State | None = None
 ) -> tuple[Trajectory, Trajectory, float]:
     """
-    Return the motion of the tool under which the package moves as wanted.
+    Return the motion of the tool under which the package moves as given.
 
     Parameters
     ----------
     model : tuple
         As the kernels take it.
-    wanted : Trajectory
+    reference : Trajectory
         Poses and body twists of B, from rest to rest.
     start : State, optional
         The tool from which B hangs at rest at the first pose; sought when left out.
@@ -296,8 +296,8 @@ def inverse(
 
     """
     rates = relaxation_rates(model)
-    rows, smoothed = _smooth_rows(wanted)
-    duration = float(wanted.seconds[-1])
+    rows, smoothed = _smooth_rows(reference)
+    duration = float(reference.seconds[-1])
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
     h = duration / count
     arrival = (LONGEST_ARRIVAL / rates[0] + FADE) / h
@@ -307,21 +307,20 @@ def inverse(
     out, package = np.empty((2, count + 2 + round(arrival), 13))
     body = state_row(rows[0, :3], rows[0, 3:7])
     start = relaxed(model[0], lip_strain(model, start, body), start)
-    found = _led(
-        model, start, _wanted(rows, duration, count), h, rates[0] * np.array(ARRIVED), out,
-        package)
+    states = _reference_states(rows, duration, count)
+    found = _invert(model, start, states, h, rates[0] * np.array(ARRIVED), out, package)
     every = max(1, round(GRID / h))
     kept = np.append(np.arange(0, found - 1, every), found - 1)
-    stamps = wanted.stamps_ns[0] + np.round(kept * h * NS_PER_S).astype(np.int64)
+    stamps = reference.stamps_ns[0] + np.round(kept * h * NS_PER_S).astype(np.int64)
     tool, package = (Trajectory(stamps, rows[kept, :3], quaternion_to_rotation(rows[kept, 3:7]),
                                 rows[kept, 7:]) for rows in (out, package))
     if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
-            STEEPEST):
+            PEAK_MOMENT_BENDING):
         raise _too_far()
     return tool, package, smoothed
 
 
-def _wanted(rows: Array, duration: float, count: int) -> Array:
+def _reference_states(rows: Array, duration: float, count: int) -> Array:
     """
     Return states of B, and the rates of its body twist (2 count + 1, 19).
 
@@ -343,15 +342,15 @@ def _wanted(rows: Array, duration: float, count: int) -> Array:
         value[:, :3], q / size, twist, bent - np.hstack([np.cross(w, v), growth * w])])
 
 
-def _led(
-    model: ModelTuple, tool: State, wanted: Array, h: float, arrived: Array, out: Array,
+def _invert(
+    model: ModelTuple, tool: State, reference: Array, h: float, arrived: Array, out: Array,
     package: Array,
 ) -> int:
     """Fill in the states of tool and package; return how many there are."""
     way, turn = arrived.tolist()
     try:
-        found = int(_lead(
-            model, tool, *as_inputs(wanted), h, way, turn, out, package))
+        found = int(_invert_kernel(
+            model, tool, *as_inputs(reference), h, way, turn, out, package))
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         found = 0
     if not found or not np.isfinite(out[:found]).all():
@@ -375,7 +374,7 @@ def _tool_above(model: ModelTuple, body: Array) -> State:
     o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
     out = np.empty((2, 2 + round((2.0 * LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))
-    found = _led(model, state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
+    found = _invert(model, state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
                  1e-4 * rates[0] * np.array(ARRIVED), *out)
     return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
 
@@ -385,18 +384,18 @@ def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
     o, q = _tool_above(model, tool_rows(package)[0, :7])[:2]
     T_B = transform(package.rotation[0], package.position[0])
     T_E = transform(quaternion_to_rotation(np.array(q)), np.array(o))
-    return carried(package, inverse_transform(T_B) @ T_E)
+    return rigidly_moved(package, inverse_transform(T_B) @ T_E)
 
 
-def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
+def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
     """Return poses (N, 7) evenly spaced from rest to rest, smoothed if need be, and how far."""
     from scipy.ndimage import uniform_filter1d
 
-    curve, duration = curve_of(wanted), float(wanted.seconds[-1])
+    curve, duration = curve_of(reference), float(reference.seconds[-1])
     rows = curve(np.linspace(0.0, duration, max(6, round(duration / SPACING)) + 1))
     if is_smooth(curve):
         return rows, 0.0
-    fine = (len(rows) - 1) * PARTS
+    fine = (len(rows) - 1) * SUBDIVISION
     box = round(0.25 * fine * min(SMOOTHED, LONGEST_SMOOTHING / duration)) | 1  # has a middle
     reach = 2 * (box - 1)
     quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
@@ -404,7 +403,7 @@ def _smooth_rows(wanted: Trajectory) -> tuple[Array, float]:
     for _ in range(4):
         smooth = uniform_filter1d(smooth, box, axis=0, mode='nearest')
     smooth[:, 3:] /= np.linalg.norm(smooth[:, 3:], axis=1)[:, None]
-    return smooth[::PARTS], 2.0 * reach * duration / fine
+    return smooth[::SUBDIVISION], 2.0 * reach * duration / fine
 
 
 def is_smooth(curve: Any) -> bool:
@@ -422,7 +421,7 @@ def is_smooth(curve: Any) -> bool:
     fine, coarse = (np.diff(rows[::every], 4, axis=0) * (count / (every * duration)) ** 4
                     for every in (1, 2))
     change, before = (np.abs(np.diff(d, axis=0)).max() for d in (fine, coarse))
-    return bool(change < max(JUMP, LITTLE * np.abs(fine).max()) or change < 0.7 * before)
+    return bool(change < max(JUMP, RELATIVE_JUMP * np.abs(fine).max()) or change < 0.7 * before)
 
 
 # -------------------------------------------------------------------------------------- shaping
@@ -478,7 +477,7 @@ def to_shape(modes: Sequence[Mode], method: str) -> list[Mode]:
         if mode.tilt <= SWINGING or math.log(mode.tilt / SWINGING) < (
                 2.0 * math.pi * mode.frequency * mode.damping * impulses([mode], method)[0][-1]):
             continue
-        if groups and mode.frequency < (1.0 + ALIKE) * groups[-1][-1].frequency:
+        if groups and mode.frequency < (1.0 + MERGE_WITHIN) * groups[-1][-1].frequency:
             groups[-1].append(mode)
         else:
             groups.append([mode])
@@ -506,9 +505,9 @@ class Steered(NamedTuple):
 
     tool: Trajectory
     package: Trajectory
-    """Poses of B as wanted, at the tool's stamps."""
+    """Poses of B as in the reference, at the tool's stamps."""
     smoothed: float
-    """Time (s) over which the wanted motion was smoothed; 0 if it was C^4."""
+    """Time (s) over which the reference motion was smoothed; 0 if it was C^4."""
     modes: list[Mode]
     """Modes of the package that the plan excites and that are shaped."""
 
@@ -570,11 +569,11 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     s = (tool.seconds / tool.seconds[-1])[:, None]
     step = s**5 * (126.0 + s * (-420.0 + s * (540.0 + s * (-315.0 + s * 70.0))))
     rate = 630.0 * s**4 * (1.0 - s) ** 4 / tool.seconds[-1]
-    found = carried(tool, T_E_B[0] @ exp_se3(step * way))
+    found = rigidly_moved(tool, T_E_B[0] @ exp_se3(step * way))
     return replace(found, twist=np.asarray(found.twist) + rate * way)
 
 
-def carried(motion: Trajectory, T: Array) -> Trajectory:
+def rigidly_moved(motion: Trajectory, T: Array) -> Trajectory:
     """Return the motion of frames at poses T (4, 4) or (N, 4, 4) on a moving body."""
     moved = transform(motion.rotation, motion.position) @ T
     twist = apply_all(adjoint(inverse_transform(T)), np.asarray(motion.twist))

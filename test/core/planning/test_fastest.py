@@ -11,7 +11,7 @@ from bellows_ros.core.model.perturbed import (
     perturbed,
 )
 from bellows_ros.core.planning.fastest import fastest
-from bellows_ros.core.planning.plan import predict, Run
+from bellows_ros.core.planning.plan import PlanSimulation, predict
 from bellows_ros.core.planning.points import plan_of, timed
 import numpy as np
 from numpy.testing import assert_allclose
@@ -116,10 +116,10 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
     plan = Move([0.5, 0.2, -0.1], [0.2, 0.0, 0.4], 0.7).plan(250)
     names = ('smallest_safety_factor', 'peak_bending', 'peak_deflection', 'peak_force',
              'peak_moment', 'rigid_peak_moment', 'swing_left')
-    run = Run(MODEL, GRIP, plan, tail=0.5)
+    run = PlanSimulation(MODEL, GRIP, plan, tail=0.5)
 
     def figures(model):
-        found = run.of(model).at(1.0).figures()
+        found = run.with_model(model).predict(1.0).figures()
         return np.array([found[name] for name in names])
 
     _, parts = contributions(VALUES, MODEL, figures)

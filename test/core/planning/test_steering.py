@@ -13,7 +13,7 @@ from bellows_ros.core.model.perturbed import (
 from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
-from bellows_ros.core.planning.plan import predict, rest, Run
+from bellows_ros.core.planning.plan import PlanSimulation, predict, rest
 from bellows_ros.core.planning.points import curve_of
 from bellows_ros.core.planning.steering import (
     hanging,
@@ -131,12 +131,12 @@ def test_shaping_is_as_in_the_table():
     softer = model_tuple(SOFTER, PACKAGE, 9.81)
 
     def row(tool, wanted):
-        run = Run(MODEL, None, tool)
-        found = run.at(1.0)
+        run = PlanSimulation(MODEL, None, tool)
+        found = run.predict(1.0)
         tilt = angle(quaternion_to_rotation(found.states[:, 3:7]), wanted.rotation).max()
         return (float(tool.seconds[-1]) - 0.5, tilt,
                 *(math.degrees(each.figures()['swing_left'])
-                  for each in (found, run.of(softer).at(1.0))))
+                  for each in (found, run.with_model(softer).predict(1.0))))
 
     assert_allclose(row(plan, hanging(MODEL, plan))[1:3], (27.4, 14.4), atol=0.1)
     zv, zvd = (steer(MODEL, plan, name) for name in ('zv', 'zvd'))
@@ -256,10 +256,10 @@ def test_what_cannot_be_steered_is_refused():
 def test_the_expected_swing_is_that_of_monte_carlo():
     """100 draws have a root mean square to 7 %; the second order of the rest is a few percent."""
     tool = steer(MODEL, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.6).plan(500), 'inverse').tool
-    run = Run(MODEL, None, tool, tail=0.5)
+    run = PlanSimulation(MODEL, None, tool, tail=0.5)
 
     def swing(model):
-        return run.of(model).at(1.0).figures()['swing_left']
+        return run.with_model(model).predict(1.0).figures()['swing_left']
 
     rng = np.random.default_rng(3)
     draws = parameter_vector(VALUES) + deviations_of(VALUES) * rng.standard_normal((100, 52))

@@ -2,8 +2,8 @@
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, Prediction
-from bellows_ros.core.live.ahead import Ahead
 from bellows_ros.core.live.flight import Flight, steadily
+from bellows_ros.core.live.plan_tracker import PlanTracker
 from bellows_ros.core.live.samples import ZERO
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.parameters.checks import resolve
@@ -37,7 +37,7 @@ def driven(seconds, speed=1.0, late=0.0, move=MOVE, off=(0.0, 0.0, 0.0)):
 @pytest.mark.parametrize('stamp_ns', [0, T0])
 def test_follows_the_tool_and_not_the_clock(speed, late, stamp_ns):
     """Late and at half speed: to 2 ms of the plan, and its rest is where the tool will be."""
-    ahead = Ahead(MOVE.plan(250), stamp_ns)
+    ahead = PlanTracker(MOVE.plan(250), stamp_ns)
     for k in range(round(20 * (late + 0.8 / speed)) - 1):
         t = 0.05 * (k + 1)
         now = driven(t, speed, late)
@@ -52,7 +52,7 @@ def test_follows_the_tool_and_not_the_clock(speed, late, stamp_ns):
                 later = driven(t + after, speed, late)
                 place = rest.position[np.argmin(np.abs(rest.seconds - after))]
                 assert np.linalg.norm(place - later.tool[0]) < 5e-3
-        assert not ahead.off and not ahead.done
+        assert not ahead.deviated and not ahead.done
     for after in (0.0, 0.05, 0.1):  # at its end it creeps
         ahead.follow(driven(late + 0.8 / speed + after, speed, late))
     assert ahead.done
@@ -72,7 +72,7 @@ def test_a_plan_that_comes_back_is_followed_back():
     t = np.linspace(0.0, 1.4, 701)
     o, R, v = both.at(t)
     v[t >= 0.9] *= -1.0
-    ahead = Ahead(Trajectory(np.round(t * 1e9).astype(np.int64), o, R, v), 0)
+    ahead = PlanTracker(Trajectory(np.round(t * 1e9).astype(np.int64), o, R, v), 0)
     for k in range(1, 140):
         t = 0.01 * k
         now = driven(t, move=both)
@@ -85,13 +85,13 @@ def test_a_plan_that_comes_back_is_followed_back():
 
 
 def test_a_tool_elsewhere_does_not_drive_the_plan():
-    ahead = Ahead(MOVE.plan(250), 0)
+    ahead = PlanTracker(MOVE.plan(250), 0)
     ahead.follow(driven(0.4, off=(0.0, 0.0, 0.2)))
-    assert ahead.off
+    assert ahead.deviated
 
 
 def test_the_future_is_the_plan_and_then_standing():
-    ahead, now = Ahead(MOVE.plan(250), T0), driven(0.4)
+    ahead, now = PlanTracker(MOVE.plan(250), T0), driven(0.4)
     ahead.follow(now)
     for duration in (0.1, 0.4, 2.0):
         tool = steadily(now, ahead.rest(now), duration).trajectory()
@@ -102,7 +102,7 @@ def test_the_future_is_the_plan_and_then_standing():
 
 
 def test_a_tool_beside_the_plan_comes_back_to_it_smoothly():
-    ahead, now = Ahead(MOVE.plan(250), T0), driven(0.4, off=(0.0, 0.0, 0.004))
+    ahead, now = PlanTracker(MOVE.plan(250), T0), driven(0.4, off=(0.0, 0.0, 0.004))
     ahead.follow(now)
     rest = ahead.rest(now).trajectory()
     assert_allclose(rest.position[0], now.tool[0])
@@ -123,7 +123,7 @@ def test_a_plan_replayed_as_live_poses_agrees_with_its_prediction():
         v = plan.twist[k].tolist()
         rows += live.on_pose(stamp, 'world', tuple(plan.position[k].tolist()), tuple(q))
         rows += live.on_twist(stamp, tuple(v[:3]), tuple(v[3:]))
-    ahead = Ahead(plan, T0)
+    ahead = PlanTracker(plan, T0)
     ahead.follow(rows[0])
     found = predict(MODEL, None, ahead.rest(rows[0], 0.0), rows[0].body)
     assert len(rows) == len(found.states) == len(plan)
@@ -162,7 +162,7 @@ def test_the_package_is_where_it_was_said_to_be(driven_as, stamped, every):
     at, step = ahead_of_time(**driven_as), 0.002
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
     live.expect_twists = True
-    ahead = Ahead(MOVE.plan(500), T0 if stamped else 0)
+    ahead = PlanTracker(MOVE.plan(500), T0 if stamped else 0)
     flight = Flight(resolve(TOSSED), lambda now: ahead.rest(now) if ahead.is_driven(now) else None)
     times = step * np.arange(round(1.8 / step))
     seconds, rates = at(times)
@@ -186,7 +186,7 @@ def test_the_package_is_where_it_was_said_to_be(driven_as, stamped, every):
 def test_a_tool_that_waits_for_a_plan_without_a_stamp_stands():
     """Take the plan as driven once the tool moves, or is about to by the plan's stamp."""
     for stamp_ns, is_driven in ((0, False), (T0 + 5 * 10**9, True), (T0 + 10**17, False)):
-        ahead = Ahead(MOVE.plan(250), stamp_ns)
+        ahead = PlanTracker(MOVE.plan(250), stamp_ns)
         for t in (0.0, 0.1, 0.2):
             ahead.follow(driven(0.0)._replace(stamp_ns=T0 + round(t * 1e9)))
         now = driven(0.0)._replace(stamp_ns=T0 + 200_000_000)
@@ -196,8 +196,8 @@ def test_a_tool_that_waits_for_a_plan_without_a_stamp_stands():
 
 def test_a_tool_that_comes_to_the_plan_later_is_followed_from_its_start():
     """Although before it was nearest to the plan's middle."""
-    ahead = Ahead(MOVE.plan(250), 0)
+    ahead = PlanTracker(MOVE.plan(250), 0)
     ahead.follow(driven(0.4, off=(0.0, 0.0, 0.2)))
     for t in (0.0, 0.1, 0.2, 0.3):
         ahead.follow(driven(t)._replace(stamp_ns=T0 + 10**10 + round(t * 1e9)))
-    assert abs(ahead.progress - 0.3) < 2e-3 and not ahead.off
+    assert abs(ahead.progress - 0.3) < 2e-3 and not ahead.deviated

@@ -60,7 +60,7 @@ SPACING = 0.01
 
 
 @kernel
-def apart(row: Any, o: Vector, q: Quaternion) -> float:
+def pose_distance(row: Any, o: Vector, q: Quaternion) -> float:
     """Return how far (m) a tool is from a point of a plan, turns counted as by `LEVER`."""
     x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
     same = abs(row[3] * q[0] + row[4] * q[1] + row[5] * q[2] + row[6] * q[3])
@@ -103,11 +103,11 @@ def locate(
         last, 1 + index_at(seconds, max(expected, progress) + WINDOW))
     nearest = math.inf
     for i in range(first, end):
-        nearest = min(nearest, apart(rows[i], o, q))
+        nearest = min(nearest, pose_distance(rows[i], o, q))
     found, beside = first, math.inf
     for i in range(first, end):
         if (abs(seconds[i] - expected) < beside
-                and apart(rows[i], o, q) <= max(nearest, AT_ONCE) + reach[i]):
+                and pose_distance(rows[i], o, q) <= max(nearest, AT_ONCE) + reach[i]):
             found, beside = i, abs(seconds[i] - expected)
     point = row_state(rows[found])
     speed = along(point[2], point[3], point[2], point[3])
@@ -123,17 +123,17 @@ def locate(
 
 
 @kernel
-def leaving(rows: Any, reach: Any) -> int:
+def departure_index(rows: Any, reach: Any) -> int:
     """Return the index of the first point at which the tool is seen to have left, or the last."""
     start = row_state(rows[0])
     for i in range(len(rows)):
-        if apart(rows[i], start[0], start[1]) > AT_ONCE + reach[i]:
+        if pose_distance(rows[i], start[0], start[1]) > AT_ONCE + reach[i]:
             return i
     return len(rows) - 1
 
 
 @kernel
-def left(
+def remaining_plan(
     rows: Any, seconds: Any, tool: State, progress: float, rate: float, wait: float,
     spacing: float, stamps_ns: Stamps, out: Array,
 ) -> int:
@@ -146,7 +146,7 @@ def left(
     last, here = len(seconds) - 1, index_at(seconds, progress)
     if here < last and seconds[here + 1] - progress < progress - seconds[here]:
         here += 1
-    join = min(LONGEST_JOIN, apart(rows[here], tool[0], tool[1]) / JOIN_SPEED)
+    join = min(LONGEST_JOIN, pose_distance(rows[here], tool[0], tool[1]) / JOIN_SPEED)
     first = progress + max(join, 1e-4 if wait == 0.0 else 0.0)
     k = index_at(seconds, first)
     if k < last and seconds[k] < first:
@@ -188,7 +188,7 @@ def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> in
     return count
 
 
-class Ahead:
+class PlanTracker:
     """
     A plan of the tool that is being driven, or will be.
 
@@ -206,7 +206,7 @@ class Ahead:
         s of the plan.
     rate : float
         Its speed is so many times that of the plan.
-    done, off, paused : bool
+    done, deviated, paused : bool
         Whether the tool has arrived, is elsewhere, or stands where the plan moves.
 
     """
@@ -221,8 +221,8 @@ class Ahead:
         reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
         self._inputs = as_inputs(self._rows, self._seconds, reach)
         self._slow = MOVING * float(speed.max())
-        self._leaves = float(self._seconds[leaving(self._inputs[0], self._inputs[2])])
-        self.done = self.off = self.paused = False
+        self._leaves = float(self._seconds[departure_index(self._inputs[0], self._inputs[2])])
+        self.done = self.deviated = self.paused = False
         self._anchor = -1, 0.0, 1.0
 
     @property
@@ -240,8 +240,8 @@ class Ahead:
         _, before, rate = self._anchor
         far, progress, measured = locate(
             *self._inputs, self._slow, now.tool, before, self._expected(now.stamp_ns))
-        self.off = far > OFF_THE_PLAN
-        if self.off:
+        self.deviated = far > OFF_THE_PLAN
+        if self.deviated:
             return
         self.paused = measured <= SLOWEST
         if SLOWEST < measured < math.inf:
@@ -265,7 +265,7 @@ class Ahead:
 
     def is_driven(self, now: Prediction) -> bool:
         """Return whether the tool is on the plan, or will be soon."""
-        return not (self.done or self.off or self.paused) and (
+        return not (self.done or self.deviated or self.paused) and (
             self.progress > self._leaves
             or -LATEST - self._leaves <= self._wait(now.stamp_ns) < math.inf)
 
@@ -283,6 +283,6 @@ class Ahead:
             wait = max(0.0, self._wait(now.stamp_ns))
         stamps_ns = np.empty(len(self._rows) + 1, np.int64)
         rows = np.empty((len(stamps_ns), 13))
-        count = left(*self._inputs[:2], now.tool, progress, rate, wait, spacing,
+        count = remaining_plan(*self._inputs[:2], now.tool, progress, rate, wait, spacing,
                      stamps_ns, rows)
         return Rows(stamps_ns[:count], rows[:count])
