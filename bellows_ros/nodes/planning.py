@@ -231,8 +231,9 @@ class Planning:
                     rest = ahead.rest(now, self._coarse)  # points as far apart as steps
                     body, stamp_ns = now.body, now.stamp_ns
             self._ahead = ahead
-            self._answer(PlanSimulation(self._live.model, grip, rest, body, TAIL, self._coarse,
-                             self.worker.stop), stamp_ns)
+            run = PlanSimulation(
+                self._live.model, grip, rest, body, TAIL, self._coarse, self.worker.stop)
+            self._answer(run, stamp_ns)
         except BellowsError as error:
             self.refuse('plan', error)
             return

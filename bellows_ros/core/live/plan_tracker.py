@@ -283,6 +283,6 @@ class PlanTracker:
             wait = max(0.0, self._wait(now.stamp_ns))
         stamps_ns = np.empty(len(self._rows) + 1, np.int64)
         rows = np.empty((len(stamps_ns), 13))
-        count = remaining_plan(*self._inputs[:2], now.tool, progress, rate, wait, spacing,
-                     stamps_ns, rows)
+        count = remaining_plan(
+            *self._inputs[:2], now.tool, progress, rate, wait, spacing, stamps_ns, rows)
         return Rows(stamps_ns[:count], rows[:count])

@@ -375,7 +375,7 @@ def _tool_above(model: ModelTuple, body: Array) -> State:
     h = min(GRID, RATE_PER_STEP / rates[-1])
     out = np.empty((2, 2 + round((2.0 * LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))
     found = _invert(model, state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
-                 1e-4 * rates[0] * np.array(ARRIVED), *out)
+                    1e-4 * rates[0] * np.array(ARRIVED), *out)
     return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
 
 
