@@ -30,8 +30,7 @@ from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import Rows
 from ..core.model.validity_range import known_envelope
-from ..core.planning.plan import COARSE, PlanSimulation, predict
-from ..core.planning.plan import Prediction as Predicted
+from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation, predict
 from ..core.planning.points import rows_of
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import NS_PER_S, Trajectory
@@ -141,8 +140,8 @@ class Planning:
         """Drop the plan and all answers."""
         self.worker.forget()
         self.steerer.forget()
-        self._ahead: PlanTracker | None = None
-        self._found: Predicted | Status | None = None
+        self._tracker: PlanTracker | None = None
+        self._found: PlanPrediction | Status | None = None
         self._predicted_ns = 0
 
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
@@ -181,8 +180,8 @@ class Planning:
 
     def rest(self, now: Prediction) -> Rows | None:
         """Return the tool from a prediction on, by its plan, or None where it drives none."""
-        ahead = self._ahead
-        return ahead.rest(now) if ahead is not None and ahead.is_driven(now) else None
+        tracker = self._tracker
+        return tracker.rest(now) if tracker is not None and tracker.is_driven(now) else None
 
     # --------------------------------------------------------------- messages
 
@@ -215,9 +214,9 @@ class Planning:
         """Predict a plan of the tool with its stamp (ns), and follow it from now on."""
         try:
             stamp_ns, tool = read()
-            ahead = PlanTracker(tool, stamp_ns)
+            tracker = PlanTracker(tool, stamp_ns)
             now, grip = self.held, grip_of(self._values)
-            rest, body = ahead.plan, None
+            rest, body = tracker.plan, None
             if now is not None:
                 wait = (stamp_ns - now.stamp_ns) / NS_PER_S
                 if wait > FARTHEST_BEGIN:
@@ -225,12 +224,12 @@ class Planning:
                         f'It begins {wait:.3g} s after the newest pose of the tool; expected at '
                         f'most {FARTHEST_BEGIN:g} s. Stamp plans and poses with one clock, or '
                         'give the plan the stamp 0.')
-                ahead.follow(now)
+                tracker.follow(now)
                 grip = self.grip
-                if wait <= LONGEST_WAIT and not ahead.deviated:
-                    rest = ahead.rest(now, self._coarse)  # points as far apart as steps
+                if wait <= LONGEST_WAIT and not tracker.deviated:
+                    rest = tracker.rest(now, self._coarse)  # points as far apart as steps
                     body, stamp_ns = now.body, now.stamp_ns
-            self._ahead = ahead
+            self._tracker = tracker
             run = PlanSimulation(
                 self._live.model, grip, rest, body, TAIL, self._coarse, self.worker.stop)
             self._answer(run, stamp_ns)
@@ -244,29 +243,29 @@ class Planning:
         """Log why a message is refused; the prediction goes on."""
         if (self.worker if what == 'plan' else self.steerer).stop[0]:
             return  # nobody waits for it any more
-        self._ahead = self._ahead if what != 'plan' else None
+        self._tracker = self._tracker if what != 'plan' else None
         self._found = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
 
     def follow(self) -> None:
         """Find the tool on its plan; predict the rest of it as often as asked for."""
-        ahead, now = self._ahead, self.held
-        if ahead is None or now is None or now.coasting:
+        tracker, now = self._tracker, self.held
+        if tracker is None or now is None or now.coasting:
             return
-        ahead.follow(now)
-        if ahead.done:
-            self._ahead = None
-        elif (ahead.progress > 0.0 and ahead.is_driven(now) and not self.worker.is_busy
+        tracker.follow(now)
+        if tracker.done:
+            self._tracker = None
+        elif (tracker.progress > 0.0 and tracker.is_driven(now) and not self.worker.is_busy
                 and time.monotonic_ns() - self._predicted_ns >= self._period_ns):
             self._predicted_ns = time.monotonic_ns()
-            self.worker.submit(PLAN, self._predict_rest, ahead, now)
+            self.worker.submit(PLAN, self._predict_rest, tracker, now)
 
-    def _predict_rest(self, ahead: PlanTracker, now: Prediction) -> None:
+    def _predict_rest(self, tracker: PlanTracker, now: Prediction) -> None:
         """Predict the rest of a plan from a live state, once that has been delivered."""
         time.sleep(DELIVERED)
         try:
             self._answer(PlanSimulation(
-                self._live.model, self.grip, ahead.rest(now), now.body, 0.0, self._coarse,
+                self._live.model, self.grip, tracker.rest(now), now.body, 0.0, self._coarse,
                 self.worker.stop), now.stamp_ns)
         except BellowsError as error:
             self.refuse('plan', error)

@@ -20,7 +20,7 @@ from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, 
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.fastest import Fastest, fastest
 from bellows_ros.core.planning.joint_path import joint_excess, Joints
-from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanSimulation, Prediction
+from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
@@ -185,7 +185,7 @@ class PlanReport(Result):
     ----------
     source : Source
         The plan.
-    prediction : Prediction
+    prediction : PlanPrediction
         Of the package.
     std : mapping of str to float
         Standard deviation of each of the prediction's figures.
@@ -199,7 +199,7 @@ class PlanReport(Result):
     """
 
     source: Source
-    prediction: Prediction
+    prediction: PlanPrediction
     std: Mapping[str, float]
     outside: tuple[str, ...]
     fastest: Fastest | None

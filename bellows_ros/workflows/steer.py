@@ -13,7 +13,7 @@ from bellows_ros.core.model.perturbed import deviations_of, mean_square
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.planning.joint_path import joint_excess
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
-from bellows_ros.core.planning.plan import PlanSimulation, Prediction, SETTLED
+from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED
 from bellows_ros.core.planning.points import timed
 from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -31,7 +31,7 @@ class SteeredMotion(NamedTuple):
     """A motion of the tool, and its effect on the package."""
 
     tool: Trajectory
-    prediction: Prediction
+    prediction: PlanPrediction
     added_time: float
     """Time (s) beyond the plan until the package arrives."""
     along: Trajectory

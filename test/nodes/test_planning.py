@@ -162,7 +162,7 @@ def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(
             stamp = plan.stamp_ns + round(int(plan.times_ns[k]) / step_ns) * step_ns
             if stamp in poses:
                 assert abs(poses[stamp].x - plan.poses[k, 0]) < 6e-3
-    assert planner.partner.predictor._planning._ahead is None  # it has arrived
+    assert planner.partner.predictor._planning._tracker is None  # it has arrived
 
 
 def test_a_request_is_answered(planner: Planner) -> None:

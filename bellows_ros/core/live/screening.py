@@ -71,7 +71,7 @@ UNKNOWN = -1.0
 """Period of a pose at which the tool's speed is unknown."""
 
 
-class Step(NamedTuple):
+class PoseStep(NamedTuple):
     """From one pose to a later one."""
 
     excess: float
@@ -100,11 +100,11 @@ class Reference(NamedTuple):
     quaternion_xyzw: Quaternion
     period: float
     """Time since the previous pose, s; 0 for the first, whose tool counts as at rest."""
-    step: Step
+    step: PoseStep
     """From the previous pose."""
 
 
-REST = Step(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
+REST = PoseStep(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
 
 
 @kernel
@@ -113,9 +113,9 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
     return norm(subtract(b, a)), min(norm(a), norm(b)) if dot(a, b) > 0.0 else 0.0
 
 
-def step_between(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> Step:
+def step_between(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> PoseStep:
     """Return the step from a reference to a later pose."""
-    return Step(*step_after(
+    return PoseStep(*step_after(
         last.position, last.quaternion_xyzw, last.step.velocity, last.step.rate, last.period,
         o, q, (stamp_ns - last.stamp_ns) * 1e-9))
 
@@ -126,7 +126,7 @@ def step_after(
     other_o: Vector, other_q: Quaternion, seconds: float,
 ) -> tuple[float, float, float, float, float, float, Vector, Vector]:
     """
-    Return the `Step` from a pose to another after some seconds; numba is slow at named tuples.
+    Return the `PoseStep` from a pose to another after some seconds; numba is slow at named tuples.
 
     The change of velocity counts for the shorter of the two periods, and less in a steady motion,
     so that neither bursts nor stamps with jitter make jumps of it.

@@ -1,5 +1,5 @@
 """
-Prediction of the package along a plan of the tool, in one compiled pass.
+PlanPrediction of the package along a plan of the tool, in one compiled pass.
 
 A plan is a `Trajectory` of E with body twists; the tool moves between its points along the cubic
 Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.
@@ -84,7 +84,7 @@ UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PlanPrediction:
     """
     The package along a plan.
 
@@ -157,7 +157,7 @@ class Prediction:
 def predict(
     model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows, start: State | None = None,
     tail: float = LONGEST_TAIL, longest: float = 0.0,
-) -> Prediction:
+) -> PlanPrediction:
     """
     Predict the package along a plan and while it swings out.
 
@@ -229,7 +229,7 @@ class PlanSimulation:
             self._simulate_decay(ceiling)
         return float(self._out[3][:2, 0].max())
 
-    def predict(self, duration_scale: float) -> Prediction:
+    def predict(self, duration_scale: float) -> PlanPrediction:
         """Return the prediction of the plan stretched in time by a factor."""
         self.states(duration_scale)
         return self.prediction()
@@ -242,11 +242,11 @@ class PlanSimulation:
             raise diverged()
         return states
 
-    def prediction(self) -> Prediction:
+    def prediction(self) -> PlanPrediction:
         """Return the whole prediction after `states`, including the time after the end."""
         settled = self._simulate_decay(math.inf)
         states, wrench, loads, peaks, lip = self._out
-        return Prediction(
+        return PlanPrediction(
             self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
             self._grip is not None, self._tail > 0.0,
         )

@@ -72,7 +72,7 @@ from bellows_ros.core.model.simulation import (
     write_row,
 )
 from bellows_ros.core.planning.limits import TooFastError
-from bellows_ros.core.planning.plan import predict, Prediction, rest_after, SETTLED
+from bellows_ros.core.planning.plan import PlanPrediction, predict, rest_after, SETTLED
 from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -113,7 +113,7 @@ MERGE_WITHIN = 0.05
 """... and modes whose frequencies differ by less than this fraction are shaped as one."""
 
 
-class Mode(NamedTuple):
+class SwingMode(NamedTuple):
     """A mode of the hanging package."""
 
     frequency: float
@@ -427,7 +427,7 @@ def is_smooth(curve: Any) -> bool:
 # -------------------------------------------------------------------------------------- shaping
 
 
-def modes_left(model: ModelTuple, prediction: Prediction) -> list[Mode]:
+def modes_left(model: ModelTuple, prediction: PlanPrediction) -> list[SwingMode]:
     """
     Return the modes of the hanging package, and how far each swings after a plan.
 
@@ -444,12 +444,12 @@ def modes_left(model: ModelTuple, prediction: Prediction) -> list[Mode]:
     state = np.concatenate([shift, turn, end[7:], np.zeros(len(values) - 12)])  # relaxed
     sizes = np.linalg.solve(vectors, state)
     tilts = 2.0 * np.abs(sizes) * np.linalg.norm(vectors[3:6], axis=0)
-    found = [Mode(abs(s) / (2.0 * math.pi), -s.real / abs(s), float(tilt))
+    found = [SwingMode(abs(s) / (2.0 * math.pi), -s.real / abs(s), float(tilt))
              for s, tilt in zip(values, tilts, strict=True) if s.imag > 1e-9 * abs(s)]
     return sorted(found)
 
 
-def impulses(modes: Sequence[Mode], method: str) -> tuple[Array, Array]:
+def impulses(modes: Sequence[SwingMode], method: str) -> tuple[Array, Array]:
     """
     Return delays (s) and sizes, of sum 1, of the ZV or ZVD shaper of some modes (M,).
 
@@ -466,13 +466,13 @@ def impulses(modes: Sequence[Mode], method: str) -> tuple[Array, Array]:
     return delays, sizes
 
 
-def to_shape(modes: Sequence[Mode], method: str) -> list[Mode]:
+def to_shape(modes: Sequence[SwingMode], method: str) -> list[SwingMode]:
     """
     Return the modes that swing; similar ones are merged, weighted by their swing.
 
     Those are left out whose swing decays below `SWINGING` sooner than their shaper ends.
     """
-    groups: list[list[Mode]] = []
+    groups: list[list[SwingMode]] = []
     for mode in modes:
         if mode.tilt <= SWINGING or math.log(mode.tilt / SWINGING) < (
                 2.0 * math.pi * mode.frequency * mode.damping * impulses([mode], method)[0][-1]):
@@ -481,7 +481,7 @@ def to_shape(modes: Sequence[Mode], method: str) -> list[Mode]:
             groups[-1].append(mode)
         else:
             groups.append([mode])
-    return [Mode(*np.average(group, axis=0, weights=[mode.tilt for mode in group]).tolist())
+    return [SwingMode(*np.average(group, axis=0, weights=[mode.tilt for mode in group]).tolist())
             for group in groups]
 
 
@@ -508,7 +508,7 @@ class Steered(NamedTuple):
     """Poses of B as in the reference, at the tool's stamps."""
     smoothed: float
     """Time (s) over which the reference motion was smoothed; 0 if it was C^4."""
-    modes: list[Mode]
+    modes: list[SwingMode]
     """Modes of the package that the plan excites and that are shaped."""
 
 

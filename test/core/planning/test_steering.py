@@ -20,9 +20,9 @@ from bellows_ros.core.planning.steering import (
     impulses,
     inverse,
     is_smooth,
-    Mode,
     modes_left,
     steer,
+    SwingMode,
     to_shape,
 )
 from bellows_ros.core.signals.resampling import resample
@@ -176,7 +176,7 @@ def test_with_an_identified_cup_little_is_left(move):
 @pytest.mark.parametrize('method', ['zv', 'zvd'])
 def test_impulses_cancel_a_mode(method):
     """Sum of A exp(-s t) is zero at the mode's s; for ZVD its derivative by s, too."""
-    modes = [Mode(3.2, 0.1, 1.0), Mode(11.0, 0.4, 0.5)]
+    modes = [SwingMode(3.2, 0.1, 1.0), SwingMode(11.0, 0.4, 0.5)]
     delays, sizes = impulses(modes, method)
     assert_allclose(sizes.sum(), 1.0)
     assert (sizes > 0.0).all()
@@ -200,15 +200,15 @@ def test_modes_are_those_of_mass_and_spring():
 
 
 def test_modes_alike_are_one():
-    found = to_shape([Mode(3.0, 0.1, 0.1), Mode(3.1, 0.2, 0.3), Mode(5.0, 0.1, 0.001),
-                      Mode(11.0, 0.4, 0.1)], 'zv')
+    modes = (3.0, 0.1, 0.1), (3.1, 0.2, 0.3), (5.0, 0.1, 0.001), (11.0, 0.4, 0.1)
+    found = to_shape([SwingMode(*mode) for mode in modes], 'zv')
     assert_allclose(found, [(3.075, 0.175, 0.25), (11.0, 0.4, 0.1)])
 
 
 @pytest.mark.parametrize('method', ['zv', 'zvd'])
 def test_a_mode_that_decays_before_its_shaper_ends_is_left_alone(method):
     """At 0.998 of the critical damping 5 degrees decay to 0.5 in 0.2 s; the shaper takes 4 s."""
-    slow, light = Mode(2.0, 0.998, math.radians(5.0)), Mode(2.5, 0.1, math.radians(5.0))
+    slow, light = SwingMode(2.0, 0.998, math.radians(5.0)), SwingMode(2.5, 0.1, math.radians(5.0))
     assert impulses([slow], method)[0][-1] > 3.0
     assert to_shape([slow, light], method) == [light]
 
