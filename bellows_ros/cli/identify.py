@@ -158,7 +158,9 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
         'mm along the flight.')
     console.paragraph(
         f'The law leaves {milli * fit.position:.2f} mm of the positions (rms); chi2 per pose: '
-        f'{fit.chi2:.3g} (1 if model and noise are right).')
+        f'{fit.chi2:.3g} (1 if model and noise are right). {milli * fit.common:.2f} mm of it is '
+        f'alike in all drops of a mass, {fit.lack:.3g} times the mean square that their scatter '
+        'explains; the standard errors include it.')
     console.warn(*result.warnings)
 
 

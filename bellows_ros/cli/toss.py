@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 EXAMPLES = (
     ('bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
      'the landing if the valve is switched 3.0 s after the beginning of the plan'),
-    ('bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.9 0.15 --plot toss.png',
-     'the time to switch the valve to land at x = 1.9 m, y = 0.15 m, with a picture'),
+    ('bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --plot toss.png',
+     'the time to switch the valve to land at x = 1.8 m, y = 0.149 m, with a picture'),
 )
 FOUND = 'no release of the plan lands, or none at the target'
 MILLI = 1e3
@@ -143,7 +143,8 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
     for g in groups:
         factor, unit = UNITS.get(g.name, (1.0, ''))
         rows.append((
-            g.name, f'{factor * g.std:.3g} {unit}' if math.isfinite(g.std) else 'per entry',
+            g.name, f'{factor * g.std:.3g} {unit}' if math.isfinite(g.std)
+            else 'one fit' if g.name == 'release' else 'per entry',
             f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg'))
     console.table(rows, right=True)
     total, first = math.hypot(*(g.metres for g in groups)), groups[0]
@@ -155,8 +156,7 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
     if cup and not first.name.startswith('cup.'):
         gain = total - math.sqrt(max(0.0, total**2 - cup**2))
         text += f' A perfect K and P would gain {MILLI * gain:.2f} mm.'
-    delay = next((g for g in groups if g.name == 'release.delay'), None)
-    if delay is not None:
-        per = 1e-3 * delay.metres / delay.std
-        text += f' Each millisecond of the valve moves the landing by {MILLI * per:.1f} mm.'
+    if result.per_millisecond:
+        text += (' Each millisecond of the valve moves the landing by '
+                 f'{MILLI * result.per_millisecond:.1f} mm.')
     console.paragraph(text)

@@ -11,7 +11,13 @@ from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.toss.release import law_of, RELEASE_NAMES
-from bellows_ros.core.toss.release_fit import Drop, drops_of, fit_release, ReleaseFit
+from bellows_ros.core.toss.release_fit import (
+    Drop,
+    drops_of,
+    fit_release,
+    parameters_of,
+    ReleaseFit,
+)
 from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
@@ -71,13 +77,7 @@ class ReleaseResult:
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the release file."""
-        fit = self.fit
-        std = np.hypot(fit.std, fit.scatter)
-        masses = [drop.mass for drop in fit.drops]
-        return {
-            **dict(zip(RELEASE_NAMES, fit.law, strict=True)),
-            **{f'{name}_std': float(x) for name, x in zip(RELEASE_NAMES, std, strict=True)},
-            'release.mass_range': (min(masses), max(masses))}
+        return parameters_of(self.fit)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -89,6 +89,8 @@ class ReleaseResult:
             'fitted': [RELEASE_NAMES[k] for k in fit.free],
             'scatter': {RELEASE_NAMES[k]: fit.scatter[k] for k in fit.free},
             'chi2': fit.chi2,
+            'lack_of_fit': fit.lack,
+            'in_common': fit.common,
             'drops': [{'bag': bag, **vars(drop)}
                       for bag, drop in zip(self.used, fit.drops, strict=True)],
             'left_out': self.left_out,

@@ -32,7 +32,7 @@ from bellows_ros.core.synthetic.sensing import (
     WORLDS,
 )
 from bellows_ros.core.synthetic.tossing import Thrown, tossed, Truth
-from bellows_ros.core.toss.landing import release_deviations
+from bellows_ros.core.toss.landing import release_factor
 from bellows_ros.core.toss.release import RELEASE_NAMES, release_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic
@@ -219,7 +219,7 @@ def _simulated(
         (len(recipe.releases), len(RELEASE_NAMES)))
     return tossed(
         model, grip_of(values), release_of(values), tool, recipe.releases, recipe.pickup,
-        normal * release_deviations(values))
+        normal @ release_factor(values).T)
 
 
 def _recorded(

@@ -37,8 +37,7 @@ RATE = 500.0
 TOLERANCE = 1e-3
 """A target so far (m) outside the ellipse of a landing still counts as reached."""
 
-GROUPS = ('cup.stiffness', 'cup.damping', 'package.mass', 'package.com', 'package.inertia',
-          *RELEASE_NAMES)
+GROUPS = ('cup.stiffness', 'cup.damping', 'package.mass', 'package.com', 'package.inertia')
 
 
 class Share(NamedTuple):
@@ -76,20 +75,30 @@ class TossResult(Result):
         found = [
             Share(name, float(std), float(np.linalg.norm(part[:3])),
                   float(np.linalg.norm(part[3:])))
-            for name, std, part in zip(*self.parts, strict=True)]
+            for name, std, part, _ in zip(*self.parts, strict=True)]
         return sorted(found, key=lambda share: -share.metres)
 
     def groups(self) -> list[Share]:
-        """Return the contributions of whole parameters, the largest first."""
-        shares = self.shares()
+        """
+        Return the contributions of whole parameters, the largest first.
+
+        Numbers of the law of release that are correlated are one, 'release'.
+        """
         found = []
-        for group in GROUPS:
-            own = [s for s in shares if s.name.startswith(group)]
-            if own:
+        correlated = not np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
+        for group in (*GROUPS, *(['release'] if correlated else RELEASE_NAMES)):
+            std, covariance = self.parts.of(group)
+            if len(std):
+                shift, turn = np.sqrt(np.diag(covariance).reshape(2, 3).sum(axis=1)).tolist()
                 found.append(Share(
-                    group, own[0].std if len(own) == 1 else math.nan,
-                    math.hypot(*(s.metres for s in own)), math.hypot(*(s.radians for s in own))))
+                    group, float(std[0]) if len(std) == 1 else math.nan, shift, turn))
         return sorted(found, key=lambda share: -share.metres)
+
+    @property
+    def per_millisecond(self) -> float:
+        """By how much (m) each millisecond of the valve moves the landing; 0 if not known."""
+        return next((1e-3 * share.metres / share.std for share in self.shares()
+                     if share.name == 'release.delay'), 0.0)
 
     def as_json(self) -> dict[str, Any]:
         """Return all numbers, SI units, twists and quaternions (x, y, z, w) of B in the world."""
@@ -106,9 +115,8 @@ class TossResult(Result):
             'landing_twist': [*found.landing[2], *found.landing[3]],
             'landing_covariance': self.covariance,
             'tumbling': found.tumbling,
-            'budget': [{
-                'name': s.name, 'std': s.std, 'contribution_mm': MILLI * s.metres,
-                'contribution_deg': float(np.degrees(s.radians))} for s in self.shares()],
+            'budget': _budget(self.shares()),
+            'budget_of_groups': _budget(self.groups()),
             'warnings': self.warnings, 'plan': self.source.path,
         }
         if self.aim is not None and self.target is not None:
@@ -164,6 +172,13 @@ class TossResult(Result):
                 f'{self.aim.distance:.3g} m away, and the target is outside its 95 % ellipse. '
                 'Change the plan or the target.')
         return tuple(found)
+
+
+def _budget(shares: list[Share]) -> list[dict[str, Any]]:
+    """Return contributions as JSON; those of groups are independent, so that squares add up."""
+    return [{'name': s.name, 'std': s.std if math.isfinite(s.std) else None,
+             'contribution_mm': MILLI * s.metres,
+             'contribution_deg': float(np.degrees(s.radians))} for s in shares]
 
 
 def write_toss(

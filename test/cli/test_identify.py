@@ -125,7 +125,7 @@ def test_finds_a_valve_in_tosses(bellows: Run, root: Path, tmp_path: Path) -> No
         'identify', bag, '--release', '--params', cup, *closed, '--out', out, '--json', fit)
     assert done.returncode == 0, done.stderr
     written, found = read_parameters(out), json.loads(fit.read_text())
-    assert set(written) == {'release.mass_range', *(
+    assert set(written) == {'release.mass_range', 'release.correlation', *(
         f'{name}{std}' for name in RELEASE_NAMES for std in ('', '_std'))}
     delay = found['law']['release.delay']
     assert delay == written['release.delay'] and found['units']['release.delay'] == 's'

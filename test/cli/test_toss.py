@@ -29,11 +29,11 @@ def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
     assert 3.012 < found['release_time'] < found['landing_time'] < 4.0
     covariance = np.array(found['landing_covariance'])
     for unit, block, key in ((1e3, slice(0, 3), 'mm'), (180 / np.pi, slice(3, 6), 'deg')):
-        squares = sum(share[f'contribution_{key}'] ** 2 for share in found['budget'])
+        squares = sum(share[f'contribution_{key}'] ** 2 for share in found['budget_of_groups'])
         assert squares == pytest.approx(
             unit ** 2 * np.trace(covariance[block, block]), rel=1e-6)
     assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
-    assert 'Reduce first: release.' in done.stdout
+    assert 'Reduce first: release,' in done.stdout
     assert 'A perfect K and P would gain' in ' '.join(done.stdout.split())
     assert picture.stat().st_size > 20_000
 

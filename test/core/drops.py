@@ -86,6 +86,34 @@ def filtered(drop, law, late, before=7):
     return position, velocity, released - before * step - late
 
 
+def at_the_end(data, drops, law, factor):
+    """
+    Return errors of height (m) and velocity (m/s) at the last sample, and their deviations.
+
+    Each (N, 2), of drops whose valve is taken as it was recorded; the deviations are those of the
+    law with a factor (8, 8) of its covariance.
+    """
+    def end(numbers):
+        return np.array([part[-1] for part in filtered(drops[0], tuple(numbers), 0.0)[:2]])
+
+    slopes = [(end(law + 0.1 * column) - end(law - 0.1 * column)) / 0.2 for column in factor.T]
+    errors = []
+    for drop in drops:
+        i = index_of(data, drop)
+        position, velocity, _ = filtered(drop, law, 0.0)
+        off = position - data['package_z_m'][i]
+        errors.append((off[-1] - off[:5].mean(),
+                       velocity[-1] - data['package_velocity_z_m_s'][i, -1]))
+    return np.array(errors), np.tile(np.linalg.norm(slopes, axis=0), (len(drops), 1))
+
+
+def index_of(data, drop):
+    """Return the row of a real drop."""
+    return np.flatnonzero(
+        (data['mass_kg'] == drop.mass)
+        & (data['package_z_m'][:, -1] == drop.package.position[-1, 2]))[0]
+
+
 def misses(data, drops, law, latest=5e-3):
     """
     Return rms of position (m) and velocity (m/s), letting go (s), and the fastest miss at the end.
@@ -94,10 +122,7 @@ def misses(data, drops, law, latest=5e-3):
     """
     rows = []
     for drop in drops:
-        i = np.flatnonzero(
-            (data['mass_kg'] == drop.mass)
-            & (data['package_z_m'][:, -1] == drop.package.position[-1, 2]))[0]
-        best = np.inf, ()
+        i, best = index_of(data, drop), (np.inf, ())
         for late in np.arange(-latest, latest + 1e-6, 5e-4):
             position, velocity, released = filtered(drop, law, late)
             off = position - data['package_z_m'][i]

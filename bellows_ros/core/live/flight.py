@@ -14,7 +14,7 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.kernels import extrapolated, ModelTuple, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, Rows
-from bellows_ros.core.toss.landing import aim, as_law, release_deviations
+from bellows_ros.core.toss.landing import aim, factor_columns
 from bellows_ros.core.toss.release import (
     COARSE_STRIDE,
     flight,
@@ -108,7 +108,7 @@ class Flight:
         self._release = release_of(values) if self.known else NO_FLIGHT
         self.grip = grip_of(values)
         self._ahead = latest_release(law_of(values)) + AHEAD
-        self._deviations = as_law(release_deviations(values))
+        self._factor = factor_columns(values)
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(PUSHES)))
         self._covariance = np.zeros((6, 6))
@@ -263,7 +263,7 @@ class Flight:
             tool = self._future(prediction)
             rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
             sound, found = sure_toss(
-                model, self.grip or NO_GRIP, self._release, self._deviations, prediction.tool,
+                model, self.grip or NO_GRIP, self._release, self._factor, prediction.tool,
                 adapted(model, prediction.tool, prediction.body), rows, seconds, self._ahead,
                 longest, *((k, k + 1) if self._count else (0, len(PUSHES))), self._of_state,
                 self._by, self._covariance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import math
 from typing import Any
 
@@ -258,7 +258,18 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], None]] = {
     'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
     'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
     'gravity.direction': lambda p, value: require_direction(value),
+    'release.correlation': lambda p, value: require_correlation(value),
 }
+
+
+def require_correlation(numbers: Sequence[float]) -> None:
+    """Raise BellowsError for numbers that are not correlations of the law of release."""
+    C = np.reshape(numbers, (8, 8))
+    if not (np.allclose(C, C.T, atol=1e-6) and np.allclose(np.diag(C), 1.0, atol=1e-6)
+            and np.linalg.eigvalsh(C)[0] > -1e-3):
+        raise BellowsError(
+            'release.correlation must be a symmetric and positive definite 8x8 matrix with 1 on '
+            'the diagonal, row-major. Take it from bellows identify --release, or leave it out.')
 
 
 def require_direction(direction: ArrayLike) -> None:

@@ -111,7 +111,8 @@ class Parameter:
         if isinstance(default, tuple):
             if len(set(default)) < 2:
                 return f'default all {default[0]:g}' if default else 'default none'
-            return f'default {"from the thesis" if len(default) > 6 else list(default)}'
+            known = 'the unit matrix' if self.name == 'release.correlation' else 'from the thesis'
+            return f'default {known if len(default) > 6 else list(default)}'
         return f'default {str(default).lower() if isinstance(default, bool) else repr(default)}'
 
     def _range(self) -> str:
@@ -449,6 +450,10 @@ _TABLE = (
               'holds; without vacuum.holding, the cup lets go at minus this suction.'),
     Parameter('release.sticking_std', 0.0, '', _PREDICTOR, minimum=0.0, maximum=1000.0,
               description='Standard deviation of release.sticking.'),
+    Parameter('release.correlation', _diagonal((1.0,) * 8), '', _PREDICTOR, minimum=-1.0,
+              maximum=1.0,
+              description='Correlations of the numbers of the law of release, 8x8 row-major in '
+              'the order delay, tau, impulse, blow_off, closing, opening, damping, sticking.'),
     Parameter('release.mass_range', (0.0, 0.0), 'kg', _PREDICTOR, minimum=0.0, maximum=1000.0,
               description='Lightest and heaviest package from whose drops release.* was '
               'identified; a toss of another is warned of and is less certain. 0, 0: not known.'),

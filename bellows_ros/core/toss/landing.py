@@ -22,13 +22,15 @@ from bellows_ros.core.model.perturbed import (
     model_with,
     NAMES,
     parameter_vector,
-    STEP,
 )
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.release import (
+    changed_law,
+    Factor,
     figures,
     Held,
     Law,
+    LAW_STEP,
     Release,
     RELEASE_NAMES,
     Toss,
@@ -40,8 +42,9 @@ import numpy as np
 MARGIN = 0.25
 """A cup with changed parameters may let go up to this much (s) after the nominal instant."""
 
-EXTRAPOLATION = 10.0
-"""By so much of themselves the deviations of the law of release grow by e times the mass."""
+EXTRAPOLATION = 2.0
+"""By so much of themselves the deviations of the law of release grow by e times the mass, so that
+real drops of a lighter or a heavier package are within two of them (docs/toss.md)."""
 
 SCAN, TOLERANCE = 4e-3, 1e-6
 """Spacing (s) of the release times in the scan, and accuracy of the best one."""
@@ -61,11 +64,19 @@ class Parts(NamedTuple):
     """Standard deviation of each number (M,), SI units."""
     parts: Array
     """Derivative times standard deviation (M, 6), m and rad."""
+    correlation: Array
+    """Of the numbers (M, M)."""
 
     @property
     def covariance(self) -> Array:
         """Of the six figures (6, 6)."""
-        return np.asarray(self.parts.T @ self.parts)
+        return np.asarray(self.parts.T @ self.correlation @ self.parts)
+
+    def of(self, prefix: str) -> tuple[Array, Array]:
+        """Return standard deviations and covariance (6, 6) that parameters together make up."""
+        own = [k for k, name in enumerate(self.names) if name.startswith(prefix)]
+        rows = self.parts[own]
+        return self.std[own], np.asarray(rows.T @ self.correlation[np.ix_(own, own)] @ rows)
 
 
 class Case(NamedTuple):
@@ -89,10 +100,8 @@ class Case(NamedTuple):
 
 
 def changed(release: Release, by: Array) -> Release:
-    """Return a release whose law is changed by (8,); only the impulse may be negative."""
-    law = np.add(release.law, by)
-    law = np.where(np.array(RELEASE_NAMES) == 'release.impulse', law, np.maximum(law, 0.0))
-    return release._replace(law=as_law(law))
+    """Return a release whose law is changed by (8,); see `changed_law`."""
+    return release._replace(law=changed_law(release.law, 1.0, as_law(by)))
 
 
 def as_law(numbers: Array) -> Law:
@@ -101,15 +110,26 @@ def as_law(numbers: Array) -> Law:
     return law  # type: ignore[no-any-return]
 
 
-def release_deviations(values: Mapping[str, Any]) -> Array:
+def release_factor(values: Mapping[str, Any]) -> Array:
     """
-    Return the standard deviations (8,) of the law's numbers; 0 of those that have no effect.
+    Return L (8, 8) with the covariance L L^T of the law's numbers; 0 of those without effect.
 
-    They grow with the distance of the mass from the packages of which the law is known.
+    It grows with the distance of the mass from the packages of which the law is known.
     """
     std = np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
     std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
-    return std if values['release.opening'] else np.where(np.arange(8) < 3, std, 0.0)
+    if not values['release.opening']:
+        std[3:] = 0.0
+    C = np.reshape(values['release.correlation'], (8, 8))
+    size, axes = np.linalg.eigh(C)  # rounded numbers need not be positive definite
+    return np.asarray(std[:, None] * np.linalg.cholesky(
+        C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
+
+
+def factor_columns(values: Mapping[str, Any]) -> Factor:
+    """Return the columns of `release_factor` as the kernels take them."""
+    columns: Any = tuple(map(as_law, release_factor(values).T))
+    return columns  # type: ignore[no-any-return]
 
 
 def beyond_masses(values: Mapping[str, Any]) -> float:
@@ -127,18 +147,23 @@ def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
     names, parts = contributions(case.values, case.model, lambda model: case.figures(
         case.with_numbers(model, case.release, until), nominal))
     std, rows = list(deviations_of(case.values)[[NAMES.index(name) for name in names]]), []
+    factor, of_cup = release_factor(case.values), len(names)
     for name, sigma, unit in zip(
-            RELEASE_NAMES, release_deviations(case.values), np.eye(8), strict=True):
+            RELEASE_NAMES, np.linalg.norm(factor, axis=1), np.eye(8), strict=True):
         if sigma > 0.0:
             up, down = (
                 case.figures(
                     toss(held, changed(case.release, side * sigma * unit), case.switched), nominal)
-                for side in (STEP, -STEP))
+                for side in (LAW_STEP, -LAW_STEP))
             names.append(name)
             std.append(sigma)
-            rows.append((up - down) / (2.0 * STEP))
+            rows.append((up - down) / (2.0 * LAW_STEP))
+    correlation = np.eye(len(names))
+    of_law = (factor @ factor.T)[np.ix_(*[[RELEASE_NAMES.index(n) for n in names[of_cup:]]] * 2)]
+    correlation[of_cup:, of_cup:] = of_law / np.outer(std[of_cup:], std[of_cup:])
     return Parts(
-        tuple(names), np.array(std), np.concatenate([parts.reshape(-1, 6), *[[r] for r in rows]]))
+        tuple(names), np.array(std), np.concatenate([parts.reshape(-1, 6), *[[r] for r in rows]]),
+        correlation)
 
 
 class Drawn(NamedTuple):
@@ -159,11 +184,11 @@ def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
     """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
     numbers, std = parameter_vector(case.values), deviations_of(case.values)
-    of_release = release_deviations(case.values)
+    factor = release_factor(case.values)
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):
         model = model_with(case.model, numbers + std * rng.standard_normal(len(std)))
-        release = changed(case.release, of_release * rng.standard_normal(8))
+        release = changed(case.release, factor @ rng.standard_normal(8))
         try:
             found = case.with_numbers(model, release, until)
         except (NoLandingError, UnstableError):

@@ -103,7 +103,8 @@ RELEASE_NAMES = tuple(f'release.{name}' for name in (
     'delay', 'tau', 'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking'))
 """The numbers of the law of release, in the order of `Law`."""
 
-PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (1.0,) * len(RELEASE_NAMES)
+LAW_STEP = 0.1
+PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(RELEASE_NAMES)
 """Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s), and by
 the numbers of the law of release (standard deviations)."""
 
@@ -124,6 +125,8 @@ pull as much (m), 0 for none; damping of the open bellows along z (N s/m), 0 for
 and what the lip sticks with. b and the last as a part of the suction that holds."""
 NO_LAW: Law = (0.0,) * 8
 """Of a cup that lets go at once."""
+Factor = tuple[Law, Law, Law, Law, Law, Law, Law, Law]
+"""The columns of L, where L L^T is the covariance of the law's numbers."""
 Box = tuple[Vector, Vector]
 """Half the sides (m) along x, y, z of B, and the centre in B."""
 
@@ -507,13 +510,13 @@ def figures(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vec
 
 
 @kernel
-def pushed(law: Law, entry: int, by: Law) -> Law:
-    """Return a law of release with one of its numbers changed, none at -1 and below."""
+def changed_law(law: Law, k: float, by: Law) -> Law:
+    """Return a law of release plus k times another; only the impulse may be negative."""
     return (
-        law[0] + (by[0] if entry == 0 else 0.0), law[1] + (by[1] if entry == 1 else 0.0),
-        law[2] + (by[2] if entry == 2 else 0.0), law[3] + (by[3] if entry == 3 else 0.0),
-        law[4] + (by[4] if entry == 4 else 0.0), law[5] + (by[5] if entry == 5 else 0.0),
-        law[6] + (by[6] if entry == 6 else 0.0), law[7] + (by[7] if entry == 7 else 0.0))
+        max(law[0] + k * by[0], 0.0), max(law[1] + k * by[1], 0.0), law[2] + k * by[2],
+        max(law[3] + k * by[3], 0.0), max(law[4] + k * by[4], 0.0),
+        max(law[5] + k * by[5], 0.0), max(law[6] + k * by[6], 0.0),
+        max(law[7] + k * by[7], 0.0))
 
 
 @kernel
@@ -536,7 +539,7 @@ def write_covariance(of_state: Array, by: Array, covariance: Array) -> bool:
 
 @kernel
 def sure_toss(
-    model: ModelTuple, grip: Grip, release: Release, deviations: Law, tool: State, body: State,
+    model: ModelTuple, grip: Grip, release: Release, factor: Factor, tool: State, body: State,
     rows: Any, seconds: Any, until: float, longest: float, first: int, last: int,
     of_state: Array, by: Array, covariance: Array,
 ) -> tuple[bool, tuple[float, State, float, State]]:
@@ -544,18 +547,19 @@ def sure_toss(
     Write the covariance (6, 6) of a landing; return if it is known, and `toss_along` from 0.
 
     It is that of the `figures`: with their derivatives `by` (6, 20) from the covariance `of_state`
-    (12, 12) of the package's shift, turn and twist, in its own axes, and from the deviations of
-    the law of release, by a standard deviation of each. The derivatives from the first to before
-    the last are renewed.
+    (12, 12) of the package's shift, turn and twist, in its own axes, and from the law of release,
+    changed by each column of the factor of its covariance. The derivatives from the first to
+    before the last are renewed.
     """
     nominal = -1.0, body, -1.0, body
     for i in range(first - 1, last):
         j = i if i >= first else -1  # the first is the toss itself
-        if j >= 12 and deviations[j - 12] == 0.0:
+        column = factor[j - 12] if j >= 12 else NO_LAW
+        if j >= 12 and column == NO_LAW:
             by[:, j] = 0.0
             continue
         size = PUSHES[max(j, 0)]
-        changed = Release(pushed(release.law, j - 12, deviations), release.box, release.height)
+        changed = Release(changed_law(release.law, size, column), release.box, release.height)
         found = toss_along(
             model, grip, changed, 0.0, tool,
             moved(body, unit(j, size), unit(j - 3, size), unit(j - 6, size), unit(j - 9, size)),

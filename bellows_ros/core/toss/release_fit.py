@@ -6,7 +6,8 @@ law: its free numbers are common to all drops; each has an instant of its own, a
 before it an offset of the package on the lip where it hangs at rest, else the whole state. The
 sum of squares of positions, of velocities as a local polynomial has them, and of rotations is the
 smallest (Gauss-Newton, damped; the numbers of each drop are eliminated). Standard errors come
-from what each drop contributes to the gradient, so from the scatter between drops.
+from what each drop contributes to the gradient, so from the scatter between drops; they grow
+with what the drops of one mass have left in common, which scatter does not explain.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.toss.landing import as_law
-from bellows_ros.core.toss.release import Law, NO_GRIP, write_toss
+from bellows_ros.core.toss.release import Law, NO_GRIP, RELEASE_NAMES, write_toss
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
@@ -73,6 +74,10 @@ than the noise, by chi^2 per pose."""
 
 LINEAR_TAU = 0.5
 """A fall of suction with this tau (s) is as good as linear over the time of a release."""
+
+LACKING = 4.0
+"""A law lacks something if its drops have so many times as much left in common, by mass, as
+their scatter explains."""
 
 GAIN = 0.8
 """A further number is kept if it leaves less than this part of the squares."""
@@ -203,20 +208,31 @@ class ReleaseFit:
         All its numbers.
     free : tuple of int
         Those that were fitted.
-    std : ndarray (8,)
-        Standard errors from the scatter between drops; 0 of those that were not fitted.
+    covariance : ndarray (8, 8)
+        Of the numbers, from the scatter between drops; 0 of those that were not fitted.
     scatter : ndarray (8,)
         Standard deviations from drop to drop; 0 of those that are common to all.
     drops : tuple of Explained
         In the order they were given.
+    lack : float
+        Mean square that the drops of one mass have left in common, over what scatter explains.
+    common : float
+        What that leaves of their positions, m, rms.
 
     """
 
     law: Law
     free: tuple[int, ...]
-    std: Array
+    covariance: Array
     scatter: Array
     drops: tuple[Explained, ...]
+    lack: float
+    common: float
+
+    @property
+    def std(self) -> Array:
+        """Standard errors (8,)."""
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def chi2(self) -> float:
@@ -232,8 +248,24 @@ class ReleaseFit:
     def explains(self) -> bool:
         """Whether the law explains the drops."""
         latest = max(abs(drop.late) for drop in self.drops)
-        return latest <= 5.0 * SCATTER[0] and (
-            self.chi2 <= CHI2_EXPLAINED or self.position <= EXPLAINED)
+        return latest <= 5.0 * SCATTER[0] and (self.position <= EXPLAINED or (
+            self.chi2 <= CHI2_EXPLAINED
+            and (self.lack <= LACKING or self.common <= EXPLAINED)))
+
+
+def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
+    """Return the parameters `release.*` of a fit, with the scatter from drop to drop."""
+    covariance = fit.covariance + np.diag(fit.scatter**2)
+    std = np.sqrt(np.diag(covariance))
+    known = np.where(std > 0.0, std, 1.0)
+    correlation = covariance / np.outer(known, known)
+    np.fill_diagonal(correlation, 1.0)
+    masses = [drop.mass for drop in fit.drops]
+    return {
+        **dict(zip(RELEASE_NAMES, fit.law, strict=True)),
+        **{f'{name}_std': float(x) for name, x in zip(RELEASE_NAMES, std, strict=True)},
+        'release.correlation': tuple(correlation.ravel().tolist()),
+        'release.mass_range': (min(masses), max(masses))}
 
 
 def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
@@ -268,9 +300,12 @@ def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
     if known and best.std[1] > 0.5 * best.law[1]:
         closed[1] = given[1]
         best = _fitted(few, closed, (0, 2))
-    if not best.explains:
+    if not best.explains or best.lack > LACKING:
         openings = [_fitted(few, start, OPENING) for start in _openings(few, fall)]
-        best = min(openings, key=_squares)
+        opened = min(openings, key=_squares)
+        if not best.explains or _squares(opened) < GAIN * _squares(best):
+            best = opened
+    if best.free == OPENING:
         shorter = np.array(best.law)
         shorter[[1, 3]] = 0.15, max((1.0 + best.law[3]) * 0.15 / best.law[1] - 1.0, 0.0)
         further = _fitted(few, shorter, (1, *OPENING))
@@ -282,10 +317,11 @@ def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
         return best
     raise UnexplainedError(
         f'No law of release explains the drops: it leaves {1e3 * best.position:.2g} mm of their '
-        f'positions (rms, chi2 per pose {best.chi2:.3g}), with instants that scatter by '
-        f'{1e3 * best.scatter[0]:.2g} ms; expected less than {1e3 * EXPLAINED:g} mm, and '
-        f'{1e3 * SCATTER[0]:g} ms. The likeliest cause is a wrong package.mass, cup.stiffness or '
-        'cup.length, or a valve stamped by another clock; check the first with bellows static.')
+        f'positions (rms, chi2 per pose {best.chi2:.3g}), {1e3 * best.common:.2g} mm of it in all '
+        f'drops of a mass alike, with instants that scatter by {1e3 * best.scatter[0]:.2g} ms; '
+        f'expected less than {1e3 * EXPLAINED:g} mm, and {1e3 * SCATTER[0]:g} ms. The likeliest '
+        'cause is a wrong package.mass, cup.stiffness or cup.length, or a valve stamped by '
+        'another clock; check the first with bellows static.')
 
 
 def _squares(fit: ReleaseFit) -> float:
@@ -388,15 +424,42 @@ def _fitted(drops: Sequence[Drop], start: Array, free: tuple[int, ...]) -> Relea
     gradients = np.array([part[1] for part in parts])
     inverse = np.linalg.pinv(H)
     covariance = inverse @ (gradients.T @ gradients) @ inverse
-    covariance *= len(drops) / max(len(drops) - len(free), 1)
-    std = np.zeros(8)
-    std[chosen] = np.sqrt(np.diag(covariance)) * SCALES[chosen]
+    lack, common = _in_common(problem, law)
+    covariance *= max(lack, 1.0) * len(drops) / max(len(drops) - len(free), 1)
+    placed = SCALES[:, None] * np.eye(8)[:, chosen]
     scatter = np.sqrt(np.maximum(
         np.var([one.by() for one in problem], axis=0, ddof=1)
         - np.mean([one.noise for one in problem], axis=0), 0.0))
     return ReleaseFit(
-        as_law(law), free, std, scatter,
-        tuple(one.explained(law) for one in problem))
+        as_law(law), free, placed @ covariance @ placed.T, scatter,
+        tuple(one.explained(law) for one in problem), lack, common)
+
+
+def _in_common(problem: Sequence[_DropFit], law: Array) -> tuple[float, float]:
+    """
+    Return what drops of one mass have left in common, over what scatter explains, and its rms (m).
+
+    Noise with memory, too, differs from drop to drop; what a law lacks does not. 1 and 0 where
+    no two drops are of one mass.
+    """
+    between, within, common, groups = 0.0, 0.0, 0.0, dict[float, list[_DropFit]]()
+    for one in problem:
+        groups.setdefault(one.drop.mass, []).append(one)
+    for own in groups.values():
+        seconds = [one.drop.package.seconds - one.drop.valve for one in own]
+        at = seconds[0][(seconds[0] >= max(s[0] for s in seconds))
+                        & (seconds[0] <= min(s[-1] for s in seconds))]
+        errors = np.array([[np.interp(at, s, row) for row in one.errors(law)]
+                           for one, s in zip(own, seconds, strict=True)])
+        mean = errors.mean(axis=0)
+        between += len(own) * float(np.sum(mean**2))
+        within += float(np.sum((errors - mean)**2))
+        sizes = own[0].sizes[:3]
+        common += len(own) * float(np.sum(np.mean((mean[:3] * sizes)**2, axis=1)))
+    degrees = len(problem) - len(groups)
+    if not (degrees and within):
+        return 1.0, 0.0
+    return (between / len(groups)) / (within / degrees), math.sqrt(common / len(problem))
 
 
 class _DropFit:
@@ -406,8 +469,7 @@ class _DropFit:
         """Begin from none."""
         self.drop, self.free = drop, free
         noise = np.maximum(drop.noise, LEAST_NOISE)
-        self._scale = np.repeat(
-            [1.0 / noise[0], 1.0 / (VELOCITY_SCALE * noise[0]), 1.0 / noise[1]], 3)[:, None]
+        self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
         self._scattered = [k for k in free if k in SCATTER]
         self._scatter = np.array([SCATTER[k] for k in self._scattered])
         self._offsets = np.repeat(OFFSETS, 3) if drop.stands else None
@@ -436,7 +498,7 @@ class _DropFit:
         if self._offsets is not None:
             errors[[0, 1, 2, 6, 7, 8]] -= (self._offsets * own[-6:])[:, None]
         return np.concatenate([
-            np.nan_to_num(errors * self._scale, nan=1e6).clip(-1e6, 1e6).ravel(), own])
+            np.nan_to_num(errors / self.sizes, nan=1e6).clip(-1e6, 1e6).ravel(), own])
 
     def reduced(self, law: Array) -> tuple[Array, Array]:
         """Return matrix and gradient of the law's free numbers, its own ones eliminated."""
@@ -469,7 +531,7 @@ class _DropFit:
             if self._offsets is not None:
                 row = k if k < 3 else k + 3
                 count = (len(here) - m) // 9
-                out[row * count:(row + 1) * count, k] = -self._offsets[k] * self._scale[row]
+                out[row * count:(row + 1) * count, k] = -self._offsets[k] / self.sizes[row]
             else:
                 other = self.own + 1e-3 * np.eye(m)[lead + k]
                 out[:, k] = (self.residuals(law, other) - here) / 1e-3
@@ -486,12 +548,15 @@ class _DropFit:
         """Take the own numbers of the trial."""
         self.own = self._tried
 
+    def errors(self, law: Array) -> Array:
+        """Return what the law leaves, over the sizes (9, N)."""
+        return self.residuals(law, self.own)[:-len(self.own)].reshape(9, -1)
+
     def explained(self, law: Array) -> Explained:
         """Return what the law leaves of the drop."""
         drop = self.drop
         released, states = self._predicted(law, self.own)
-        left = self.residuals(law, self.own)[:-len(self.own)].reshape(9, -1)
-        errors = left / self._scale
+        errors = self.errors(law) * self.sizes
         n = half_window(float(np.median(np.diff(drop.package.seconds))))
         up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
         after = int(np.searchsorted(drop.package.seconds, max(released, 0.0)))

@@ -9,7 +9,7 @@ from bellows_ros.core.model.equilibrium import largest_step, moved
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.simulation import Rows, tool_rows
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.toss.landing import changed, release_deviations
+from bellows_ros.core.toss.landing import changed, release_factor
 from bellows_ros.core.toss.release import figures, Held, PUSHES, release_of, toss, toss_along
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -81,7 +81,7 @@ def worked_out(flight, now, std):
     for size, push in zip(PUSHES, axes, strict=True):
         by_state = (tuple(part.tolist()) for part in np.split(size * push[:12], 4))
         found = landing(moved(now.body, *by_state),
-                        changed(release, push[12:] * release_deviations(VALUES)))
+                        changed(release, release_factor(VALUES) @ (size * push[12:])))
         by.append(np.concatenate(figures(found, nominal, MODEL[2])) / size)
     J = np.transpose(by) * np.append(std, np.ones(8))
     return np.concatenate(nominal), J @ J.T
@@ -122,7 +122,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
         o_moved = o + quaternion_to_rotation(q) @ push[:3]
         start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, twists))
         release = changed(
-            release_of(VALUES), release_deviations(VALUES) * rng.standard_normal(8))
+            release_of(VALUES), release_factor(VALUES) @ rng.standard_normal(8))
         landings.append(toss(steady.again(start), release, 0.0).landing[0][:2])
     linear = np.sqrt(np.diag(found.covariance)[:2])
     np.testing.assert_allclose(linear, np.std(landings, axis=0), rtol=0.12)  # 3.5 % each, 400
