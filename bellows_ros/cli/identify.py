@@ -148,8 +148,9 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
         rows.append((name, f'{factor * fit.law[k]:.4g} {unit}', std, scatter))
     console.table(rows, right=True)
     console.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(
-        (f'{mass:.3g} kg', f'{count}', f'{milli * released:.1f} ms', f'{milli * position:.2f} mm',
-         f'{milli * velocity:.1f} mm/s')
+        (f'{mass:.3g} kg', f'{count}',
+         f'{milli * released:.1f} ms' if math.isfinite(released) else 'later',
+         f'{milli * position:.2f} mm', f'{milli * velocity:.1f} mm/s')
         for mass, count, released, position, velocity in result.masses())], right=True)
     speed = max(drop.speed for drop in fit.drops)
     console.paragraph(

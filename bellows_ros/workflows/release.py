@@ -63,14 +63,15 @@ class ReleaseResult:
                 f'{"; ".join(self.left_out)}.',) if count else ()
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
-        """Return mass (kg), drops, letting go (s), and rms of position (m) and velocity (m/s)."""
+        """Return mass (kg), drops, letting go (s; NaN if later), rms (m) and (m/s) of each mass."""
         out = []
         for mass in sorted({drop.mass for drop in self.fit.drops}):
             own = [drop for drop in self.fit.drops if drop.mass == mass]
             released, position, velocity = (
                 np.array([getattr(drop, name) for drop in own])
                 for name in ('released', 'position', 'velocity'))
-            out.append((mass, len(own), float(np.nanmean(released)),
+            known = released[np.isfinite(released)]
+            out.append((mass, len(own), float(known.mean()) if len(known) else math.nan,
                         math.sqrt(float(np.mean(position**2))),
                         math.sqrt(float(np.mean(velocity**2)))))
         return out

@@ -73,7 +73,9 @@ def test_a_cup_that_opens_is_simulated_and_found(tmp_path):
     """The law of release from tosses in motion, by an identification that need not be told."""
     law = {'release.delay': 0.015, 'release.tau': 0.5, 'release.impulse': 0.0,
            'release.blow_off': 20.0, 'release.closing': 60.0, 'release.opening': 0.02,
-           'release.damping': 30.0, 'release.sticking': 2.0, 'release.delay_std': 5e-4}
+           'release.damping': 30.0, 'release.sticking': 2.0, 'release.delay_std': 5e-4,
+           **{f'release.{name}_std': 0.0 for name in (
+               'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking')}}
     motion = load(BAGS / 'tosses.yaml')
     motion['waypoints']['repeat'] = 3
     motion['release']['times'] = motion['release']['times'][:4]

@@ -53,8 +53,9 @@ BEFORE, AFTER = 0.15, 0.3
 LONGEST_LATE, LATEST_BEGIN = 1.0, 0.01
 """Longest time (s) from the valve to the fall, and to the first pose."""
 
-STANDS = (1e-3, 0.01)
-"""A body stands still while it stays this close (m, rad)."""
+STANDS, RECOIL = (1e-3, 0.01), 3.0
+"""A body stands still while it stays this close (m, rad); the tool, which recoils as the package
+parts, within so many times that."""
 
 WINDOW, ORDER = 1.0 / 60.0, 3
 """Half the time (s) over which a polynomial gives velocities, and its order."""
@@ -263,7 +264,8 @@ def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
     masses = [drop.mass for drop in fit.drops]
     return {
         **dict(zip(RELEASE_NAMES, fit.law, strict=True)),
-        **{f'{name}_std': float(x) for name, x in zip(RELEASE_NAMES, std, strict=True)},
+        **{f'{name}_std': x for name, x in zip(
+            RELEASE_NAMES, np.minimum(std, HIGHEST).tolist(), strict=True)},
         'release.correlation': tuple(correlation.ravel().tolist()),
         'release.mass_range': (min(masses), max(masses))}
 
@@ -561,7 +563,7 @@ class _DropFit:
         up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
         after = int(np.searchsorted(drop.package.seconds, max(released, 0.0)))
         after = min(after, len(states) - 1)
-        noise = np.maximum(drop.noise, 1e-9)
+        noise = np.maximum(drop.noise, 0.1 * np.array(LEAST_NOISE))
         return Explained(
             drop.mass, released - drop.valve if released >= 0.0 else math.nan, float(self.by()[0]),
             float(np.sqrt(np.mean((up @ errors[:3])**2))),
@@ -605,7 +607,7 @@ def _drop(
     package = _tracked(recording.aligned_package, valve_ns, until_ns)
     tool = _tracked(recording.aligned_tool, valve_ns, int(package.stamps_ns[-1]))
     before = slice(0, max(int(np.searchsorted(package.stamps_ns, valve_ns)), 1))
-    stands = _spread(tool) and _spread(package.select(before))
+    stands = _stands(tool, RECOIL) and _stands(package.select(before))
     if not stands:  # the tool is known at the common stamps
         package = _tracked(recording.measured_package, valve_ns, until_ns)
     after = int(np.searchsorted(package.stamps_ns, valve_ns))
@@ -643,8 +645,8 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
     return poses.select(slice(begin, end))
 
 
-def _spread(poses: Trajectory) -> bool:
-    """Return whether poses stay where they are."""
+def _stands(poses: Trajectory, times: float = 1.0) -> bool:
+    """Return whether poses stay where they are, within so many times `STANDS`."""
     turn = log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
-    return bool(np.abs(poses.position - poses.position.mean(axis=0)).max() < STANDS[0]
-                and np.abs(turn).max() < STANDS[1])
+    return bool(np.abs(poses.position - poses.position.mean(axis=0)).max() < times * STANDS[0]
+                and np.abs(turn).max() < times * STANDS[1])
