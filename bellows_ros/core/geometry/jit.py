@@ -44,16 +44,33 @@ def kernel(function: Function) -> Function:
     """
     if not COMPILED:
         return function
-    compiled, called = _compiler(function), cache(lambda: _compiler(function, called=True))
+    return _wrapped(function, OPTIONS)
+
+
+def array_kernel(function: Function) -> Function:
+    """
+    Compile a function on arrays, or return it unchanged without numba.
+
+    It is called as it is: with arrays that costs nothing, and its callers compile sooner.
+    """
+    return _wrapped(function, {**OPTIONS, 'forceinline': False}) if COMPILED else function
+
+
+def _wrapped(function: Function, options: dict[str, Any]) -> Function:
+    """Return what compiles a kernel twice: for Python, and to be called by other kernels."""
+    compiled = _compiler(function, options)
+    called = cache(lambda: _compiler(function, options, called=True))
     # Other kernels call it without the conversion of Python's numbers: a third less to compile.
     compiled.get_call_template = lambda *types: called().get_call_template(*types)
     compiled.get_overload = lambda signature: called().get_overload(signature)
     return compiled  # type: ignore[no-any-return]
 
 
-def _compiler(function: Callable[..., Any], called: bool = False) -> Any:
+def _compiler(
+    function: Callable[..., Any], options: dict[str, Any], called: bool = False
+) -> Any:
     """Return what compiles a kernel for Python, or only to be called by other kernels."""
-    options = {**OPTIONS, 'no_cfunc_wrapper': True, 'no_cpython_wrapper': called}
+    options = {**options, 'no_cfunc_wrapper': True, 'no_cpython_wrapper': called}
     try:
         compiled = numba.njit(cache=True, **options)(function)
         compiled._cache = _TolerantCache(compiled._cache, function, '.called' if called else '')

@@ -15,7 +15,7 @@ is taken away in stages, all that lies further back than a moment is forgotten.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, rotation_to_quaternion
@@ -27,12 +27,18 @@ from bellows_ros.core.identification.quantities import (
     pose_changes,
     poses_of,
 )
-from bellows_ros.core.identification.whitening import likeliest, whiten
+from bellows_ros.core.identification.whitening import (
+    inner_states,
+    likeliest,
+    NUMBERS,
+    whiten,
+    with_mean,
+)
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.equilibrium import largest_step, moved, pose_error, substeps_of
-from bellows_ros.core.model.jacobians import DAMPING, PARAMETERS
+from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
+from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import state_row, tool_rows
+from bellows_ros.core.model.simulation import row_state, state_row, tool_rows
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import pose_noise, Recording
 from bellows_ros.core.signals.resampling import resample
@@ -54,8 +60,11 @@ LONGEST_GAP, SHORTEST_SEGMENT = 0.15, 1.0
 MISSING = np.repeat([5e-3, 5e-2], 3)
 """Standard deviation of a pose of the tool that is bridged (m, rad)."""
 
-START = np.repeat([0.05, 0.3, 0.5, 3.0], 3)
-"""Standard deviation of the package's first state about its first pose, at rest; SI units."""
+START = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
+"""
+Standard deviation of the package's first state about its first pose, at rest, and of internal
+strains; SI units.
+"""
 
 LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
 """Longest steps of the linearised model, and of the integrator (s)."""
@@ -68,6 +77,9 @@ WIDE = 2.0
 
 LONGEST_WAY = 1.0
 """Largest change of the logarithm of K or P in a step."""
+
+LONGEST_SHARE = 4.0
+"""Largest part of a step that is taken, while steps go the same way."""
 
 MOST_STEPS = 30
 NEAR, ENOUGH = 3.0, 3e-3
@@ -334,8 +346,12 @@ class Search:
             for _ in range(MOST_STEPS):
                 step = np.asarray(
                     np.linalg.solve(H + damping * np.diag(np.diag(H)), g), dtype=np.float64)
-                turns = step @ H @ last < -0.5 * np.sqrt((step @ H @ step) * (last @ H @ last))
-                share = max(0.5 * share, 0.25) if turns else min(1.5 * share, 1.0)
+                size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
+                along = float(step @ H @ last) / max(size, 1e-99)
+                if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
+                    share = max(0.5 * share, 0.25)
+                elif along > 0.5 or share < 1.0:
+                    share = min(1.5 * share, LONGEST_SHARE)
                 there, way = self.moved(theta, share * step), float(g @ step)
                 new = self.system(there, forgets)
                 if not squares(new[0]) < RISES * squares(parts):  # also where it is no number
@@ -343,10 +359,13 @@ class Search:
                     continue
                 theta, (parts, H, g), last = there, new, step
                 self.take(parts)
+                if not forgets:
+                    self.take_noise(parts)
                 damping = 0.1 * damping if damping > 1e-5 else 0.0
                 note(theta, squares(parts) / sum(len(own.innovations) for own in parts))
                 if way < end:
                     break
+            self.take_noise(parts)
         return Found(theta, parts, H, way < end)
 
     def moved(self, theta: Array, step: Array) -> Array:
@@ -391,10 +410,14 @@ class Search:
         return parts, H, g
 
     def take(self, parts: list[Part]) -> None:
-        """Take the likeliest paths and first states, and the noise of poses that come slowly."""
+        """Take the likeliest paths and first states."""
         for segment, own in zip(self.segments, parts, strict=True):
             segment.first = own.first
             segment.go(own.change)
+
+    def take_noise(self, parts: list[Part]) -> None:
+        """Take the noise of poses that come slowly."""
+        for segment, own in zip(self.segments, parts, strict=True):
             if segment.period * SLOW_HZ > 1.0:
                 differences = own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
                 for axes in (slice(0, 3), slice(3, 6)):
@@ -416,61 +439,64 @@ class Search:
         """Return a segment's whitened differences."""
         model, free = self.model(theta, segment)
         nodes = segment.nodes(float(free['time_offset'][0]) if 'time_offset' in free else 0.0)
-        raw = segment.package.select(nodes.seen)
+        raw, noise = segment.package.select(nodes.seen), segment.measured.package_noise
         package = poses_of(raw, free, segment.moves, segment.measured.middle)
+        tool = tool_rows(resample(segment.path, nodes.stamps))
+        expected, first = (
+            adapted(model, row_state(tool[0]), body) for body in (segment.expected, segment.first))
         numbers, moves, delay = self._columns(segment, free, raw)
-        count, size, noise = len(nodes.stamps), len(raw), segment.measured.package_noise
-        coloured = noise.kept > 0.0
-        states = 24 if coloured else 18
-        held, way, variance = np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6))
-        held[nodes.samples] = segment.held[segment.inner][nodes.sampled]
-        way[nodes.samples] = segment.way[nodes.sampled]
-        variance[nodes.samples] = segment.variance[nodes.sampled]
+        count, size, inner = len(nodes.stamps), len(raw), inner_states(first)
+        coloured, kept = noise.kept > 0.0, segment.measured.tool_noise.kept
+        states = inner + (12 if coloured else 6)
         lengths = np.diff(nodes.stamps) / NS_PER_S
+        fades = np.exp(np.log(noise.kept) / segment.period * lengths) if coloured else lengths
+        held, keeps = np.zeros(count), np.ones(count)
+        held[nodes.samples], keeps[nodes.samples] = (
+            segment.held[segment.inner][nodes.sampled], kept)
+        way, fresh = np.zeros((count, 6)), np.zeros((count, 6))
+        way[nodes.samples] = _fresh(segment.way[nodes.sampled], kept)
+        fresh[nodes.samples] = segment.variance[nodes.sampled] * (1.0 - kept**2)
+        fresh[nodes.samples[0]] /= 1.0 - kept**2
         own = np.tile((SMALLEST if coloured else segment.std) ** 2, (size, 1))
-        known = [START, segment.measured.tool_noise.std, segment.std]
-        P, x = np.diag(np.concatenate(known)[:states] ** 2), np.zeros(states)
-        x[:12] = _away(segment.first, segment.expected)
-        ahead = x[:12].copy()
-        fading = -np.log(noise.kept) / segment.period if coloured else 0.0
+        S, P = np.zeros((states, len(theta) + 1)), np.zeros((states, states))
+        known = np.concatenate([START[:inner], np.zeros(6), segment.std])[:states]
+        P[range(states), range(states)] = known**2
+        S[:inner, -1] = ahead = _away(first, expected)
+        last = WRENCH.start if np.any(numbers[DAMPING.stop:]) else DAMPING.stop
         out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
-        F, B = np.zeros((count, 12, 12)), np.zeros((count, 12, 6))
+        T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
         K = np.zeros((size, 6, states + 1))
         whiten(
-            model, segment.first, x, P, tool_rows(resample(segment.path, nodes.stamps)), lengths,
-            substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION)), held, way,
-            variance, segment.measured.tool_noise.kept,
-            forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
+            model, first, S, P, tool, lengths,
+            substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION)), held, way, fresh,
+            keeps, forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
             np.hstack([package.position, rotation_to_quaternion(package.rotation)]), own,
-            segment.std**2, fading, numbers, delay, moves, out, slopes, F, B, K)
+            segment.std**2, fades, last, numbers, delay, moves, out, slopes, T, B, K)
         if delay >= 0:
             slopes[:, :, delay] *= self.units[delay]  # the kernel has it per second
         found, slope = np.zeros((count, 6)), np.zeros(states)
-        likeliest(out, nodes.place, held, variance, segment.measured.tool_noise.kept, F, B, K,
-                  np.exp(-fading * lengths), found, slope)
+        likeliest(out, nodes.place, fresh, inner + 6, T, B, K, found, slope)
         change = np.zeros_like(segment.way)
         change[nodes.sampled] = found[nodes.samples]
-        first: Any = (ahead - START**2 * slope[:12]).reshape(4, 3).tolist()
+        nearer = ahead - START[:inner] ** 2 * slope[:inner]
         return Part(
             out.ravel(), slopes.reshape(6 * size, -1), K[:, :, -1] ** -2, own,
-            _accumulated(change, segment.measured.tool_noise.kept),
-            moved(segment.first, *map(tuple, first)))
+            _accumulated(change, kept), with_mean(first, nearer[:, None]))
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
-        numbers = np.zeros((PARAMETERS, len(self.units)))
+        numbers = np.zeros((NUMBERS, len(self.units)))
         moves = np.zeros((len(raw), 6, len(self.units)))
         numbers[:DAMPING.stop, :self.count] = self.structure.upper
         places = self.own_places(segment)
         payload = payload_of(segment.measured.payload, free)
         for name, own in places.items():
-            numbers[:, own] = model_columns(name, payload, np.eye(PARAMETERS))
+            numbers[:, own] = model_columns(name, payload, np.eye(NUMBERS))
             change = pose_changes(name, raw, segment.moves, segment.measured.middle)
             if change is not None:
                 moves[:, :, own] = -change
         delay = int(places['time_offset'][0]) if 'time_offset' in places else -1
-        last = PARAMETERS if np.any(numbers[DAMPING.stop:]) else DAMPING.stop
-        return numbers[:last] * self.units, moves * self.units, delay
+        return np.pad(numbers * self.units, ((0, 0), (0, 1))), moves * self.units, delay
 
 
 def squares(parts: Sequence[Part]) -> float:
@@ -486,10 +512,16 @@ def _roots(M: Array) -> tuple[Array, Array]:
 
 
 def _away(body: State, other: State) -> Array:
-    """Return what separates a state from another (12,)."""
+    """Return what separates a state from another (12,), with internal strains (24,)."""
     shift, turn = pose_error(body, other[0], other[1])
-    return np.concatenate([
-        shift, turn, np.subtract(other[2], body[2]), np.subtract(other[3], body[3])])
+    rest = [np.ravel(np.array(there) - np.array(here))
+            for here, there in zip(body[2:], other[2:], strict=True)]
+    return np.concatenate([shift, turn, *rest])
+
+
+def _fresh(noise: Array, kept: float) -> Array:
+    """Return what is fresh in noise (S, 6)."""
+    return np.vstack([noise[:1], noise[1:] - kept * noise[:-1]])
 
 
 def _accumulated(fresh: Array, kept: float) -> Array:

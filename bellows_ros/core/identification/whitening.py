@@ -9,41 +9,66 @@ a sample d of the tool (m, rad) acts as long as it is held,
     x <- x + held B d,    B = [T_v; A_v T_v + T_p + T_v ad(v_tool)],
 
 with T_p, T_v and A_v the derivatives of the acceleration by pose and twist of the tool, and twist
-of the package (the noise's slope is integrated by parts). A Kalman filter on x whitens the
-differences and their derivatives by parameters. With exact poses of the tool that is output error;
-with noisy ones the squares that are left are those over all paths the tool may have gone (total
-least squares), and the second pass, backwards, finds the likeliest path (Bryson and Frazier).
+of the package (the noise's slope is integrated by parts). The internal strains of a cup that
+relaxes are 12 states more. A Kalman filter on x whitens the differences and their derivatives by
+parameters. With exact poses of the tool that is output error; with noisy ones the squares that are
+left are those over all paths the tool may have gone (total least squares), and the second pass,
+backwards, finds the likeliest path (Bryson and Frazier).
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import hat, scale_matrix
+from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.tuples import (
+    add,
+    add_scaled_matrix,
+    apply,
+    hat,
+    multiply,
+    scale,
+    scale_matrix,
+)
 from bellows_ros.core.model.equilibrium import moved, pose_error
 from bellows_ros.core.model.jacobians import (
+    add_scaled_square,
     body_jacobians,
+    COM,
+    ends_of_spring,
+    LENGTH,
+    NOTHING,
     parameter_jacobian,
+    PARAMETERS,
+    relaxation_jacobian,
+    shift_right,
+    Square,
+    strain_jacobian,
+    strain_jacobians,
+    times_twist,
     tool_jacobians,
+    turn_right,
     write_block,
+    write_column,
     write_square,
 )
-from bellows_ros.core.model.kernels import advance, ModelTuple, State
+from bellows_ros.core.model.kernels import advance, ModelTuple, State, with_strains
 from bellows_ros.core.model.simulation import row_state
-from bellows_ros.core.observer.filter import add_product, product, transpose
+from bellows_ros.core.observer.filter import add_product, product
 import numpy as np
 
 CLIPPED = 3.0
 """Differences beyond so many standard deviations count linearly, not by their squares (Huber)."""
 
+NUMBERS = PARAMETERS + 2
+"""Those of `jacobians.PARAMETERS`, then the two strengths of relaxation."""
 
-@kernel
+
+@array_kernel
 def _derivatives(
-    model: ModelTuple, tool: State, body: State, numbers: Any, A: Any, D: Any, B: Any
+    model: ModelTuple, tool: State, body: State, last: int, A: Any, C: Any, B: Any
 ) -> None:
-    """Write the slope of x by x (12, 12) and by parameters (12, p), and B (12, 6)."""
+    """Write the slope of x by x (m, m) and by `NUMBERS` (m, 64), and B (m, 6)."""
     by_pose, by_twist = body_jacobians(model, tool, body)
     v_hat, w_hat = hat(body[2]), hat(body[3])
     write_block(A, 0, 0, scale_matrix(-1.0, w_hat))
@@ -51,60 +76,99 @@ def _derivatives(
     write_block(A, 3, 3, scale_matrix(-1.0, w_hat))
     write_square(A, 6, 0, by_pose)
     write_square(A, 6, 6, by_twist)
-    columns = np.zeros((6, len(numbers)))
-    parameter_jacobian(model, tool, body, 0, len(numbers), columns, 0)
-    D[6:] = product(columns, numbers, np.empty((6, numbers.shape[1])))
+    parameter_jacobian(model, tool, body, 0, last, C[6:], 0)
     of_pose, of_twist = tool_jacobians(model, tool, body)
-    pose, twist = np.empty((6, 6)), np.empty((6, 6))
-    write_square(pose, 0, 0, of_pose)
-    write_square(twist, 0, 0, of_twist)
-    turning = np.zeros((6, 6))
-    write_block(turning, 0, 0, hat(tool[3]))
-    write_block(turning, 0, 3, hat(tool[2]))
-    write_block(turning, 3, 3, hat(tool[3]))
-    still = product(twist, turning, np.empty((6, 6)))
-    moving = product(np.ascontiguousarray(A[6:, 6:]), twist, np.empty((6, 6)))
+    write_square(B, 0, 0, of_twist)
+    write_square(B, 6, 0, add_scaled_square(add_scaled_square(
+        of_pose, 1.0, times_twist(of_twist, tool[2], tool[3])), 1.0,
+        multiply_squares(by_twist, of_twist)))
     for i in range(6):
         A[i, 6 + i] = 1.0
-        for j in range(6):
-            B[i, j] = twist[i, j]
-            B[6 + i, j] = moving[i, j] + pose[i, j] + still[i, j]
+    if len(body) == 6:
+        _strain_derivatives(model, tool, body, A, C, B)
 
 
 @kernel
-def _exponential(h: float, A: Any, F: Any) -> Array:
-    """Write exp(h A) to fourth order; return the mean of exp(t A) over the step."""
-    G, X = np.eye(12) + 0.25 * h * A, np.empty((12, 12))
-    for n in (3.0, 2.0):
-        G = np.eye(12) + (h / n) * product(A, G, X)
-    F[:] = np.eye(12) + h * product(A, G, X)
-    return G  # type: ignore[no-any-return]
+def multiply_squares(A: Square, B: Square) -> Square:
+    """Return A B."""
+    return (
+        add_scaled_matrix(multiply(A[0], B[0]), 1.0, multiply(A[1], B[2])),
+        add_scaled_matrix(multiply(A[0], B[1]), 1.0, multiply(A[1], B[3])),
+        add_scaled_matrix(multiply(A[2], B[0]), 1.0, multiply(A[3], B[2])),
+        add_scaled_matrix(multiply(A[2], B[1]), 1.0, multiply(A[3], B[3])),
+    )
 
 
 @kernel
+def _strain_derivatives(
+    model: ModelTuple, tool: State, body: State, A: Any, C: Any, B: Any
+) -> None:
+    """Write what internal strains add: dz_b/dt = (h - z_b) / tau_b, and their force."""
+    by_strain, by_pose = strain_jacobians(model, tool, body)
+    _, o, R, _, _, o_E_S1, _, _ = ends_of_spring(model, tool, body)
+    J_oo, J_oR, J_RR = strain_jacobian(o, R)
+    by_tool = shift_right(turn_right((J_oo, J_oR, NOTHING, J_RR), R), scale(-1.0, o_E_S1))
+    relaxation_jacobian(model, tool, body, C[6:], PARAMETERS)
+    branches, along = model[0][4:], (0.5 * R[6], 0.5 * R[7], 0.5 * R[8] + 0.5)
+    for b in range(2):
+        (strength, time), first = branches[b], 12 + 6 * b
+        rate = 1.0 / time
+        write_square(A, 6, first, _scaled(strength, by_strain))
+        write_square(A, first, 0, _scaled(rate, by_pose))
+        write_square(B, first, 0, _scaled(-rate, by_tool))
+        write_column(C[first:], LENGTH.start, scale(rate, apply(J_oo, along)), (0.0, 0.0, 0.0))
+        write_block(C, first, COM.start, scale_matrix(-rate, J_oo))
+        for i in range(6):
+            A[first + i, first + i] = -rate
+
+
+@kernel
+def _scaled(factor: float, A: Square) -> Square:
+    """Return factor * A."""
+    return add_scaled_square(A, factor - 1.0, A)
+
+
+@array_kernel
+def _horner(M: Any, X: Any, diagonal: float, out: Any) -> None:
+    """Write diagonal + M X."""
+    product(M, X, out)
+    for i in range(len(M)):
+        out[i, i] += diagonal
+
+
+@kernel
+def inner_states(body: State) -> int:
+    """Return the size of x."""
+    return 24 if len(body) == 6 else 12
+
+
+@array_kernel
 def whiten(
-    model: ModelTuple, body: State, x: Any, P: Any, tool: Any, lengths: Any, steps: Any,
-    held: Any, way: Any, noise: Any, kept: float, walk: Any, follows: bool, place: Any,
-    poses: Any, variance: Any, colour: Any, fading: float, numbers: Any, delay: int, moves: Any,
-    out: Any, slopes: Any, F: Any, B: Any, K: Any,
+    model: ModelTuple, body: State, S: Any, P: Any, tool: Any, lengths: Any, steps: Any,
+    held: Any, way: Any, fresh: Any, keeps: Any, walk: Any, follows: bool, place: Any,
+    poses: Any, variance: Any, colour: Any, fades: Any, last: int, numbers: Any, delay: int,
+    moves: Any, out: Any, slopes: Any, T: Any, B: Any, K: Any,
 ) -> None:
     """
     Write whitened differences and their derivatives, and what `likeliest` needs.
+
+    The states are x (12,), with 12 internal strains where the cup relaxes, then how far the tool
+    is from its path (6,), and, where it is correlated, the noise of the package's pose (6,).
 
     Parameters
     ----------
     model, body : tuples
         And the package at the first node.
-    x, P : ndarray (n,), (n, n)
-        What is expected of x there, then of the noise of the tool's pose (6,), and, where it is
-        correlated (n = 24), of that of the package's; changed.
+    S, P : ndarray (n, p + 1), (n, n)
+        Derivatives of the states by p parameters, then their mean, and their covariance: at the
+        first node, before the tool's pose there; changed.
     tool, lengths, steps : ndarray (M, 13), (M - 1,), (M - 1,)
         The tool's path at M nodes, the time between them (s), and the steps of the integrator.
-    held, way, noise : ndarray (M,), (M, 6), (M, 6)
-        Time (s) that a measured pose of the tool at a node stands for, 0 where there is none; its
-        shift and turn from the path (m, rad), and the variance of its noise.
-    kept : float
-        Correlation of this noise between successive poses.
+    held : ndarray (M,)
+        Time (s) that a measured pose of the tool at a node stands for, 0 where there is none.
+    way, fresh, keeps : ndarray (M, 6), (M, 6), (M,)
+        What is added to the tool's shift and turn from the path there (m, rad), the variance of
+        what is fresh in its noise, and which part is kept from the node before.
     walk : ndarray (6,)
         Variance that a white acceleration gives to the twist in x, per second.
     follows : bool
@@ -113,189 +177,228 @@ def whiten(
         Number of the package's pose at a node, or -1.
     poses, variance : ndarray (N, 7), (N, 6)
         Measured poses of B, and the variances (m^2, rad^2) of white noise in its own axes.
-    colour, fading : ndarray (6,), float
-        The variance of its correlated noise, and the rate (1/s) at which that is forgotten.
-    numbers : ndarray (n, p)
-        The first numbers of `jacobians.PARAMETERS` by parameters.
+    colour, fades : ndarray (6,), (M - 1,)
+        The variance of its correlated noise, and what is kept of it from node to node.
+    last, numbers : int, ndarray (64, p + 1)
+        How many of `jacobians.PARAMETERS` are used, and `NUMBERS` by parameters.
     delay : int
         The parameter by which the tool's stamps are late; -1 for none.
     moves : ndarray (N, 6, p)
         Minus the package's measured pose, in its own axes, by parameters.
     out, slopes : ndarray (N, 6), (N, 6, p)
         In units of their standard deviation.
-    F, B, K : ndarray (M, 12, 12), (M, 12, 6), (N, 6, n + 1)
-        Transitions, half the effects of the tool's samples, and gains with one over the standard
-        deviation of what each is of.
+    T, B, K : ndarray (M, n, n), (M, n, 6), (N, 6, n + 1)
+        Transitions, effects of the tool's samples, half of x's there, and gains with one over the
+        standard deviation of what each is of.
 
     """
-    size, count = P.shape[0], numbers.shape[1]
-    S, A0, B0, D0 = (
-        np.zeros((size, count)), np.zeros((12, 12)), np.zeros((12, 6)), np.zeros((12, count)))
-    A1, D1 = A0.copy(), D0.copy()
+    m = inner_states(body)
+    A, C, B0, later, twist = (
+        np.zeros((2, m, m)), np.zeros((2, m, NUMBERS)), np.zeros((m, 6)), np.zeros((len(P), 6)),
+        np.zeros(6))
     for k in range(tool.shape[0]):
-        here = row_state(tool[k])
+        here, own = row_state(tool[k]), k % 2
         if k > 0:
             body = advance(model, body, row_state(tool[k - 1]), here, lengths[k - 1], steps[k - 1])
-        _derivatives(model, here, body, numbers, A1, D1, B0)
+        _derivatives(model, here, body, last, A[own], C[own], B0)
+        _enter(0.5 * held[k], B0, B[k])  # half of a sample acts behind the package's pose
         if k > 0:
-            _pass(
-                lengths[k - 1], 0.5 * (A0 + A1), 0.5 * (D0 + D1), kept > 0.0, walk, x, P, S, F[k])
-            if size > 18:
-                _forget(18, np.exp(-fading * lengths[k - 1]), colour, x, P, S)
-        A0, A1, D0, D1 = A1, A0, D1, D0
+            _pass(lengths[k - 1], A, C, numbers, keeps[k], fades[k - 1], walk, colour, later,
+                  B[k], S, P, T[k])
+        _push(way[k], fresh[k], B[k], S, P)
+        _enter(0.5 * held[k], B0, later)
         n = place[k]
-        if held[k] > 0.0:  # half of a sample acts before, half behind the package's pose
-            _forget(12, kept, noise[k], x, P, S)
-            B[k] = 0.5 * held[k] * B0
-            _push(B[k], way[k], x, P, S, kept > 0.0)
         if n >= 0:
             pose = poses[n]
             shift, turn = pose_error(
                 body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
+            for i in range(3):
+                out[n, i], out[n, 3 + i], twist[i], twist[3 + i] = (
+                    shift[i], turn[i], body[2][i], body[3][i])
             _measure(
-                shift + turn, variance[n], moves[n], body[2] + body[3], delay, x, P, S,
-                out[n], slopes[n], K[n])
+                variance[n], moves[n], twist, delay, m + 6, S, P, out[n], slopes[n], K[n])
             if follows:
-                body = moved(
-                    body, (x[0], x[1], x[2]), (x[3], x[4], x[5]), (x[6], x[7], x[8]),
-                    (x[9], x[10], x[11]))
-                x[:12] = 0.0
-        if held[k] > 0.0:
-            _push(B[k], way[k], x, P, S, kept > 0.0 or n >= 0)
+                body = with_mean(body, S)
 
 
 @kernel
+def with_mean(body: State, S: Any) -> State:
+    """Return a package moved by the mean of x, the last column, which becomes zero."""
+    x = S[:, S.shape[1] - 1]
+    there = moved(
+        body, (x[0], x[1], x[2]), (x[3], x[4], x[5]), (x[6], x[7], x[8]), (x[9], x[10], x[11]))
+    if len(body) == 4:
+        x[:12] = 0.0
+        return there
+    (a, b), (c, d) = body[4:]
+    there = with_strains(there, (
+        (add(a, (x[12], x[13], x[14])), add(b, (x[15], x[16], x[17]))),
+        (add(c, (x[18], x[19], x[20])), add(d, (x[21], x[22], x[23])))))
+    x[:24] = 0.0
+    return there
+
+
+@kernel
+def _enter(factor: float, effect: Any, out: Any) -> None:
+    """Write how a sample of the tool acts on x, and on what it is a sample of."""
+    for i in range(effect.shape[0]):
+        for j in range(6):
+            out[i, j] = factor * effect[i, j]
+    for i in range(effect.shape[0], out.shape[0]):
+        out[i, i - effect.shape[0]] = 1.0
+
+
+@array_kernel
 def _pass(
-    h: float, A: Any, D: Any, lasting: bool, walk: Any, x: Any, P: Any, S: Any, F: Any
+    length: float, A: Any, C: Any, numbers: Any, keep: float, fade: float, walk: Any,
+    colour: Any, later: Any, B: Any, S: Any, P: Any, T: Any,
 ) -> None:
-    """Carry x, its covariance and its derivatives over a time; write the transition."""
-    G = _exponential(h, A, F)
-    x[:12] = F @ x[:12]
-    if lasting or P.shape[0] > 18:
-        P[:12] = product(F, P[:12], np.empty((12, P.shape[0])))
-        P[:, :12] = product(
-            np.ascontiguousarray(P[:, :12]), transpose(F), np.empty((P.shape[0], 12)))
-    else:  # what is known of a sample's noise is of no use later
-        side = product(np.ascontiguousarray(P[:12, :12]), transpose(F), np.empty((12, 12)))
-        P[:12, :12] = product(F, side, np.empty((12, 12)))
+    """Carry states, derivatives and covariance over a step; write its transition T."""
+    n, m = P.shape[0], A.shape[1]
+    mean, effect = np.zeros((m, m)), np.zeros((m, S.shape[1]))
+    F = _exponential(_mean(length, A), mean)
+    pushed = product(F, later[:m], np.empty((m, 6)))
+    for i in range(m):
+        for j in range(m):
+            T[i, j] = F[i, j]
+        for j in range(6):
+            T[i, m + j] = pushed[i, j] + keep * B[i, j]
+    for i in range(m, n):
+        T[i, i] = keep if i < m + 6 else fade
+    product(_mean(length, C), numbers, effect)
+    _copy(add_product(mean, effect, product(T, S, np.empty(S.shape))), S)
+    product(T, _transposed(product(T, P, np.empty((n, n)))), P)
     for i in range(6):
-        P[6 + i, 6 + i] += walk[i] * h
-    S[:12] = add_product(G, h * D, product(F, S[:12], np.empty(D.shape)))
+        P[6 + i, 6 + i] += walk[i] * length
+    for i in range(m + 6, n):
+        P[i, i] += (1.0 - fade * fade) * colour[i - m - 6]
 
 
-@kernel
-def _forget(first: int, kept: float, variance: Any, x: Any, P: Any, S: Any) -> None:
-    """Let six states of noise keep a part of themselves, at a constant variance."""
-    for i in range(first, first + 6):
-        x[i] *= kept
-        for c in range(S.shape[1]):
-            S[i, c] *= kept
-        for m in range(P.shape[0]):
-            P[i, m] *= kept
-            P[m, i] *= kept
-        P[i, i] += (1.0 - kept * kept) * variance[i - first]
+@array_kernel
+def _mean(factor: float, A: Any) -> Any:
+    """Return the mean of two matrices, times a factor."""
+    out = np.empty(A.shape[1:])
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = 0.5 * factor * (A[0, i, j] + A[1, i, j])
+    return out
 
 
-@kernel
-def _push(B: Any, way: Any, x: Any, P: Any, S: Any, seen: bool) -> None:
-    """
-    Let a sample of the tool act on x: where it is from the path, and its noise.
+@array_kernel
+def _copy(A: Any, out: Any) -> None:
+    """Write A."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[i, j] = A[i, j]
 
-    Unless something was seen of this noise, no parameter says anything of it.
-    """
-    size = P.shape[0]
-    for i in range(12):
+
+@array_kernel
+def _transposed(A: Any) -> Any:
+    """Return A^T, its rows one after the other in memory."""
+    out = np.empty(A.shape)
+    for i in range(A.shape[0]):
+        for j in range(A.shape[0]):
+            out[i, j] = A[j, i]
+    return out
+
+
+@array_kernel
+def _exponential(M: Any, mean: Any) -> Any:
+    """Return exp(M) to fourth order; write the mean of exp(t M) for t from 0 to 1."""
+    X, Y = M.copy(), np.empty(M.shape)
+    for order in range(3):  # 4 + M, 12 + M X, 24 + M Y
+        if order > 0:
+            product(M, X, Y)
+            X, Y = Y, X
+        for i in range(len(M)):
+            X[i, i] += 4.0 if order == 0 else 12.0 * order
+    for i in range(len(M)):
+        for j in range(len(M)):
+            mean[i, j] = X[i, j] / 24.0
+    product(M, mean, Y)
+    for i in range(len(M)):
+        Y[i, i] += 1.0
+    return Y
+
+
+@array_kernel
+def _push(way: Any, fresh: Any, B: Any, S: Any, P: Any) -> None:
+    """Let a sample of the tool act: what is added to its way, and what is fresh in its noise."""
+    n, last = P.shape[0], S.shape[1] - 1
+    noise = np.empty((6, n))
+    for i in range(n):
         for j in range(6):
-            x[i] += B[i, j] * (way[j] + x[12 + j])
-            if seen:
-                for c in range(S.shape[1]):
-                    S[i, c] += B[i, j] * S[12 + j, c]
-            for m in range(size):
-                P[i, m] += B[i, j] * P[12 + j, m]
-    for i in range(size):
-        for j in range(6):
-            part = P[i, 12 + j]
-            for m in range(12):
-                P[i, m] += B[m, j] * part
+            noise[j, i] = fresh[j] * B[i, j]
+            S[i, last] += B[i, j] * way[j]
+    add_product(B, noise, P)
 
 
-@kernel
+@array_kernel
 def _measure(
-    error: Any, variance: Any, moves: Any, twist: Any, delay: int, x: Any, P: Any, S: Any,
-    out: Any, slopes: Any, K: Any,
+    variance: Any, moves: Any, twist: Any, delay: int, colour: int, S: Any, P: Any, out: Any,
+    slopes: Any, K: Any,
 ) -> None:
-    """Correct x by the difference (6,) of a pose, and write it whitened."""
-    size = P.shape[0]
+    """Correct the states by the difference (6,) of a pose, number by number; whiten it."""
+    n, p = P.shape[0], S.shape[1] - 1
+    gain, p_row, s_row = np.empty((n, 1)), np.empty((1, n)), np.empty((1, p + 1))
     for j in range(6):
-        e, r, slope = error[j] - x[j], variance[j], S[j] + moves[j]
-        for i in range(size):
-            K[j, i] = P[i, j]
-        if size > 18:
-            e -= x[18 + j]
-            K[j, :size] += P[18 + j]
-            r += K[j, 18 + j]
-            slope += S[18 + j]
+        for i in range(n):
+            p_row[0, i] = P[j, i] + (P[colour + j, i] if n > colour else 0.0)
+        for i in range(p + 1):
+            s_row[0, i] = S[j, i] + (S[colour + j, i] if n > colour else 0.0)
+        for i in range(p):
+            s_row[0, i] += moves[j, i]
         if delay >= 0:
-            slope[delay] += twist[j]
-        s = K[j, j] + r
+            s_row[0, delay] += twist[j]
+        e = out[j] - s_row[0, p]
+        s = p_row[0, j] + (p_row[0, colour + j] if n > colour else 0.0) + variance[j]
         s = max(s, s * abs(e) / (CLIPPED * np.sqrt(s)))  # Huber's weight: a larger variance
-        _correct(K[j, :size], s, e, slope, x, P, S)
-        K[j, size] = 1.0 / np.sqrt(s)
-        out[j] = e * K[j, size]
-        slopes[j] = slope * K[j, size]
+        scale = 1.0 / np.sqrt(s)
+        out[j] = e * scale
+        for i in range(p):
+            slopes[j, i] = s_row[0, i] * scale
+        s_row[0, p] = -e
+        for i in range(n):
+            gain[i, 0] = -p_row[0, i] / s
+            K[j, i] = -gain[i, 0]
+        K[j, n] = scale
+        add_product(gain, p_row, P)
+        add_product(gain, s_row, S)
 
 
-@kernel
-def _correct(K: Any, s: float, e: float, slope: Any, x: Any, P: Any, S: Any) -> None:
-    """Correct x, its derivatives and its covariance by one number; K becomes the gain."""
-    size = P.shape[0]
-    for i in range(size):
-        gain = K[i] / s
-        x[i] += gain * e
-        for c in range(S.shape[1]):
-            S[i, c] -= gain * slope[c]
-        for m in range(size):
-            P[i, m] -= gain * K[m]
-    for i in range(size):
-        K[i] /= s
-
-
-@kernel
+@array_kernel
 def likeliest(
-    out: Any, place: Any, held: Any, noise: Any, kept: float, F: Any, B: Any, K: Any, fading: Any,
-    way: Any, slope: Any,
+    out: Any, place: Any, fresh: Any, colour: int, T: Any, B: Any, K: Any, way: Any, slope: Any,
 ) -> None:
     """
     Write what is fresh in the likeliest noise (M, 6) of the tool's poses, going backwards.
 
-    Of the innovations `out`; fading (M - 1,) is what the package's noise keeps over each step.
-    Slope (n,) becomes that of the first state: its likeliest change is minus its covariance times
-    that.
+    Of the innovations `out`; colour is the first state of the package's noise. Slope (n,) becomes
+    that of the first states: their likeliest change is minus their covariance times that.
     """
-    size = len(slope)
+    n = len(slope)
     for k in range(len(place) - 1, -1, -1):
-        if held[k] > 0.0:
-            _pull(B[k], slope)
-        n = place[k]
-        if n >= 0:
-            for j in range(5, -1, -1):
-                total = out[n, j] * K[n, j, size] + np.sum(K[n, j, :size] * slope)
-                slope[j] -= total
-                if size > 18:
-                    slope[18 + j] -= total
-        if held[k] > 0.0:
-            _pull(B[k], slope)
-            way[k] = -(1.0 - kept * kept) * noise[k] * slope[12:18]
-            slope[12:18] *= kept
+        if place[k] >= 0:
+            _pull(out[place[k]], K[place[k]], colour, slope)
+        for j in range(6):
+            for i in range(n):
+                way[k, j] -= fresh[k, j] * B[k, i, j] * slope[i]
         if k > 0:
-            slope[:12] = transpose(F[k]) @ slope[:12]
-            if size > 18:
-                slope[18:] *= fading[k - 1]
+            later = slope.copy()
+            for i in range(n):
+                slope[i] = 0.0
+                for j in range(n):
+                    slope[i] += T[k, j, i] * later[j]
 
 
-@kernel
-def _pull(B: Any, slope: Any) -> None:
-    """Take the slope by x back through a push."""
-    for j in range(6):
-        for i in range(12):
-            slope[12 + j] += B[i, j] * slope[i]
+@array_kernel
+def _pull(out: Any, K: Any, colour: int, slope: Any) -> None:
+    """Take the slope by the states back before a pose."""
+    n = len(slope)
+    for j in range(5, -1, -1):
+        total = out[j] * K[j, n]
+        for i in range(n):
+            total += K[j, i] * slope[i]
+        slope[j] -= total
+        if n > colour:
+            slope[colour + j] -= total

@@ -17,7 +17,7 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import COMPILED, kernel
+from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
 from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
@@ -90,9 +90,9 @@ MOST_CORRELATED = 0.97
 
 
 if COMPILED:
-    @kernel
+    @array_kernel
     def add_product(A: Any, B: Any, out: Any) -> Any:
-        """Add A B, and return the sum: four columns of A at once, and none that are zero."""
+        """Add A B to the first rows: four columns of A at once, and none that are zero."""
         n = A.shape[1]
         for i in range(A.shape[0]):
             for k in range(0, n - 3, 4):
@@ -108,12 +108,12 @@ if COMPILED:
         return out
 else:
     def add_product(A: Any, B: Any, out: Any) -> Any:
-        """Add A B, and return the sum."""
-        out += A @ B
+        """Add A B to the first rows, and return the sum."""
+        out[:len(A)] += A @ B
         return out
 
 
-@kernel
+@array_kernel
 def product(A: Any, B: Any, out: Any) -> Any:
     """Write A B and return it: two columns of A at a time, skipping zero ones."""
     out[:] = 0.0

@@ -69,7 +69,7 @@ def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, pac
 
 
 def test_every_derivative_is_that_of_the_differences():
-    own = measured(4, duration=4.0, silent=True)
+    own = measured(4, package_noise=(1e-4, 5e-4), duration=4.0, silent=True)
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {
         name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()
         if name != 'relaxation'})  # which this method leaves out
