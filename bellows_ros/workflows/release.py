@@ -63,7 +63,7 @@ class ReleaseResult:
                 f'{"; ".join(self.left_out)}.',) if count else ()
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
-        """Return mass (kg), drops, letting go (s; NaN if later), rms (m) and (m/s) of each mass."""
+        """Return mass (kg), drops, letting go (s; NaN if later), and rms (m, m/s)."""
         out = []
         for mass in sorted({drop.mass for drop in self.fit.drops}):
             own = [drop for drop in self.fit.drops if drop.mass == mass]
