@@ -244,9 +244,9 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
                 and topic.encoding == 'cdr'}
         return bool(collectors[topic])
 
-    for message in bag.messages(is_wanted):
-        for collector in collectors[message.topic].values():
-            collector.add(message)
+    for topic, log_time_ns, data in bag.messages(is_wanted):
+        for collector in collectors[topic].values():
+            collector.add(log_time_ns, data)
     bag.require_messages()
     contents = Contents({}, {}, tuple(bag.notes))
     for role, name in roles.items():
@@ -343,14 +343,11 @@ class _Collector:
         self._frames: dict[tuple[str, ...], int] = {}
         self._decoded: list[messages.Decoded] = []
 
-    def add(self, message: Message) -> None:
+    def add(self, log_time_ns: int, data: bytes) -> None:
         """Take a message, unless there are too many."""
         if len(self._log_times) < LARGEST_COUNT:
-            try:
-                self._log_times.append(message.log_time_ns)
-            except OverflowError:
-                self._log_times.append(_LARGEST_INT64)
-            self._batch.append(_plain(message.data))
+            self._log_times.append(min(log_time_ns, _LARGEST_INT64))
+            self._batch.append(_plain(data))
         if len(self._batch) == _BATCH:
             self._flush()
 

@@ -37,7 +37,7 @@ _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
 _SKIP_STEP = 2**20
 
-Record = tuple[int, bytes | memoryview]
+Record = tuple[int, bytes]
 
 
 def scan(
@@ -136,7 +136,7 @@ class _Scan:
                 self.met[channel] += 1
                 if channel in self._wanted_channels:
                     yield Message(
-                        self._channels[channel], log_time_ns, bytes(body[_MESSAGE_HEAD.size:]))
+                        self._channels[channel], log_time_ns, body[_MESSAGE_HEAD.size:])
             elif kind == _CHUNK:
                 yield from self.messages(_chunk_records(body))
             elif kind == _SCHEMA:
@@ -223,9 +223,9 @@ def _require_checksum(said: int, found: int, of: str) -> None:
         raise DamagedError(f'the checksum of {of} is wrong')
 
 
-def _chunk_records(chunk: bytes | memoryview) -> Iterator[Record]:
+def _chunk_records(chunk: bytes) -> Iterator[Record]:
     """Yield the records of a chunk; of one that is cut short, those that are whole."""
-    records = memoryview(_chunk_data(_Fields(chunk)))
+    records = _chunk_data(_Fields(chunk))
     at = 0
     while at < len(records):
         kind, size = _RECORD_HEAD.unpack_from(records, at)

@@ -16,11 +16,15 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
 import numpy as np
 
 LOOKED_AT = 3
 """Recordings tested; more add nothing new."""
+
+MOST_SIMULATED = 50_000
+"""Samples of a recording that are simulated freely for the verdict."""
 
 UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
@@ -41,6 +45,8 @@ class Simulated(NamedTuple):
     noise: Array
     motion: Array
     unexplained: tuple[str, ...]
+    beginning: float = 0.0
+    """So much of a long recording, s; 0 where it is all of it."""
 
     @property
     def sentence(self) -> str:
@@ -53,11 +59,12 @@ class Simulated(NamedTuple):
                                zip(AXES[kind], self.rms[kind], strict=True))
             noise = ', '.join(f'{1e3 * x:.2g}' for x in self.noise[kind])
             parts.append(f'{errors} {unit} (noise {noise})')
-        return f'Free simulation of {self.bag} with this cup: RMS error {"; ".join(parts)}.'
+        what = f'{self.beginning:.0f} s of {self.bag}' if self.beginning else self.bag
+        return f'Free simulation of {what} with this cup: RMS error {"; ".join(parts)}.'
 
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
-        return {**self._asdict(), 'axes': AXES, 'units': {'noise': POSE_UNITS}}
+        return {**self._asdict(), 'axes': AXES, 'units': {'noise': POSE_UNITS, 'beginning': 's'}}
 
 
 class FitVerdict(NamedTuple):
@@ -188,14 +195,16 @@ def _simulated(cup: Cup, recording: Recording) -> Simulated:
     from bellows_ros.core.identification.validation import validate
 
     try:
-        found = validate(cup, recording)
+        found = validate(cup, recording, MOST_SIMULATED)
     except UnstableError:
         nothing = np.full(6, np.nan)
         return Simulated(recording.name, nothing, nothing, nothing, AXES)
     beyond = found.moves & ~(found.model_error <= UNEXPLAINED)
+    seconds = float(np.ptp(found.stamps_ns)) / NS_PER_S
     return Simulated(
         recording.name, found.scores.rms, found.noise, found.scores.motion,
-        tuple(AXES[i] for i in np.flatnonzero(beyond)))
+        tuple(AXES[i] for i in np.flatnonzero(beyond)),
+        seconds if len(recording.valid) > MOST_SIMULATED else 0.0)
 
 
 def setting_of(found: Finding) -> str:

@@ -19,6 +19,7 @@ are summed.
 """
 
 from collections.abc import Callable
+from functools import wraps
 from math import factorial
 
 from bellows_ros.core.geometry.arrays import Array
@@ -31,6 +32,25 @@ from numpy.typing import ArrayLike
 SERIES_BELOW = 1.0
 # The first omitted term at t = SERIES_BELOW is below 1e-19 of the sum.
 SERIES_TERMS = 10
+# Rotations converted at a time, so that what is in between stays in the processor's cache.
+AT_ONCE = 8192
+
+
+def _in_parts(function: Callable[[ArrayLike], Array]) -> Callable[[ArrayLike], Array]:
+    """Return a function of each element of an array that converts long arrays in parts."""
+    @wraps(function)
+    def converted(values: ArrayLike) -> Array:
+        array = np.asarray(values, dtype=np.float64)
+        if array.ndim < 2 or len(array) <= AT_ONCE:
+            return function(array)
+        first = function(array[:AT_ONCE])
+        result = np.empty((len(array), *first.shape[1:]))
+        result[:AT_ONCE] = first
+        for start in range(AT_ONCE, len(array), AT_ONCE):
+            result[start:start + AT_ONCE] = function(array[start:start + AT_ONCE])
+        return result
+
+    return converted
 
 
 def _even_function(
@@ -111,6 +131,7 @@ def vee(S: ArrayLike) -> Array:
     return np.stack([S[..., 2, 1], -S[..., 2, 0], S[..., 1, 0]], axis=-1)
 
 
+@_in_parts
 def exp_so3(phi: ArrayLike) -> Array:
     """
     Return the rotation matrices of rotation vectors (G.74).
@@ -130,6 +151,7 @@ def exp_so3(phi: ArrayLike) -> Array:
     return _rotation_polynomial(phi, _alpha(t2), _half_beta(t2))
 
 
+@_in_parts
 def log_so3(R: ArrayLike) -> Array:
     """
     Return the rotation vectors of rotation matrices, the inverse of `exp_so3` for |phi| < pi.
@@ -226,6 +248,7 @@ def d2exp(phi: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
     return result
 
 
+@_in_parts
 def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> Array:
     """
     Return the rotation matrices of quaternions, which are divided by their norm.
@@ -258,6 +281,7 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> Array:
     return _rotation_polynomial(v, 2.0 * w, np.full(w.shape, 2.0))
 
 
+@_in_parts
 def rotation_to_quaternion(R: ArrayLike) -> Array:
     """
     Return the unit quaternions (x, y, z, w), w >= 0, of rotation matrices.

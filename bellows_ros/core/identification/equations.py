@@ -16,6 +16,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import regressor
 from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
+from bellows_ros.core.signals.recursion import first_order
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -66,8 +67,6 @@ def strain_history(position: Array, rotation: Array, rate_hz: float) -> Array:
         Samples per second.
 
     """
-    from scipy.signal import lfilter  # late: scipy.signal takes 0.4 s
-
     R_back = np.swapaxes(rotation, 1, 2)
     of_length = 0.5 * (rotation[:, :, 2] + R_back[:, :, 2]) + [0.0, 0.0, 1.0]
     skew = rotation - R_back
@@ -78,8 +77,8 @@ def strain_history(position: Array, rotation: Array, rate_hz: float) -> Array:
     for tau in RELAXATION_TIMES:
         a = float(np.exp(-1.0 / (rate_hz * tau)))
         end = 1.0 - (1.0 - a) * tau * rate_hz
-        taps = [end, 1.0 - a - end]
-        relaxed.append(lfilter(taps, [1.0, -a], parts, axis=0, zi=(1.0 - end) * parts[:1])[0])
+        relaxed.append(first_order(
+            np.vstack([parts[:1], end * parts[1:] + (1.0 - a - end) * parts[:-1]]), a))
     return np.stack(relaxed, axis=1)
 
 

@@ -22,6 +22,7 @@ from bellows_ros.core.identification.equations import (
     joined,
     LipMotion,
     Moments,
+    MOST_KEPT,
     r_factor,
     regular,
     Rows,
@@ -315,7 +316,9 @@ def relaxation_of(
         return NO_RELAXATION
     if 0.0 < found.std[1] <= LARGEST_ERROR * max(found.strengths):
         return found
-    alone, _ = _minimum(products, structure.size, (0,), DEFAULT_RATIO)
+    alone, left = _minimum(products, structure.size, (0,), DEFAULT_RATIO)
+    if left > MOST_LEFT * unexplained:
+        return NO_RELAXATION
     unknown = np.diag([0.0, (RATIO_STD * alone.strengths[0]) ** 2])
     return alone._replace(covariance=alone.covariance + unknown, assumed=True)
 
@@ -336,8 +339,8 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
         return list(recordings)
     simplest = next(iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
     found = relaxation_of(
-        [samples_of(own) for own in whole], [own.noise for own in whole], values['cup.length'],
-        simplest)
+        [samples_of(own).thinned(MOST_KEPT) for own in whole], [own.noise for own in whole],
+        values['cup.length'], simplest)
     found = found._replace(
         by=simplest.within(structure_named(values['fit.structure'])) @ found.by)
     if not any(found.strengths):

@@ -114,8 +114,10 @@ class Samples:
 
     def spectrum_of(self, values: Array) -> Spectrum:
         """Return the spectrum of numbers (N, 6) at the valid samples; others are interpolated."""
-        every = np.full((len(self.tool), 6), np.nan)
-        every[self.lip.index] = values
+        every = values
+        if len(values) < len(self.tool):
+            every = np.full((len(self.tool), 6), np.nan)
+            every[self.lip.index] = values
         return spectrum(interpolated(every), uniform_rate_hz(self.package.stamps_ns))
 
     def select(self, index: slice | Mask | Stamps) -> 'Samples':

@@ -200,7 +200,7 @@ def _middle_segments(recording: Recording) -> list[Measured]:
     return measured_segments(tool, package, recording.payload, recording.settings.gravity)
 
 
-def validate(cup: Cup, recording: Recording) -> Validation:
+def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validation:
     """
     Simulate a recording from start to end, and compare it with the measurement.
 
@@ -210,6 +210,8 @@ def validate(cup: Cup, recording: Recording) -> Validation:
         What is tried.
     recording : Recording
         Not one that the cup was identified from.
+    most : int, optional
+        Samples from the first valid one on; all where left out.
 
     Raises
     ------
@@ -218,17 +220,18 @@ def validate(cup: Cup, recording: Recording) -> Validation:
         not stay finite.
 
     """
-    key = ('validated', cup.stiffness.tobytes(), cup.damping.tobytes(), cup.length)
-    return recording.once(key, lambda: _validated(cup, recording))
+    key = ('validated', cup.stiffness.tobytes(), cup.damping.tobytes(), cup.length, most)
+    return recording.once(key, lambda: _validated(cup, recording, most))
 
 
-def _validated(cup: Cup, recording: Recording) -> Validation:
+def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
     """Return the comparison."""
     noises = recording.measured_noise
     package, gravity = recording.payload, recording.settings.gravity
     model = model_tuple(cup, package, gravity)
     half_window = half_window_of(recording.measured_tool)
-    tool, bridges = smoothed_tool(recording.measured_tool, half_window)
+    end = None if most is None else int(np.argmax(recording.measured)) + most
+    tool, bridges = smoothed_tool(recording.measured_tool.select(slice(end)), half_window)
     start, first, kind = _start(model, tool, recording)
     tool = tool.select(slice(first, None))
     begin = int(np.searchsorted(recording.measured_tool.stamps_ns, tool.stamps_ns[0]))

@@ -34,6 +34,7 @@ from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.timing import Timing, timing
 from bellows_ros.core.signals.trajectory import (
     Filtered,
+    frozen,
     NS_PER_S,
     PoseStream,
     Trajectory,
@@ -260,17 +261,16 @@ def _with_twist(
         )
     R = (alignment.R_tool_markers_tool.T if settings.tool_twist_frame == 'tool'
          else np.swapaxes(tool.rotation, -1, -2) @ settings.R_world_recorded)
-    first, last = recorded.stamps_ns[[0, -1]]
-    inside = (tool.stamps_ns >= first) & (tool.stamps_ns <= last)
-    twist, known = np.zeros((len(tool), 2, 3)), np.zeros(len(tool), dtype=bool)
-    longest_ns = timing(recorded.stamps_ns).longest_step_ns
-    unturned = np.broadcast_to(np.eye(3), (len(recorded), 3, 3))
-    for i, part in enumerate((recorded.linear, recorded.angular)):
-        there = resample(Trajectory(recorded.stamps_ns, part, unturned),
-                         tool.stamps_ns[inside], longest_ns)  # linearly, as positions are
-        twist[inside, i], known[inside] = there.position, there.valid
-        twist[:, i] = apply(R, twist[:, i])
-    return replace(tool, twist=twist.reshape(-1, 6), valid=tool.valid & known)
+    known_ns, wanted_ns = recorded.stamps_ns, tool.stamps_ns
+    end = np.searchsorted(known_ns, wanted_ns)  # of the step that a wanted stamp lies in
+    there = (wanted_ns >= known_ns[0]) & (wanted_ns <= known_ns[-1])
+    end = np.clip(end, 1, len(known_ns) - 1)
+    near = known_ns[end] - known_ns[end - 1] <= timing(known_ns).longest_step_ns
+    known = there & (near | (known_ns[end] == wanted_ns) | (known_ns[end - 1] == wanted_ns))
+    at, since = wanted_ns - known_ns[0], known_ns - known_ns[0]
+    twist = np.stack([apply(R, np.column_stack([np.interp(at, since, axis) for axis in part.T]))
+                      for part in (recorded.linear, recorded.angular)], axis=1)
+    return replace(tool, twist=frozen(twist).reshape(-1, 6), valid=tool.valid & known)
 
 
 def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list[str]:

@@ -17,6 +17,7 @@ from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
+from bellows_ros.core.signals.recursion import first_order
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.timing import MAD_TO_STD, Timing
 from bellows_ros.core.signals.trajectory import (
@@ -145,10 +146,8 @@ class Colour(NamedTuple):
         white = self.size * draw.standard_normal((count, 3))
         if not self.correlation:
             return white
-        from scipy.signal import lfilter  # late: it takes a second and 50 MB
-
-        root = np.sqrt(1.0 - self.correlation**2)
-        return np.asarray(lfilter([root], [1.0, -self.correlation], white, axis=0))
+        white[1:] *= np.sqrt(1.0 - self.correlation**2)
+        return first_order(white, self.correlation)
 
 
 def colours_of(poses: Trajectory, noise: Noise) -> tuple[Colour, Colour]:

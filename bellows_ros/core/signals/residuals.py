@@ -183,8 +183,9 @@ def _there(values: Array) -> Mask:
 
 def interpolated(values: Array) -> Array:
     """Return values (N, C) with the samples that are missing (NaN) on lines between the others."""
-    there = np.flatnonzero(_there(values))
-    every = np.arange(len(values))
+    there, every = np.flatnonzero(_there(values)), np.arange(len(values))
+    if len(there) == len(values):
+        return values
     return np.column_stack([np.interp(every, there, channel[there]) for channel in values.T])
 
 
