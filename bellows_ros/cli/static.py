@@ -107,7 +107,7 @@ def _standstill_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
                 str(len(rows)), Path(recording.name).name, f'{recording.payload.mass:.4g} kg',
                 f'{still.duration:.1f} s', f'{math.degrees(still.tilt):.1f} deg',
                 f'{x * 1e3:.2f} mm', f'{y * 1e3:.2f} mm', f'{-z * 1e3:.3f} mm',
-                f'{math.hypot(rx, ry) * 1e3:.1f} mrad', f'{rz * 1e3:.1f} mrad',
+                f'{math.degrees(math.hypot(rx, ry)):.2f} deg', f'{math.degrees(rz):.2f} deg',
             ))
     return rows
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from bellows_ros.core.identification.result import UNITS
 from bellows_ros.core.model.structure import AXES, structure_named
+from bellows_ros.core.model.validity_range import SHOWN_PER_SI, SHOWN_UNITS
 from bellows_ros.core.signals.residuals import MILLI_UNITS, Spectrum
 from bellows_ros.plots.prediction import excitation_figure, interval_figure, iteration_figure
 from bellows_ros.workflows.identification import NORMAL_95
@@ -74,9 +75,10 @@ def envelope_content(content: Mapping[str, Any]) -> list[str]:
     seen = content['envelope']
     rows = []
     for i, name in enumerate(seen['directions']):
-        unit, rate = ('mm', 'm/s') if i < 3 else ('mrad', 'rad/s')
-        low, high = (1e3 * seen[f'deflection_{end}'][i] for end in ('low', 'high'))
-        rows.append((name, f'{low:.3g} to {high:.3g} {unit}', f'{seen["rates"][i]:.3g} {rate}'))
+        rate = 'm/s' if i < 3 else 'rad/s'
+        low, high = (SHOWN_PER_SI[i] * seen[f'deflection_{end}'][i] for end in ('low', 'high'))
+        rows.append((name, f'{low:.3g} to {high:.3g} {SHOWN_UNITS[i]}',
+                     f'{seen["rates"][i]:.3g} {rate}'))
     bands = [f'{low:.3g} to {high:.3g} Hz' for low, high in seen['frequencies']]
     mass = ' to '.join(f'{m:.4g}' for m in sorted(set(seen['mass'])))
     return [

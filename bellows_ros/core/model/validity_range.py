@@ -22,7 +22,9 @@ DIRECTIONS = (
 )
 """Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
 
-UNITS = ('mm',) * 3 + ('mrad',) * 3
+SHOWN_UNITS = ('mm',) * 3 + ('degrees',) * 3
+SHOWN_PER_SI = np.repeat([1e3, 180.0 / np.pi], 3)
+"""Units of the coordinates in messages, and how many of them make 1 m or 1 rad."""
 
 LEAST_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
 LEAST_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
@@ -203,10 +205,11 @@ def _deflections(known: Envelope, value: Array) -> list[tuple[float, str]]:
     """Return distance and words for each deflection."""
     middle = 0.5 * (known.deflection_high + known.deflection_low)
     half = np.maximum(0.5 * (known.deflection_high - known.deflection_low), LEAST_DEFLECTION)
-    low, high = 1e3 * known.deflection_low, 1e3 * known.deflection_high
+    here, low, high = (
+        SHOWN_PER_SI * x for x in (value, known.deflection_low, known.deflection_high))
     return [
-        (part, f'{DIRECTIONS[i]} is {1e3 * value[i]:.3g} {UNITS[i]}, seen {low[i]:.3g} to '
-               f'{high[i]:.3g} {UNITS[i]}')
+        (part, f'{DIRECTIONS[i]} is {here[i]:.3g} {SHOWN_UNITS[i]}, seen {low[i]:.3g} to '
+               f'{high[i]:.3g} {SHOWN_UNITS[i]}')
         for i, part in enumerate((np.abs(value - middle) / half).tolist())
     ]
 

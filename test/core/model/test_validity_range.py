@@ -94,7 +94,7 @@ def test_distance_is_one_on_the_edge():
     assert_allclose(distance(KNOWN, edge, np.zeros(6), 2.0).value, 1.0)
     far = distance(KNOWN, np.where(np.arange(6) == 4, 0.45, middle), np.zeros(6), 2.0)
     assert_allclose(far.value, 1.5)
-    assert far.outside == ('bending about y is 450 mrad, seen -300 to 300 mrad',)
+    assert far.outside == ('bending about y is 25.8 degrees, seen -17.2 to 17.2 degrees',)
     assert 'bending about y' in far.text
 
 
@@ -127,7 +127,7 @@ def test_beyond_names_what_another_recording_leaves():
     low[5] = -0.2
     wider = Envelope(low, KNOWN.deflection_high, KNOWN.rates, KNOWN.frequencies, [2.0, 2.6])
     assert beyond(KNOWN, wider) == (
-        'the mass is 2.6 kg, seen 2', 'torsion is -200 mrad, seen -100 to 100 mrad')
+        'the mass is 2.6 kg, seen 2', 'torsion is -11.5 degrees, seen -5.73 to 5.73 degrees')
 
 
 def test_parameters_hold_it():
