@@ -42,10 +42,10 @@ class Deflection(NamedTuple):
 
 
 @kernel
-def _lip(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Matrix, Vector, Vector]:
+def _lip(com: Vector, tool: State, body: State) -> tuple[Vector, Matrix, Vector, Vector]:
     """Return E_o_S, E_R_S and the twist of the lip relative to the tool."""
     return lip_relative_to_tool(
-        model[1][1],
+        com,
         tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
     )
@@ -53,7 +53,7 @@ def _lip(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Matrix, V
 
 def deflection(model: ModelTuple, prediction: Prediction) -> Deflection:
     """Return the displacement of the lip from its nominal pose (0, 0, -l0) in the tool."""
-    o, R, v, w = _lip(model, prediction.tool, prediction.body)
+    o, R, v, w = _lip(model[1][1], prediction.tool, prediction.body)
     return Deflection((o[0], o[1], o[2] + model[0][1]), R, v, w)
 
 

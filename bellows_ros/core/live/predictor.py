@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import uncollected
 from bellows_ros.core.geometry.tuples import normalised, norms, Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import deflection
@@ -435,6 +436,7 @@ class LivePredictor:
         return now
 
 
+@uncollected()
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
     """Compile everything, by predicting made-up data in a temporary predictor."""
     live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)

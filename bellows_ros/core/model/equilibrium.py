@@ -51,16 +51,12 @@ PHASE_PER_STEP = 0.1
 _ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-@kernel
 def resting_on_tool(model: ModelTuple, tool: State) -> State:
     """Return the package at the cup's nominal pose, [B] = [S] = [E], at rest."""
-    com, l0 = model[1][1], model[0][1]
-    R = rotation_matrix(tool[1])
-    offset = apply(R, (com[0], com[1], com[2] - l0))
-    o = tool[0]
-    zero = (0.0, 0.0, 0.0)
-    position = (o[0] + offset[0], o[1] + offset[1], o[2] + offset[2])
-    return relaxed(model[0], (zero, zero), (position, tool[1], zero, zero))
+    com, zero = model[1][1], (0.0, 0.0, 0.0)
+    offset = apply(rotation_matrix(tool[1]), (com[0], com[1], com[2] - model[0][1]))
+    body: State = add(tool[0], offset), tool[1], zero, zero
+    return relaxed(model[0], (zero, zero), body) if model[0][4:] else body
 
 
 def adapted(model: ModelTuple, tool: State, body: State) -> State:
