@@ -42,7 +42,7 @@ soak: $(VENV)/ready  ## predict for 5 minutes at 1 kHz; fails on a loss or a gro
 	@$(BIN)/python -m test.soak $(ARGS)
 
 .PHONY: bench
-bench: $(VENV)/bench-ready  ## measure the speed, and write it into docs/performance.md and .json
+bench: $(VENV)/ready  ## measure the speed, and write it into docs/performance.md and .json
 	@$(BIN)/python -m benchmarks $(ARGS)
 
 .PHONY: bench-quick
@@ -50,7 +50,7 @@ bench-quick: $(VENV)/ready  ## whether something takes twice as long as it shoul
 	@$(BIN)/python -m benchmarks.quick
 
 .PHONY: test-long
-test-long: $(VENV)/bench-ready  ## run what is too much for the suite: repetitions, all short benchmarks
+test-long: $(VENV)/ready  ## run what is too much for the suite: repetitions, all short benchmarks
 	@$(BIN)/python -m pytest -m stress $(ARGS)
 
 .PHONY: stress
@@ -144,10 +144,6 @@ $(VENV)/docs-ready: setup.py | $(VENV)/ready
 $(VENV)/extras-ready: setup.py | $(VENV)/ready
 	@.ci/install $(BIN)/python 'a viewer, ffmpeg, a notebook kernel, MuJoCo' \
 	    --editable '.[notebook,video,view]' 'mujoco>=3.1'
-	@touch $@
-
-$(VENV)/bench-ready: benchmarks/requirements.txt | $(VENV)/ready
-	@.ci/install $(BIN)/python 'MuJoCo and Drake' --requirement benchmarks/requirements.txt
 	@touch $@
 
 .venv-oldest/ready: setup.py .ci/oldest.txt

@@ -36,7 +36,7 @@ SECTIONS: Mapping[str, Callable[[bool], dict[str, Any]]] = {
     'ahead': ahead.run,
     'camera': camera.run,
 }
-PACKAGES = ('numpy', 'scipy', 'numba', 'rosbags', 'mujoco', 'drake', 'joblib')
+PACKAGES = ('numpy', 'scipy', 'numba', 'rosbags', 'joblib')
 _MARKED = re.compile(r'(<!-- bench: (\S+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from .timing import same_package, TIMEOUT
 
-RATES = {False: (125, 360, 500, 1000), True: (125,)}
+RATES = {False: (125, 500), True: (125,)}
 SECONDS = {False: 7.0, True: 1.0}
 LONG = 60.0
 """Of the single run at the highest rate in which nothing may be lost, s."""
@@ -62,16 +62,15 @@ NODES: Mapping[str, tuple[str, ...]] = {
 
 def run(short: bool) -> dict[str, Any]:
     """Return latencies (s), processor time per pose (s) and memory (bytes)."""
-    cases = [(rate, twists) for rate in RATES[short] for twists in (False, True)[short:]]
     found: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for rate, twists in cases:
-            names = [BARE, EVENTS, PREDICTOR, *([HEARD] if twists else [])]
-            parts: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+        for rate in RATES[short]:
+            parts: dict[str, list[dict[str, Any]]] = {
+                name: [] for name in (BARE, EVENTS, PREDICTOR, HEARD)}
             for _ in range(ROUNDS[short]):
-                for name in names:
-                    parts[name].append(measured(name, rate, SECONDS[short], twists, Path(folder)))
-            found += _figures(parts, rate, twists, SECONDS[short])
+                for name, runs in parts.items():
+                    runs.append(measured(name, rate, SECONDS[short], True, Path(folder)))
+            found += _figures(parts, rate, True, SECONDS[short])
         if not short:
             rate = max(RATES[short])
             parts = {

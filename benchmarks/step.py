@@ -1,6 +1,6 @@
 """One step of the model, and accuracy against cost, side by side."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 import tempfile
 from typing import Any
@@ -14,7 +14,6 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 from .c_kernel import CKernel
-from .peers import Advance, PEERS
 from .plain_numpy import PlainModel
 from .step_case import CUP, MODEL, PACKAGE, shaken_tool, start, still_tool
 from .timing import figures, in_process, interleaved, Work
@@ -33,8 +32,6 @@ C_OPTIONS = {
 }
 SECONDS = 1.0
 """Simulated for the accuracy, s."""
-FINEST = 2.0**-14
-"""Step (s) of the motion that a peer's coarser ones are compared with."""
 
 INTERPRETED = """
 import json, time
@@ -50,9 +47,8 @@ print(json.dumps((time.perf_counter() - start) / 199))
 def run(short: bool) -> dict[str, Any]:
     """Return microseconds per step, and errors against milliseconds per simulated second."""
     missing: dict[str, str] = {}
-    peers = _peers(missing)
     with tempfile.TemporaryDirectory() as folder:
-        steps = interleaved(_subjects(Path(folder), peers, missing, short), 3 if short else 15)
+        steps = interleaved(_subjects(Path(folder), missing, short), 3 if short else 15)
     if COMPILED:
         seconds = [
             in_process(INTERPRETED, environment={'NUMBA_DISABLE_JIT': '1'})
@@ -61,7 +57,7 @@ def run(short: bool) -> dict[str, Any]:
         steps['bellows_ros, interpreted'] = figures(seconds)
     return {
         'seconds_per_step': steps,
-        'accuracy': _accuracy(peers, short),
+        'accuracy': _accuracy(short),
         'missing': missing,
     }
 
@@ -78,20 +74,7 @@ def our_steps(count: int) -> Work:
     return work
 
 
-def _peers(missing: dict[str, str]) -> dict[str, Advance]:
-    """Return the simulators that are installed, and note those that are not."""
-    found = {}
-    for name, make in PEERS.items():
-        try:
-            found[name] = make(CUP, PACKAGE)
-        except ImportError as error:
-            missing[name] = f'not installed ({error})'
-    return found
-
-
-def _subjects(
-    folder: Path, peers: Mapping[str, Advance], missing: dict[str, str], short: bool
-) -> dict[str, Work]:
+def _subjects(folder: Path, missing: dict[str, str], short: bool) -> dict[str, Work]:
     """Return what is timed step by step."""
     many, some, few = (500, 100, 10) if short else (20_000, 2000, 200)
     subjects = {OURS: our_steps(many if COMPILED else some)}
@@ -100,8 +83,6 @@ def _subjects(
             subjects[name] = _c_steps(CKernel(folder, options), many)
         except BellowsError as error:
             missing[name] = str(error)
-    for name, advance in peers.items():
-        subjects[name] = _peer_steps(advance, some)
     plain, state = PlainModel(CUP, PACKAGE, STANDARD_GRAVITY), _plain_start()
     subjects['NumPy, 6x6 matrices, RK4'] = lambda: _counted(plain.rk4(state, 1.0 / RATE, few), few)
     seconds = few / RATE
@@ -113,11 +94,6 @@ def _c_steps(kernel: CKernel, count: int) -> Work:
     """Return the work of `our_steps` by C."""
     tool, begin, durations = shaken_tool(count, RATE), start(), np.full(count - 1, 1.0 / RATE)
     return lambda: _counted(kernel.simulate(MODEL, begin, tool, durations), count - 1)
-
-
-def _peer_steps(advance: Advance, count: int) -> Work:
-    """Return the work of a simulator's steps."""
-    return lambda: _counted(advance(1.0 / RATE, count), count)
 
 
 def _counted(result: Array, units: int) -> int:
@@ -132,7 +108,7 @@ def _plain_start() -> Array:
     return np.concatenate([position, R.ravel(), np.zeros(6)])
 
 
-def _accuracy(peers: Mapping[str, Advance], short: bool) -> list[dict[str, Any]]:
+def _accuracy(short: bool) -> list[dict[str, Any]]:
     """Return for methods and step sizes the cost and the error after the free motion."""
     rates = (128, 256) if short else (128, 512, 2048)
     plain, state = PlainModel(CUP, PACKAGE, STANDARD_GRAVITY), _plain_start()
@@ -148,12 +124,6 @@ def _accuracy(peers: Mapping[str, Advance], short: bool) -> list[dict[str, Any]]
          lambda rtol=rtol: _pose(plain.solve(state, SECONDS, 'RK45', rtol)[0]), truth)
         for rtol in ((1e-4,) if short else (1e-3, 1e-7))
     ]
-    for name, advance in peers.items():
-        finest = _angles_pose(advance(FINEST, round(SECONDS / FINEST)))
-        cases += [
-            (name, rate, lambda a=advance, n=rate: _angles_pose(a(SECONDS / n, n)), finest)
-            for rate in rates
-        ]
     timed = interleaved({f'{case[0]} {case[1]}': _once(case[2]) for case in cases}, 3)
     return [_row(*case, timed[f'{case[0]} {case[1]}']['median']) for case in cases]
 
@@ -201,10 +171,3 @@ def _nearest(matrix: Array) -> Array:
 def _pose(state: Array) -> Pose:
     """Return position and rotation of a state of `PlainModel`."""
     return state[:3], state[3:12].reshape(3, 3)
-
-
-def _angles_pose(coordinates: Array) -> Pose:
-    """Return position and rotation of a peer's coordinates, whatever angles they are."""
-    from scipy.spatial.transform import Rotation
-
-    return coordinates[:3], Rotation.from_euler('XYZ', coordinates[3:]).as_matrix()

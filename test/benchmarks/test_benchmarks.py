@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.planning.steering import impulses, steer
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
@@ -53,16 +52,6 @@ def test_scripts_of_other_processes_import_what_is_there(code):
             assert all(hasattr(module, alias.name) for alias in node.names), node.module
         elif isinstance(node, ast.Import):
             assert all(import_module(alias.name) for alias in node.names)
-
-
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long')
-def test_peers_of_plans_solve_the_same_problem():
-    tool = plans.plan()
-    inverted, shaped = (steer(plans.MODEL, tool, method) for method in ('inverse', 'zvd'))
-    found = plans.numpy_inverse(tool, inverted.package)
-    assert abs(found - inverted.tool.position).max() < 2e-5
-    found = plans.numpy_shaped(tool, *impulses(shaped.modes, 'zvd'))
-    assert abs(found - shaped.tool.position[:len(found)]).max() < 2e-6
 
 
 def test_page_holds_the_figures_beside_it(root):
