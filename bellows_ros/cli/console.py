@@ -131,7 +131,12 @@ class Console:
 
     def error(self, text: str) -> None:
         """Print an error."""
-        self._tell(self._styled(self._err, 'bellows:', 'red') + ' ' + printable(text, '\n'))
+        lines = f'bellows: {printable(text, chr(10))}'.splitlines()
+        if _is_terminal(self._err):  # elsewhere a message stays one line, to be searched for
+            lines = [part for line in lines for part in (
+                [line] if line[:1] in ('', ' ', '/') else _wrapped(line, '', ''))]
+        head, _, rest = '\n'.join(lines).partition(' ')
+        self._tell(f'{self._styled(self._err, head, "red")} {rest}')
 
     def last_error(self, text: str) -> None:
         """Print an error where stderr takes it."""

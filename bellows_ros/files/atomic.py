@@ -81,7 +81,9 @@ def require_file_target(path: str | os.PathLike[str]) -> Path:
     """
     target = _require_target(path, follow=True)
     if target.exists() and not target.is_file():
-        raise BellowsError(f"Output '{path}' is not a plain file. Give another name.")
+        what = 'a folder: name a file in it' if target.is_dir() else (
+            'not a plain file: give another name')
+        raise BellowsError(f"Output '{path}' is {what}.")
     return target
 
 

@@ -172,8 +172,8 @@ def _records(texts: Sequence[str]) -> list[Any]:
     matches = [alike.fullmatch(text) for text in texts]
     if None in matches:
         return []
-    return [json.loads(form % each.groups(), object_hook=lambda part: SimpleNamespace(**part))
-            for each in matches if each]
+    decode = json.JSONDecoder(object_hook=lambda part: SimpleNamespace(**part)).decode
+    return [decode(form % each.groups()) for each in matches if each]
 
 
 def _text(path: Path, largest: int) -> str:

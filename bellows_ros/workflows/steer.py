@@ -232,7 +232,8 @@ def _scale(
     """Return how many times as long the motion takes within limits, and which one needs that."""
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
-        raise BellowsError(f'The limit safety_factor cannot be met. {NO_GRIP}')
+        raise BellowsError(
+            f'The limit safety_factor cannot be met. {NO_GRIP} Or leave safety_factor out.')
     low, high = source.tool.position.min(axis=0), source.tool.position.max(axis=0)
     for axis, least, most, lower, upper in zip(
             'xyz', low, high, limits.low, limits.high, strict=True):

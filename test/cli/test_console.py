@@ -1,9 +1,10 @@
 """Tables and numbers as the commands print them."""
 
+import io
 import math
 import os
 
-from bellows_ros.cli.console import aligned, with_error
+from bellows_ros.cli.console import aligned, Console, with_error
 import pytest
 
 ROWS = [['axis', *(f'column {k}' for k in range(8))]] + [
@@ -35,3 +36,26 @@ def test_a_table_for_no_terminal_is_whole(monkeypatch):
 ])
 def test_a_value_is_shown_as_far_as_it_is_known(value, error, shown):
     assert with_error(value, error, 'N/m') == shown
+
+
+class Terminal(io.StringIO):
+    """Says that it is one."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(('stream', 'wrapped'), [(Terminal, True), (io.StringIO, False)])
+def test_errors_are_wrapped_on_a_terminal_but_for_what_is_to_be_copied(
+    stream, wrapped, monkeypatch
+):
+    monkeypatch.setenv('NO_COLOR', '1')
+    monkeypatch.setenv('COLUMNS', '80')
+    monkeypatch.setenv('TERM', 'xterm')
+    sentence, copied = 'a word ' * 30, f'    name: {"x" * 90}'
+    printed = stream()
+    Console(io.StringIO(), printed).error(f'{sentence}\n\n/**:\n{copied}')
+    lines = printed.getvalue().splitlines()
+    assert copied in lines and '' in lines
+    assert (max(len(line) for line in lines if line != copied) <= 80) == wrapped
+    assert ' '.join(printed.getvalue().split()).startswith(f'bellows: {sentence}')

@@ -92,3 +92,27 @@ def test_a_cup_that_lets_go_is_a_no(bellows: Run, workshop: Path, transport: Pat
     assert in_bar.returncode == 2 and '60000' in in_bar.stderr
     nameless = bellows('plan', 'a' * 5000, '--params', workshop / 'cup.yaml')
     assert nameless.returncode == 2 and 'Traceback' not in nameless.stderr
+
+
+def test_a_topic_of_what_is_no_recording_is_refused(
+    bellows: Run, workshop: Path, transport: Path
+) -> None:
+    """Name the option and the file, and what to do."""
+    done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--topic', '/x')
+    assert done.returncode == 2
+    assert all(part in done.stderr for part in ('--topic', str(transport), 'Leave'))
+
+
+def test_missing_package_data_point_to_what_writes_them(bellows: Run, transport: Path) -> None:
+    """Name the parameters, and the command that makes a file with them."""
+    done = bellows('plan', transport)
+    assert done.returncode == 2
+    assert all(part in done.stderr for part in ('package.mass', 'bellows info', '--write-params'))
+
+
+def test_a_folder_in_place_of_a_file_is_named_as_one(
+    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
+) -> None:
+    """Say that it is a folder, before the work."""
+    done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--json', tmp_path)
+    assert done.returncode == 2 and 'folder' in done.stderr and str(tmp_path) in done.stderr

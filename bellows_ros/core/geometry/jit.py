@@ -83,7 +83,7 @@ def _compiler(
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector, which takes a sixth of the time that compiling does."""
+    """Pause the garbage collector, which takes a sixth of the time of compiling."""
     enabled = gc.isenabled()
     gc.disable()
     try:

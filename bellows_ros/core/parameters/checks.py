@@ -249,7 +249,8 @@ def require(given: Mapping[str, object], required: Iterable[str]) -> None:
         names = ', '.join(p.name for p in missing)
         raise BellowsError(
             f'Not set, and without a default: {names}. Set in a parameter file (--params FILE; of '
-            'a node --ros-args --params-file FILE), for example:\n\n/**:\n  ros__parameters:\n'
+            "a node --ros-args --params-file FILE), which 'bellows info BAG --write-params FILE' "
+            'writes for a recording; for example:\n\n/**:\n  ros__parameters:\n'
             + '\n'.join(lines))
 
 

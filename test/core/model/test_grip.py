@@ -96,6 +96,22 @@ def test_six_points_of_pham_lose_contact_between_peel_and_tip(seed):
     assert hexagon <= min(tip_factor(f, m), 1e6) * (1 + 1e-9)
 
 
+@pytest.mark.parametrize(('peeled', 'above'), [(0.0, 0.111), (0.5, 0.333)])
+def test_slip_is_above_a_ring_with_coulomb_friction_by_what_is_said(peeled, above):
+    angle = np.arange(0.0, 2.0 * np.pi, 0.01)
+    pressure, x, y = 1.0 + peeled * np.cos(angle), np.cos(angle), np.sin(angle)
+    most = 0.0
+    for radius in np.linspace(0.02, 3.0, 80):  # of the instant centre of the slip, in radii
+        for turn in np.arange(0.0, 2.0 * np.pi, 0.1):
+            vx, vy = -(y - radius * np.sin(turn)), x - radius * np.cos(turn)
+            part = pressure / np.hypot(vx, vy)
+            f = [np.mean(part * vx), np.mean(part * vy), 0.0]
+            m = [0.0, 0.0, np.mean(part * (x * vy - y * vx))]
+            _, slip = safety_factors((1.0, 1.0, 1.0), tuple(f), tuple(m))
+            most = max(most, slip - 1.0)
+    assert most == pytest.approx(above, abs=0.01)
+
+
 @pytest.mark.parametrize('seed', CASES)
 def test_slip_against_the_box_of_dex_net(seed):
     """
