@@ -208,8 +208,10 @@ def header(exported: Exported) -> str:
     grip = [
         '/* Suction force (N), radius of the lip (m), friction. */',
         f'static const bellows_grip {name}_grip = {_braced(exported.grip)};',
-    ] if exported.grip else [
-        f'/* There is no {name}_grip: cup.lip_radius and vacuum.holding are not set. */']
+    ] if exported.grip and len(exported.grip) == 3 else [
+        f'/* There is no {name}_grip: ' + (
+            'each cup of cup.layout has a margin of its own. */' if exported.grip else
+            'cup.lip_radius and vacuum.holding are not set. */')]
     numbers = '\n'.join([
         f'static const bellows_model {name} = {_braced(model)};', *grip,
         '/* Longest step of integration, s. */',

@@ -7,10 +7,11 @@ from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import write_header, write_quaternion, write_vector
-from ..core.geometry.tuples import add_scaled, apply, rotation_matrix, Vector
+from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import Prediction
 from ..core.live.load import equivalent_box, lip_position
 from ..core.model.kernels import ModelTuple
+from ..core.model.layout import places_of
 
 NAMESPACE = 'bellows_ros'
 PERIOD_NS = 40_000_000
@@ -31,7 +32,9 @@ class Picture:
     def __init__(self, values: Mapping[str, Any]) -> None:
         """Size the box."""
         self._box = marker(0, Marker.CUBE, equivalent_box(values))
-        self._cup = marker(1, Marker.LINE_STRIP, (CUP_WIDTH, 0.0, 0.0))
+        self._cup = marker(1, Marker.LINE_LIST, (CUP_WIDTH, 0.0, 0.0))
+        self._places: list[Vector] = [
+            (x, y, z) for x, y, z in places_of(values)[:, :3].tolist()]
         self._force = marker(2, Marker.ARROW, ARROW_WIDTH)
         self._array = MarkerArray(markers=[self._box, self._cup, self._force])
         self._last_ns = 0
@@ -48,8 +51,12 @@ class Picture:
         tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
         write_vector(self._box.pose.position, prediction.position)
         write_quaternion(self._box.pose.orientation, prediction.quaternion_xyzw)
-        end = prediction.tool[0] if prediction.flies else lip
-        self._cup.points = [_point(prediction.tool[0]), _point(end)]
+        tool, R_world_tool = prediction.tool[0], rotation_matrix(prediction.tool[1])
+        self._cup.points = []
+        for place in self._places:
+            root = add(tool, apply(R_world_tool, place))
+            end = root if prediction.flies else add(lip, apply(R_world_package, place))
+            self._cup.points += [_point(root), _point(end)]
         self._force.points = [_point(lip), _point(tip)]
         for marker, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
             write_header(marker, prediction.stamp_ns, frame_id)

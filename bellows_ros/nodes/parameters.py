@@ -141,6 +141,8 @@ class TableNode(GuardedNode):
             initial = _type_of(parameter)
         described = descriptor(parameter, self._read_only)
         self.declare_parameter(name, initial, described, ignore_override=True)
+        if value == () and parameter.kind == 'double_array':
+            super().set_parameters_atomically([ros_parameter(name, [])])
 
     def _take_given(self, user: str) -> None:
         """Check the values from files and the command line, and fill in defaults."""

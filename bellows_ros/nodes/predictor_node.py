@@ -273,7 +273,7 @@ class PredictorNode(ManagedNode):
 
     def _publish_beside(self, prediction: Prediction) -> None:
         """Send all but the pose, and watch the load on the cup."""
-        factors = self._diagnostics.load.watch_force(prediction)
+        factors = self._diagnostics.load.watch_force(self._live.model, prediction)
         if factors and min(factors) < self._diagnostics.load.least:
             self._safe_from_ns = time.monotonic_ns() + UNSAFE_NS
             self._outputs.publish_ok(False)

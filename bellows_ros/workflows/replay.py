@@ -13,7 +13,9 @@ from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Va
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
-from bellows_ros.core.model.grip import grip_of, Margin, margin
+from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.model.validity_range import beyond, known_envelope
 from bellows_ros.core.parameters.checks import implausible, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
@@ -127,7 +129,15 @@ class Replay(Result):
         """The smallest safety factor of the grip in the free simulation; None if unknown."""
         grip, found = grip_of(self.values), self.validation
         return None if grip is None else margin(
-            grip, found.wrench, self.recording.since_start(found.stamps_ns))
+            grip, factors_along(
+                self.model, grip, tool_rows(found.tool), tool_rows(found.package)),
+            self.recording.since_start(found.stamps_ns))
+
+    @property
+    def model(self) -> ModelTuple:
+        """The cup with the package of the recording."""
+        return model_tuple(
+            cup_of(self.values), self.recording.payload, self.recording.settings.gravity)
 
     @property
     def margins(self) -> 'Margins':
@@ -143,10 +153,8 @@ class Replay(Result):
         smallest, found = self.margin, self.validation
         if smallest is None:
             raise BellowsError(NO_GRIP)
-        model = model_tuple(
-            cup_of(self.values), self.recording.payload, self.recording.settings.gravity)
         along = curves(
-            self.values, model, grip_of(self.values), found.tool,
+            self.values, self.model, grip_of(self.values), found.tool,
             None if found.start == 'equilibrium' else found.state)
         return Margins(
             self.recording.since_start(found.stamps_ns), along.values[:, 4:6], along.std[:, 4:6],

@@ -17,8 +17,8 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, rotation_to_quaternion, transform
 from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package_of
 from bellows_ros.core.model.equilibrium import largest_step
-from bellows_ros.core.model.grip import grip_of, Margin, margin
-from bellows_ros.core.model.simulation import lip_wrenches, simulate
+from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
+from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -182,8 +182,9 @@ def simulate_recording(
     grip, smallest = grip_of(values), None
     if grip is not None:
         model = model_tuple(cup, package, values['gravity.magnitude'])
-        wrench = lip_wrenches(model, truth.tool, truth.package)
-        smallest = margin(grip, wrench[truth.held], truth.tool.seconds[truth.held])
+        factors = factors_along(model, grip, *(
+            tool_rows(each)[truth.held] for each in (truth.tool, truth.package)))
+        smallest = margin(grip, factors, truth.tool.seconds[truth.held])
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
         {own.topic: len(own.stamps_ns) for own in recorded},

@@ -381,7 +381,7 @@ def load_rows(
     rows[0, :, :2], rows[1, :, 0] = turn[:, :2] / limits.bending, turn[:, 2] / limits.torsion
     if grip is None:
         return rows
-    suction, radius, friction = grip
+    suction, radius, friction = grip[:3]  # of one cup; all are judged when it is scaled
     pressed = max(suction / limits.safety - mass * float(np.linalg.norm(model[2])), 0.1 * suction)
     f, m = wrench[:, :3] / pressed, wrench[:, 3:] / pressed
     rows[2, :, :2], rows[3, :, :2] = 2.0 / radius * m[:, :2], f[:, :2] / friction

@@ -39,10 +39,10 @@ def check_live(values: Mapping[str, Any]) -> None:
         )
     model = prepared(cup_of(values), package_of(values), gravity_of(values)).model
     still = Prediction(1, *ORIGIN, ZERO, ZERO)
-    load = Load(values)
+    load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is known yet
     try:
         with np.errstate(all='ignore'):
-            load.watch_force(still)
+            load.watch_force(model, still)
             load.watch_deflection(model, still)
             Uncertainty(model, values)
             equivalent_box(values)

@@ -12,7 +12,7 @@ from bellows_ros.core.live.payload import MOST_SUBSTEPS
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import grip_of
-from bellows_ros.core.model.kernels import extrapolated, ModelTuple, State
+from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, Rows
 from bellows_ros.core.toss.landing import aim, factor_columns
 from bellows_ros.core.toss.release import (
@@ -24,13 +24,13 @@ from bellows_ros.core.toss.release import (
     law_of,
     NO_FLIGHT,
     NO_GRIP,
+    opened_by,
     PUSHES,
     release_of,
     sure_toss,
     Toss,
     toss_along,
     upward,
-    wrench_of,
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -163,7 +163,8 @@ class Flight:
             return now
         if released < 0.0:
             late = (now.stamp_ns - self._switched_ns) * 1e-9
-            force, moment = wrench_of(model, self._release.law, late, now.tool, body)
+            force, moment = lip_wrench(
+                opened_by(model, self._release.law, late, now.tool, body), now.tool, body)
             self._before = now._replace(
                 position=body[0], quaternion_xyzw=body[1], linear=body[2], angular=body[3],
                 force=force, moment=moment, strains=body[4:])

@@ -19,7 +19,7 @@ from bellows_ros.core.geometry.tuples import (
     Vector,
 )
 from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.model.grip import grip_of, MODES, safety_factors
+from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple, State
 from bellows_ros.core.model.validity_range import Distance, distance, known_envelope
 import numpy as np
@@ -94,7 +94,7 @@ class Safety(NamedTuple):
 
     factor: float
     mode: str
-    """'peel' or 'slip'."""
+    """'peel' or 'slip', of a gripper with the cup."""
 
 
 class Load:
@@ -146,15 +146,23 @@ class Load:
         """Whether the validity range is known."""
         return self._envelope is not None
 
-    def watch_force(self, prediction: Prediction) -> tuple[float, float] | None:
-        """Record the safety factors of a prediction; return those of the grip if known."""
+    def watch_force(
+        self, model: ModelTuple, prediction: Prediction
+    ) -> tuple[float, float] | None:
+        """Record the safety factors of a prediction; return those of the worst cup if known."""
         if self.grip is None:
             return None
-        factors = safety_factors(self.grip, prediction.force, prediction.moment)
-        for factor, mode in zip(factors, MODES, strict=True):
+        f, m = prediction.force, prediction.moment
+        if len(self.grip) == 3:
+            peel, slip, peeling, slipping = *safety_factors(self.grip, f, m), 0, 0
+        else:
+            peel, slip, peeling, slipping = least_factors(
+                self.grip, model[0], *_lip(model, prediction.tool, prediction.body),
+                prediction.strains, f, m)
+        for mode, (factor, row) in enumerate(((peel, peeling), (slip, slipping))):
             if self._safety is None or factor < self._safety.factor:
-                self._safety = Safety(factor, mode)
-        return factors
+                self._safety = Safety(factor, mode_name(self.grip, mode, row))
+        return peel, slip
 
     def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
         """Record how far a prediction is outside the validity range."""

@@ -38,6 +38,7 @@ from bellows_ros.core.model.equilibrium import (
 )
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.layout import composition, cup_of_gripper, places_of, UPPER
 from bellows_ros.core.model.matrices import matrix
 from bellows_ros.core.model.perturbed import capped_std
 from bellows_ros.errors import BellowsError
@@ -86,10 +87,12 @@ class Uncertainty:
         self.known = True
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
-        self._std: Array = np.concatenate([  # of the upper triangles of K and of P
-            capped_std(matrix(values[f'cup.{name}_std']), [*oo[::4], *RR[::4]])[
-                np.triu_indices(6)]
-            for name, (oo, _, RR) in (('stiffness', model[0][2]), ('damping', model[0][3]))])
+        places = places_of(values)
+        one = cup_of_gripper(model[0], places)
+        std = np.concatenate([  # of the upper triangles of K and of P of one cup
+            capped_std(matrix(values[f'cup.{name}_std']), [*oo[::4], *RR[::4]])[UPPER]
+            for name, (oo, _, RR) in (('stiffness', one[2]), ('damping', one[3]))])
+        self._factor = (np.kron(np.eye(2), composition(places)) * std)[:, std > 0.0]
         self._sensitivity: Array | None = None
         self._left: Array = np.eye(12)
         self._left_since_ns = -1
@@ -182,10 +185,11 @@ class Uncertainty:
 
     def _pushes(self, prediction: Prediction) -> Array:
         """Return the slopes of the state due to one standard deviation of each parameter."""
-        pushes = np.zeros((12 + 6 * len(self._model[0][4:]), len(self._std)))
+        count = len(self._factor)
+        pushes = np.zeros((12 + 6 * len(self._model[0][4:]), count))
         parameter_jacobian(
-            self._model, prediction.tool, prediction.body, 0, len(self._std), pushes[6:12], 0)
-        return (pushes * self._std)[:, self._std > 0.0]
+            self._model, prediction.tool, prediction.body, 0, count, pushes[6:12], 0)
+        return np.asarray(pushes @ self._factor)
 
     def _step(self, duration_ns: int) -> tuple[Array, Array]:
         """Return exp(A h) and its integral, for a duration rounded to 0.1 ms."""

@@ -17,6 +17,7 @@ from bellows_ros.core.model.kernels import (
     PackageTuple,
     Strains,
 )
+from bellows_ros.core.model.layout import composed, places_of
 from bellows_ros.core.model.matrices import (
     check_inertia,
     inertia_matrix,
@@ -175,10 +176,11 @@ class Package:
 
 
 def cup_of(values: Mapping[str, Any]) -> Cup:
-    """Return the cup that parameter values describe (see `parameters`)."""
+    """Return the cup that parameter values describe (see `parameters`), composed of several."""
+    places = places_of(values)
     return Cup(
-        stiffness=matrix(values['cup.stiffness']),
-        damping=matrix(values['cup.damping']),
+        stiffness=composed(matrix(values['cup.stiffness']), places),
+        damping=composed(matrix(values['cup.damping']), places),
         length=values['cup.length'],
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
         relaxation_times=values.get('cup.relaxation_times', RELAXATION_TIMES),

@@ -1,7 +1,8 @@
 """
 Safety factors of a vacuum grip against peel and slip.
 
-The vacuum presses the package on the lip with V = pressure below ambient times effective area (N).
+Holding is that of each cup: a gripper of several has the smallest factor of its cups.
+The vacuum presses the package on a lip with V = pressure below ambient times effective area (N).
 The wrench (f, m) of the cup on the package is that at S in S axes, so f_z > 0 pulls the package
 up into the cup, and the lip presses with N = V - f_z. Each factor is the largest s for which
 s (f, m) still holds with the same V; infinite where no size of the wrench lets go, below 1 where
@@ -16,11 +17,22 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import Vector
+from bellows_ros.core.geometry.tuples import Matrix, rotation_matrix, Vector
+from bellows_ros.core.model.kernels import (
+    cup_wrench,
+    CupTuple,
+    lip_relative_to_tool,
+    ModelTuple,
+    State,
+    Strains,
+)
+from bellows_ros.core.model.layout import cup_of_gripper, is_single, places_of, wrench_at
+from bellows_ros.core.model.simulation import row_state
 import numpy as np
 
-Grip = tuple[float, float, float]
-"""Suction force V (N), radius of the lip r (m), friction between lip and package."""
+Grip = tuple[float, float, float, *tuple[Array, ...]]
+"""Suction force V (N), radius of the lip r (m), friction between lip and package, of one cup; of a
+gripper of several also the cups that hold, as `places_of` returns them."""
 
 MODES = ('peel', 'slip')
 """Failure modes of the grip; an elastic lip peels before it tips."""
@@ -39,7 +51,7 @@ def peel_load(radius: float, f: Vector, m: Vector) -> float:
 
 
 @kernel
-def safety_factors(grip: Grip, f: Vector, m: Vector) -> tuple[float, float]:
+def safety_factors(grip: tuple[float, float, float], f: Vector, m: Vector) -> tuple[float, float]:
     """
     Return the safety factors against peel and slip, as in `MODES`; the smaller one counts.
 
@@ -56,11 +68,70 @@ def safety_factors(grip: Grip, f: Vector, m: Vector) -> tuple[float, float]:
         ratio(suction, peel_load(radius, f, m)), ratio(friction * suction, q + friction * f[2]))
 
 
-def safety_factors_of(grip: Grip, wrench: Array) -> Array:
-    """Return the safety factors (N, 2), as in `MODES`, of wrenches (N, 6) at S in S axes."""
-    factors = np.empty((len(wrench), 2))
-    _write_factors(grip, wrench, factors)
-    return factors
+@kernel
+def least_factors(
+    grip: Grip, cup: CupTuple, o: Vector, R: Matrix, v: Vector, w: Vector, strains: Strains,
+    f: Vector, m: Vector,
+) -> tuple[float, float, int, int]:
+    """
+    Return the smallest safety factors of all cups against peel and slip, and whose they are.
+
+    Pose and twist are those of S in E, as `cup_wrench` takes them, and (f, m) its wrench.
+    """
+    if len(grip) == 3:
+        peel, slip = safety_factors(grip, f, m)
+        return peel, slip, 0, 0
+    (places,) = grip[3:]
+    one = cup_of_gripper(cup, places)
+    peel, slip, peeling, slipping = math.inf, math.inf, 0, 0
+    for k in range(len(places)):
+        f, m = wrench_at(one, (places[k, 0], places[k, 1], places[k, 2]), o, R, v, w, strains)
+        own = safety_factors((grip[0], grip[1], grip[2]), f, m)
+        if own[0] < peel:
+            peel, peeling = own[0], k
+        if own[1] < slip:
+            slip, slipping = own[1], k
+    return peel, slip, peeling, slipping
+
+
+@kernel
+def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -> float:
+    """Return the suction force (N) of each cup at or below which the first one peels."""
+    cup, package, _ = model
+    o, R, v, w = lip_relative_to_tool(
+        package[1], tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], rotation_matrix(body[1]), body[2], body[3])
+    if len(grip) == 3:
+        f, m = cup_wrench(cup, o, R, v, w, body[4:])
+        return peel_load(grip[1], f, m)
+    (places,) = grip[3:]
+    one, load = cup_of_gripper(cup, places), -math.inf
+    for k in range(len(places)):
+        f, m = wrench_at(
+            one, (places[k, 0], places[k, 1], places[k, 2]), o, R, v, w, body[4:])
+        load = max(load, peel_load(grip[1], f, m))
+    return load
+
+
+def factors_along(model: ModelTuple, grip: Grip, tool: Array, body: Array) -> Array:
+    """
+    Return safety factors (N, 2), as in `MODES`, and whose they are (N, 2).
+
+    Of rows (N, 13) of tool and package; those of cups are their rows in the grip.
+    """
+    out = np.empty((len(tool), 4))
+    _write_factors(model, grip, tool, body, out)
+    return out
+
+
+def mode_name(grip: Grip, mode: int, row: int) -> str:
+    """Return a mode of failure, of a gripper with the cup that fails: index and place."""
+    if len(grip) == 3:
+        return MODES[mode]
+    (places,) = grip[3:]
+    x, y, z, index = places[row].tolist()
+    height = f', z {z:g} m' if z else ''
+    return f'{MODES[mode]} of cup {index:.0f} at x {x:g} m, y {y:g} m{height}'
 
 
 class Margin(NamedTuple):
@@ -79,20 +150,27 @@ class Margin(NamedTuple):
             f'{self.time:.2f} s){lost}.')
 
 
-def margin(grip: Grip, wrench: Array, seconds: Array) -> Margin:
-    """Return the smallest safety factor of wrenches (N, 6) at times (N,), ignoring NaN."""
-    factors = safety_factors_of(grip, wrench)
-    row, mode = np.unravel_index(np.nanargmin(factors), factors.shape)
-    return Margin(float(factors[row, mode]), MODES[mode], float(seconds[row]))
+def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
+    """Return the smallest of `factors_along` (N, 4) at times (N,), ignoring NaN."""
+    row, mode = np.unravel_index(np.nanargmin(factors[:, :2]), (len(factors), 2))
+    return Margin(
+        float(factors[row, mode]), mode_name(grip, int(mode), int(factors[row, 2 + mode])),
+        float(seconds[row]))
 
 
 @kernel
-def _write_factors(grip: Grip, wrench: Array, out: Array) -> None:
+def _write_factors(
+    model: ModelTuple, grip: Grip, tool: Array, body: Array, out: Array
+) -> None:
     """Write the factors of every row."""
-    for k in range(len(wrench)):
-        row = wrench[k]
-        out[k, 0], out[k, 1] = safety_factors(
-            grip, (row[0], row[1], row[2]), (row[3], row[4], row[5]))
+    for k in range(len(tool)):
+        at, held = row_state(tool[k]), row_state(body[k])
+        o, R, v, w = lip_relative_to_tool(
+            model[1][1], at[0], rotation_matrix(at[1]), at[2], at[3],
+            held[0], rotation_matrix(held[1]), held[2], held[3])
+        f, m = cup_wrench(model[0], o, R, v, w)
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = least_factors(
+            grip, model[0], o, R, v, w, (), f, m)
 
 
 def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | None:
@@ -112,7 +190,8 @@ def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | No
     if radius == 0.0 or (vacuum is None and pressure == 0.0):
         return None
     area = float(values['cup.suction_area']) or math.pi * radius * radius
-    return pressure * area, radius, float(values['cup.friction'])
+    grip, places = (pressure * area, radius, float(values['cup.friction'])), places_of(values)
+    return grip if is_single(places) else (*grip, places)
 
 
 def safety_sentence(factor: float, mode: str, time: float, std: float, least: float) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import blocks
 from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.layout import composed, places_of, SINGLE, UPPER
 from bellows_ros.core.model.matrices import inertia_matrix, matrix
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,6 @@ from numpy.typing import ArrayLike
 STEP = 0.5
 """Step of central differences, standard deviations."""
 
-UPPER = np.triu_indices(6)
 NAMES = (
     *(f'{kind}[{i},{j}]' for kind in ('cup.stiffness', 'cup.damping')
       for i, j in zip(*UPPER, strict=True)),
@@ -58,11 +58,17 @@ def capped_std(std: Array, diagonal: ArrayLike) -> Array:
     return smaller
 
 
-def model_with(model: ModelTuple, numbers: Array) -> ModelTuple:
-    """Return a model with other numbers (52,), length and gravity as they are."""
+def model_with(
+    model: ModelTuple, numbers: Array, places: Array = SINGLE
+) -> ModelTuple:
+    """
+    Return a model with other numbers (52,), length and gravity as they are.
+
+    K and P are those of one of the cups at the places, as `places_of` returns them.
+    """
     K, P = np.zeros((2, 6, 6))
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
-    K, P = (np.triu(M) + np.triu(M, 1).T for M in (K, P))
+    K, P = (composed(np.triu(M) + np.triu(M, 1).T, places) for M in (K, P))
     inertia = inertia_matrix(numbers[46:])
     cup = (*model[0][:2], blocks(K), blocks(P), *model[0][4:])
     package: Any = (
@@ -75,11 +81,12 @@ def perturbed(
     values: Mapping[str, Any], model: ModelTuple
 ) -> Iterator[tuple[str, ModelTuple, ModelTuple]]:
     """Yield name and models with a number `STEP` sigma up and down, where sigma is not 0."""
-    numbers, std = parameter_vector(values), deviations_of(values)
+    numbers, std, places = parameter_vector(values), deviations_of(values), places_of(values)
     for i in np.flatnonzero(std):
         change = np.zeros(len(std))
         change[i] = STEP * std[i]
-        yield NAMES[i], model_with(model, numbers + change), model_with(model, numbers - change)
+        up, down = (model_with(model, numbers + side * change, places) for side in (1.0, -1.0))
+        yield NAMES[i], up, down
 
 
 def contributions(

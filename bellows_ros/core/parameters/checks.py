@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.layout import positions_of
 from bellows_ros.core.model.matrices import (
     check_inertia,
     inertia_matrix,
@@ -16,6 +17,7 @@ from bellows_ros.core.model.matrices import (
     require_stiffness,
 )
 from bellows_ros.core.parameters.table import (
+    ANY,
     lookup,
     NAMED_CUP,
     Parameter,
@@ -164,7 +166,7 @@ def convert(parameter: Parameter, value: object) -> Value:
     items = _items(parameter, value)
     if parameter.kind == 'string_array':
         return tuple(_text(parameter, x, f' at index {i}') for i, x in enumerate(items))
-    if parameter.length not in (None, len(items)):
+    if parameter.length not in (None, ANY, len(items)):
         raise _refuse(parameter, f'{len(items)} of them')
     return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
 
@@ -254,10 +256,11 @@ def require(given: Mapping[str, object], required: Iterable[str]) -> None:
             + '\n'.join(lines))
 
 
-_PHYSICAL: Mapping[str, Callable[[Parameter, Any], None]] = {
+_PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
     'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
     'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
     'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
+    'cup.layout': lambda p, value: positions_of(value),
     'gravity.direction': lambda p, value: require_direction(value),
     'release.correlation': lambda p, value: require_correlation(value),
 }

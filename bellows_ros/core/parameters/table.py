@@ -28,6 +28,8 @@ OTHER_WORDS = MappingProxyType({
     'centre_of_mass': 'package.com', 'spring': 'cup.stiffness', 'nominal_length': 'cup.length',
 })
 ALIKE, CERTAIN = 0.75, 0.9
+ANY = 0
+"""Length of an array that may have any."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Parameter:
     choices : tuple of str
         The allowed strings, when not empty.
     length : int, optional
-        How many numbers an array has; as many as the default, where there is one.
+        How many numbers an array has, `ANY` for any; else as many as the default, if there is one.
     required_text : bool
         True where the empty string is refused.
     read_only : bool
@@ -84,8 +86,11 @@ class Parameter:
 
     def __post_init__(self) -> None:
         """Take the kind, and the length of an array, from the default."""
-        if isinstance(self.default, tuple) and self.default:
-            object.__setattr__(self, 'length', len(self.default))
+        if self.kind == 'double_array' and self.default == ():
+            object.__setattr__(self, 'length', ANY)
+        elif isinstance(self.default, tuple) and self.default:
+            if self.length is None:
+                object.__setattr__(self, 'length', len(self.default))
             object.__setattr__(self, 'kind', 'double_array')
         elif self.default is not None:
             object.__setattr__(self, 'kind', _KINDS[type(self.default)])
@@ -98,7 +103,7 @@ class Parameter:
             some = 'a list of some of ' if self.kind == 'string_array' else 'one of '
             return some + ', '.join(self.choices)
         kind = _KIND_MESSAGES[self.kind]
-        if self.length is not None:
+        if self.length:
             kind = kind.replace('numbers', f'{self.length} numbers')
         return kind + self._range() + unit
 
@@ -236,6 +241,12 @@ _TABLE = (
     Parameter('cup.relaxation_times', RELAXATION_TIMES, 's', _BOTH, above=0.0, maximum=1e3,
               description='Times of cup.relaxation. Leave them: the strengths are identified with '
               'these, and others describe the same cup as well.'),
+    Parameter('cup.layout', (0.0, 0.0, 0.0), 'm', _BOTH, length=ANY, minimum=-10.0, maximum=10.0,
+              description='Positions x, y, z in E of the equal, parallel cups of a gripper, one '
+              'after the other; all else in cup.* is of one cup.'),
+    Parameter('cup.open', (), '', _BOTH, kind='double_array', minimum=0.0,
+              description='Cups of cup.layout, from 0, that do not hold: they leave K, P and the '
+              'safety factor.'),
     Parameter('cup.name', '', '', _PREDICTOR,
               description="Name of the mounted cup, one of cups.NAME.*; '' for the one in cup.*."),
     Parameter('cup.stiffness_std', (0.0,) * 36, 'N/m, N, N m/rad', _PREDICTOR, minimum=0.0,

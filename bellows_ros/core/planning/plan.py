@@ -30,7 +30,7 @@ from bellows_ros.core.geometry.tuples import (
     Vector,
 )
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
-from bellows_ros.core.model.grip import Grip, Margin, MODES, safety_factors
+from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import (
     cup_wrench,
     lip_relative_to_tool,
@@ -97,16 +97,18 @@ class PlanPrediction:
     wrench : array (N, 6)
         Of the cup on the package at S, in S axes, N and N m.
     loads : array (N, 2)
-        1 / safety factor against peel and slip; meaningless where `grip_known` is False.
-    peaks : array (8, 2)
-        Largest value of each of `PEAKS` and when it is reached, s since the plan's first point.
+        1 / safety factor against peel and slip; meaningless where the grip is not known.
+    peaks : array (8, 3)
+        Largest value of each of `PEAKS` and when it is reached, s since the plan's first point; of
+        the loads also whose they are, as a row of the grip.
     settled_after : float
         s after the last point; infinite where longer than `LONGEST_TAIL`.
     deflection : array (6, 2)
         Smallest and largest shift (m) and rotation vector (rad) of the lip in the tool.
     rates : array (6,)
         Largest absolute twist of the lip in the tool, m/s and rad/s.
-    grip_known, ends_at_rest : bool
+    grip : tuple or None
+    ends_at_rest : bool
 
     """
 
@@ -118,15 +120,21 @@ class PlanPrediction:
     settled_after: float
     deflection: Array
     rates: Array
-    grip_known: bool
+    grip: Grip | None
     ends_at_rest: bool
+
+    @property
+    def grip_known(self) -> bool:
+        """Whether the safety factor is known."""
+        return self.grip is not None
 
     @property
     def smallest_safety(self) -> Margin:
         """Smallest safety factor of the grip."""
         worst = int(np.argmax(self.peaks[:2, 0]))
-        load, time = self.peaks[worst].tolist()
-        return Margin(1.0 / load if load > 0.0 else math.inf, MODES[worst], time)
+        load, time, row = self.peaks[worst].tolist()
+        return Margin(1.0 / load if load > 0.0 else math.inf,
+                      mode_name(self.grip or UNKNOWN_GRIP, worst, int(row)), time)
 
     def figures(self) -> dict[str, float]:
         """Return the figures of a summary, SI units; NaN for unknown ones."""
@@ -248,14 +256,14 @@ class PlanSimulation:
         states, wrench, loads, peaks, lip = self._out
         return PlanPrediction(
             self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
-            self._grip is not None, self._tail > 0.0,
+            self._grip, self._tail > 0.0,
         )
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
         """Fill in the arrays along the plan; return whether all loads were below the ceiling."""
         n = len(self._rows)
         self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
-                     np.empty((len(PEAKS), 2)), np.empty((6, 3)))
+                     np.empty((len(PEAKS), 3)), np.empty((6, 3)))
         self._past = np.full((len(PEAKS), 4), math.inf)  # no sample yet
         try:
             self._body, self._seconds, below = _simulate_plan(
@@ -369,15 +377,20 @@ def record_sample(
         body[0], rotation_matrix(body[1]), body[2], body[3],
     )
     f, m = cup_wrench(cup, o, R, v, w, body[4:])
-    peel, slip = safety_factors(grip, f, m)
+    peel, slip, peeling, slipping = least_factors(grip, cup, o, R, v, w, body[4:], f, m)
     loads[0] = 1.0 / peel if peel > 0.0 else math.inf
     loads[1] = 1.0 / slip if slip > 0.0 else math.inf
     wrench[0], wrench[1], wrench[2] = f
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
     turn = log_quaternion(quaternion_product(quaternion_conjugate(tool[1]), body[1]))
+    before = peaks[0, 0], peaks[1, 0]
     update_peak(peaks, past, 0, t, loads[0])
     update_peak(peaks, past, 1, t, loads[1])
+    if peaks[0, 0] > before[0]:
+        peaks[0, 2] = peeling
+    if peaks[1, 0] > before[1]:
+        peaks[1, 2] = slipping
     update_peak(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
     update_peak(peaks, past, 3, t, norm(shift))
     update_peak(peaks, past, 4, t, norm(f))

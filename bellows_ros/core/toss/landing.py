@@ -16,6 +16,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.layout import places_of
 from bellows_ros.core.model.perturbed import (
     contributions,
     deviations_of,
@@ -187,7 +188,8 @@ def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
     factor = release_factor(case.values)
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):
-        model = model_with(case.model, numbers + std * rng.standard_normal(len(std)))
+        model = model_with(
+            case.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = changed(case.release, factor @ rng.standard_normal(8))
         try:
             found = case.with_numbers(model, release, until)

@@ -50,11 +50,10 @@ from bellows_ros.core.model.equilibrium import (
     substeps_for,
     substeps_of,
 )
-from bellows_ros.core.model.grip import Grip, peel_load
+from bellows_ros.core.model.grip import Grip, largest_peel_load
 from bellows_ros.core.model.kernels import (
     extrapolated,
     lip_relative_to_tool,
-    lip_wrench,
     ModelTuple,
     PackageTuple,
     rotation_rate,
@@ -64,7 +63,6 @@ from bellows_ros.core.model.kernels import (
     tool_at,
     tool_segment,
     weighted,
-    Wrench,
     wrench_at_com,
 )
 from bellows_ros.core.model.simulation import (
@@ -211,23 +209,23 @@ def between(low: float, high: float, above: float, below: float, least: float) -
 
 
 @kernel
-def wrench_of(model: ModelTuple, law: Law, late: float, tool: State, body: State) -> Wrench:
-    """Return the wrench of the cup at the lip, in S axes, a time (s) after the valve."""
+def opened_by(
+    model: ModelTuple, law: Law, late: float, tool: State, body: State
+) -> ModelTuple:
+    """Return the model as it is in a state a time (s) after the valve."""
     if law[5] > 0.0 and late >= law[0]:
-        change = length_change(model, law, late, tool, body)
-        return lip_wrench(with_length(model, law, change), tool, body)
-    return lip_wrench(model, tool, body)
+        return with_length(model, law, length_change(model, law, late, tool, body))
+    return model
 
 
 @kernel
 def load_at(
     model: ModelTuple, grip: Grip, law: Law, late: float, tool: State, body: State
 ) -> float:
-    """Return the suction force (N) at or below which the lip peels in a state."""
+    """Return the suction force (N) at or below which the first lip peels in a state."""
     if grip[1] <= 0.0:
         return 0.0
-    f, m = wrench_of(model, law, late, tool, body)
-    return peel_load(grip[1], f, m)
+    return largest_peel_load(grip, opened_by(model, law, late, tool, body), tool, body)
 
 
 @kernel

@@ -83,7 +83,7 @@ def test_smallest_margin_and_largest_distance_are_kept():
     load = Load(values)
     assert load.grip and load.envelope_known
     for case in (prediction(), prediction((0.0, 0.0, 30.0)), prediction(moment=(0.0, 0.05, 0.0))):
-        load.watch_force(case)
+        load.watch_force(MODEL, case)
     load.watch_deflection(MODEL, prediction(tilt=0.2))
     safety, away, bending = load.take()
     assert_allclose(safety.factor, 6e4 * math.pi * 0.02**2 / 30.0)
@@ -92,7 +92,7 @@ def test_smallest_margin_and_largest_distance_are_kept():
     assert_allclose(bending, 0.2)
     assert load.take() == (None, None, 0.0)
     unknown = Load(resolve(PACKAGE))
-    unknown.watch_force(prediction())
+    unknown.watch_force(MODEL, prediction())
     assert not unknown.grip and not unknown.envelope_known and unknown.take()[0] is None
 
 
@@ -189,11 +189,11 @@ def test_the_safety_factor_follows_the_vacuum_that_is_heard():
     load = Load(values)
     assert load.grip
     case = prediction(moment=(0.0, 0.1, 0.0))
-    assert_allclose(load.watch_force(case), (60 / (20 + 2 * 0.1 / 0.02), 60 / 20))
+    assert_allclose(load.watch_force(MODEL, case), (60 / (20 + 2 * 0.1 / 0.02), 60 / 20))
     assert load.take()[0] == (2.0, 'peel')
     load.hear(101325.0 - 3e4)
-    assert_allclose(load.watch_force(case), (1.0, 1.5))
-    assert Load(values, load.pressure).watch_force(case) == load.watch_force(case)
+    assert_allclose(load.watch_force(MODEL, case), (1.0, 1.5))
+    assert Load(values, load.pressure).watch_force(MODEL, case) == load.watch_force(MODEL, case)
     assert Load({**values, 'cup.lip_radius': 0.0}).grip is None
 
 

@@ -49,7 +49,7 @@ for k in range(400):
     if k == 250:
         live.set_model(*model[:2])
 for prediction in out[::10]:
-    load.watch_force(prediction)
+    load.watch_force(live.model, prediction)
     load.watch_deflection(live.model, prediction)
     uncertainty.covariance(prediction)
 assert len(out) > 400 and live.coasted, len(out)
