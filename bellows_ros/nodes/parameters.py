@@ -158,7 +158,7 @@ class TableNode(GuardedNode):
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all or none of some parameters, and say why not."""
-        changing = [p for p in parameters if not self.has_parameter(p.name) or (
+        changing = [p for p in map(_as_double, parameters) if not self.has_parameter(p.name) or (
             self.get_parameter_or(p.name, Parameter(p.name)).get_parameter_value()
             != p.get_parameter_value())]
         if not changing:
@@ -260,10 +260,12 @@ def _why_unknown(name: str, node: str) -> str:
 
 
 def _as_double(parameter: Parameter) -> Parameter:
-    """Return a parameter with integers converted to doubles if doubles are expected."""
+    """Return a parameter with integers, or nothing, as doubles if doubles are expected."""
     if not (_is_ours(parameter) and table.lookup(parameter.name).kind.startswith('double')):
         return parameter
     kind, value = parameter.type_, parameter.value
+    if kind.name.endswith('_ARRAY') and not value:  # an empty list is sent as one of bytes
+        return ros_parameter(parameter.name, [])
     if kind not in (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY):
         return parameter
     doubles = float(value) if kind == Parameter.Type.INTEGER else [float(x) for x in value]

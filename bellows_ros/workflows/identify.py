@@ -18,7 +18,7 @@ from bellows_ros.core.identification.least_squares import with_relaxation
 from bellows_ros.core.identification.methods import first_guess, fit, fitted, with_freed
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.model.layout import is_single, places_of
+from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
@@ -109,7 +109,7 @@ def identify(
     """
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
-    if not is_single(places_of(values)):
+    if is_gripper(values):
         raise BellowsError(
             'cup.layout describes a gripper of several cups, whose cup.stiffness is of one; '
             'identify fits one cup. Identify one cup alone and compose it with cup.layout, or '

@@ -28,7 +28,8 @@ def gripper(theme: Theme) -> Any:
         draw_box(axes, tool, (-0.115, 0.115), (0.0, 0.012), theme.grid, theme.quiet)
         for number, a in enumerate(PLACES):
             draw_cup(axes, tool.moved(a, 0.0), lip.moved(a, 0.0), theme.measured, theme.quiet)
-            axes.text(a - 0.02, 0.018, f'cup {number}', ha='center', color=theme.quiet, fontsize=10.5)
+            axes.text(
+                a - 0.02, 0.018, f'cup {number}', ha='center', color=theme.quiet, fontsize=10.5)
         draw_box(axes, package, (-0.14, 0.14), (-0.03, 0.04), theme.grid, theme.quiet)
         for frame, name in ((tool, 'E'), (lip, 'S'), (package, 'B')):
             draw_frame(axes, frame, name, 0.022, theme, (-0.9, -0.3))

@@ -167,6 +167,21 @@ def test_what_cannot_be_computed_with_is_refused(
         make_predictor({**PACKAGE, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
+def test_a_cup_of_a_gripper_is_opened_and_closed_live(
+        make_predictor: Callable[..., Any], caller: Caller) -> None:
+    """It leaves the stiffness; an empty list, which has no type, brings it back."""
+    node = make_predictor()
+    single = used(node)[0][0][0]
+    assert caller.set_parameters(cup__layout=[0.05, 0.0, 0.0, -0.05, 0.0, 0.0]) == [(True, '')]
+    assert used(node)[0][0][0] == pytest.approx(2.0 * single)
+    assert caller.set_parameters(cup__open=[1]) == [(True, '')]
+    assert used(node)[0][0][0] == pytest.approx(single)
+    ((refused, why),) = caller.set_parameters(cup__open=[2])
+    assert not refused and 'cup.layout' in why
+    assert caller.set_parameters(cup__open=[]) == [(True, '')]
+    assert used(node)[0][0][0] == pytest.approx(2.0 * single)
+
+
 def test_what_is_set_to_what_it_is_has_no_effect(
         make_predictor: Callable[..., Any], caller: Caller) -> None:
     """Load what was dumped without anything being made anew."""

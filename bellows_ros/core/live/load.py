@@ -157,7 +157,7 @@ class Load:
             peel, slip, peeling, slipping = *safety_factors(self.grip, f, m), 0, 0
         else:
             peel, slip, peeling, slipping = least_factors(
-                self.grip, model[0], *_lip(model, prediction.tool, prediction.body),
+                self.grip, model[0], *_lip(model[1][1], prediction.tool, prediction.body),
                 prediction.strains, f, m)
         for mode, (factor, row) in enumerate(((peel, peeling), (slip, slipping))):
             if self._safety is None or factor < self._safety.factor:

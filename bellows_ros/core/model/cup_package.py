@@ -17,7 +17,6 @@ from bellows_ros.core.model.kernels import (
     PackageTuple,
     Strains,
 )
-from bellows_ros.core.model.layout import composed, places_of
 from bellows_ros.core.model.matrices import (
     check_inertia,
     inertia_matrix,
@@ -175,12 +174,20 @@ class Package:
         )
 
 
+def is_gripper(values: Mapping[str, Any]) -> bool:
+    """Return whether parameter values describe cups other than one at E that holds."""
+    return bool(any(values.get('cup.layout', ())) or values.get('cup.open'))
+
+
 def cup_of(values: Mapping[str, Any]) -> Cup:
     """Return the cup that parameter values describe (see `parameters`), composed of several."""
-    places = places_of(values)
+    K, P = (matrix(values[f'cup.{name}']) for name in ('stiffness', 'damping'))
+    if is_gripper(values):
+        from bellows_ros.core.model.layout import composed, places_of
+
+        K, P = (composed(each, places_of(values)) for each in (K, P))
     return Cup(
-        stiffness=composed(matrix(values['cup.stiffness']), places),
-        damping=composed(matrix(values['cup.damping']), places),
+        K, P,
         length=values['cup.length'],
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
         relaxation_times=values.get('cup.relaxation_times', RELAXATION_TIMES),

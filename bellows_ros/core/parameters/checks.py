@@ -8,7 +8,6 @@ import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model.layout import positions_of
 from bellows_ros.core.model.matrices import (
     check_inertia,
     inertia_matrix,
@@ -260,10 +259,18 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
     'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
     'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
     'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
-    'cup.layout': lambda p, value: positions_of(value),
+    'cup.layout': lambda p, value: _require_layout(value),
     'gravity.direction': lambda p, value: require_direction(value),
     'release.correlation': lambda p, value: require_correlation(value),
 }
+
+
+def _require_layout(numbers: Sequence[float]) -> None:
+    """Raise BellowsError for numbers that are not the places of the cups of a gripper."""
+    if numbers != (0.0, 0.0, 0.0):  # those of a single cup
+        from bellows_ros.core.model.layout import positions_of
+
+        positions_of(numbers)
 
 
 def require_correlation(numbers: Sequence[float]) -> None:
