@@ -10,12 +10,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 import importlib.util
 from itertools import pairwise, takewhile
+import os
 from pathlib import Path
 from pkgutil import resolve_name
 import signal
 import sys
 import textwrap
-from typing import NamedTuple
+from types import FrameType
+from typing import Any, NamedTuple, NoReturn
 
 from bellows_ros.core import keep_linear_algebra_single
 
@@ -108,9 +110,16 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         print(f'{interface.name} {__version__}')
         return 0
     # Only noted: an exception would come up anywhere, in the middle of a callback from C too.
+    # While the node is made, maybe compiled, it has nothing to end in order.
     asked: list[int] = []
-    before = {number: signal.signal(number, lambda number, frame: asked.append(number))
-              for number in ASKED_TO_STOP}
+    made: list[Any] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        asked.append(number)
+        if not made:
+            _leave()
+
+    before = {number: signal.signal(number, note) for number in ASKED_TO_STOP}
     try:
         if own:
             raise BellowsError(
@@ -125,9 +134,12 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
 
         try:
             _initialise([interface.name, *arguments])
-            spin(make_node(), lambda: bool(asked))
+            made.append(make_node())
+            spin(made[0], lambda: bool(asked))
         finally:
             try_shutdown()
+        if asked:
+            _leave()
     except BellowsError as error:
         print(f'{interface.name}: {error}', file=sys.stderr)
         return error.exit_code
@@ -135,6 +147,13 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         for number, handler in before.items():
             signal.signal(number, handler)
     return 0
+
+
+def _leave() -> NoReturn:
+    """End the process without its interpreter, which waits for a compiler in a thread."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def require_ros() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import time
 from typing import Any
 
 from bellows_ros.core.parameters.table import parameters_of
@@ -173,6 +174,31 @@ def test_process_predicts_and_ends_in_order(
     assert running.returncode == 0, log
     assert 'Traceback' not in log and 'invalid' not in log
     assert ' predictions out, 0 refused' in log
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_process_ends_at_once_while_it_compiles(
+        number: signal.Signals, root: Path, tmp_path: Path, user_environment: dict[str, str]
+) -> None:
+    """End before the node is made, with 0 and without a word."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    pytest.importorskip('numba', reason='nothing is compiled without numba')
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *PACKAGE],
+        env={**user_environment, 'NUMBA_CACHE_DIR': str(tmp_path)}, cwd=root,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        until = time.monotonic() + 60.0
+        while not any(tmp_path.rglob('*.nbi')) and time.monotonic() < until:
+            time.sleep(0.01)
+        process.send_signal(number)
+        out, log = process.communicate(timeout=20)
+        compiled = len(list(tmp_path.rglob('*.nbi')))
+    finally:
+        process.kill()
+    assert (process.returncode, out) == (0, '')
+    assert 'Listens to' not in log and 'Traceback' not in log
+    assert 0 < compiled < 40, 'it went on compiling'
 
 
 def send(writer: Any, message: Any) -> None:
