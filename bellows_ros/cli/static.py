@@ -83,6 +83,9 @@ def _bags(
 def _say(result: 'StaticResult', console: Console) -> None:
     """Print standstills, length and spring."""
     console.table(_standstill_rows(result), right=True, title='Standstills')
+    if result.creep:
+        console.paragraph(result.creep)
+        console.say()
     _say_length(result, console)
     if result.spring is not None:
         console.say()

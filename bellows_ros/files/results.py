@@ -47,7 +47,7 @@ UNIT_OF: Mapping[str, Any] = {
         for name, matrix in (('stiffness', 'K'), ('damping', 'P'))
     },
     **dict.fromkeys((
-        'rms', 'largest', 'motion', 'noise_rms', 'lip', 'measured', 'predicted',
+        'rms', 'largest', 'motion', 'noise_rms', 'lip', 'creep', 'measured', 'predicted',
     ), POSE_UNITS),
     **dict.fromkeys((
         'relaxation', 'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share',

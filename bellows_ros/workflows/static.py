@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+import math
 import os
 from typing import Any
 
@@ -64,6 +65,20 @@ class StaticResult:
         return [still for recording in self.recordings for still in standstills_in(recording)[0]]
 
     @property
+    def creep(self) -> str:
+        """A sentence on rubber that creeps in the standstills; '' where none does."""
+        creeps = [still.creep for still in self.standstills if still.creep.any()]
+        if not creeps:
+            return ''
+        shift, turn = (float(np.linalg.norm(part, axis=1).max())
+                       for part in np.split(np.array(creeps), 2, axis=1))
+        return (
+            f'The rubber creeps in {len(creeps)} of {len(self.standstills)} standstills, by up to '
+            f'{1e3 * shift:.2f} mm and {math.degrees(turn):.2f} degrees. Each counts with the '
+            'pose in which it comes to rest, which the static stiffness gives. A sudden load '
+            'meets more: cup.relaxation.')
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
         found = list(self.length.warnings) if self.length else []
@@ -111,7 +126,7 @@ class StaticResult:
             },
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [
-                    attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip')
+                    attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip', 'creep')
                     for still in found]}
                 for recording in self.recordings
                 for found, failed in [standstills_in(recording)]],

@@ -6,11 +6,12 @@ At rest no damper and no acceleration take part: the package hangs where spring 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import log_so3, mean_rotation
+from bellows_ros.core.geometry.lie import exp_so3, log_so3, mean_rotation
 from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.recording import Noise, Recording
 from bellows_ros.core.signals.residuals import relative_coordinates
@@ -26,6 +27,10 @@ STILL_WITHIN = Noise(1.5e-4, 1.5e-3)
 
 NOISE_DEVIATIONS = 5.0
 """... and by this many standard deviations of their noise."""
+
+CREEPS, LARGEST_SPREAD = 45.0, 8.0
+"""Creep is significant from this chi^2 of 6 degrees of freedom on (chance 5e-8), and left out
+where the rest pose would be so many times less certain than the mean: hold longer."""
 
 BLOCK_SECONDS, FEWEST_IN_BLOCK = 0.1, 3
 """Time (s) that block means are of, shorter than a body sways, and their fewest samples."""
@@ -45,9 +50,12 @@ class Standstill:
     samples : int
         How many package poses the mean is of.
     error : Noise
-        Standard error of the relative pose's mean, m and rad per axis.
+        Standard error of the relative pose, m and rad per axis.
     payload : Package
         What hung on the cup.
+    creep : array (6,)
+        How far the relative pose still moves from the begin of the standstill on (m, rad), where
+        rubber creeps; the pose of the package is then that in which it comes to rest.
 
     """
 
@@ -58,6 +66,7 @@ class Standstill:
     samples: int
     error: Noise
     payload: Package
+    creep: Array = field(default_factory=lambda: np.zeros(6))
 
     @property
     def lip(self) -> Array:
@@ -105,11 +114,38 @@ def standstills_of(
     )
     tool, package = bodies
     return tuple(
-        Standstill(
-            int(package.stamps_ns[span[0]]), _seconds(package.stamps_ns, span),
-            _means(tool, [span]), _means(package, [span]), len(span),
-            _error(tool.select(span), package.select(span), noise), recording.payload)
+        _standstill(tool.select(span), package.select(span), noise, recording.payload)
         for span in found), failed
+
+
+def _standstill(
+    tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise], payload: Package
+) -> Standstill:
+    """
+    Return a standstill of its samples.
+
+    Creep is fitted as c exp(-t / tau_2) beside a rest pose, with the longer time of the model of
+    relaxing rubber. Where it is significant, the rest pose replaces the mean.
+    """
+    every = np.arange(len(package))
+    at_rest, hanging = _means(tool, [every]), _means(package, [every])
+    relative, stamps_ns = relative_coordinates(tool, package), package.stamps_ns
+    found = Standstill(
+        int(stamps_ns[0]), _seconds(stamps_ns, every), at_rest, hanging, len(every),
+        _error(relative, stamps_ns, noise), payload)
+    design = np.stack([np.ones(len(every)), np.exp(-package.seconds / RELAXATION_TIMES[1])], 1)
+    rest, creep = np.linalg.lstsq(design, relative, rcond=None)[0]
+    spread = np.sqrt(len(every) * np.diag(np.linalg.inv(design.T @ design)))  # to that of a mean
+    error = _error(relative - design @ [rest, creep], stamps_ns, noise)
+    std = np.repeat(error, 3)
+    if np.sum((creep / (spread[1] * std)) ** 2) < CREEPS or spread[0] > LARGEST_SPREAD:
+        return found
+    E_o_B, turn = np.split(rest, 2)
+    R = at_rest.rotation[0]
+    return replace(
+        found, package=Trajectory(
+            hanging.stamps_ns, at_rest.position + R @ E_o_B, (R @ exp_so3(turn))[None]),
+        error=Noise(*(spread[0] * np.array(error))), creep=-creep)
 
 
 def _still(
@@ -179,24 +215,23 @@ def _seconds(stamps_ns: Stamps, span: Stamps) -> float:
     return float(stamps_ns[span[-1]] - stamps_ns[span[0]]) / NS_PER_S
 
 
-def _error(tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise]) -> Noise:
+def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> Noise:
     """
-    Return the standard errors of the relative pose's mean.
+    Return the standard errors of the mean of relative poses (N, 6).
 
     Those of noise, or those that the means over short blocks show by their scatter where that is
     more: what is left of the swinging counts, too.
     """
-    relative = relative_coordinates(tool, package)
-    blocks = (package.stamps_ns - package.stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
+    blocks = (stamps_ns - stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
     starts = np.unique(blocks, return_index=True)[1]
-    counts = np.diff([*starts, len(package)])[:, None]
+    counts = np.diff([*starts, len(relative)])[:, None]
     means = np.add.reduceat(relative, starts, axis=0) / counts
     if len(means) > 1:
         variances = np.var(means, axis=0, ddof=1) / len(means)
     else:
         variances = np.zeros(6)
     return Noise(*(
-        float(np.sqrt(max((a**2 + b**2) / len(package), np.mean(variances[part]))))
+        float(np.sqrt(max((a**2 + b**2) / len(relative), np.mean(variances[part]))))
         for a, b, part in zip(*noise, (slice(0, 3), slice(3, 6)), strict=True)
     ))
 

@@ -1,5 +1,7 @@
 """Recordings at rest: standstills, nominal length, the spring alone."""
 
+from dataclasses import replace
+
 from bellows_ros.core.identification.statics.static import check_spring, nominal_length
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.recording.recording import Noise
@@ -9,6 +11,7 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from scipy.spatial.transform import Rotation
 
 from .. import simulated
 
@@ -53,6 +56,35 @@ def test_every_standstill_is_found_without_the_swinging_before_it(tilted):
         _, _, R, _ = motion.state(t)
         assert_allclose(still.tool.rotation, R, atol=2e-4)
         assert_allclose(still.tilt, np.arccos(R[0, 2, 2]), atol=2e-4)
+
+
+def test_rubber_that_creeps_counts_where_it_comes_to_rest():
+    """Find the static equilibrium of a cup that still creeps when its standstill ends."""
+    cup = Cup(simulated.CUP.stiffness, simulated.CUP.damping, simulated.CUP.length, (0.15, 0.2))
+    creeping = simulated.record(simulated.standstills(TILTS, hold=3.5), cup, **NOISE)
+    found, _ = standstills_of(creeping)
+    assert check_spring(cup, found, G).passed
+    for still in found[1:]:
+        shown = still.lip[3:] @ still.creep[3:]
+        assert shown > 0.0 or np.linalg.norm(still.lip[3:]) < 5e-3  # towards the deflection
+    means = [replace(still, package=mean_pose(creeping, still)) for still in found]
+    assert not check_spring(cup, means, G).passed  # what a mean over the creep would say
+
+
+def mean_pose(recording, still):
+    """Return the mean pose of the package over a standstill."""
+    poses = recording.measured_package
+    inside = (poses.stamps_ns >= still.start_ns) & (
+        poses.stamps_ns <= still.start_ns + still.duration * 1e9)
+    return Trajectory(
+        still.package.stamps_ns, poses.position[inside].mean(axis=0)[None],
+        Rotation.from_matrix(poses.rotation[inside]).mean().as_matrix()[None])
+
+
+def test_a_cup_that_does_not_creep_counts_with_its_means(tilted):
+    for still in standstills_of(tilted)[0]:
+        assert not still.creep.any()
+        assert_allclose(still.package.position, mean_pose(tilted, still).position, atol=1e-12)
 
 
 def test_standstills_too_short_for_the_package_are_counted():
