@@ -13,7 +13,6 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import add, apply, rotation_matrix, scale
-from bellows_ros.core.identification.least_squares import with_relaxation
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -229,8 +228,10 @@ def stiffening(strength: Array, times: Array, frequency: float) -> complex:
 def identified(recording: Recording, relaxation: str) -> Fit:
     """Return the fit to a recording with fit.relaxation auto or off."""
     values = resolve({
-        'fit.relaxation': relaxation, 'cup.length': CUP.length, 'package.mass': PLATE.mass})
-    return fit(with_relaxation([recording], values), values).fit
+        'fit.method': 'output_error', 'fit.relaxation': relaxation, 'cup.length': CUP.length,
+        'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
+        'package.inertia': [*np.diag(PLATE.inertia).tolist(), 0.0, 0.0, 0.0]})
+    return fit([recording], values).fit
 
 
 def study(loss_factor: float, seed: int = 1) -> tuple[dict[str, Fit], dict[str, list[float]]]:

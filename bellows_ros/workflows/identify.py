@@ -156,9 +156,6 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
         (not used,
          'No recording is given: the parameter bags is empty. Name at least one rosbag2 '
          'folder, or a .mcap or .db3 file.'),
-        (values['fit.relaxation'] == 'on' and values['fit.method'] == 'output_error',
-         'fit.relaxation: on needs fit.method: prediction_error or least_squares. Set one, or '
-         'fit.relaxation: off.'),
         (values['static.length'] and not values['static.bags'],
          'static.length is set, but static.bags is empty: the length comes from standstills '
          'with two or more masses. Name their recordings in static.bags.'),

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.hypotheses import DISTINCT, Finding, SIGNIFICANT
-from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.search import Found, Search
 from bellows_ros.core.model.structure import Structure
 import numpy as np
@@ -27,8 +26,8 @@ def causes(search: Search, found: Found) -> tuple[Finding, ...]:
     if not scored or scored[0][0] < SIGNIFICANT**2:
         return ()
     fall, name = scored[0]
-    freed = _beside(search, found, (name,))
-    again = freed.found(lambda theta, chi2: None, freed.at(found.theta))
+    freed = search.beside(found, (name,))
+    again = freed.found(lambda cup, chi2: None, freed.at(found.theta))
     if not again.converged:
         return ()
     place = freed.places[name].ravel()
@@ -47,18 +46,10 @@ def causes(search: Search, found: Found) -> tuple[Finding, ...]:
     return (Finding(name, '', theta, std, left, moved, True, certain),)
 
 
-def _beside(search: Search, found: Found, names: tuple[str, ...]) -> Search:
-    """Return a search about a minimum in which more is free."""
-    known = {name: search.units[own] * search.weights[own] ** -0.5
-             for name, own in ((name, rows[0]) for name, rows in search.places.items())}
-    return Search(search.segments, search.structure, search.cup(found.theta), {
-        **known, **{name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}})
-
-
 def _scores(search: Search, found: Found) -> Iterator[tuple[float, str]]:
     """Yield by how much the squares would fall with each quantity free."""
     names = tuple(name for name in CANDIDATES if name not in search.places)
-    wide = _beside(search, found, names)
+    wide = search.beside(found, names)
     _, H, g = wide.system(wide.at(found.theta), 0.0)
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))

@@ -271,6 +271,10 @@ some percent, and where something else is wrong with a recording more than half 
 DEFAULT_RATIO, RATIO_STD = 1.05, 0.4
 """r2 / r1 of rubber with a constant loss factor, and its standard deviation among rubbers."""
 
+R2_ASSUMED = (
+    'The rubber relaxes, but nothing was held for long enough to tell how slowly: r2 follows from '
+    'r1 as in rubber with a constant loss factor. Record a hold of a tilt for 5 to 10 s.')
+
 RELAXATION_STEPS = 20
 """Most steps of the search; a handful suffice."""
 

@@ -7,7 +7,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
-from bellows_ros.core.identification.least_squares import least_squares
+from bellows_ros.core.identification.least_squares import least_squares, R2_ASSUMED
 from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
@@ -28,10 +28,6 @@ TYPICAL_STEPS = 7
 
 LEAST_NOISE = Noise(1e-5, 5e-5)
 """Noise (m, rad) below which its bias is negligible."""
-
-R2_ASSUMED = (
-    'The rubber relaxes, but nothing was held for long enough to tell how slowly: r2 follows from '
-    'r1 as in rubber with a constant loss factor. Record a hold of a tilt for 5 to 10 s.')
 
 LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
@@ -190,7 +186,8 @@ def _by_output_error(
     named |= dict.fromkeys(name for name, wanted in estimated.items() if wanted)
     return output_error(
         measured, structure, start, _told(progress), {**given_std(values), **{
-            name: np.full(KINDS[name].size, KINDS[name].wide) for name in named}}, tuple(named))
+            name: np.full(KINDS[name].size, KINDS[name].wide) for name in named}}, tuple(named),
+        values['fit.relaxation'])
 
 
 def given_std(values: Mapping[str, Any]) -> dict[str, Array]:

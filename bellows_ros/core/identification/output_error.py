@@ -6,6 +6,13 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.causes import causes
 from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.identifiability import DIRECTIONS
+from bellows_ros.core.identification.least_squares import (
+    DEFAULT_RATIO,
+    MOST_LEFT,
+    R2_ASSUMED,
+    RATIO_STD,
+    SIGNIFICANT,
+)
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import (
     condition,
@@ -21,7 +28,15 @@ from bellows_ros.core.identification.result import (
 from bellows_ros.core.identification.search import Found, Measured, Search, Segment, squares
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.errors import UndeterminedError
 import numpy as np
+
+MOST_CHI2 = 1.2
+"""Chi^2 per degree of freedom that is put down to noise."""
+
+NO_RELAXATION = (
+    'fit.relaxation: the recordings show no relaxation that exceeds its standard error. Record a '
+    'hold of a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
 
 NOT_CONVERGED = (
     'The search for K and P did not converge: they must not be used, and there are no standard '
@@ -36,6 +51,7 @@ def output_error(
     progress: Callable[[Iteration], None] | None = None,
     free: Free | None = None,
     named: Sequence[str] = (),
+    relaxation: str = 'off',
 ) -> Fit:
     """
     Fit K and P so that the model, moved as the tool was, meets the package's poses.
@@ -54,18 +70,53 @@ def output_error(
         Standard deviations, SI units, of quantities of `KINDS` that were given.
     named : sequence of str
         Those of them that are results, too.
+    relaxation : str
+        Whether the strengths of relaxation are free: 'off', 'auto' where they are significant,
+        'on' where the recordings are refused else.
+
+    Raises
+    ------
+    UndeterminedError
+        If relaxation is 'on' and none is significant.
 
     """
     search = Search([Segment(own) for own in measured], structure, start, free or {})
     iterations: list[Iteration] = []
 
-    def note(theta: Array, chi2: float) -> None:
-        cup = search.cup(theta)
+    def note(cup: Cup, chi2: float) -> None:
         iterations.append(Iteration(len(iterations), chi2, cup.stiffness, cup.damping))
         if progress is not None:
             progress(iterations[-1])
 
-    return _fit(search, search.found(note), iterations, named)
+    found = search.found(note)
+    if relaxation != 'off' and found.converged:
+        search, found = _with_relaxation(search, found, note)
+        if relaxation == 'on' and 'relaxation' not in search.places:
+            raise UndeterminedError(NO_RELAXATION)
+    return _fit(search, found, iterations, named)
+
+
+def _with_relaxation(
+    search: Search, found: Found, note: Callable[[Cup, float], None]
+) -> tuple[Search, Found]:
+    """Return the search with strengths of relaxation where they are significant, else as it is."""
+    more = search.beside(found, ('relaxation',))
+    (own,), theta = more.places['relaxation'], more.at(found.theta)
+    _, H, g = more.system(theta, 0.0)
+    base = np.arange(own[0])
+    H_own, slope = H[np.ix_(own, base)], g[own]
+    S = H[np.ix_(own, own)] - H_own @ np.linalg.solve(H[np.ix_(base, base)], H_own.T)
+    if slope @ np.linalg.solve(S, slope) > SIGNIFICANT:
+        again = more.found(note, theta)
+        covariance = covariance_of(more, again)[np.ix_(own, own)]
+        r = again.theta[own] * more.units[own]
+        noise = MOST_CHI2 * sum(len(part.innovations) for part in again.parts)
+        left, before = squares(again.parts) - noise, squares(found.parts) - noise
+        if again.converged and left <= max(MOST_LEFT * before, 0.0) and (
+                r @ np.linalg.solve(covariance, r) > SIGNIFICANT):
+            return more, again
+        search.take(found.parts)
+    return search, found
 
 
 def covariance_of(search: Search, found: Found) -> Array:
@@ -90,7 +141,15 @@ def _fit(
     for name in named:
         largest[search.places[name]] = KINDS[name].known
     known = (std <= largest) & found.converged
-    notes = tuple(_unknown(search, std / (largest / LARGEST_ERROR), known[:size]))
+    notes = [*_unknown(search, std / (largest / LARGEST_ERROR), known[:size])]
+    strengths = [(0.0, 0.0), (0.0, 0.0)]
+    if 'relaxation' in search.places:
+        (own,) = search.places['relaxation']
+        r = np.add(search.given.relaxation, x[own])
+        strengths = [(float(pair[0]), float(pair[1])) for pair in (r, std[own])]
+        ratio = np.array([-DEFAULT_RATIO, 1.0])
+        if np.sqrt(ratio @ covariance[np.ix_(own, own)] @ ratio) > 0.7 * RATIO_STD * r[0]:
+            notes.append(R2_ASSUMED)
     std = np.where(known, std, np.inf)
     r = np.concatenate([own.innovations for own in found.parts])
     left = np.concatenate([own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
@@ -108,7 +167,7 @@ def _fit(
         condition_number=condition(found.information[:size, :size]),
         weight=np.diag(search.segments[0].std ** -2),
         residual_rms=np.sqrt(np.mean(left**2, axis=0)),
-        notes=notes if found.converged else (NOT_CONVERGED,),
+        notes=tuple(notes) if found.converged else (NOT_CONVERGED,),
         misfit=misfit(robust_chi2),
         chi2=squares(found.parts) / max(len(r) - len(x), 1),
         robust_chi2=robust_chi2,
@@ -121,6 +180,8 @@ def _fit(
             for name, (own, *_) in search.places.items()
             if name in named and not KINDS[name].each),
         causes=causes(search, found) if found.converged else (),
+        relaxation=strengths[0],
+        relaxation_std=strengths[1],
     )
 
 

@@ -45,7 +45,7 @@ KINDS: Mapping[str, Kind] = {
     'mass': Kind(1e-2, 1, 0.1, False, 0.7),
     'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
     'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
-    'relaxation': Kind(1e-2, 2, 0.1, False, 0.1),
+    'relaxation': Kind(1e-2, 2, 0.1, False, 1.0),
 }
 """
 By their names in fit.free.

@@ -123,7 +123,7 @@ def registered(
     free = {name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}
     measured = measured_of(recording)
     search = Search([Segment(own) for own in measured], structure, start, free)
-    found = search.found(lambda theta, chi2: None)
+    found = search.found(lambda cup, chi2: None)
     if not found.converged:
         raise BellowsError(
             f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, rotation_to_quaternion
+from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
 from bellows_ros.core.identification.quantities import (
     Free,
     KINDS,
@@ -47,6 +48,7 @@ from bellows_ros.core.signals.timing import MAD_TO_STD, subdivided
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
+from numpy.typing import ArrayLike
 
 SMOOTHED_OVER, SMOOTHED_ORDER, FEWEST = 1 / 12, 6, 4
 """Half window (s) and order of the polynomials of the tool's path, and its fewest samples."""
@@ -66,6 +68,9 @@ Standard deviation of the package's first state about its first pose, at rest, a
 strains; SI units.
 """
 
+LEAST_STRENGTH, ORDINARY_STRENGTH = 1e-6, 0.05
+"""Strengths of relaxation are not below the first where they are searched for; of soft rubber."""
+
 LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
 """Longest steps of the linearised model, and of the integrator (s)."""
 
@@ -78,10 +83,15 @@ WIDE = 2.0
 LONGEST_WAY = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
-LONGEST_SHARE = 4.0
-"""Largest part of a step that is taken, while steps go the same way."""
+LEAST_SHARE, LONGEST_SHARE = 0.05, 4.0
+"""Parts of a step that are taken while steps turn back, and while they go the same way."""
 
-MOST_STEPS = 30
+SETTLED = 0.03
+"""Part by which the noise of slow poses may change in the last step."""
+
+MOST_NEAR_STEPS, MOST_STEPS = 10, 30
+"""Of a stage, and of the last one."""
+
 NEAR, ENOUGH = 3.0, 3e-3
 """Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
 
@@ -301,9 +311,11 @@ class Search:
     def __init__(
         self, segments: list[Segment], structure: Structure, start: Cup, free: Free
     ) -> None:
+        if 'relaxation' in free:
+            start = replace(start, relaxation=_not_below(start.relaxation))
         if min(np.linalg.eigvalsh(M)[0] for M in (start.stiffness, start.damping)) <= 0.0:
-            start = Cup(np.diag(np.diag(start.stiffness)), np.diag(np.diag(start.damping)),
-                        start.length)
+            start = replace(start, stiffness=np.diag(np.diag(start.stiffness)),
+                            damping=np.diag(np.diag(start.damping)))
         self.segments, self.structure, self.given = segments, structure, start
         units = structure.sizes(start.stiffness, start.damping)
         recordings = 1 + max(segment.measured.recording for segment in segments)
@@ -322,7 +334,8 @@ class Search:
 
     def cup(self, theta: Array) -> Cup:
         """Return the cup of the unknowns."""
-        return Cup(*self.structure.matrices((self.units * theta)[:self.count]), self.given.length)
+        K, P = self._matrices(theta)
+        return replace(self.given, stiffness=K, damping=P)
 
     def own_places(self, segment: Segment) -> dict[str, Places]:
         """Return where a segment's free quantities are, by name."""
@@ -335,49 +348,60 @@ class Search:
         there[self.count:len(theta)] = theta[self.count:]
         return there
 
-    def found(self, note: Callable[[Array, float], None], near: Array | None = None) -> Found:
+    def beside(self, found: 'Found', names: Sequence[str]) -> 'Search':
+        """Return a search about a minimum in which more is free, whatever it may be."""
+        known = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
+                 for name, rows in self.places.items()}
+        return Search(self.segments, self.structure, self.cup(found.theta), {
+            **known, **{name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}})
+
+    def found(self, note: Callable[[Cup, float], None], near: Array | None = None) -> Found:
         """Go to the root, from unknowns that are near to it where they are given."""
         theta = self.start if near is None else near
         for forgets in STAGES if near is None else STAGES[-1:]:
             parts, H, g = self.system(theta, forgets)
-            damping, share = 1e-2 if forgets else 0.0, 1.0
+            damping, share, settled = 1e-2 if forgets else 0.0, 1.0, True
             last: Array = np.zeros(len(theta))
             end = NEAR if forgets else ENOUGH
-            for _ in range(MOST_STEPS):
+            for _ in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
                 step = np.asarray(
                     np.linalg.solve(H + damping * np.diag(np.diag(H)), g), dtype=np.float64)
                 size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
                 along = float(step @ H @ last) / max(size, 1e-99)
                 if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
-                    share = max(0.5 * share, 0.25)
+                    share = max(0.5 * share, LEAST_SHARE)
                 elif along > 0.5 or share < 1.0:
                     share = min(1.5 * share, LONGEST_SHARE)
-                there, way = self.moved(theta, share * step), float(g @ step)
+                there, way = self.moved(theta, step, share), float(g @ step)
                 new = self.system(there, forgets)
-                if not squares(new[0]) < RISES * squares(parts):  # also where it is no number
+                expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
+                if not squares(new[0]) < RISES * max(squares(parts), expected):  # or nan
                     damping = max(10.0 * damping, 1e-2)
                     continue
                 theta, (parts, H, g), last = there, new, step
                 self.take(parts)
-                if not forgets:
-                    self.take_noise(parts)
+                settled = forgets > 0.0 or self.take_noise(parts)
                 damping = 0.1 * damping if damping > 1e-5 else 0.0
-                note(theta, squares(parts) / sum(len(own.innovations) for own in parts))
-                if way < end:
+                note(self.cup(theta), squares(parts) / expected)
+                if way < end and settled:
                     break
             self.take_noise(parts)
-        return Found(theta, parts, H, way < end)
+        return Found(theta, parts, H, way < end and settled)
 
-    def moved(self, theta: Array, step: Array) -> Array:
-        """Return unknowns after a step, K and P along a geodesic."""
-        there, size = theta + step, self.count // 2
+    def moved(self, theta: Array, step: Array, share: float) -> Array:
+        """Return unknowns after a share of a step, K and P along a geodesic."""
+        there, size = theta + share * step, self.count // 2
         moved = []
         for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
             root, inverse = _roots(M)
             values, vectors = np.linalg.eigh(inverse @ change @ inverse)
-            half = root @ vectors * np.exp(0.5 * np.clip(values, -LONGEST_WAY, LONGEST_WAY))
+            way = share * np.clip(values, -LONGEST_WAY, LONGEST_WAY)
+            half = root @ vectors * np.exp(0.5 * way)
             moved.append(half @ half.T)
         there[:2 * size] = self.structure.parameters(*moved) / self.units[:2 * size]
+        if 'relaxation' in self.places:
+            (own,) = self.places['relaxation']
+            there[own] = np.maximum(there[own], -np.array(self.given.relaxation) / self.units[own])
         return there
 
     def _matrices(self, theta: Array) -> tuple[Array, Array]:
@@ -398,6 +422,13 @@ class Search:
             back = (vectors * np.log(values)) @ vectors.T
             H[index, index] += np.einsum('aij,bji->ab', turned, turned) / WIDE**2
             g[index] = np.einsum('aij,ji->a', turned, back) / WIDE**2
+        if 'relaxation' in self.places:  # rubbers differ in the ratio of r2 to r1
+            (own,) = self.places['relaxation']
+            r = np.array(self.given.relaxation) + (self.units * theta)[own]
+            std = RATIO_STD * max(r[0], ORDINARY_STRENGTH)
+            by = np.array([-DEFAULT_RATIO, 1.0]) * self.units[own] / std
+            H[np.ix_(own, own)] += np.outer(by, by)
+            g[own] -= by * (r[1] - DEFAULT_RATIO * r[0]) / std
         return H, g
 
     def system(self, theta: Array, forgets: float) -> tuple[list[Part], Array, Array]:
@@ -415,16 +446,18 @@ class Search:
             segment.first = own.first
             segment.go(own.change)
 
-    def take_noise(self, parts: list[Part]) -> None:
-        """Take the noise of poses that come slowly."""
+    def take_noise(self, parts: list[Part]) -> bool:
+        """Take the noise of poses that come slowly; return whether it is as it was."""
+        settled = True
         for segment, own in zip(self.segments, parts, strict=True):
             if segment.period * SLOW_HZ > 1.0:
                 differences = own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
-                for axes in (slice(0, 3), slice(3, 6)):
-                    seen = (MAD_TO_STD * np.median(np.abs(differences[:, axes]))) ** 2
-                    known = np.median((own.spread - own.own)[:, axes])
-                    segment.std = segment.std.copy()
-                    segment.std[axes] = np.sqrt(max(seen - known, 0.1 * seen))
+                seen = (MAD_TO_STD * np.median(np.abs(differences), axis=0)) ** 2
+                known = np.median(own.spread - own.own, axis=0)
+                before = segment.std
+                segment.std = np.sqrt(np.maximum(seen - known, 0.1 * seen))
+                settled &= bool(np.all(np.abs(segment.std - before) < SETTLED * before))
+        return settled
 
     def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
         """Return the model of a segment, and what is free in it, SI units."""
@@ -433,6 +466,8 @@ class Search:
         cup, measured = self.cup(theta), segment.measured
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
+        if 'relaxation' in free:
+            cup = replace(cup, relaxation=_not_below(np.add(cup.relaxation, free['relaxation'])))
         return model_tuple(cup, payload_of(measured.payload, free), measured.gravity), free
 
     def part(self, theta: Array, segment: Segment, forgets: float) -> Part:
@@ -497,6 +532,12 @@ class Search:
                 moves[:, :, own] = -change
         delay = int(places['time_offset'][0]) if 'time_offset' in places else -1
         return np.pad(numbers * self.units, ((0, 0), (0, 1))), moves * self.units, delay
+
+
+def _not_below(strengths: ArrayLike) -> tuple[float, float]:
+    """Return strengths of relaxation with which internal strains are followed."""
+    r = np.maximum(strengths, LEAST_STRENGTH)
+    return float(r[0]), float(r[1])
 
 
 def squares(parts: Sequence[Part]) -> float:

@@ -11,6 +11,7 @@ from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.errors import UndeterminedError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -25,11 +26,11 @@ NUMBERS = AXISYMMETRIC.parameters(TRUTH.stiffness, TRUTH.damping)
 
 def measured(
     seed, tool_noise=ROBOT, package_noise=CAMERA, tool_hz=250.0, package_hz=30.0, duration=12.0,
-    late_ns=0, silent=False,
+    late_ns=0, silent=False, cup=TRUTH,
 ):
     """Return a simulated recording, its package's stamps between those of the tool."""
     truth = Shake(seed).trajectory(duration + 0.1, 500.0)
-    body, rng = simulate(TRUTH, PLATE, truth, gravity=GRAVITY), np.random.default_rng(100 + seed)
+    body, rng = simulate(cup, PLATE, truth, gravity=GRAVITY), np.random.default_rng(100 + seed)
 
     def at(poses, rate, offset_ns, noise):
         stamps = offset_ns + np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64)
@@ -68,11 +69,13 @@ def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, pac
         assert np.all(np.abs(np.mean(white[lag:] * white[:-lag], axis=0)) < within)
 
 
-def test_every_derivative_is_that_of_the_differences():
-    own = measured(4, package_noise=(1e-4, 5e-4), duration=4.0, silent=True)
-    search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {
+@pytest.mark.parametrize('relaxation', [(0.0, 0.0), (0.2, 0.15)])
+def test_every_derivative_is_that_of_the_differences(relaxation):
+    cup = replace(TRUTH, relaxation=relaxation)
+    own = measured(4, package_noise=(1e-4, 5e-4), duration=4.0, silent=True, cup=cup)
+    search = Search([Segment(own)], AXISYMMETRIC, cup, {
         name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()
-        if name != 'relaxation'})  # which this method leaves out
+        if name != 'relaxation' or any(relaxation)})
     for _ in range(3):  # the first state
         parts, _, _ = search.system(search.start, 0.0)
         search.take(parts)
@@ -175,3 +178,26 @@ def test_a_wrong_number_is_named_with_its_size_and_a_sound_recording_is_not_accu
     assert cause.name in ('com', 'package_marker')
     moved = {'com': -1.0, 'package_marker': 1.0}[cause.name] * cause.theta[0]
     assert_allclose(moved, 0.003, atol=1e-3)
+
+
+@pytest.mark.parametrize('package_noise', [(1e-4, 5e-4), CAMERA])
+def test_rubber_that_relaxes_is_found_with_its_static_stiffness(package_noise):
+    rubber = replace(TRUTH, relaxation=(0.15, 0.16))
+    fit = output_error(
+        [measured(12, package_noise=package_noise, cup=rubber)], AXISYMMETRIC, scaled(1.5),
+        relaxation='auto')
+    off = np.abs(np.subtract(fit.relaxation, rubber.relaxation))
+    assert np.all(off < 4.0 * np.array(fit.relaxation_std))
+    assert max(fit.relaxation_std) < 0.1
+    assert np.all(np.abs(z_of(fit)) < 4.0)
+
+
+def test_a_kelvin_voigt_cup_shows_no_relaxation():
+    for seed in (13, 14, 15):  # benchmarks.rubber has 40
+        own = measured(seed, package_noise=(1e-4, 5e-4))
+        auto, off = (output_error([own], AXISYMMETRIC, scaled(1.5), relaxation=wanted)
+                     for wanted in ('auto', 'off'))
+        assert auto.relaxation == (0.0, 0.0)
+        assert_allclose(auto.covariance, off.covariance, rtol=1e-6)
+    with pytest.raises(UndeterminedError, match='fit.relaxation'):
+        output_error([own], AXISYMMETRIC, TRUTH, relaxation='on')
