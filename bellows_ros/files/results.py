@@ -40,6 +40,9 @@ KEYS = (
 )
 _MATRICES = ('stiffness', 'damping', 'stiffness_std', 'damping_std')
 
+POSE_COVARIANCE = ('m^2', 'm rad', 'rad^2')
+"""Units of a covariance of positions and rotations."""
+
 UNIT_OF: Mapping[str, Any] = {
     **{
         name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)]
@@ -56,11 +59,26 @@ UNIT_OF: Mapping[str, Any] = {
         'effective_samples', 'probability', 'probability_stiffness', 'probability_damping',
         'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',
         'portmanteau', 'largest_autocorrelation', 'real_time_factor',
+        'smallest_safety_factor', 'least_safety_factor', 'fastest_scale', 'time_scale',
+        'landing_rotation',
     ), '1'),
-    **dict.fromkeys(('cup_length', 'length', 'lengths'), 'm'),
-    **dict.fromkeys(('time_offsets', 'duration', 'late', 'took'), 's'),
-    **dict.fromkeys(('load', 'loads', 'linear_load'), 'N'),
-    'impulse': 'N s', 'speed': 'm/s', 'tilt': 'rad',
+    **dict.fromkeys((
+        'cup_length', 'length', 'lengths', 'peak_deflection', 'path_error', 'landing_position',
+    ), 'm'),
+    **dict.fromkeys((
+        'time_offsets', 'duration', 'late', 'took', 'smallest_safety_time', 'settled_after',
+        'added_time', 'smoothed', 'valve_time', 'release_time', 'landing_time',
+    ), 's'),
+    **dict.fromkeys(('load', 'loads', 'linear_load', 'peak_force'), 'N'),
+    **dict.fromkeys(('peak_moment', 'rigid_peak_moment'), 'N m'),
+    **dict.fromkeys((
+        'tilt', 'peak_bending', 'swing_left', 'largest_tilt', 'expected_swing'), 'rad'),
+    **dict.fromkeys(('release_twist', 'landing_twist'), [*3 * ['m/s'], *3 * ['rad/s']]),
+    'impulse': 'N s', 'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
+    'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3',
+    'tumbling': 'rad/s', 'release_pose': [*3 * ['m'], *4 * ['1']],
+    'landing_covariance': [
+        [POSE_COVARIANCE[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)],
 }
 """Units of numbers by their keys, and of their standard errors."""
 

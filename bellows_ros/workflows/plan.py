@@ -53,6 +53,7 @@ from bellows_ros.files.plans import (
     plans_in,
     read_yaml,
 )
+from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.files.transforms import read_transforms, rotations_in_root
 from bellows_ros.workflows.recordings import inside
@@ -262,7 +263,7 @@ class PlanReport(Result):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
         found, fastest = self.prediction, self.fastest
-        return {
+        return with_units({
             'duration': self.source.duration, **found.figures(),
             'smallest_safety_mode': found.smallest_safety[1] if found.grip_known else None,
             'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
@@ -272,7 +273,7 @@ class PlanReport(Result):
             'plan': self.source.path, 'frame_id': self.source.frame_id,
             'points': len(self.source.tool), 'least_safety_factor': self.least,
             'warnings': self.warnings,
-        }
+        })
 
 
 def plan(

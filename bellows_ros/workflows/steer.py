@@ -19,6 +19,7 @@ from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_abo
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
+from bellows_ros.files.results import with_units
 from bellows_ros.workflows.plan import Motion, NO_GRIP, plan_with_cup, Source, standing
 from bellows_ros.workflows.result import Result
 import numpy as np
@@ -139,17 +140,19 @@ class SteerReport(Result):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
-        return {
+        return with_units({
             'method': self.method, **self.motions[self.method].figures(),
             'beside': {name: motion.figures() for name, motion in self.motions.items()
                        if name != self.method},
             'time_scale': self.time_scale, 'limit': self.limit,
             'smoothed': self.steered.smoothed,
             'modes': [{'frequency': mode.frequency, 'damping_ratio': mode.damping,
-                       'swing': mode.tilt} for mode in self.steered.modes],
+                       'swing': mode.tilt,
+                       'units': {'frequency': 'Hz', 'damping_ratio': '1', 'swing': 'rad'}}
+                      for mode in self.steered.modes],
             'advice': self.advice, 'notes': self.notes,
             'plan': self.source.path, 'frame_id': self.source.frame_id,
-        }
+        })
 
 
 def steer_plan(

@@ -25,6 +25,7 @@ from bellows_ros.core.toss.landing import (
 )
 from bellows_ros.core.toss.release import Held, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.results import with_units
 from bellows_ros.workflows.plan import Motion, plan_with_cup, Source, write_prediction
 from bellows_ros.workflows.result import Result
 import numpy as np
@@ -123,13 +124,15 @@ class TossResult(Result):
             content['target'] = {
                 'position': list(self.target), 'valve_time': self.aim.switched,
                 'distance': self.aim.distance, 'angle': self.aim.angle,
-                'distance_as_asked': self.distance_as_asked}
+                'distance_as_asked': self.distance_as_asked,
+                'units': {'position': 'm', 'valve_time': 's', 'distance': 'm', 'angle': 'rad',
+                          'distance_as_asked': 'm'}}
         if self.drawn is not None:
             content['monte_carlo'] = {
                 'count': len(self.drawn.figures), 'failed': self.drawn.failed,
                 'covariance': self.drawn.covariance.tolist(),
                 'part_in_ellipse': part_inside(self.covariance, self.drawn.figures)}
-        return content
+        return with_units(content)
 
     @property
     def distance_as_asked(self) -> float | None:

@@ -8,14 +8,21 @@ their parsers, so that no page can say something else than the program does.
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 import importlib
+import json
 from pathlib import Path
 import re
+import subprocess
+import sys
+import tempfile
+from typing import Any
 
 from bellows_ros.cli.app import command_parser, COMMANDS
 from bellows_ros.cli.console import EXIT_CODES
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
+from bellows_ros.files.results import WITHOUT
 from bellows_ros.nodes.predictor import INTERFACE
+import numpy as np
 
 FOLDER = Path(__file__).resolve().parents[1] / 'reference'
 GENERATED = '<!-- Made by docs/tools/reference.py; change the declarations and run it again. -->'
@@ -155,10 +162,77 @@ def _exit_codes() -> Iterator[str]:
     yield '| 141 | whoever read the output has closed it |'
 
 
+RESULTS = (
+    'identify bags/identification --params bags/package.yaml --set fit.method=least_squares',
+    'replay bags/validation --params bags/cup.yaml',
+    'structures bags/identification --params bags/package.yaml',
+    'static bags/static --params bags/cup.yaml',
+    'plan bags/transport.yaml --params bags/tossing.yaml --fastest',
+    'steer bags/transport.yaml --method inverse --params bags/tossing.yaml',
+    'toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
+    'info bags/validation',
+)
+"""Commands that write every kind of result."""
+
+
+def results() -> Iterator[str]:
+    """Yield the lines of the page of results."""
+    yield from (
+        '# Results', '', GENERATED, '',
+        'The keys of what `--json` writes, with units and shapes. SI units; positions, rotations '
+        'and twists are linear first, quaternions x y z w. `K` and `P` are in axes of the lip S; '
+        'coordinates of six axes (`rms`, `motion`) are those of the package relative to the tool, '
+        'in tool axes; releases and landings are in the world, of the centre of mass B. `null` is '
+        'a number that is not known, `X_std` the standard error of `X`. In a file every mapping '
+        'has the units of its numbers beside them, in `units` or `unit`; stamps (`_ns`), rates '
+        '(`_hz`) and counts say so in their names. `settings` are [parameters](parameters.md); '
+        '`provenance` has files, digests and versions.', '',
+    )
+    for command in RESULTS:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / 'result.json'
+            subprocess.run(
+                [sys.executable, '-m', 'bellows_ros.cli', *command.split(), '--json', str(file)],
+                cwd=FOLDER.parents[1], check=True, capture_output=True)
+            content = json.loads(file.read_text())
+        yield f'## {command.partition(" ")[0]}'
+        yield from ('', f'Of `bellows {command}`:', '', '| key | unit | shape |', '|---|---|---|')
+        yield from dict.fromkeys(_result_rows(content, ''))
+        yield ''
+
+
+def _result_rows(content: Mapping[str, Any], inside: str) -> Iterator[str]:
+    """Yield a row for each number or text in a result, mappings in lists once."""
+    units = {**content.get('units', {}), 'value': content.get('unit', '')}
+    for key, value in content.items():
+        if key in WITHOUT or key == 'unit':
+            continue
+        if isinstance(value, dict):
+            yield from _result_rows(value, f'{inside}{key}.')
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for item in value:
+                yield from _result_rows(item, f'{inside}{key}[].')
+        else:
+            unit = units.get(key, units.get(key.removesuffix('_std'), ''))
+            listed = unit if isinstance(unit, str) else ', '.join(
+                dict.fromkeys(np.ravel(np.array(unit, dtype=object)).tolist()))
+            yield f'| `{inside}{key}` | {listed} | {_shape(value)} |'
+
+
+def _shape(value: Any) -> str:
+    """Return the shape of a list of numbers in words."""
+    if not isinstance(value, list):
+        return {bool: 'true or false', str: 'text'}.get(type(value), '')
+    inner = _shape(value[0]) if value else ''
+    many = len(value) if value and len(value) in (2, 3, 4, 6, 7) else 'N'
+    return f'{many} x {inner}' if inner.replace(' x ', '').isalnum() else str(many)
+
+
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
     'parameters.md': parameters,
     'topics.md': topics,
     'commands.md': commands,
+    'results.md': results,
 }
 
 

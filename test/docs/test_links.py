@@ -6,6 +6,9 @@ import subprocess
 import sys
 from types import ModuleType
 
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import plain
+from bellows_ros.workflows.plan import plan
 import pytest
 
 from .conftest import load
@@ -52,6 +55,21 @@ def test_reference_is_current(name: str, root: Path) -> None:
     reference: ModuleType = load('tools', 'reference')
     page = root / 'docs' / 'reference' / name
     assert page.read_text() == reference.text_of(name), 'run: make reference'
+
+
+def test_results_are_documented_with_their_units(root: Path) -> None:
+    """Describe every key of a plan's JSON, and units wherever there are numbers."""
+    reference: ModuleType = load('tools', 'reference')
+    page = (root / 'docs' / 'reference' / 'results.md').read_text()
+    for command in reference.RESULTS:
+        assert f'Of `bellows {command}`:' in page, 'run: make reference'
+    settings = read_parameters(root / 'bags' / 'tossing.yaml')
+    found = plain(plan(root / 'bags' / 'transport.yaml', settings, seek_fastest=True))
+    rows = set(reference._result_rows(found, ''))
+    section = page.partition('## plan')[2].partition('\n## ')[0]
+    assert rows <= set(section.splitlines()), 'run: make reference'
+    numbers = {key for key, value in found.items() if isinstance(value, float)}
+    assert numbers <= set(found['units'])
 
 
 def test_figures_are_drawn_by_their_scripts(root: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import regressor
 from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
-from bellows_ros.core.signals.recursion import first_order
+from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 

@@ -17,8 +17,7 @@ from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
-from bellows_ros.core.signals.recursion import first_order
-from bellows_ros.core.signals.savgol import weights
+from bellows_ros.core.signals.savgol import first_order, weights
 from bellows_ros.core.signals.timing import MAD_TO_STD, Timing
 from bellows_ros.core.signals.trajectory import (
     any_within,

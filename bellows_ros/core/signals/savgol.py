@@ -320,3 +320,24 @@ def bridged(poses: Trajectory, longest: float | None = None) -> Trajectory:
     position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
     position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
     return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+
+
+def first_order(inputs: Array, kept: float) -> Array:
+    """
+    Return y (N, C) with y_k = kept y_{k-1} + inputs_k, and y_0 = inputs_0.
+
+    `scipy.signal.lfilter` does the same, but takes 0.4 s and 50 MB to load.
+
+    Parameters
+    ----------
+    inputs : ndarray (N, C)
+        In any unit.
+    kept : float
+        Of the value before, below 1.
+
+    """
+    from scipy.linalg import solve_banded  # late: the predictor does without
+
+    diagonals = np.ones((2, len(inputs)))
+    diagonals[1] = -kept
+    return np.asarray(solve_banded((1, 0), diagonals, inputs, check_finite=False))

@@ -1,6 +1,6 @@
 """Filters of first order, against SciPy's."""
 
-from bellows_ros.core.signals.recursion import first_order
+from bellows_ros.core.signals.savgol import first_order
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
