@@ -18,6 +18,7 @@ from ..core.planning.arm import Arm, read_arm
 from ..core.planning.joint_path import joint_excess, JointPath, Joints
 from ..core.planning.limits import NO_LIMITS, stretched
 from ..core.planning.points import plan_of_joints, timed
+from ..core.signals.tip import tip_of
 from ..core.signals.trajectory import NS_PER_S, Trajectory
 from ..errors import BellowsError
 from ..files.joint_plans import joint_plan, JointPlan
@@ -68,7 +69,8 @@ class JointPlanning:
             raise BellowsError(
                 f'It is one of joints, but {what}; expected both. Publish the URDF of the arm, '
                 'and set tool_link to the link at the tool tip.')
-        arm: Arm = read_arm(self._urdf, self._values['tool_link'])
+        arm: Arm = read_arm(self._urdf, self._values['tool_link']).with_tip(
+            tip_of(self._values))
         self._planning.require_frame(arm.root)
         plan = joint_plan(message)
         columns = arm.columns(plan.names, 'The plan')

@@ -28,11 +28,12 @@ from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.model.grip import grip_of, safety_sentence
-from ..core.model.simulation import Rows
+from ..core.model.simulation import Rows, tool_rows
 from ..core.model.validity_range import known_envelope
 from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation, predict
 from ..core.planning.points import rows_of
 from ..core.planning.steering import steer
+from ..core.signals.tip import at_tip, from_tip, tip_of
 from ..core.signals.trajectory import NS_PER_S, Trajectory
 from ..errors import BellowsError
 from ..files.plan_messages import (
@@ -189,9 +190,13 @@ class Planning:
         """Return a plan as received, and checked."""
         message = decode_multi_dof(data)
         self.require_frame(message.frame_id)
-        return message, rows_of(
+        plan, tip = rows_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
-            self._values['tool_twist.frame'])
+            self._values['tool_twist.frame']), tip_of(self._values)
+        if tip is None or message.names[:1] == (self._values['frames.package'],):
+            return message, plan
+        tool = at_tip(plan.trajectory(), tip)
+        return message, Rows(tool.stamps_ns, tool_rows(tool))
 
     def require_frame(self, frame_id: str) -> None:
         """Refuse a plan in another frame than that of the tool's poses."""
@@ -362,7 +367,7 @@ class Planning:
             self.refuse('motion to be steered', error)
             return
         self._steered.publish(encode_multi_dof(plan_message(
-            tool, message.stamp_ns, message.frame_id, 'tool',
+            from_tip(tool, tip_of(self._values)), message.stamp_ns, message.frame_id, 'tool',
             self._values['tool_twist.frame'])))
 
 

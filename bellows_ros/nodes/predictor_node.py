@@ -33,6 +33,7 @@ from ..core.live.uncertainty import warm_up_uncertainty
 from ..core.model.cup_package import cup_of, package_of
 from ..core.model.grip import grip_of
 from ..core.parameters.table import short
+from ..core.signals.tip import tip_of
 from ..errors import BellowsError
 
 TICK = 0.02
@@ -122,6 +123,7 @@ class PredictorNode(ManagedNode):
         model = cup, package, gravity, values['tool_twist.frame']
         warm_up(*model)
         live = LivePredictor(*model)
+        live.set_tip(tip_of(values))
         self._outputs = Outputs(self, values)
         if values['tool_pose.type'] == 'tf':
             self._pose_in: SensorInput = TransformInput(self, values, self._take_pose)

@@ -28,6 +28,7 @@ from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.signals.resampling import on_grid
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.timing import timing
+from bellows_ros.core.signals.tip import at_tip, from_tip, tip_of
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
@@ -434,7 +435,8 @@ def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> 
         return _checked(plan_in_yaml(content, os.fspath(file)), values, urdf, '')
     if file.suffix.lower() in TEXT:
         stamps, poses = read_trajectory(file)
-        return Source(plan_of(stamps, poses[:, :3], poses[:, 3:], name=f"'{file}'"), '')
+        return Source(at_tip(plan_of(
+            stamps, poses[:, :3], poses[:, 3:], name=f"'{file}'"), tip_of(values)), '')
     plans = plans_in(file, topic)
     if plans:
         notes = ([f"'{file}' has {len(plans)} plans; using the first, on {plans[0][0]}."]
@@ -466,7 +468,7 @@ def _checked(
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
     if isinstance(read, JointPlan):
-        arm = arm_of(urdf, values['tool_link'], recording)
+        arm = arm_of(urdf, values['tool_link'], recording).with_tip(tip_of(values))
         columns = arm.columns(read.names, 'The plan')
         parts = [None if part is None else part[:, columns]
                  for part in (read.position, read.velocity, read.acceleration)]
@@ -475,7 +477,10 @@ def _checked(
     tool = plan_of(
         stamps, read.poses[:, :3], read.poses[:, 3:], read.twists, read.accelerations,
         values['tool_twist.frame'])
-    return Source(tool, read.frame_id, moves=(*read.names, '')[0])
+    moves = (*read.names, '')[0]
+    if moves != values['frames.package']:
+        tool = at_tip(tool, tip_of(values))
+    return Source(tool, read.frame_id, moves=moves)
 
 
 def _motion(content: Mapping[str, Any], values: Mapping[str, Any]) -> Source:
@@ -517,7 +522,8 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
     tool = plan_of(
         motion.stamps_ns, motion.position, rotation_to_quaternion(motion.rotation), rates,
         twist_frame=axes, name=name)
-    return Source(tool, poses.frame_id, contents.notes, recorded_ns=poses.stamps_ns)
+    return Source(at_tip(tool, tip_of(values)), poses.frame_id, contents.notes,
+                  recorded_ns=poses.stamps_ns)
 
 
 def _measured(
@@ -572,7 +578,7 @@ def write_prediction(
     """
     frame, axes = source.frame_id or 'world', source.values['tool_twist.frame']
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
-    plan = plan_message(tool, 0, frame, 'tool', axes)
+    plan = plan_message(from_tip(tool, tip_of(source.values)), 0, frame, 'tool', axes)
     package = plan_message(Rows(stamps, states).trajectory(), start, frame,
                            source.values['frames.package'], axes)
     joints = []

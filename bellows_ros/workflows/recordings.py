@@ -23,6 +23,7 @@ from bellows_ros.core.recording.recording import (
     require_one_frame,
     TimeOffset,
 )
+from bellows_ros.core.signals.tip import streams_at_tip, tip_of
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_folder import digests, recording_digest
@@ -103,8 +104,10 @@ def load(
     if empty:
         raise BellowsError(
             f"Topic '{empty[0]}' has no messages from recording.start to recording.end.")
-    recording = _prepared(
-        streams['tool_pose'], streams['package_pose'], streams.get('tool_twist'), settings, values)
+    tool, twist = streams_at_tip(
+        streams['tool_pose'], streams.get('tool_twist'), tip_of(values),
+        values['tool_twist.frame'] == 'world')
+    recording = _prepared(tool, streams['package_pose'], twist, settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(digests(path)) if with_digest else ()
     return replace(

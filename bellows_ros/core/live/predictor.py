@@ -11,7 +11,19 @@ import math
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import uncollected
-from bellows_ros.core.geometry.tuples import normalised, norms, Quaternion, Vector
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.geometry.tuples import (
+    add,
+    apply,
+    apply_transposed,
+    cross,
+    normalised,
+    norms,
+    Quaternion,
+    quaternion_product,
+    rotation_matrix,
+    Vector,
+)
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
@@ -108,6 +120,7 @@ class LivePredictor:
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
         self._twist_in_world = twist_frame == 'world'
+        self._tip: tuple[Vector, Quaternion] | None = None
         self._history = PoseHistory(history)
         self._package = LivePayload(cup, package, gravity)
         self._screen = Screen()
@@ -208,6 +221,14 @@ class LivePredictor:
 
     # ---------------------------------------------------------------- control
 
+    def set_tip(self, tip: Array | None) -> None:
+        """Take poses and twists for those of a frame in which E has a pose (4, 4)."""
+        self._tip = None
+        if tip is not None:
+            x, y, z, w = rotation_to_quaternion(tip[:3, :3]).tolist()
+            a, b, c = tip[:3, 3].tolist()
+            self._tip = (a, b, c), (x, y, z, w)
+
     def set_model(self, cup: Cup, package: Package) -> None:
         """Go on with another cup or package; pose and motion stay as they are."""
         self._package.set_model(cup, package)
@@ -301,7 +322,11 @@ class LivePredictor:
                 longer_ns = pause_ns - self._pause_ns
                 self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
         self.arrival_ns = arrival_ns
-        self._pairing.add_pose(PoseSample(stamp_ns, position, normalised(quaternion_xyzw)))
+        q = normalised(quaternion_xyzw)
+        if self._tip is not None:
+            position = add(position, apply(rotation_matrix(q), self._tip[0]))
+            q = quaternion_product(q, self._tip[1])
+        self._pairing.add_pose(PoseSample(stamp_ns, position, q))
         return self._release(predictions)
 
     def on_twist(
@@ -419,6 +444,8 @@ class LivePredictor:
     def _measured(self, pose: PoseSample, twist: TwistSample) -> State | None:
         """Return the tool's state with the twist in tool axes, or None if the twist is wrong."""
         q = pose.quaternion_xyzw
+        if self._tip is not None:
+            twist = _at_tip(twist, *self._tip, q, self._twist_in_world)
         if self.twist_check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
             self.twist_check.compare(self._history.state(BACK))
         last = self._package.sample
@@ -437,6 +464,18 @@ class LivePredictor:
 
 
 @uncollected()
+def _at_tip(
+    twist: TwistSample, lever: Vector, turn: Quaternion, q: Quaternion, in_world: bool
+) -> TwistSample:
+    """Return the twist of E, in axes as before, from that of a frame with E at lever and turn."""
+    R_tip, v, w = rotation_matrix(turn), twist.linear, twist.angular
+    if in_world:
+        lever = apply(rotation_matrix(q), apply_transposed(R_tip, lever))
+        return TwistSample(twist.stamp_ns, add(v, cross(w, lever)), w)
+    v = apply_transposed(R_tip, add(v, cross(w, lever)))
+    return TwistSample(twist.stamp_ns, v, apply_transposed(R_tip, w))
+
+
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
     """Compile everything, by predicting made-up data in a temporary predictor."""
     live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)

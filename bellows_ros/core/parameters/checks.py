@@ -41,6 +41,9 @@ ESTIMATE = 'estimate'
 """Value of recording.package_world that asks for its estimation."""
 
 
+POSES = ('recording.package_world', 'tool_pose.offset')
+"""Parameters that are a pose, as a text."""
+
 LEAST_VACUUM = 1000.0
 """Smallest vacuum (Pa below ambient) that is no mistake of unit."""
 
@@ -71,8 +74,8 @@ def validate(name: str, value: object) -> Value:
 
     """
     parameter = lookup(name)
-    if name == 'recording.package_world':
-        value = _world_text(parameter, value)
+    if name in POSES:
+        value = _world_text(parameter, value, name == POSES[0])
     normal = convert(parameter, value)
     check = _PHYSICAL.get(name) or _PHYSICAL.get(NAMED_CUP.sub(r'cup.\2', name))
     if check:
@@ -177,10 +180,10 @@ def _refuse(parameter: Parameter, got: str) -> BellowsError:
         .rstrip())
 
 
-def _world_text(parameter: Parameter, value: object) -> str:
+def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
     """Return seven numbers, given as a list or a text, as a text; other values unchanged."""
     parts = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
-    if parts in ([], [ESTIMATE]):
+    if parts == [] or (estimated and parts == [ESTIMATE]):
         return ''.join(parts)
     try:
         pose = np.array(parts, dtype=np.float64, ndmin=1)
@@ -190,7 +193,8 @@ def _world_text(parameter: Parameter, value: object) -> str:
     if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1.0) > UNIT_WITHIN:
         raise BellowsError(
             f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
-            f"length 1, or {ESTIMATE}, or '', got {short(value)}. {parameter.description}")
+            f"length 1, {f'or {ESTIMATE}, ' if estimated else ''}or '', got {short(value)}. "
+            f'{parameter.description}')
     pose[3:] /= length
     return pose_text(pose)
 

@@ -333,6 +333,10 @@ _TABLE = (
               description='Type of tool_arm/pose: PoseStamped, PoseWithCovarianceStamped, '
               'TransformStamped or Odometry, whose covariance and twist are not read; or tf, for '
               'the pose of frames.tool in frames.world.'),
+    Parameter('tool_pose.offset', '', '', _BOTH, read_only=True,
+              description='Pose of E in the frame of the tool whose poses, twists and plans are '
+              "recorded or received: 'x y z qx qy qz qw' (m); '' if that frame is E. '0 0 0 1 0 0 "
+              "0' for a flange with z out of it, as in ROS-Industrial."),
     Parameter('tool_twist.frame', 'world', '', _BOTH, choices=('world', 'tool'), read_only=True,
               description="Axes of the tool tip's twist, linear and angular: the world's or the "
               "tool's own."),

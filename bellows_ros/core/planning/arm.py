@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 import math
 from typing import NamedTuple
@@ -64,6 +64,12 @@ class Arm:
     root: str
     tool_link: str
     joints: tuple[Joint, ...]
+
+    def with_tip(self, tip: Array | None) -> Arm:
+        """Return the arm with E at a pose (4, 4) in its tool link."""
+        if tip is None:
+            return self
+        return replace(self, joints=(*self.joints, Joint('', 'fixed', tip, np.eye(3)[2])))
 
     @property
     def moving(self) -> tuple[str, ...]:
