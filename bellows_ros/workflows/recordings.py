@@ -23,7 +23,6 @@ from bellows_ros.core.recording.recording import (
     require_one_frame,
     TimeOffset,
 )
-from bellows_ros.core.signals.tip import streams_at_tip, tip_of
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_folder import digests, recording_digest
@@ -104,9 +103,12 @@ def load(
     if empty:
         raise BellowsError(
             f"Topic '{empty[0]}' has no messages from recording.start to recording.end.")
-    tool, twist = streams_at_tip(
-        streams['tool_pose'], streams.get('tool_twist'), tip_of(values),
-        values['tool_twist.frame'] == 'world')
+    tool, twist = streams['tool_pose'], streams.get('tool_twist')
+    if values.get('tool_pose.offset'):
+        from bellows_ros.core.signals import tip  # late: rare
+
+        tool, twist = tip.streams_at_tip(
+            tool, twist, tip.tip_of(values), values['tool_twist.frame'] == 'world')
     recording = _prepared(tool, streams['package_pose'], twist, settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(digests(path)) if with_digest else ()
