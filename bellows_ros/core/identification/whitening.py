@@ -244,8 +244,8 @@ def _enter(factor: float, effect: Any, out: Any) -> None:
     for i in range(effect.shape[0]):
         for j in range(6):
             out[i, j] = factor * effect[i, j]
-    for i in range(effect.shape[0], out.shape[0]):
-        out[i, i - effect.shape[0]] = 1.0
+    for j in range(6):
+        out[effect.shape[0] + j, j] = 1.0
 
 
 @array_kernel

@@ -102,6 +102,27 @@ def test_a_robot_and_a_camera_are_enough_from_any_start(factor):
     assert 0.9 < far.chi2 < 1.1
 
 
+def test_noise_with_memory_is_whitened():
+    own, rng = measured(3, silent=True, package_hz=250.0), np.random.default_rng(3)
+    kept, poses = 0.9, []
+    for body, std in ((own.tool, CAPTURE), (own.package, CAPTURE)):
+        e = rng.standard_normal((len(body), 6))
+        for k in range(1, len(e)):
+            e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
+        e *= np.repeat(std, 3)
+        poses.append(Trajectory(
+            body.stamps_ns, body.position + e[:, :3], body.rotation @ exp_so3(e[:, 3:])))
+    noise = BodyNoise(np.repeat(CAPTURE, 3), kept)
+    own = Measured(*poses, PLATE, GRAVITY, noise, noise)
+    search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
+    parts, _, _ = search.system(search.start, 0.0)
+    white = parts[0].innovations.reshape(-1, 6)[20:]
+    within = 4.5 / np.sqrt(len(white))
+    assert_allclose(np.mean(white**2, axis=0), 1.0, atol=1.5 * within)
+    for lag in (1, 2, 5):
+        assert np.all(np.abs(np.mean(white[lag:] * white[:-lag], axis=0)) < within)
+
+
 def test_noise_of_the_tool_does_not_shake_the_simulated_package():
     # plain output error finds P 12 to 58 % too large here
     z = np.array([z_of(output_error(
