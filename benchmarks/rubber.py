@@ -6,6 +6,7 @@ over three decades, each integrated by itself. `python -m benchmarks.rubber` pri
 docs/validation.md.
 """
 
+import argparse
 from collections.abc import Callable
 from typing import Any
 
@@ -243,8 +244,27 @@ def study(loss_factor: float, seed: int = 1) -> tuple[dict[str, Fit], dict[str, 
                   for name, motion in VALIDATIONS.items()}
 
 
+def kelvin_voigt(runs: int) -> None:
+    """Print in how many recordings of a cup that does not relax the strengths are significant."""
+    found, ratios = 0, []
+    for seed in range(runs):
+        recording = recorded(0.0, seed, multisine(seed, 8.0, 4.0), 14.0)
+        auto, off = (identified(recording, name) for name in ('auto', 'off'))
+        found += any(auto.relaxation)
+        ratios.append(np.nanmax(auto.stiffness_std / np.maximum(off.stiffness_std, 1e-99)))
+        print(f'  {seed + 1} of {runs}: significant in {found}, errors of K at most '
+              f'{max(ratios):.2f} times those without', flush=True)
+
+
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        '--kelvin-voigt', type=int, metavar='N', help='fit so many cups that do not relax instead')
+    runs = parser.parse_args().kelvin_voigt
+    if runs is not None:
+        kelvin_voigt(runs)
+        return
     for loss_factor in (0.05, 0.10):
         fits, errors = study(loss_factor)
         print(f'loss factor {loss_factor:g}')

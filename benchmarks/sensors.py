@@ -13,57 +13,134 @@ are judged.
 
 import argparse
 import time
+from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
+from bellows_ros.core.identification.quantities import KINDS, poses_of
+from bellows_ros.core.identification.search import (
+    BodyNoise,
+    Measured,
+    measured_of,
+    Search,
+    Segment,
+)
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.core.synthetic.motion import motion_from
 from benchmarks.identification import GRAVITY, MOTION, PLATE
 import numpy as np
 
 Pair = tuple[float, float]
+
+
+class Cell(NamedTuple):
+    """
+    Sensors.
+
+    Rate (Hz) and noise (m, rad) of tool and package, memory of the noise (s), its distribution,
+    arrival jitter (s) in bursts, and whether the package has a world, a clock and a marker of its
+    own.
+    """
+
+    tool_hz: float
+    tool: Pair
+    package_hz: float
+    package: Pair
+    memory: float = 0.0
+    heavy_tails: bool = False
+    uneven_axes: bool = False
+    jitter: float = 0.0
+    apart: bool = False
+
+
 ROBOT: Pair = (2e-5, 5e-5)
-CELLS: dict[str, tuple[float, Pair, float, Pair]] = {
-    **{f'robot, {rate} Hz camera, {mm:g} mm': (500.0, ROBOT, rate, (mm * 1e-3, mm * 5e-3))
+CAPTURE: Pair = (3e-4, 1e-3)
+CAMERA = Cell(500.0, ROBOT, 30.0, (1e-3, 5e-3))
+MOCAP = Cell(360.0, CAPTURE, 360.0, CAPTURE)
+CELLS: dict[str, Cell] = {
+    **{f'robot, {rate} Hz camera, {mm:g} mm': CAMERA._replace(
+        package_hz=float(rate), package=(mm * 1e-3, mm * 5e-3))
        for rate, mm in ((30, 0.1), (30, 1.0), (30, 3.0), (10, 1.0), (60, 1.0))},
-    **{f'motion capture, {mm:g} mm': (360.0, (mm * 1e-3, rad), 360.0, (mm * 1e-3, rad))
+    'robot, 30 Hz camera, 1 mm, apart': CAMERA._replace(apart=True),
+    'robot, 30 Hz camera, 1 mm, Student t': CAMERA._replace(heavy_tails=True),
+    'robot, 30 Hz camera, 1 mm, z 3 times': CAMERA._replace(uneven_axes=True),
+    **{f'motion capture, {mm:g} mm': MOCAP._replace(
+        tool=(mm * 1e-3, rad), package=(mm * 1e-3, rad))
        for mm, rad in ((0.1, 5e-4), (0.3, 1e-3), (1.0, 3e-3), (2.0, 5e-3))},
+    'motion capture, 0.3 mm, 33 ms': MOCAP._replace(memory=0.033),
+    'motion capture, 0.3 mm, 100 ms': MOCAP._replace(memory=0.1),
+    'motion capture, 0.3 mm, Student t': MOCAP._replace(heavy_tails=True),
+    'motion capture, 0.3 mm, bursts': MOCAP._replace(
+        tool_hz=120.0, package_hz=120.0, jitter=8e-3),
 }
-"""Rate (Hz) and noise (m, rad) of the tool, then of the package."""
+
+APART = {'time_offset': (8e-3,), 'package_world': (4e-3, -3e-3, 5e-3, 0.01, -0.015, 0.02),
+         'package_marker': (0.004, 0.003, -0.005, 0.02, 0.03, -0.02)}
+"""What first guesses leave: clocks (s), world and marker (m, rad)."""
+
+UNEVEN = np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0])
 
 JUDGED = 0.2
 
 
-def recorded(
-    seed: int, cell: tuple[float, Pair, float, Pair], duration: float, noise: float = 1.0
-) -> Measured:
+def _noise(cell: Cell, count: int, rate: float, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return noise (N, 6) of unit variance, and what is kept of it from pose to pose."""
+    e = (rng.standard_t(4.0, (count, 6)) / np.sqrt(2.0) if cell.heavy_tails
+         else rng.standard_normal((count, 6)))
+    kept = float(np.exp(-1.0 / (rate * cell.memory))) if cell.memory else 0.0
+    for k in range(1, count if kept else 0):
+        e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
+    return e, kept
+
+
+def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[Measured]:
     """Return a simulated recording, the noise of its poses times a factor."""
     rng = np.random.default_rng(seed)
     motion = motion_from(Settings({**MOTION, 'duration': duration + 0.5}), rng)
     tool = motion.at_rate(1000.0, 0)
     body = simulate(Cup.thesis(), PLATE, tool, gravity=GRAVITY)
+    axes = UNEVEN if cell.uneven_axes else np.ones(6)
 
-    def seen(poses: Trajectory, rate: float, size: Pair) -> Trajectory:
+    def seen(poses: Trajectory, rate: float, size: Pair) -> tuple[Trajectory, BodyNoise]:
         stamps = np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64)
-        there, draw = resample(poses, stamps), noise * rng.standard_normal((len(stamps), 6))
-        return Trajectory(stamps, there.position + size[0] * draw[:, :3],
-                          there.rotation @ exp_so3(size[1] * draw[:, 3:]))
+        there, (draw, kept) = resample(poses, stamps), _noise(cell, len(stamps), rate, rng)
+        std = np.repeat(size, 3) * axes
+        draw = noise * std * draw
+        return Trajectory(stamps, there.position + draw[:, :3],
+                          there.rotation @ exp_so3(draw[:, 3:])), BodyNoise(std, kept)
 
-    tool_hz, tool_noise, package_hz, package_noise = cell
-    return Measured(
-        seen(tool, tool_hz, tool_noise), seen(body, package_hz, package_noise), PLATE, GRAVITY,
-        BodyNoise(np.repeat(tool_noise, 3)), BodyNoise(np.repeat(package_noise, 3)))
+    (tool, tool_noise), (body, package_noise) = (
+        seen(tool, cell.tool_hz, cell.tool), seen(body, cell.package_hz, cell.package))
+    if cell.jitter and noise:
+        tool_stream, package_stream = (
+            PoseStream(name, 'world', _arrivals(own.stamps_ns, cell.jitter, rng), own.position,
+                       own.rotation) for name, own in (('tool', tool), ('package', body)))
+        return measured_of(prepare(
+            tool_stream, package_stream, PrepareSettings(payload=PLATE, gravity=GRAVITY)))
+    if cell.apart:
+        wrong = {name: np.array(value) for name, value in APART.items()}
+        late = round(float(wrong.pop('time_offset')[0]) * 1e9)
+        body = poses_of(body, wrong, np.zeros(3))
+        body = Trajectory(body.stamps_ns - late, body.position, body.rotation)
+    return [Measured(tool, body, PLATE, GRAVITY, tool_noise, package_noise)]
+
+
+def _arrivals(stamps: Stamps, jitter: float, rng: np.random.Generator) -> Stamps:
+    """Return when poses arrive: late by up to so much (s), never out of order."""
+    late = np.rint(jitter * 1e9 * rng.random(len(stamps))).astype(np.int64)
+    return np.asarray(np.maximum.accumulate(stamps + late) + np.arange(len(stamps)))
 
 
 def line(
-    name: str, cell: tuple[float, Pair, float, Pair], runs: int, duration: float, form: str
+    name: str, cell: Cell, runs: int, duration: float, form: str
 ) -> str:
     """Return the line of a cell."""
     structure, cup = structure_named(form), Cup.thesis()
@@ -71,13 +148,17 @@ def line(
     sizes = structure.sizes(cup.stiffness, cup.damping)
     start = Cup(2.0 * cup.stiffness, 2.0 * cup.damping, cup.length)
     rows: list[tuple[Array, Array, Array, float]] = []
+    free = {name: np.full(KINDS[name].size, KINDS[name].wide)
+            for name in APART} if cell.apart else {}
     converged, began = 0, time.process_time()
     for seed in range(runs):
-        fit = output_error([recorded(seed, cell, duration)], structure, start)
-        search = Search([Segment(recorded(seed, cell, duration, 0.0))], structure, cup, {})
+        fit = output_error(recorded(seed, cell, duration), structure, start, None, free)
+        true = recorded(seed, cell._replace(apart=False), duration, 0.0)
+        search = Search([Segment(own) for own in true], structure, cup, free)
         parts, _, _ = search.system(search.start, 0.0)
-        information = parts[0].jacobian.T @ parts[0].jacobian
-        bound = np.sqrt(np.diag(np.linalg.inv(information))) * search.units / sizes
+        information = parts[0].jacobian.T @ parts[0].jacobian + np.diag(search.weights)
+        bound = np.sqrt(np.diag(np.linalg.inv(information))[:len(sizes)]) * (
+            search.units[:len(sizes)] / sizes)
         error, std = (fit.parameters - truth) / sizes, np.sqrt(np.diag(fit.covariance)) / sizes
         known = np.isfinite(std)
         left = error[known]
