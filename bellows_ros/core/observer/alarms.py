@@ -23,25 +23,24 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer.filter import (
     add_product,
     CAMERA,
-    carry_theta,
     COM,
     Evidence,
-    FALL,
-    FALL_SPEED,
     LENGTHENING,
     MARKER,
     MASS,
+    predicted,
     product,
-    SECONDS,
     SHIFT,
-    STATE,
     STIFFNESS,
+    with_theta,
 )
-from bellows_ros.core.observer.measurement import Innovation
+from bellows_ros.core.observer.measurement import Marker, OUT_OF_REACH, updated, USED
 import numpy as np
 
 GONE, FALLING = -7, 7
@@ -201,48 +200,38 @@ class Alarms:
     of_lip : bool
         Whether the lip is measured: a package that slips moves, a marker on it is no longer there.
 
+    Attributes
+    ----------
+    steps : ndarray (rows + 7, components)
+        The error that each component of a fault makes.
+
     """
 
     def __init__(self, false_per_hour: float, rows: int, of_lip: bool) -> None:
         """Know the signatures at the onset."""
         self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour) - OVERSHOOT
-        self._steps: Array = np.zeros((rows + FALLING, len(STEPS)))
+        self.steps: Array = np.zeros((rows + FALLING, len(STEPS)))
         for component, step in enumerate(STEPS):
             for row in step:
-                self._steps[row, component] = 1.0
+                self.steps[row, component] = 1.0
                 if of_lip and COM <= row < COM + 3:
-                    self._steps[MARKER + row - COM, component] = 1.0
+                    self.steps[MARKER + row - COM, component] = 1.0
 
     def start(self, stamp_ns: int, is_first: bool = True) -> Evidence:
         """Return that there is none; faults from the start begin at a stamp."""
         none = Evidence(
-            np.zeros((len(self._steps), COLUMNS[-1]), np.float32),
+            np.zeros((len(self.steps), COLUMNS[-1]), np.float32),
             np.zeros((len(STEPS), LARGEST, ONSETS)),
             np.zeros((len(STEPS), ONSETS)), np.zeros(1 + ONSETS), np.zeros(1 + ONSETS, np.int64),
             np.full(1 + ONSETS, -1, np.int64), (), is_first)
-        _set_in(*none[:3], none.onsets, self._steps, stamp_ns)
+        _set_in(*none[:3], none.onsets, self.steps, stamp_ns)
         return none
 
     def step(
-        self, known: Evidence, stamp_ns: int, found: Innovation, used: bool
+        self, known: Evidence, stamp_ns: int, outcome: tuple[float, float, tuple[int, ...], int]
     ) -> tuple[Evidence, Found | None]:
-        """
-        Return the evidence after the next innovation, and a fault if one is found.
-
-        Parameters
-        ----------
-        known : Evidence
-            Carried to its stamp, and changed.
-        stamp_ns : int
-            Of the measurement.
-        found : Innovation
-            Of its pose.
-        used : bool
-            Whether the estimate was corrected with it.
-
-        """
-        total, lead, best, second = _step(
-            *known[:6], self._steps, stamp_ns, found, used, known.is_first)
+        """Return the evidence after a measurement, of `processed`, and a fault if one is found."""
+        total, lead, best, second = outcome
         half_way = (*known.half_way, stamp_ns) if total > 0.5 * self._threshold else ()
         known = known._replace(half_way=half_way)
         if total < self._threshold or len(half_way) <= CONFIRMED or (
@@ -252,7 +241,7 @@ class Alarms:
             known, stamp_ns, best, CAUSES[second], lead)
 
     def _found(
-        self, known: Evidence, stamp_ns: int, best: tuple[int, int, int], second: Cause,
+        self, known: Evidence, stamp_ns: int, best: tuple[int, ...], second: Cause,
         lead: float,
     ) -> Found:
         """Return what is known of the likeliest fault."""
@@ -288,33 +277,49 @@ def _length(size: Array, P: Array) -> tuple[float, float]:
     return length, float(np.sqrt(size @ P @ size)) / max(length, 1e-12)
 
 
-def carried(known: Evidence, T: Array, memory: Array) -> Evidence:
-    """Return the evidence after a transition (13, n) of the error, see `propagated`."""
-    return known._replace(
-        signatures=_carried(known.signatures, T, memory), information=known.information.copy(),
-        scores=known.scores.copy(), distances=known.distances.copy(),
-        counts=known.counts.copy(), onsets=known.onsets.copy())
-
-
 @kernel
-def _carried(E: Any, T: Array, memory: Array) -> Any:
-    """Return the signatures after a transition."""
-    n, last, out = T.shape[1], T[STATE], E.copy()
-    product(T[:STATE].astype(np.float32), E[:n], out[:STATE])
-    carry_theta(out[STATE:n], last[SECONDS], memory)
-    for i in range(3):
-        out[n + 4 + i] += last[SECONDS] * E[n + 1 + i] + last[FALL + i] * E[n]
-        out[n + 1 + i] += last[FALL_SPEED + i] * E[n]
-    return out
+def processed(
+    model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
+    stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
+    until_ns: int, longest: float, drive: Array, walk: Array, E: Any, information: Array,
+    scores: Array, distances: Array, counts: Stamps, onsets: Stamps, is_first: bool, steps: Array,
+    is_seen: bool, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
+    reach: float, gate: float,
+) -> Any:
+    """
+    Carry an estimate to a later stamp, correct it with what is seen there, and look for faults.
+
+    Takes what `predicted` and `updated` take, the evidence, and the steps (n + 7, components): the
+    error that each component of a fault makes. All in one, as each call from Python unpacks a
+    whole model. Returns a verdict, tool, body, theta, covariance and memory as `updated`, the
+    evidence, what `_step` returns, and the model as it is estimated.
+    """
+    seconds, verdict, outcome = (until_ns - now_ns) * 1e-9, USED, (-math.inf, 0.0, (0, 0, 0), 0)
+    tool, body, theta, P, E = predicted(
+        model, theta, tool, body, P, memory, stamps, starts, ends, bodies, is_known, k, now_ns,
+        until_ns, longest, drive, walk, E)
+    if is_seen:
+        verdict, found, body, theta, P, memory = updated(
+            model, tool, body, theta, P, memory, seconds, position, quaternion_xyzw, noise, marker,
+            reach, gate)
+        if len(E) > 0 and verdict != OUT_OF_REACH:
+            information, scores, distances = information.copy(), scores.copy(), distances.copy()
+            counts, onsets = counts.copy(), onsets.copy()
+            outcome = _step(E, information, scores, distances, counts, onsets, steps, until_ns,
+                            found, verdict == USED, is_first)
+    return (verdict, tool, body, theta, P, memory,
+            (E, information, scores, distances, counts, onsets), outcome,
+            with_theta(model, theta))
 
 
-@kernel
+@array_kernel
 def _step(
     E: Any, information: Array, scores: Array, distances: Array, counts: Stamps,
-    onsets: Stamps, steps: Array, stamp_ns: int, found: Innovation, used: bool, is_first: bool,
+    onsets: Stamps, steps: Array, stamp_ns: int,
+    found: tuple[Array, Array, Array, float, Array, Array], used: bool, is_first: bool,
 ) -> tuple[float, float, tuple[int, int, int], int]:
     """
-    Take the next innovation.
+    Take the next `Innovation`.
 
     Returns
     -------
@@ -328,7 +333,7 @@ def _step(
         The next, its place in `CAUSES`.
 
     """
-    y, H, root, distance, gain = found
+    y, H, root, distance, gain, _ = found
     n, C = H.shape[1], H.astype(np.float32)
     made = product(C, E[:n], np.empty((6, E.shape[1]), np.float32))
     add_product(C[:3, CAMERA:CAMERA + 3], E[n + 4:], made[:3])  # as a shift in the world
@@ -388,19 +393,22 @@ def _set_in(
 def _compare(seen: Array, z: Array, what: int, J: Array, d: Array) -> None:
     """Add what a measurement says of the sizes of a fault; J below its diagonal."""
     first, m = FIRSTS[what], SLOTS[what]
-    for a in range(FIRSTS[what + 1] - first):
-        column = COLUMNS[first + a]
-        for i in range(6):
-            one = seen[i, column:column + m]
+    for a in range(first, FIRSTS[what + 1]):
+        i = COLUMNS[a]
+        for k in range(m):
+            d[a, k] += (
+                seen[0, i + k] * z[0, 0] + seen[1, i + k] * z[1, 0] + seen[2, i + k] * z[2, 0]
+                + seen[3, i + k] * z[3, 0] + seen[4, i + k] * z[4, 0] + seen[5, i + k] * z[5, 0])
+        for b in range(a + 1 - first):
+            j = COLUMNS[first + b]
             for k in range(m):
-                d[first + a, k] += one[k] * z[i, 0]
-            for b in range(a + 1):
-                other = seen[i, COLUMNS[first + b]:COLUMNS[first + b] + m]
-                for k in range(m):
-                    J[first + a, b, k] += one[k] * other[k]
+                J[a, b, k] += (
+                    seen[0, i + k] * seen[0, j + k] + seen[1, i + k] * seen[1, j + k]
+                    + seen[2, i + k] * seen[2, j + k] + seen[3, i + k] * seen[3, j + k]
+                    + seen[4, i + k] * seen[4, j + k] + seen[5, i + k] * seen[5, j + k])
 
 
-@kernel
+@array_kernel
 def _judged(
     information: Array, scores: Array, distances: Array, counts: Stamps, is_first: bool
 ) -> tuple[float, float, tuple[int, int, int], int]:

@@ -92,32 +92,76 @@ MOST_CORRELATED = 0.97
 if COMPILED:
     @array_kernel
     def add_product(A: Any, B: Any, out: Any) -> Any:
-        """Add A B to the first rows: four columns of A at once, and none that are zero."""
+        """Add A B to the first rows: 12 columns of A at once, then 6, and none of zeros."""
         n = A.shape[1]
         for i in range(A.shape[0]):
-            for k in range(0, n - 3, 4):
-                a, b, c, d = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
-                if a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0:
-                    for j in range(B.shape[1]):
-                        out[i, j] += (
-                            a * B[k, j] + b * B[k + 1, j] + c * B[k + 2, j] + d * B[k + 3, j])
-            for k in range(n - n % 4, n):
+            row, m = out[i], 0
+            while n - m >= 12:
+                C = A[i, m:m + 12]
+                if C.any():
+                    _add_rows(C, B[m:m + 12], row)
+                m += 12
+            if n - m >= 6:
+                a, b, c, d, e, f = (
+                    A[i, m], A[i, m + 1], A[i, m + 2], A[i, m + 3], A[i, m + 4], A[i, m + 5])
+                for j in range(B.shape[1]):
+                    row[j] += (
+                        a * B[m, j] + b * B[m + 1, j] + c * B[m + 2, j] + d * B[m + 3, j]
+                        + e * B[m + 4, j] + f * B[m + 5, j])
+                m += 6
+            for k in range(m, n):
                 if A[i, k] != 0.0:
                     for j in range(B.shape[1]):
-                        out[i, j] += A[i, k] * B[k, j]
+                        row[j] += A[i, k] * B[k, j]
         return out
+
+    @kernel
+    def _add_rows(C: Any, B: Any, row: Any) -> None:
+        """Add C B, with C (12,)."""
+        a, b, c, d, e, f = C[0], C[1], C[2], C[3], C[4], C[5]
+        g, h, p, q, r, s = C[6], C[7], C[8], C[9], C[10], C[11]
+        for j in range(B.shape[1]):
+            row[j] += (
+                a * B[0, j] + b * B[1, j] + c * B[2, j] + d * B[3, j] + e * B[4, j] + f * B[5, j]
+                + g * B[6, j] + h * B[7, j] + p * B[8, j] + q * B[9, j] + r * B[10, j]
+                + s * B[11, j])
+
+    @array_kernel
+    def product(A: Any, B: Any, out: Any) -> Any:
+        """Write A B to the first rows, and return it; slices of columns take far longer."""
+        if A.shape[1] != 12:
+            out[:] = 0.0
+            return add_product(A, B, out)
+        for i in range(A.shape[0]):
+            a, b, c, d, e, f = A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]
+            g, h, p, q, r, s = A[i, 6], A[i, 7], A[i, 8], A[i, 9], A[i, 10], A[i, 11]
+            for j in range(B.shape[1]):
+                out[i, j] = (
+                    a * B[0, j] + b * B[1, j] + c * B[2, j] + d * B[3, j] + e * B[4, j]
+                    + f * B[5, j] + g * B[6, j] + h * B[7, j] + p * B[8, j] + q * B[9, j]
+                    + r * B[10, j] + s * B[11, j])
+        out[len(A):] = 0.0
+        return out
+
+    @array_kernel
+    def subtract_square(Z: Array, out: Array) -> None:
+        """Subtract Z^T Z, which is symmetric to the last bit: both factors are rounded alike."""
+        add_product(-transpose(Z), Z, out)
 else:
     def add_product(A: Any, B: Any, out: Any) -> Any:
         """Add A B to the first rows, and return the sum."""
         out[:len(A)] += A @ B
         return out
 
+    def product(A: Any, B: Any, out: Any) -> Any:
+        """Write A B to the first rows, and return it."""
+        out[:] = 0.0
+        out[:len(A)] = A @ B
+        return out
 
-@array_kernel
-def product(A: Any, B: Any, out: Any) -> Any:
-    """Write A B and return it: two columns of A at a time, skipping zero ones."""
-    out[:] = 0.0
-    return add_product(A, B, out)
+    def subtract_square(Z: Array, out: Array) -> None:
+        """Subtract Z^T Z."""
+        out -= Z.T @ Z
 
 
 @kernel
@@ -144,6 +188,12 @@ class Evidence(NamedTuple):
     """Whether faults from the start are looked for: no alarm has been raised."""
 
 
+NO_EVIDENCE = Evidence(
+    np.zeros((0, 0), np.float32), np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros(0),
+    np.zeros(0, np.int64), np.zeros(0, np.int64))
+"""Where no faults are looked for."""
+
+
 class Estimate(NamedTuple):
     """The estimated package at one stamp."""
 
@@ -155,13 +205,15 @@ class Estimate(NamedTuple):
     covariance: Array
     """Of the error (n, n)."""
     memory: Array
-    """Of the noise, see `correlation` (5,)."""
+    """Of the noise, see `correlation` (11,)."""
+    model: ModelTuple
+    """With the numbers as they were estimated last."""
+    evidence: Evidence = NO_EVIDENCE
+    """Of faults."""
     refused: int = 0
     """Consecutive measurements outside the gate."""
     away: int = 0
     """Consecutive measurements out of reach, after one within it."""
-    evidence: Evidence | None = None
-    """Of faults."""
 
 
 @kernel
@@ -237,7 +289,7 @@ def pushed(
     return with_twist(body, add_scaled(body[2], half, dv), add_scaled(body[3], half, dw))
 
 
-@kernel
+@array_kernel
 def slopes(
     model: ModelTuple, nominal: CupTuple, push: Wrench, grown: float, tool: State, body: State,
     A: Array, B: Array,
@@ -306,7 +358,7 @@ def _by_axes(columns: Array, M: Blocks, out: Array) -> None:
             number += 1
 
 
-@kernel
+@array_kernel
 def accumulate(
     A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, falling: Vector
 ) -> None:
@@ -338,15 +390,16 @@ def accumulate(
     Q += drive
     product(F, transpose(product(F, Q, X)), Q)
     Q += drive
-    last = T[STATE]
-    for first, end in ((0, MARKER), (LEAST_ROWS, n)):
-        moved = product(F, T[:STATE, first:end], np.empty((12, end - first)))
-        by_theta = product(h * G[:, 6:], B[:, first:end], np.empty((12, end - first)))
-        for i in range(12):
-            for j in range(end - first):
-                T[i, first + j] = moved[i, j] + by_theta[i, j]
-            if first == 0:
-                T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_theta[i, LENGTH]
+    last, by_twist = T[STATE], np.empty((12, 6))
+    for i in range(12):
+        for j in range(6):
+            by_twist[i, j] = h * G[i, 6 + j]
+    moved = add_product(by_twist, B, product(F, T[:STATE], np.empty((12, n))))
+    for i in range(12):
+        for j in range(n):
+            T[i, j] = moved[i, j]
+        for k in range(6):
+            T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_twist[i, k] * B[k, LENGTH]
     for i in range(3):
         last[FALL + i] += h * (last[FALL_SPEED + i] + 0.5 * h * falling[i])
         last[FALL_SPEED + i] += h * falling[i]
@@ -394,24 +447,28 @@ def correlation(memory: Array, seconds: float, axis: int) -> float:
     return math.exp(math.log(kept) * seconds / memory[0])
 
 
-@kernel
+@array_kernel
 def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Array) -> Array:
     """Return the covariance (n, n) after a transition; half of the walk acts before it."""
     n, h = len(P), T[STATE, SECONDS]
-    out = P.copy()
+    out, kept = P.copy(), np.ones(n)
     for i in range(6):
         out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
+        kept[NOISE + i] = correlation(memory, h, i)
     side = product(T[:STATE], out, np.empty((12, n)))
     state = product(T[:STATE], transpose(side), np.empty((12, 12)))
-    for i in range(STATE):
+    out[:STATE] = side
+    out[:STATE, :STATE] = state + Q
+    out[LENGTH] += h * out[LENGTHENING]
+    for i in range(n):  # both halves are rounded alike
+        out[i, LENGTH] += h * out[i, LENGTHENING]
         for j in range(n):
-            out[i, j] = state[i, j] + Q[i, j] if j < STATE else side[i, j]
-            out[j, i] = out[i, j]
-    carry_theta(out[STATE:], h, memory)
-    carry_theta(out.T[STATE:], h, memory)
+            out[i, j] *= kept[i] * kept[j]
+        for j in range(min(i, STATE)):
+            out[i, j] = out[j, i]
     for i in range(6):
         out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
-        out[NOISE + i, NOISE + i] += 1.0 - correlation(memory, h, i) ** 2
+        out[NOISE + i, NOISE + i] += 1.0 - kept[NOISE + i] ** 2
     return out
 
 
@@ -492,20 +549,34 @@ def propagated(
             k += 1
 
 
-@kernel
+@array_kernel
 def predicted(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, drive: Array, walk: Array,
-) -> tuple[State, State, Array, Array, Array]:
-    """Return tool, body, theta and covariance of an estimate at a later stamp, and T."""
+    until_ns: int, longest: float, drive: Array, walk: Array, signatures: Any,
+) -> tuple[State, State, Array, Array, Any]:
+    """Return tool, body, theta and covariance of an estimate at a later stamp, and signatures."""
     T, Q, theta = identity_transition(len(P)), np.zeros((STATE, STATE)), theta.copy()
     tool, body = propagated(
         model, theta, tool, body, T, Q, stamps, starts, ends, bodies, is_known, k, now_ns,
         until_ns, longest, drive)
     P = propagated_covariance(P, T, Q, walk, memory)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], memory)
-    return tool, body, theta, P, T
+    if len(signatures) > 0:
+        signatures = propagated_signatures(signatures, T, memory)
+    return tool, body, theta, P, signatures
+
+
+@array_kernel
+def propagated_signatures(E: Any, T: Array, memory: Array) -> Any:
+    """Return the signatures of faults (n + 7, columns) after a transition (13, n)."""
+    n, last, out = T.shape[1], T[STATE], E.copy()
+    product(T[:STATE].astype(np.float32), E[:n], out[:STATE])
+    carry_theta(out[STATE:n], last[SECONDS], memory)
+    for i in range(3):
+        out[n + 4 + i] += last[SECONDS] * E[n + 1 + i] + last[FALL + i] * E[n]
+        out[n + 1 + i] += last[FALL_SPEED + i] * E[n]
+    return out
 
 
 @kernel

@@ -7,7 +7,7 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
@@ -39,6 +39,7 @@ from bellows_ros.core.observer.filter import (
     NOISE,
     product,
     STATE,
+    subtract_square,
     transpose,
     with_theta,
     wrench_of,
@@ -206,6 +207,8 @@ class Innovation(NamedTuple):
     """Its squared Mahalanobis distance."""
     gain: Array
     """(n, 6)."""
+    whitened: Array
+    """Whitener times H P (6, n): its square is what a measurement takes from P."""
 
 
 @kernel
@@ -247,12 +250,12 @@ def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
     return H
 
 
-@kernel
+@array_kernel
 def innovation(
     body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
     of_lip: bool,
-) -> tuple[tuple[Array, Array, Array, float, Array], Array]:
-    """Return an `Innovation` as a tuple, and H P; noise is in B axes."""
+) -> tuple[Array, Array, Array, float, Array, Array]:
+    """Return an `Innovation` as a tuple; noise is in B axes."""
     n = len(P)
     shift, turn = pose_error(body, position, q)
     y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
@@ -261,8 +264,7 @@ def innovation(
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
     HP = product(H, P, np.empty((6, n)))
-    PH = transpose(HP)
-    S = add_product(H, PH, WHITE * noise)
+    S = add_product(H, transpose(HP), WHITE * noise)
     _, W = cholesky(S)
     distance = 0.0
     for i in range(6):
@@ -270,8 +272,8 @@ def innovation(
         for j in range(i + 1):
             z += W[i, j] * y[j]
         distance += z * z
-    inverse = product(transpose(W), W, np.empty((6, 6)))
-    return (y, H, W, distance, product(PH, inverse, np.empty((n, 6)))), HP
+    Z = product(W, HP, np.empty((6, n)))
+    return y, H, W, distance, product(transpose(Z), W, np.empty((n, 6))), Z
 
 
 @kernel
@@ -285,18 +287,17 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
     ), theta
 
 
-@kernel
+@array_kernel
 def corrected(
-    body: State, theta: Array, P: Array, y: Array, HP: Array, gain: Array
+    body: State, theta: Array, P: Array, found: tuple[Array, Array, Array, float, Array, Array]
 ) -> tuple[State, Array, Array]:
-    """Return state, theta and covariance after a measurement."""
-    n = len(P)
-    body, theta = changed_by(body, theta, product(gain, y.reshape((6, 1)), np.empty((n, 1)))[:, 0])
+    """Return state, theta and covariance after a measurement, by its `Innovation`."""
+    error = product(found[4], found[0].reshape((6, 1)), np.empty((len(P), 1)))
+    body, theta = changed_by(body, theta, error[:, 0])
     out = P.copy()
-    add_product(-gain, HP, out)
-    for i in range(n):
-        for j in range(i):
-            out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])
+    subtract_square(found[5], out)
+    for i in range(len(P)):
+        out[i, i] += ROUNDING * P[i, i]
     return body, theta, out
 
 
@@ -314,15 +315,21 @@ def remembered(memory: Array, theta: Array, seconds: float) -> Array:
     return out
 
 
+ROUNDING = 1e-12
+"""
+Part of each variance that an update leaves uncertain: above what rounding takes away, so that the
+covariance stays positive definite, and a ten thousandth of it after a month.
+"""
+
 USED, OUTSIDE, OUT_OF_REACH = 0, 1, 2
 
 
-@kernel
+@array_kernel
 def updated(
     model: ModelTuple, tool: State, body: State, theta: Array, P: Array, memory: Array,
     seconds: float, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
     reach: float, gate: float,
-) -> tuple[int, tuple[Array, Array, Array, float, Array], State, Array, Array, Array]:
+) -> tuple[int, tuple[Array, Array, Array, float, Array, Array], State, Array, Array, Array]:
     """
     Update an estimate with a measurement.
 
@@ -351,15 +358,14 @@ def updated(
     com = model[1][1]
     position, q, noise = corrected_pose(position, quaternion_xyzw, noise, marker, theta, com)
     exposed = when_exposed(model, tool, body, theta)
-    found, HP = innovation(exposed, theta, P, position, q, noise, marker[2])
-    y, _, _, distance, gain = found
+    found = innovation(exposed, theta, P, position, q, noise, marker[2])
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     verdict = USED
     if lip_shift(position, q, com, tool, model[0][1]) > reach + 5.0 * spread:
         verdict = OUT_OF_REACH
-    elif distance > gate:
+    elif found[3] > gate:
         verdict = OUTSIDE
     else:
-        body, theta, P = corrected(body, theta, P, y, HP, gain)
+        body, theta, P = corrected(body, theta, P, found)
         memory = remembered(memory, theta, seconds)
     return verdict, found, body, theta, P, memory

@@ -18,7 +18,7 @@ from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.observer.alarms import Alarm, Alarms, carried
+from bellows_ros.core.observer.alarms import Alarm, Alarms, processed
 from bellows_ros.core.observer.filter import (
     ALL_ROWS,
     CAMERA,
@@ -26,6 +26,7 @@ from bellows_ros.core.observer.filter import (
     DAMPING,
     driving,
     Estimate,
+    Evidence,
     followed,
     INERTIA,
     is_coarse,
@@ -33,9 +34,9 @@ from bellows_ros.core.observer.filter import (
     LEAST_ROWS,
     MARKER,
     MASS,
+    NO_EVIDENCE,
     NOISE,
     NOT_FOLLOWED,
-    predicted,
     propagated,
     pushed,
     STATE,
@@ -47,13 +48,10 @@ from bellows_ros.core.observer.filter import (
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FIRST_MEMORY,
-    Innovation,
     Measurement,
     OUT_OF_REACH,
     OUTSIDE,
     PoseSensor,
-    updated,
-    USED,
 )
 import numpy as np
 
@@ -77,6 +75,9 @@ more no pose of the tool waits for a covariance to be carried along.
 
 LEAST_ROOM = 4096
 """Smallest buffer of tool samples: seconds of them."""
+
+NOTHING_SEEN = Measurement(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), np.zeros((6, 6)))
+"""Stands for a measurement where there is none."""
 
 REPEATED_NS = 5_000_000_000
 """What stays wrong raises an alarm so often (ns)."""
@@ -205,6 +206,7 @@ class Observer:
         self._walk = np.square(BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3))
         allowed, of_lip = self._values['alarm.false_per_hour'], self.sensor.marker[2]
         self._alarms = Alarms(allowed, len(self._prior), of_lip) if allowed > 0.0 else None
+        self._steps = self._alarms.steps if self._alarms else NOT_FOLLOWED
         self._known.clear()
         self._memory = first_memory()
         self._kept = np.zeros(len(self._prior) - STATE), np.diag(np.square(self._prior))
@@ -223,12 +225,11 @@ class Observer:
         self._known.clear()
         self._seen.clear()
         self._ahead.clear()
-        self._use(self._kept[0])
+        self._use(self._kept[0], with_theta(self._nominal, self._kept[0]))
 
-    def _use(self, theta: Array) -> None:
-        """Put the estimated numbers into the model."""
-        self._theta, self._asked = theta, None
-        self.model = with_theta(self._nominal, theta)
+    def _use(self, theta: Array, model: ModelTuple) -> None:
+        """Go on with the estimated numbers, and the model with them."""
+        self._theta, self.model, self._asked = theta, model, None
 
     @property
     def estimate(self) -> Estimate | None:
@@ -237,7 +238,7 @@ class Observer:
             return None
         known, newest_ns = self._asked or self._known[-1], self._track.newest_ns
         if known.stamp_ns < newest_ns:
-            known = self._carried(known._replace(evidence=None), newest_ns, True)
+            known = self._carried(known._replace(evidence=NO_EVIDENCE), newest_ns)
         self._asked = known
         return known
 
@@ -278,11 +279,13 @@ class Observer:
         self._drive = driving(self._nominal, tool, body, noise)
         self._track.begin(stamp_ns)
         self._seen.clear()
-        evidence = self._alarms.start(stamp_ns) if self._alarms else None
         self._known = [Estimate(
-            stamp_ns, tool, body, theta, P, self._memory, evidence=evidence)]
-        self._use(theta)
+            stamp_ns, tool, body, theta, P, self._memory, self.model, self._evidence(stamp_ns))]
         self.body = body
+
+    def _evidence(self, stamp_ns: int, is_first: bool = True) -> Evidence:
+        """Return that of no fault yet."""
+        return self._alarms.start(stamp_ns, is_first) if self._alarms else NO_EVIDENCE
 
     def follow(self, stamp_ns: int, start: State, end: State) -> State:
         """Carry the package along with the tool, from the newest sample to this one."""
@@ -306,8 +309,9 @@ class Observer:
         seen, known = self._seen, self._known[-1]
         if len(seen) < 2 or self._alarms is None:
             return
-        usual_ns = known.stamp_ns - seen[-2].stamp_ns
-        if stamp_ns - known.stamp_ns > SILENT * usual_ns + self._lag_ns:
+        last_ns = seen[-1].stamp_ns
+        usual_ns = last_ns - seen[-2].stamp_ns
+        if stamp_ns - last_ns > SILENT * usual_ns + self._lag_ns:
             self._known[-1] = known._replace(away=2)
             self._raise(self._alarms.lost(stamp_ns))
 
@@ -321,7 +325,7 @@ class Observer:
         stamps, k = self._track.rows[0], self._track.after(before_ns) - 1
         while stamps[k] > known[0].stamp_ns:
             if is_coarse(stamps[k], stamps[k + 1], self._longest):  # it would end there anyhow
-                known[0] = self._carried(known[0], int(stamps[k]), True)
+                known[0] = self._carried(known[0], int(stamps[k]))
                 break
             k -= 1
 
@@ -331,15 +335,35 @@ class Observer:
             self.model, wrench_of(self._theta), body, start, end, seconds,
             substeps_for(seconds, self._longest))
 
-    def _carried(self, known: Estimate, stamp_ns: int, is_known: bool) -> Estimate:
-        """Return an estimate carried along with the tool, where the package has been before."""
-        tool, body, theta, P, T = predicted(
+    def _processed(
+        self, known: Estimate, stamp_ns: int, is_known: bool, seen: Measurement | None = None,
+        gate: float = 0.0,
+    ) -> tuple[Estimate, tuple[float, float, tuple[int, ...], int], int]:
+        """
+        Return an estimate carried along with the tool, and corrected with what is seen there.
+
+        Where the package has been before, is_known is set. And what `processed` says of faults,
+        and its verdict.
+        """
+        before, others = known.evidence, (known.refused, known.away)
+        verdict, tool, body, theta, P, memory, evidence, outcome, model = processed(
             self._nominal, known.theta, known.tool, known.body, known.covariance, known.memory,
             *self._track.rows, is_known, self._track.after(known.stamp_ns), known.stamp_ns,
-            stamp_ns, self._longest, self._drive, self._walk)
-        evidence = known.evidence and carried(known.evidence, T, known.memory)
-        return known._replace(
-            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, evidence=evidence)
+            stamp_ns, self._longest, self._drive, self._walk, before.signatures,
+            before.information, before.scores, before.distances, before.counts, before.onsets,
+            before.is_first, self._steps, seen is not None, *(seen or NOTHING_SEEN)[1:],
+            self.sensor.marker, self._reach, gate)
+        if seen is not None:
+            others = (known.refused + 1, known.away) if verdict else (0, 0)
+        E, information, scores, distances, counts, onsets = evidence
+        after = Evidence(E, information, scores, distances, counts, onsets, before.half_way,
+                         before.is_first)
+        return Estimate(
+            stamp_ns, tool, body, theta, P, memory, model, after, *others), outcome, verdict
+
+    def _carried(self, known: Estimate, stamp_ns: int) -> Estimate:
+        """Return an estimate carried along with the tool, where the package has been before."""
+        return self._processed(known, stamp_ns, True)[0]._replace(model=known.model)
 
     # ------------------------------------------------------------ measurements
 
@@ -377,11 +401,9 @@ class Observer:
                 at < len(self._seen) - 1):
             self.alarms.pop()
         for k in range(at, len(self._seen)):
-            known = self._carried(self._known[k], self._seen[k].stamp_ns, k == at)
-            self._known.append(self._updated(
-                known, self._seen[k], self._known[k].stamp_ns, k == at))
+            self._known.append(self._updated(self._known[k], self._seen[k], k == at))
         known, newest_ns = self._known[-1], self._track.newest_ns
-        self._use(known.theta)
+        self._use(known.theta, known.model)
         self.body = known.body
         if known.stamp_ns < newest_ns:
             self.body = propagated(
@@ -389,40 +411,33 @@ class Observer:
                 *self._track.rows, False, self._track.after(known.stamp_ns), known.stamp_ns,
                 newest_ns, self._longest, self._drive)[1]
 
-    def _updated(
-        self, known: Estimate, seen: Measurement, before_ns: int, is_new: bool
-    ) -> Estimate:
-        """Correct an estimate, or leave it where the measurement is outside the gate."""
-        verdict, found, body, theta, P, memory = self._update(known, seen, before_ns, GATE)
+    def _updated(self, before: Estimate, seen: Measurement, is_new: bool) -> Estimate:
+        """Return the estimate after a measurement: the one before it where that is no package."""
+        stamp_ns = seen.stamp_ns
+        after, outcome, verdict = self._processed(before, stamp_ns, is_new, seen, GATE)
         name = ('used', 'gate', 'out_of_reach')[verdict]
-        if verdict == OUTSIDE and known.refused + 1 >= WRONG_GATE:
+        if verdict == OUTSIDE and after.refused >= WRONG_GATE:
             name = 'recovered'
         if is_new:
             self.counts[name] += 1
         if verdict == OUT_OF_REACH:
-            return self._away(known)
-        if verdict == USED:
-            known = known._replace(
-                body=body, theta=theta, covariance=P, memory=memory, refused=0, away=0)
-        else:
-            known = known._replace(refused=known.refused + 1)
-        if self._alarms is not None and known.evidence is not None:
-            after, fault = self._alarms.step(
-                known.evidence, seen.stamp_ns, Innovation(*found), verdict == USED)
-            known = known._replace(evidence=after)
+            return self._away(before, stamp_ns)
+        if self._alarms is not None:
+            evidence, fault = self._alarms.step(after.evidence, stamp_ns, outcome)
+            after = after._replace(evidence=evidence)
             if fault is not None:
                 self._raise(fault.alarm)
-                body, theta = changed_by(known.body, known.theta, fault.error)
-                return known._replace(  # the fault was taken for noise, too
+                body, theta = changed_by(after.body, after.theta, fault.error)
+                return after._replace(  # the fault was taken for noise, too
                     body=body, theta=theta, memory=first_memory(), refused=0,
-                    covariance=self._opened(known) + fault.spread @ fault.spread.T)
+                    model=with_theta(self._nominal, theta),
+                    covariance=self._opened(after) + fault.spread @ fault.spread.T)
         if name == 'recovered':
-            _, _, body, theta, P, _ = self._update(
-                known._replace(covariance=self._opened(known)), seen, before_ns, math.inf)
-            evidence = self._alarms.start(seen.stamp_ns, False) if self._alarms else None
-            return known._replace(
-                body=body, theta=theta, covariance=P, refused=0, evidence=evidence)
-        return known
+            opened = after._replace(
+                covariance=self._opened(after), memory=before.memory, evidence=NO_EVIDENCE)
+            return self._processed(opened, stamp_ns, True, seen, math.inf)[0]._replace(
+                memory=before.memory, evidence=self._evidence(stamp_ns, False))
+        return after
 
     def _opened(self, known: Estimate) -> Array:
         """Return the covariance of an estimate whose motion is as uncertain as at the start."""
@@ -431,23 +446,15 @@ class Observer:
         P[rows, rows] += np.square(self._prior[rows])
         return P
 
-    def _away(self, known: Estimate) -> Estimate:
+    def _away(self, known: Estimate, stamp_ns: int) -> Estimate:
         """Count a pose out of reach; a package that was within reach is lost after two."""
         if known.away == 1 and self._alarms is not None:
-            self._raise(self._alarms.lost(known.stamp_ns))
+            self._raise(self._alarms.lost(stamp_ns))
         return known._replace(away=known.away + 1 if known.away or self._is_near(known) else 0)
 
     def _is_near(self, known: Estimate) -> bool:
         """Return whether the package has been seen within reach."""
         return bool(known.memory[1] > FIRST_MEMORY[0])
-
-    def _update(
-        self, known: Estimate, seen: Measurement, before_ns: int, gate: float
-    ) -> Any:
-        """Return what `updated` does."""
-        return updated(
-            self._nominal, *known[1:6], (seen.stamp_ns - before_ns) * 1e-9, *seen[1:],
-            self.sensor.marker, self._reach, gate)
 
     def _raise(self, alarm: Alarm) -> None:
         """Keep an alarm, unless the same one has just been raised."""

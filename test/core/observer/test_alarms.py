@@ -2,10 +2,31 @@
 
 from collections import Counter
 
-from bellows_ros.core.observer.alarms import Alarms, AT_START, CAUSES
-from bellows_ros.core.observer.filter import CAMERA, COM
+from bellows_ros.core.observer import observer as module
+from bellows_ros.core.observer.alarms import (
+    Alarms,
+    AT_START,
+    CAUSES,
+    FEWEST,
+    HYPOTHESES,
+    SETTLING,
+    START_WEIGHS,
+    UNEXPLAINED,
+)
+from bellows_ros.core.observer.filter import (
+    CAMERA,
+    COM,
+    identity_transition,
+    LENGTH,
+    LENGTHENING,
+    NOISE,
+    predicted,
+    propagated,
+)
+from bellows_ros.core.observer.measurement import OUT_OF_REACH, updated, USED
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
 from .cell import Cell, CONDITIONS, EXACT
 
@@ -56,6 +77,89 @@ def test_drop_is_always_noticed(kind, rate_hz, within):
         after = alarms[0][1] - (0.15 if kind == 'peel' else 0.0)
         assert alarms[0][0] == 'lost'
         assert after <= within
+
+
+def _dense_transition(model, theta, tool, body, P, memory, *track):
+    """Give the transition (n + 7, n + 7) of the error with what falls, and the tool at the end."""
+    n, T = len(P), identity_transition(len(P))
+    end, _ = propagated(model, theta, tool, body, T, np.zeros((12, 12)), *track)
+    F, h = np.eye(n + 7), T[12, 0]
+    F[:12, :n], F[LENGTH, LENGTHENING] = T[:12], h
+    for i in range(6):
+        share = np.clip(memory[3 + i // 3] / memory[1 + i // 3], 1e-3, 0.97)
+        F[NOISE + i, NOISE + i] = share ** (h / memory[0])
+    F[n + 1:n + 4, n], F[n + 4:, n], F[n + 4:, n + 1:n + 4] = T[12, 1:4], T[12, 4:7], h * np.eye(3)
+    return F, end
+
+
+def _dense_total(given):
+    """Give the logarithm of the sum of likelihood ratios, by matrices of full size."""
+    n = given[0][1][1].shape[1]
+
+    def begun(k):
+        """Give what is known of a hypothesis whose onset is now."""
+        steps = HYPOTHESES[k].steps
+        rows = [*range(n), *range(-7, 0)]
+        E = np.array([[float(row in step) for step in steps] for row in rows])
+        return {'cause': HYPOTHESES[k], 'later': k >= AT_START, 'E': E, 'J': 0.0, 'd': 0.0,
+                'count': 0, 'distance': 0.0}
+
+    known, ratios = [begun(k) for k in range(AT_START)], []
+    for count, (F, (y, H, root, distance, gain, _), used) in enumerate(given, 1):
+        C, update = np.hstack([H, np.zeros((6, 7))]), np.eye(n + 7)
+        C[:3, n + 4:] = H[:3, CAMERA:CAMERA + 3]
+        update[:n] -= used * gain @ C
+        for each in known:
+            E = F @ each['E']
+            each['E'], made = update @ E, root @ C @ E
+            each['count'] += 1
+            if count > SETTLING:
+                each['J'] = each['J'] + made.T @ made
+                each['d'] = each['d'] + made.T @ root @ y
+                each['distance'] += distance
+        known += [begun(k) for k in range(AT_START, len(HYPOTHESES)) if (
+            count >= SETTLING and (count - SETTLING) % HYPOTHESES[k].every == 0)]
+    for each in known:
+        cause, count = each['cause'], each['count']
+        for m in cause.ends if count >= FEWEST else ():
+            s, d, J = np.diag(cause.usual[:m]), each['d'][:m], each['J'][:m, :m]
+            mean = np.full(m, float(cause.name == 'lost'))
+            A, z = np.eye(m) + s @ J @ s, s @ (d - J @ mean)
+            explained = z @ np.linalg.solve(A, z) + mean @ (2.0 * d - J @ mean)
+            if each['distance'] - explained <= (
+                    6.0 * count + 4.0 * np.sqrt(12.0 * count) + UNEXPLAINED * explained):
+                ratios.append(
+                    0.5 * (explained - np.linalg.slogdet(A)[1])
+                    + np.log(cause.every if each['later'] else START_WEIGHS)
+                    + np.log(cause.share / len(cause.ends)))
+    return logsumexp(ratios)
+
+
+@pytest.mark.parametrize('kind', ['slip', 'wear', 'camera', 'drop'])
+def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
+    """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
+    processed, given, totals = module.processed, [], []
+
+    def processing(model, theta, tool, body, P, memory, *more):
+        result = processed(model, theta, tool, body, P, memory, *more)
+        if more[19]:  # something is seen
+            track, seen = more[:10], more[20:]
+            F, end = _dense_transition(model, theta, tool, body, P, memory, *track)
+            after = predicted(model, theta, tool, body, P, memory, *track, more[10],
+                              np.zeros((0, 0), np.float32))
+            verdict, found, *_ = updated(
+                model, end, *after[1:4], memory, (more[7] - more[6]) * 1e-9, *seen)
+            if verdict != OUT_OF_REACH:
+                given.append((F, found, verdict == USED))
+                totals.append(result[7][0])
+        return result
+
+    monkeypatch.setattr(module, 'processed', processing)
+    Cell(3, 0.75, CONDITIONS['all, small'], kind, at=0.4, size=1.5,
+         alarm__false_per_hour=1e-30).run()
+    assert len(totals) >= 15
+    assert totals[-1] == pytest.approx(_dense_total(given), rel=1e-5)
+    assert totals[-1] > totals[12] + 1.0
 
 
 def test_slip_is_learned():

@@ -175,12 +175,12 @@ def test_what_cannot_be_used_is_counted():
     made, first = observer(), seen[8]
     assert made.see(measured(made, stamps[3], first)) == 'not_held'
     follow(made, stamps, tool, body[0], at_once(stamps, seen))
-    before = np.concatenate(made.estimate.body)
+    before = numbers(made)
     assert made.see(measured(made, stamps[-1] + 600_000_000, first)) == 'future_stamp'
     assert made.see(measured(made, stamps[1], first)) == 'late'
     assert made.see(measured(made, stamps[192], first)) == 'duplicate_stamp'
     assert made.see(measured(made, stamps[190], shifted(first, 1.0))) == ''
-    np.testing.assert_allclose(np.concatenate(made.estimate.body), before, atol=1e-5)
+    np.testing.assert_array_equal(numbers(made), before)
     wrong = {name: made.counts[name] for name in (
         'not_held', 'future_stamp', 'late', 'duplicate_stamp', 'out_of_reach')}
     assert wrong == dict.fromkeys(wrong, 1)
