@@ -9,6 +9,7 @@ that the cup was not identified from.
 import argparse
 from typing import TYPE_CHECKING
 
+from bellows_ros.errors import BellowsError
 from bellows_ros.extras import require_pictures
 
 from . import options
@@ -29,6 +30,9 @@ EXAMPLES = (
     ('bellows replay bags/validation --params cup.yaml --observe camera/box \\\n'
      '      --set measured.noise="[0.002, 0.01]"',
      'with a camera: prediction alone, camera alone, and both'),
+    ('bellows replay bags/validation --params cup.yaml --observe camera/box \\\n'
+     '      --set measured.calibrate=true --out camera.yaml',
+     'find where the camera is, and keep it for the node'),
     ('bellows replay second --params cup.yaml --limit 5',
      'in a script: exit code 1 unless every axis that moves is within 5 %'),
 )
@@ -55,6 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='poses of the package from a camera, which correct a second live prediction; see '
              'measured.*',
     )
+    options.add_output(
+        parser, '--out', 'write the pose of the camera as parameters, with what is uncertain of '
+        'it and of its stamps (with --observe and measured.calibrate)')
     parser.add_argument(
         '--limit', metavar='PERCENT', type=float, default=None,
         help='exit with 1 if the NRMSE of an axis that moves is above this',
@@ -69,6 +76,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     if arguments.report:
         require_pictures()
+    if arguments.out and not (arguments.observe and settings.get('measured.calibrate')):
+        raise BellowsError(
+            '--out writes the calibration of a camera, which is not estimated here. Give its '
+            'topic with --observe, and --set measured.calibrate=true.')
     with console.progress() as progress:
         result = replay(arguments.bag, settings, progress, arguments.observe)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
@@ -78,6 +89,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         from bellows_ros.report.build import replay_report
 
         write_text(arguments.report, replay_report(result, arguments.params))
+    if result.observed and arguments.out:
+        from bellows_ros.files.parameter_files import write_parameters
+
+        write_parameters(arguments.out, result.observed.parameters, [
+            f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
     _say(result, limit, arguments, console)
     failing = result.validation.failing(limit)
     worse = failing if arguments.limit is not None else result.validation.worse_than_noise
@@ -115,7 +131,7 @@ def _say(
     if result.observed:
         _say_observed(result.observed, console)
     console.warn(*result.warnings)
-    console.wrote(arguments.json, arguments.report)
+    console.wrote(arguments.json, arguments.report, arguments.out)
 
 
 def _say_observed(found: 'Observed', console: Console) -> None:

@@ -1,12 +1,13 @@
 """The gain by measured poses of the package in the live prediction of a recording."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+import math
 import os
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model.cup_package import cup_of, package_of
@@ -47,6 +48,8 @@ class Observed:
         What mass and centre of mass were found to be, where payload.estimate is set.
     calibration : Calibration or None
         By how much the camera was found to be off, where measured.calibrate is set.
+    parameters : mapping
+        Parameters that take this into account, with what stays uncertain.
 
     """
 
@@ -58,6 +61,7 @@ class Observed:
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None = None
     calibration: Calibration | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
@@ -180,7 +184,33 @@ def observed(
         ((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm) for alarm in observer.alarms)
     return Observed(
         topic, prediction, compare(held, tool, package), both, counts, alarms, observer.payload,
-        observer.calibration)
+        observer.calibration, _calibrated(observer.calibration, pose, turn))
+
+
+def _calibrated(found: Calibration | None, pose: Array, turn: Array) -> dict[str, Any]:
+    """
+    Return parameters with which a camera is no longer off.
+
+    Parameters
+    ----------
+    found : Calibration or None
+        In the world of the model.
+    pose : ndarray (7,)
+        Of the camera's world in that of the tool, as it was given.
+    turn : ndarray (3, 3)
+        From the world of the tool to that of the model.
+
+    """
+    if found is None:
+        return {}
+    back = turn.T @ exp_so3(-found.turn)
+    q = rotation_to_quaternion(back @ turn @ quaternion_to_rotation(pose[3:]))
+    return {
+        'recording.package_world': pose_text(
+            np.append(back @ (turn @ pose[:3] - found.shift), q)),
+        'measured.offset_std': (float(found.shift_std.max()), float(found.turn_std.max())),
+        'measured.latency_std': math.hypot(found.latency, found.latency_std),
+    }
 
 
 def live_predictor(values: Mapping[str, Any]) -> LivePredictor:

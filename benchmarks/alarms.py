@@ -1,0 +1,87 @@
+"""
+Alarms of simulated cells, counted: false ones an hour, and how soon faults are named.
+
+`--hours` counts false alarms in each ordinary condition, and prints the mean normalised squared
+error of the state (12 where the covariance is right); `--faults` lets so many faults of each kind
+happen in one condition, `--drops` lets packages fall, seen at 30 and at 10 Hz until 0.55 m below.
+"""
+
+import argparse
+from collections import Counter
+
+import numpy as np
+
+from test.core.observer.cases import error_of  # noqa: I100, I201
+from test.core.observer.cell import Cell, CONDITIONS, EXACT  # noqa: I201
+
+SECONDS = 60.0
+"""Length of a run without a fault."""
+EXACTLY = {**EXACT, 'payload__estimate': False}
+"""With white noise and exact numbers nothing else is uncertain."""
+NAMED = {'turn': 'slip', 'drop': 'lost', 'peel': 'lost'}
+"""The cause of an alarm by the kind of the fault, where it has another name."""
+FROM_START = ('wear', 'payload')
+KINDS = ('slip', 'turn', 'leak', 'camera', *FROM_START)
+
+
+def false_alarms(
+    name: str, runs: int, estimate: bool, seed: int = 0
+) -> tuple[Counter[str], float]:
+    """Return the causes of false alarms in so many runs, and the mean normalised squared error."""
+    causes, errors = Counter[str](), []
+    for number in range(seed, seed + runs):
+        cell = Cell(number, SECONDS, CONDITIONS[name], payload__estimate=estimate)
+
+        def after(k: int, cell: Cell = cell) -> None:
+            if k % 125 == 0 and k > 250:
+                e = error_of(cell.made, cell.body[k])
+                errors.append(e @ np.linalg.solve(cell.made.estimate.covariance[:12, :12], e))
+
+        causes.update(cause for cause, _ in cell.run(after))
+    return causes, float(np.mean(errors))
+
+
+def delays(
+    kind: str, runs: int, name: str, seconds: float = 5.0, rate_hz: float = 125 / 4
+) -> tuple[float, list[float]]:
+    """Return the part of faults whose cause is right, and how long (s) each took, in order."""
+    at, more = 0.0 if kind in FROM_START else 3.0, EXACTLY if name == 'white' else {}
+    firsts = [(Cell(seed, at + seconds, CONDITIONS[name], kind, at, rate_hz, **more).run()
+               or [('', np.inf)])[0] for seed in range(runs)]
+    right = np.mean([cause == NAMED.get(kind, kind) for cause, _ in firsts])
+    return float(right), sorted(after for _, after in firsts)
+
+
+def main() -> None:
+    """Count, and print each line as soon as it is known."""
+    parser = argparse.ArgumentParser(
+        prog='python -m benchmarks.alarms', description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--hours', type=float, default=0.0, help='in each condition')
+    parser.add_argument('--faults', type=int, default=0, help='of each kind')
+    parser.add_argument('--drops', type=int, default=0, help='at once and peeling off, each')
+    parser.add_argument('--condition', choices=CONDITIONS, help='default: white for faults, all')
+    parser.add_argument('--seed', type=int, default=0, help='of the first run without a fault')
+    given = parser.parse_args()
+    runs = round(given.hours * 3600.0 / SECONDS)
+    for name in (given.condition,) if given.condition else CONDITIONS:
+        for estimate in (False, True) if runs else ():
+            causes, nees = false_alarms(name, runs, estimate, given.seed)
+            print(f'| {name} | {"on" if estimate else "off"} | {runs * SECONDS / 3600:.2g} | '
+                  f'{causes.total()} {dict(causes)} | {nees:.1f} |', flush=True)
+    name = given.condition or 'white'
+    for kind in KINDS if given.faults else ():
+        right, after = delays(kind, given.faults, name)
+        print(f'| {name} | {kind} | {100 * right:.0f} % | {after[len(after) // 2]:.2f} | '
+              f'{after[int(0.9 * len(after))]:.2f} |', flush=True)
+    for kind, ends in (('drop', 0.0), ('peel', 0.15)) if given.drops else ():
+        for rate_hz, within in ((125 / 4, 0.3), (125 / 12, 0.6)):
+            right, after = delays(kind, given.drops, name, 1.5, rate_hz)
+            noticed = np.mean([s - ends <= within for s in after])
+            print(f'| {name} | {kind} | {rate_hz:.0f} Hz | {100 * noticed:.1f} % within '
+                  f'{within} s of its end | slowest {after[-1]:.2f} s after its beginning | '
+                  f'{100 * right:.0f} % right |', flush=True)
+
+
+if __name__ == '__main__':
+    main()
