@@ -25,6 +25,7 @@ from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.segments import Measured, PoseNoise
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.core.signals.timing import MAD_TO_STD
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -120,10 +121,8 @@ class Root:
 
     def accumulated(self, fresh: Array) -> Array:
         """Return the noise (M, 12), m and rad, from its white source."""
-        from scipy.signal import lfilter  # late: it takes 0.4 s and 25 MB
-
         halves = zip(np.hsplit(fresh * self.scale, 2), self.kept, strict=True)
-        return np.hstack([lfilter([1.0], [1.0, -a], part, axis=0) for part, a in halves])
+        return np.hstack([first_order(part, a) for part, a in halves])
 
     def errors(self, fresh: Array) -> Array:
         """Return the innovations (6 N,) that noise makes."""
