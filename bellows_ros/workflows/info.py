@@ -293,8 +293,8 @@ def _at_rest(
 
 def longest_hold(tool: Trajectory) -> float:
     """Return the longest time (s) for which a tool stands still, tilted against its start."""
-    marks = np.arange(tool.stamps_ns[0], tool.stamps_ns[-1], round(HOLD_STEP * NS_PER_S))
-    some = tool.select(np.unique(np.searchsorted(tool.stamps_ns, marks)))
+    steps = (tool.stamps_ns - tool.stamps_ns[0]) // round(HOLD_STEP * NS_PER_S)
+    some = tool.select(np.unique(steps, return_index=True)[1])  # stamps may be years apart
     up = some.rotation[:, 2]
     turn = log_so3(np.swapaxes(some.rotation[:-1], 1, 2) @ some.rotation[1:])
     still = (np.linalg.norm(turn, axis=1) < HOLD_STEP * HELD[1]) & (

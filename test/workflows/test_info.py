@@ -8,8 +8,9 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.bag_writer import Recorded, write_bag
-from bellows_ros.workflows.info import info, TopicInfo
+from bellows_ros.workflows.info import info, longest_hold, TopicInfo
 import numpy as np
 import pytest
 
@@ -188,3 +189,9 @@ def test_recordings_with_known_truth_are_read_right(
 def test_a_recording_without_a_hold_is_told_to_have_one(root):
     assert any('cup.relaxation' in note for note in info(root / 'bags' / 'identification').notes)
     assert not any('cup.relaxation' in note for note in info(root / 'bags' / 'rubber').notes)
+
+
+def test_a_stamp_years_away_takes_no_memory():
+    stamps = [0, 10_000_000, 3 * 10**17]
+    tool = Trajectory(stamps, np.zeros((3, 3)), np.broadcast_to(np.eye(3), (3, 3, 3)))
+    assert longest_hold(tool) == 0.0
