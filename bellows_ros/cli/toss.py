@@ -117,9 +117,9 @@ def _say(result: 'TossResult', console: Console) -> None:
         console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{turned} away{gain}')
     if result.drawn is not None:
         counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
-        from bellows_ros.core.toss.landing import part_inside
+        from bellows_ros.core.toss.landing import coverage
 
-        inside = 100.0 * part_inside(result.covariance, result.drawn.figures)
+        inside = 100.0 * coverage(result.covariance, result.drawn.figures)
         console.say(
             f'  drawn     {len(result.drawn.figures)} tosses: x {counted[0]:.1f} mm, y '
             f'{counted[1]:.1f} mm; {inside:.1f} % in the 95 % ellipse; {result.drawn.failed} '

@@ -16,14 +16,14 @@ from bellows_ros.core.toss.landing import (
     Aim,
     aim,
     beyond_masses,
-    Case,
+    Contributions,
+    contributions_to,
+    coverage,
     draw,
-    Drawn,
-    part_inside,
-    Parts,
-    parts_of,
+    MonteCarlo,
+    TossProblem,
 )
-from bellows_ros.core.toss.release import Held, RELEASE_NAMES, release_of, Toss, toss
+from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.plan import Motion, plan_with_cup, Source, write_prediction
@@ -56,15 +56,15 @@ class TossResult(Result):
     """A toss of a plan, with all that was asked of it."""
 
     source: Source
-    case: Case
-    held: Held
+    case: TossProblem
+    held: HeldMotion
     toss: Toss
-    parts: Parts
+    parts: Contributions
     aim: Aim | None
     asked: Toss | None
     """With a target, the toss at the given time."""
     target: tuple[float, float] | None
-    drawn: Drawn | None
+    drawn: MonteCarlo | None
 
     @property
     def covariance(self) -> Array:
@@ -131,7 +131,7 @@ class TossResult(Result):
             content['monte_carlo'] = {
                 'count': len(self.drawn.figures), 'failed': self.drawn.failed,
                 'covariance': self.drawn.covariance.tolist(),
-                'part_in_ellipse': part_inside(self.covariance, self.drawn.figures)}
+                'part_in_ellipse': coverage(self.covariance, self.drawn.figures)}
         return with_units(content)
 
     @property
@@ -144,7 +144,7 @@ class TossResult(Result):
     @property
     def reached(self) -> bool:
         """Whether the target, if there is one, is in the 95 % ellipse of the landing."""
-        return self.aim is None or self.target is None or bool(part_inside(
+        return self.aim is None or self.target is None or bool(coverage(
             self.covariance + TOLERANCE**2 * np.eye(6),
             np.subtract([self.toss.landing[0][:2]], self.target)))
 
@@ -256,7 +256,7 @@ def toss_plan(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
             'plan in a world with z up.')
     progress('following the plan')
-    held = Held(source.model, source.grip, source.tool)
+    held = HeldMotion(source.model, source.grip, source.tool)
     asked = found = None
     if target is not None:
         asked = None if switched is None else toss(held, release, switched)
@@ -265,9 +265,9 @@ def toss_plan(
         switched = found.switched
     assert switched is not None
     nominal = toss(held, release, switched)
-    case = Case(source.values, source.model, source.grip, source.tool, release, switched)
+    case = TossProblem(source.values, source.model, source.grip, source.tool, release, switched)
     progress('working out how sure the landing is')
-    parts = parts_of(case, held, nominal)
+    parts = contributions_to(case, held, nominal)
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = draw(case, nominal, monte_carlo) if monte_carlo else None

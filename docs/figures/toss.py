@@ -6,7 +6,7 @@ from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.landing import figures
-from bellows_ros.core.toss.release import Held, release_of, toss
+from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.plots.plan import toss_figure
@@ -35,9 +35,9 @@ def main() -> None:
         'rigid pendulum': Cup(soft @ cup.stiffness, soft @ cup.damping, cup.length),
         'ours, as identified': Cup(better @ cup.stiffness, 1.02 * cup.damping, cup.length),
     }
-    truth = Held(model_tuple(cup, package, 9.81), grip, tool)
+    truth = HeldMotion(model_tuple(cup, package, 9.81), grip, tool)
     for name, other in models.items():
-        held = Held(model_tuple(other, package, 9.81), grip, tool)
+        held = HeldMotion(model_tuple(other, package, 9.81), grip, tool)
         off, failed = [], 0
         for time in TIMES:
             try:

@@ -14,23 +14,21 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, Rows
+from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward
 from bellows_ros.core.toss.landing import aim, factor_columns
 from bellows_ros.core.toss.release import (
-    COARSE_STRIDE,
-    flight,
+    DIFFERENCE_STEPS,
     flight_path,
-    Held,
+    HeldMotion,
     latest_release,
     law_of,
     NO_FLIGHT,
     NO_GRIP,
     opened_by,
-    PUSHES,
     release_of,
-    sure_toss,
     Toss,
     toss_along,
-    upward,
+    toss_with_covariance,
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -110,7 +108,7 @@ class Flight:
         self._ahead = latest_release(law_of(values)) + AHEAD
         self._factor = factor_columns(values)
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
-        self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(PUSHES)))
+        self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(DIFFERENCE_STEPS)))
         self._covariance = np.zeros((6, 6))
         self.forget()
 
@@ -183,7 +181,7 @@ class Flight:
             self.state = 'landed'
             return None
         duration = (stamp_ns - self._stamp_ns) * 1e-9
-        self._body = flight(model[1], model[2], self._body, duration, COARSE_STRIDE)
+        self._body = flight(model[1], model[2], self._body, duration, COARSE_ROTATION_PER_STEP)
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
         return Prediction(stamp_ns, *self._body[:4], ZERO, ZERO, tool)
 
@@ -216,7 +214,7 @@ class Flight:
             raise BellowsError(
                 'The package has landed by then, and its later motion is unknown; expected a '
                 f'stamp up to {max(0.0, landed):.3f} s after the newest pose of the tool.')
-        return flight(model[1], model[2], body, seconds - released, COARSE_STRIDE)
+        return flight(model[1], model[2], body, seconds - released, COARSE_ROTATION_PER_STEP)
 
     def _toss(
         self, model: ModelTuple, now: Prediction, tool: Rows | None, switched: float, until: float,
@@ -259,15 +257,15 @@ class Flight:
             return None  # so many steps would hold up the poses
         if self._count % RENEWED == 0:
             self._of_state[:] = covariance(prediction)
-        k = self._count % len(PUSHES)
+        k = self._count % len(DIFFERENCE_STEPS)
         try:
             tool = self._future(prediction)
             rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
-            sound, found = sure_toss(
+            sound, found = toss_with_covariance(
                 model, self.grip or NO_GRIP, self._release, self._factor, prediction.tool,
                 adapted(model, prediction.tool, prediction.body), rows, seconds, self._ahead,
-                longest, *((k, k + 1) if self._count else (0, len(PUSHES))), self._of_state,
-                self._by, self._covariance)
+                longest, *((k, k + 1) if self._count else (0, len(DIFFERENCE_STEPS))),
+                self._of_state, self._by, self._covariance)
         except (BellowsError, ArithmeticError, ValueError):
             sound = False
         self._count = self._count + 1 if sound else 0
@@ -282,7 +280,7 @@ class Flight:
         x, y = self._values['landing.target']
         try:
             tool = steadily(prediction, self._future(prediction), 2.0 * AIMED_AHEAD)
-            held = Held(model, self.grip, tool, prediction.body, 2.0 * AIMED_AHEAD)
+            held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIMED_AHEAD)
             found = aim(held, self._release, (x, y), None, AIMED_AHEAD, AIMED_SCAN, AIMED_CLOSELY)
         except (BellowsError, ArithmeticError, ValueError):
             return None

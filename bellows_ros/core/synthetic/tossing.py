@@ -11,16 +11,9 @@ from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import STILL, write_row
 from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
 from bellows_ros.core.toss.landing import changed
-from bellows_ros.core.toss.release import (
-    flight,
-    Held,
-    Law,
-    LONGEST_WAIT,
-    Release,
-    STRIDE,
-    toss,
-)
+from bellows_ros.core.toss.release import HeldMotion, Law, LONGEST_WAIT, Release, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -97,7 +90,7 @@ def tossed(
         here = tool.select(slice(first, None))
         try:
             _require_rest(here)
-            hanging = Held(model, grip, here, until=switched + LONGEST_WAIT)
+            hanging = HeldMotion(model, grip, here, until=switched + LONGEST_WAIT)
             t = seconds[part] - start
             at = np.searchsorted(hanging.times, t - 1e-9)
             rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]
@@ -118,7 +111,8 @@ def tossed(
         tracked[part] = t <= found.landing_time
         body, now = found.release, found.release_time
         for j in np.flatnonzero(tracked[part] & ~held[part]):
-            body, now = flight(model[1], model[2], body, float(t[j] - now), STRIDE), float(t[j])
+            body = flight(model[1], model[2], body, float(t[j] - now), ROTATION_PER_STEP)
+            now = float(t[j])
             write_row(rows[first + j], body)
         write_row(resting := np.zeros(13), (*found.landing[:2], (0.0,) * 3, (0.0,) * 3))
         rows[part][t > found.landing_time] = resting

@@ -29,7 +29,7 @@ from bellows_ros.core.toss.release import (
     changed_law,
     Factor,
     figures,
-    Held,
+    HeldMotion,
     Law,
     LAW_STEP,
     Release,
@@ -57,7 +57,7 @@ ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 """Standard deviations to the edge of the ellipse that holds 95 % in a plane."""
 
 
-class Parts(NamedTuple):
+class Contributions(NamedTuple):
     """The contribution of each uncertain parameter to a landing."""
 
     names: tuple[str, ...]
@@ -80,7 +80,7 @@ class Parts(NamedTuple):
         return self.std[own], np.asarray(rows.T @ self.correlation[np.ix_(own, own)] @ rows)
 
 
-class Case(NamedTuple):
+class TossProblem(NamedTuple):
     """A toss, and all that it depends on."""
 
     values: Mapping[str, Any]
@@ -93,7 +93,7 @@ class Case(NamedTuple):
 
     def with_numbers(self, model: ModelTuple, release: Release, until: float) -> Toss:
         """Return the toss with another model and release, up to a time (s)."""
-        return toss(Held(model, self.grip, self.tool, until=until), release, self.switched)
+        return toss(HeldMotion(model, self.grip, self.tool, until=until), release, self.switched)
 
     def figures(self, found: Toss, nominal: Toss) -> Array:
         """Return the six figures of a landing, from a nominal one."""
@@ -142,7 +142,7 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
     return max(0.0, math.log(lightest / mass), math.log(mass / heaviest))
 
 
-def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
+def contributions_to(case: TossProblem, held: HeldMotion, nominal: Toss) -> Contributions:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
     until = nominal.release_time + MARGIN
     names, parts = contributions(case.values, case.model, lambda model: case.figures(
@@ -162,12 +162,12 @@ def parts_of(case: Case, held: Held, nominal: Toss) -> Parts:
     correlation = np.eye(len(names))
     of_law = (factor @ factor.T)[np.ix_(*[[RELEASE_NAMES.index(n) for n in names[of_cup:]]] * 2)]
     correlation[of_cup:, of_cup:] = of_law / np.outer(std[of_cup:], std[of_cup:])
-    return Parts(
+    return Contributions(
         tuple(names), np.array(std), np.concatenate([parts.reshape(-1, 6), *[[r] for r in rows]]),
         correlation)
 
 
-class Drawn(NamedTuple):
+class MonteCarlo(NamedTuple):
     """Landings with all uncertain numbers drawn."""
 
     figures: Array
@@ -181,7 +181,7 @@ class Drawn(NamedTuple):
         return np.cov(self.figures.T)
 
 
-def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
+def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
     """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
     numbers, std = parameter_vector(case.values), deviations_of(case.values)
@@ -197,7 +197,7 @@ def draw(case: Case, nominal: Toss, count: int, seed: int = 0) -> Drawn:
             failed += 1
         else:
             rows.append(case.figures(found, nominal))
-    return Drawn(np.array(rows).reshape(-1, 6), failed)
+    return MonteCarlo(np.array(rows).reshape(-1, 6), failed)
 
 
 def ellipse(covariance: Array, count: int) -> Array:
@@ -209,7 +209,7 @@ def ellipse(covariance: Array, count: int) -> Array:
         ((vectors * (ELLIPSE * np.sqrt(np.maximum(values, 0.0)))) @ circle).T)
 
 
-def part_inside(covariance: Array, landings: Array) -> float:
+def coverage(covariance: Array, landings: Array) -> float:
     """Return the part of landings (N, 6) in the 95 % ellipse of x and y about the nominal one."""
     xy = landings[:, :2]
     squared = np.einsum('ni,ni->n', xy, np.linalg.solve(covariance[:2, :2], xy.T).T)
@@ -227,7 +227,7 @@ class Aim(NamedTuple):
 
 
 def aim(
-    held: Held, release: Release, target: tuple[float, float], rotation: Array | None = None,
+    held: HeldMotion, release: Release, target: tuple[float, float], rotation: Array | None = None,
     until: float = math.inf, scan: float = SCAN, candidates: int = CANDIDATES,
 ) -> Aim:
     """
@@ -235,7 +235,7 @@ def aim(
 
     Parameters
     ----------
-    held : Held
+    held : HeldMotion
         The package along the plan.
     release : Release
         Valve, package and floor.

@@ -26,19 +26,13 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import (
-    add,
     add_scaled,
-    apply,
     apply_transposed,
     dot,
-    exp_quaternion,
     log_quaternion,
-    normalised,
-    Quaternion,
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
-    scale,
     subtract,
     unit,
     Vector,
@@ -55,15 +49,11 @@ from bellows_ros.core.model.kernels import (
     extrapolated,
     lip_relative_to_tool,
     ModelTuple,
-    PackageTuple,
-    rotation_rate,
     Segment,
     State,
     step,
     tool_at,
     tool_segment,
-    weighted,
-    wrench_at_com,
 )
 from bellows_ros.core.model.simulation import (
     body_row,
@@ -78,21 +68,24 @@ from bellows_ros.core.model.simulation import (
     write_row,
 )
 from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.toss.free_flight import (
+    Box,
+    COARSE_ROTATION_PER_STEP,
+    flight,
+    INSTANT,
+    land,
+    LONGEST_FLIGHT,
+    lowest,
+    pushed_off,
+    ROTATION_PER_STEP,
+    secant_root,
+    upward,
+)
 from bellows_ros.errors import BellowsError, NoLandingError
 import numpy as np
 
-STRIDE, LONGEST_STRIDE = 0.01, 0.02
-"""Rotation (rad) per integration step of the flight, and the longest step (s)."""
-SHORTEST_STRIDE = 1e-5
-"""The shortest step (s): whatever turns faster is no package."""
-COARSE_STRIDE = 0.1
-"""As `STRIDE`, where 0.01 mrad is accurate enough, as of a landing."""
-
-INSTANT = 1e-10
-"""Accuracy (s) of the instants of letting go and landing."""
-
-LONGEST_WAIT, LONGEST_FLIGHT = 2.0, 10.0
-"""Longest time (s) from the valve to letting go, and from there to landing."""
+LONGEST_WAIT = 2.0
+"""Longest time (s) from the valve to letting go."""
 
 MOST_STEPS = 1_000_000
 """Most steps of the package held along a plan, each of which is kept."""
@@ -102,7 +95,7 @@ RELEASE_NAMES = tuple(f'release.{name}' for name in (
 """The numbers of the law of release, in the order of `Law`."""
 
 LAW_STEP = 0.1
-PUSHES = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(RELEASE_NAMES)
+DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * len(RELEASE_NAMES)
 """Steps of differences by shift (m), turn (rad), linear and angular twist (m/s, rad/s), and by
 the numbers of the law of release (standard deviations)."""
 
@@ -125,21 +118,19 @@ NO_LAW: Law = (0.0,) * 8
 """Of a cup that lets go at once."""
 Factor = tuple[Law, Law, Law, Law, Law, Law, Law, Law]
 """The columns of L, where L L^T is the covariance of the law's numbers."""
-Box = tuple[Vector, Vector]
-"""Half the sides (m) along x, y, z of B, and the centre in B."""
 
 
 @kernel
-def suction(law: Law, late: float) -> float:
+def suction(law: Law, since_valve: float) -> float:
     """Return the suction a time (s) after the valve, as a part of that which holds."""
-    falling = late - law[0]
+    falling = since_valve - law[0]
     if falling < 0.0:
         return 1.0
     return (1.0 + law[3]) * (math.exp(-falling / law[1]) if law[1] > 0.0 else 0.0) - law[3]
 
 
 @kernel
-def spare(grip: Grip, law: Law, late: float, load: float) -> float:
+def suction_margin(grip: Grip, law: Law, since_valve: float, load: float) -> float:
     """
     Return the lip's excess suction (N) over a load (N) a time (s) after the valve.
 
@@ -147,14 +138,16 @@ def spare(grip: Grip, law: Law, late: float, load: float) -> float:
     before it lets go, or the time (s) for a cup that does not open.
     """
     if grip[1] > 0.0:
-        return grip[0] * (suction(law, late) + law[7]) - load
-    return suction(law, late) + law[7] if law[5] > 0.0 else law[0] - late
+        return grip[0] * (suction(law, since_valve) + law[7]) - load
+    return suction(law, since_valve) + law[7] if law[5] > 0.0 else law[0] - since_valve
 
 
 @kernel
-def length_change(model: ModelTuple, law: Law, late: float, tool: State, body: State) -> float:
+def length_change(
+    model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
+) -> float:
     """Return by how much (m) the nominal length has grown a time (s) after the valve."""
-    if law[5] <= 0.0 or late < law[0]:
+    if law[5] <= 0.0 or since_valve < law[0]:
         return 0.0
     cup, package, _ = model
     o_E_S, R_E_S, _, _ = lip_relative_to_tool(
@@ -162,7 +155,7 @@ def length_change(model: ModelTuple, law: Law, late: float, tool: State, body: S
         body[0], rotation_matrix(body[1]), body[2], body[3])
     stretch = -apply_transposed(R_E_S, o_E_S)[2] - cup[1]
     stiffness, part = cup[2][0][8], max(0.0, stretch) / law[5]
-    force = law[4] * (suction(law, late) + part * part) - max(
+    force = law[4] * (suction(law, since_valve) + part * part) - max(
         0.0, law[4] - stiffness * stretch)
     return stretch - force / stiffness
 
@@ -182,7 +175,7 @@ def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
 
 @kernel
 def step_released(
-    model: ModelTuple, law: Law, late: float, body: State, tool: State, tool_middle: State,
+    model: ModelTuple, law: Law, since_valve: float, body: State, tool: State, tool_middle: State,
     tool_end: State, h: float,
 ) -> State:
     """
@@ -190,152 +183,35 @@ def step_released(
 
     The nominal length is the mean of those at both ends: second order.
     """
-    if law[5] <= 0.0 or late + h <= law[0]:
+    if law[5] <= 0.0 or since_valve + h <= law[0]:
         return step(model, body, tool, tool_middle, tool_end, h)
-    start = length_change(model, law, late, tool, body)
+    start = length_change(model, law, since_valve, tool, body)
     change, end = start, body
     for _ in range(3):
         opened = with_length(model, law, change)
         end = step(opened, body, tool, tool_middle, tool_end, h)
-        change = 0.5 * (start + length_change(model, law, late + h, tool_end, end))
+        change = 0.5 * (start + length_change(model, law, since_valve + h, tool_end, end))
     return end
 
 
 @kernel
-def between(low: float, high: float, above: float, below: float, least: float) -> float:
-    """Return where a value vanishes between two ends, by the secant, and off both by `least`."""
-    s = low + (high - low) * above / (above - below)
-    return min(max(s, low + least), high - least)
-
-
-@kernel
 def opened_by(
-    model: ModelTuple, law: Law, late: float, tool: State, body: State
+    model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
 ) -> ModelTuple:
     """Return the model as it is in a state a time (s) after the valve."""
-    if law[5] > 0.0 and late >= law[0]:
-        return with_length(model, law, length_change(model, law, late, tool, body))
+    if law[5] > 0.0 and since_valve >= law[0]:
+        return with_length(model, law, length_change(model, law, since_valve, tool, body))
     return model
 
 
 @kernel
 def load_at(
-    model: ModelTuple, grip: Grip, law: Law, late: float, tool: State, body: State
+    model: ModelTuple, grip: Grip, law: Law, since_valve: float, tool: State, body: State
 ) -> float:
     """Return the suction force (N) at or below which the first lip peels in a state."""
     if grip[1] <= 0.0:
         return 0.0
-    return largest_peel_load(grip, opened_by(model, law, late, tool, body), tool, body)
-
-
-@kernel
-def pushed_off(package: PackageTuple, body: State, impulse: float) -> State:
-    """Return a state after an impulse (N s) along -z of S, at S."""
-    f, m = wrench_at_com(package[1], (0.0, 0.0, -impulse), (0.0, 0.0, 0.0))
-    return (
-        body[0], body[1], add_scaled(body[2], 1.0 / package[0], f),
-        add(body[3], apply(package[3], m)), *body[4:],
-    )
-
-
-@kernel
-def flown(package: PackageTuple, gravity: Vector, body: State, h: float) -> State:
-    """
-    Return the state h later in free flight: the parabola, and a step of RKMK4 for the rotation.
-
-    The angular momentum L in the world is constant, and w = I^-1 R^T L.
-    """
-    inertia, inverse = package[2], package[3]
-    q = body[1]
-    R = rotation_matrix(q)
-    L = apply(R, apply(inertia, body[3]))
-    k1 = body[3]
-    s2 = scale(0.5 * h, k1)
-    k2 = rotation_rate(s2, _spin(inverse, q, s2, L))
-    s3 = scale(0.5 * h, k2)
-    k3 = rotation_rate(s3, _spin(inverse, q, s3, L))
-    s4 = scale(h, k3)
-    k4 = rotation_rate(s4, _spin(inverse, q, s4, L))
-    q_later = normalised(
-        quaternion_product(q, exp_quaternion(scale(h, weighted(k1, k2, k3, k4)))))
-    R_later = rotation_matrix(q_later)
-    velocity = apply(R, body[2])
-    return (
-        add_scaled(add_scaled(body[0], h, velocity), 0.5 * h * h, gravity),
-        q_later,
-        apply_transposed(R_later, add_scaled(velocity, h, gravity)),
-        apply(inverse, apply_transposed(R_later, L)),
-        *body[4:],
-    )
-
-
-@kernel
-def _spin(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
-    """Return the body rate after a turn by sigma, with the angular momentum L in the world."""
-    R = rotation_matrix(quaternion_product(q, exp_quaternion(sigma)))
-    return apply(inverse, apply_transposed(R, L))
-
-
-@kernel
-def stride_of(body: State, stride: float) -> float:
-    """Return how long (s) a step of the flight may be."""
-    rate = math.sqrt(dot(body[3], body[3]))
-    return max(SHORTEST_STRIDE, min(LONGEST_STRIDE, stride / max(rate, 1e-9)))
-
-
-@kernel
-def flight(
-    package: PackageTuple, gravity: Vector, body: State, duration: float, stride: float
-) -> State:
-    """Return the state a time (s) later in free flight."""
-    left = duration
-    while left > 0.0:
-        h = min(stride_of(body, stride), left)
-        body = flown(package, gravity, body, h)
-        left -= h
-    return body
-
-
-@kernel
-def upward(gravity: Vector) -> Vector:
-    """Return the direction against gravity; zero without gravity."""
-    return scale(-1.0 / max(math.sqrt(dot(gravity, gravity)), 1e-9), gravity)
-
-
-@kernel
-def lowest(box: Box, up: Vector, body: State) -> float:
-    """Return the height (m) of the lowest corner of the box."""
-    half, centre = box
-    u = apply_transposed(rotation_matrix(body[1]), up)
-    below = abs(u[0]) * half[0] + abs(u[1]) * half[1] + abs(u[2]) * half[2]
-    return dot(up, body[0]) + dot(u, centre) - below
-
-
-@kernel
-def land(
-    package: PackageTuple, gravity: Vector, box: Box, height: float, body: State
-) -> tuple[float, State]:
-    """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
-    t, up, h = 0.0, upward(gravity), stride_of(body, COARSE_STRIDE)
-    low, high, landed = 0.0, math.inf, body  # the step in which it lands is narrowed (Illinois)
-    above, below, side = lowest(box, up, body) - height, 0.0, 0
-    while t < LONGEST_FLIGHT:
-        after = flown(package, gravity, body, h)
-        left = lowest(box, up, after) - height
-        if left <= 0.0:
-            high, below, landed = h, left, after
-            above, side = above * 0.5 if side < 0 else above, -1
-        elif high < math.inf:
-            low, above = h, left
-            below, side = below * 0.5 if side > 0 else below, 1
-        else:
-            t, body, above = t + h, after, left
-            h = stride_of(body, COARSE_STRIDE)
-            continue
-        if high - low <= INSTANT:
-            return t + high, landed
-        h = between(low, high, above, below, 0.5 * INSTANT)
-    return -1.0, body
+    return largest_peel_load(grip, opened_by(model, law, since_valve, tool, body), tool, body)
 
 
 @kernel
@@ -363,7 +239,7 @@ def _hold(
 
 @kernel
 def _within(
-    model: ModelTuple, law: Law, late: float, segment: Segment, body: State, low: float,
+    model: ModelTuple, law: Law, since_valve: float, segment: Segment, body: State, low: float,
     high: float,
 ) -> tuple[State, State]:
     """
@@ -375,11 +251,11 @@ def _within(
     middle = tool_at(segment, 0.5 * (low + high))
     h = (high - low) * segment[0]
     return tool, step_released(
-        model, law, late + low * segment[0], body, tool_at(segment, low), middle, tool, h)
+        model, law, since_valve + low * segment[0], body, tool_at(segment, low), middle, tool, h)
 
 
 @kernel
-def let_go(
+def find_release(
     model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State,
     rows: Any, seconds: Any, switched: float, until: float, longest: float,
 ) -> tuple[float, State]:
@@ -403,11 +279,11 @@ def let_go(
             low, high, freed = max(before, (switched - start) / duration), last, body
             s = last if above > 0.0 or low >= last else low
             while True:  # until it lets go: the step in which it does is narrowed (Illinois)
-                late = start + s * duration - switched
+                since_valve = start + s * duration - switched
                 there, carried = _within(
                     model, law, start - switched, segment, body, before, s)
-                load = load_at(model, grip, law, late, there, carried)
-                left = spare(grip, law, late, load) if s >= low else math.inf
+                load = load_at(model, grip, law, since_valve, there, carried)
+                left = suction_margin(grip, law, since_valve, load) if s >= low else math.inf
                 if left <= 0.0:
                     high, below, freed, caught = s, left, carried, True
                     above, side = above * 0.5 if side < 0 else above, -1
@@ -422,7 +298,7 @@ def let_go(
                     continue
                 if (high - low) * duration <= INSTANT:
                     return start + high * duration, freed
-                s = between(low, high, above, below, 0.5 * INSTANT / duration)
+                s = secant_root(low, high, above, below, 0.5 * INSTANT / duration)
             body = carried
         tool, start = after, end
     return -1.0, body
@@ -443,14 +319,14 @@ def write_toss(
     for k in range(1, len(seconds)):
         start = seconds[k - 1]
         if released < 0.0:
-            released, body = let_go(
+            released, body = find_release(
                 model, grip, law, start, row_state(rows[k - 1]), body, rows[k:k + 1],
                 seconds[k:k + 1], switched, seconds[k], longest)
             start = released
             if released >= 0.0:
                 body = pushed_off(model[1], body, law[2])
         if released >= 0.0:
-            body = flight(model[1], model[2], body, seconds[k] - start, COARSE_STRIDE)
+            body = flight(model[1], model[2], body, seconds[k] - start, COARSE_ROTATION_PER_STEP)
         write_row(out[k], body)
     return released
 
@@ -482,7 +358,7 @@ def toss_along(
     below the floor it lands at once. Integration steps are at most `longest` (s).
     """
     _, package, gravity = model
-    released, body = let_go(
+    released, body = find_release(
         model, grip, release.law, start, tool, body, rows, seconds, switched, until, longest)
     if released < 0.0:
         return released, body, -1.0, body
@@ -536,7 +412,7 @@ def write_covariance(of_state: Array, by: Array, covariance: Array) -> bool:
 
 
 @kernel
-def sure_toss(
+def toss_with_covariance(
     model: ModelTuple, grip: Grip, release: Release, factor: Factor, tool: State, body: State,
     rows: Any, seconds: Any, until: float, longest: float, first: int, last: int,
     of_state: Array, by: Array, covariance: Array,
@@ -556,7 +432,7 @@ def sure_toss(
         if j >= 12 and column == NO_LAW:
             by[:, j] = 0.0
             continue
-        size = PUSHES[max(j, 0)]
+        size = DIFFERENCE_STEPS[max(j, 0)]
         changed = Release(changed_law(release.law, size, column), release.box, release.height)
         found = toss_along(
             model, grip, changed, 0.0, tool,
@@ -589,7 +465,7 @@ class Toss(NamedTuple):
         return math.hypot(*self.landing[3])
 
 
-class Held:
+class HeldMotion:
     """
     The package held along a plan, the start of all its tosses.
 
@@ -659,13 +535,13 @@ class Held:
             raise diverged()
         self._inputs = as_inputs(self.times, tools, states)
 
-    def again(self, start: State) -> Held:
+    def restarted_from(self, start: State) -> HeldMotion:
         """Return the same from another initial state."""
         other = copy(self)
         other._follow(start)
         return other
 
-    def let_go(self, release: Release, switched: float) -> tuple[float, State, float, State]:
+    def find_release(self, release: Release, switched: float) -> tuple[float, State, float, State]:
         """Return what `toss_along` does, the valve being switched at a time (s)."""
         times, tools, states = self._inputs
         i = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
@@ -674,7 +550,7 @@ class Held:
             body_row(states[i], self.start), tools[i + 1:], times[i + 1:], switched, times[-1],
             self._longest)
 
-    def released(self, release: Release, switched: float) -> Held:
+    def released(self, release: Release, switched: float) -> HeldMotion:
         """Return the same with the states that the valve, switched at a time (s), leads to."""
         other = copy(self)
         other.states = self.states.copy()
@@ -715,13 +591,13 @@ class Held:
         return float(self.times[early[0]]) if len(early) else None
 
 
-def toss(held: Held, release: Release, switched: float) -> Toss:
+def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
     """
     Return the toss when the valve is switched at a time of the plan.
 
     Parameters
     ----------
-    held : Held
+    held : HeldMotion
         The package along the plan.
     release : Release
         Valve, package and floor.
@@ -739,7 +615,7 @@ def toss(held: Held, release: Release, switched: float) -> Toss:
         raise NoLandingError(
             f'The valve is switched at {switched:g} s, outside the plan; expected 0 to '
             f'{held.duration:g} s. Release earlier, or make the plan longer.')
-    released, body, landing, landed = held.let_go(release, switched)
+    released, body, landing, landed = held.find_release(release, switched)
     if released < 0.0:
         raise NoLandingError(
             f'The cup does not let go within {held.times[-1] - switched:.3g} s after the valve is '
@@ -817,5 +693,5 @@ def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:
     body, h = toss.release, (toss.landing_time - toss.release_time) / (count - 1)
     for k in range(count):
         write_row(out[k], body)
-        body = flight(package, gravity, body, h, STRIDE)
+        body = flight(package, gravity, body, h, ROTATION_PER_STEP)
     return out

@@ -10,7 +10,14 @@ from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.simulation import Rows, tool_rows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.landing import changed, release_factor
-from bellows_ros.core.toss.release import figures, Held, PUSHES, release_of, toss, toss_along
+from bellows_ros.core.toss.release import (
+    DIFFERENCE_STEPS,
+    figures,
+    HeldMotion,
+    release_of,
+    toss,
+    toss_along,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
@@ -48,7 +55,7 @@ def played(plan, flight, poses):
 
 def test_flies_on_as_the_plan_has_it_until_it_lands(plan):
     """One prediction for each pose until landing, on the path of the toss; then the next one."""
-    expected = toss(Held(MODEL, tosses.GRIP, plan), release_of(VALUES), VALVE)
+    expected = toss(HeldMotion(MODEL, tosses.GRIP, plan), release_of(VALUES), VALVE)
     live, found, states = played(plan, Flight(VALUES), 520)
     times = {state: PERIOD_NS * 1e-9 * states.index(state) for state in states}
     assert list(times) == ['settling', 'released', 'flying', 'landed']
@@ -71,14 +78,15 @@ def test_flies_on_as_the_plan_has_it_until_it_lands(plan):
 
 def worked_out(flight, now, std):
     """Return a landing and its covariance from one toss after the other, with NumPy."""
-    release, longest, axes = release_of(VALUES), 2.0 * largest_step(MODEL), np.eye(len(PUSHES))
+    release, longest = release_of(VALUES), 2.0 * largest_step(MODEL)
+    axes = np.eye(len(DIFFERENCE_STEPS))
 
     def landing(body, release):
         return toss_along(MODEL, tosses.GRIP, release, 0.0, now.tool, body, np.empty((0, 13)),
                           np.empty(0), 0.0, flight._ahead, longest)[3]
 
     nominal, by = landing(now.body, release), []
-    for size, push in zip(PUSHES, axes, strict=True):
+    for size, push in zip(DIFFERENCE_STEPS, axes, strict=True):
         by_state = (tuple(part.tolist()) for part in np.split(size * push[:12], 4))
         found = landing(moved(now.body, *by_state),
                         changed(release, release_factor(VALUES) @ (size * push[12:])))
@@ -89,7 +97,7 @@ def worked_out(flight, now, std):
 
 def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     """The landing of a toss with the tool going on steadily; J Sigma J^T of state and release."""
-    held = Held(MODEL, tosses.GRIP, plan)
+    held = HeldMotion(MODEL, tosses.GRIP, plan)
     i = int(np.searchsorted(held.times, VALVE))
     o, q, v = held.states[i, :3], held.states[i, 3:7], held.states[i, 7:]
     tool = (plan.position[250], rotation_to_quaternion(plan.rotation[250]), plan.twist[250])
@@ -100,7 +108,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     flight = Flight(VALUES)
     std = np.repeat([1e-4, 1e-3, 2e-3, 1e-2], 3)
     found = flight.landing(MODEL, now, lambda _: np.diag(std**2))
-    steady = Held(MODEL, tosses.GRIP, steadily(now, None, 0.5), now.body, 0.5)
+    steady = HeldMotion(MODEL, tosses.GRIP, steadily(now, None, 0.5), now.body, 0.5)
     expected = toss(steady, release_of(VALUES), 0.0)
     np.testing.assert_allclose(found.toss.landing[0], expected.landing[0], atol=1e-7)
     landing, covariance = worked_out(flight, now, std)
@@ -123,7 +131,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
         start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, twists))
         release = changed(
             release_of(VALUES), release_factor(VALUES) @ rng.standard_normal(8))
-        landings.append(toss(steady.again(start), release, 0.0).landing[0][:2])
+        landings.append(toss(steady.restarted_from(start), release, 0.0).landing[0][:2])
     linear = np.sqrt(np.diag(found.covariance)[:2])
     np.testing.assert_allclose(linear, np.std(landings, axis=0), rtol=0.12)  # 3.5 % each, 400
 
@@ -167,7 +175,7 @@ def test_the_vacuum_that_is_heard_counts(plan):
 
 def test_says_when_to_release_for_a_target(plan):
     """In so many seconds, where the target lies ahead; nothing without one."""
-    held = Held(MODEL, tosses.GRIP, plan)
+    held = HeldMotion(MODEL, tosses.GRIP, plan)
     i = int(np.searchsorted(held.times, 0.3))
     rows = held.states[i].tolist()
     tool = (plan.position[150], rotation_to_quaternion(plan.rotation[150]), plan.twist[150])
@@ -175,7 +183,7 @@ def test_says_when_to_release_for_a_target(plan):
         START_NS, tuple(rows[:3]), tuple(rows[3:7]), tuple(rows[7:10]), tuple(rows[10:]),
         (0.0,) * 3, (0.0,) * 3,
         (tuple(tool[0]), tuple(tool[1]), tuple(tool[2][:3]), tuple(tool[2][3:])))
-    steady = Held(MODEL, tosses.GRIP, steadily(now, None, 0.8), now.body, 0.8)
+    steady = HeldMotion(MODEL, tosses.GRIP, steadily(now, None, 0.8), now.body, 0.8)
     target = toss(steady, release_of(VALUES), 0.123).landing[0][:2]
     aimed = Flight({**VALUES, 'landing.aim': True, 'landing.target': target})
     assert aimed.time_to_target(MODEL, now) == pytest.approx(0.123, abs=1e-4)

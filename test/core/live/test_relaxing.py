@@ -18,7 +18,7 @@ from bellows_ros.core.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.plan import predict
 from bellows_ros.core.planning.steering import steer
-from bellows_ros.core.toss.release import Held, release_of, toss
+from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -141,11 +141,11 @@ def test_a_plan_is_predicted_and_steered():
 def test_a_toss_holds_until_its_release():
     release = release_of(resolve({**values(), 'landing.height': -1.0}))
     plan = Move([0.6, 0.0, 0.3], [0.0, 0.0, 0.0], 0.6).plan()
-    held = Held(MODEL, GRIP, plan)
+    held = HeldMotion(MODEL, GRIP, plan)
     thrown = toss(held, release, 0.3)
     direct = predict(MODEL, GRIP, plan)
     assert held.states.shape[1] == direct.states.shape[1] == 13
-    plain = toss(Held(PLAIN, GRIP, plan), release, 0.3)
+    plain = toss(HeldMotion(PLAIN, GRIP, plan), release, 0.3)
     assert math.dist(thrown.landing[0], plain.landing[0]) > 1e-4
     flight = Flight(resolve(values()))
     flight.warm_up(MODEL)

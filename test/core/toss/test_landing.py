@@ -7,14 +7,14 @@ from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.landing import (
     aim,
-    Case,
     changed,
+    contributions_to,
+    coverage,
     draw,
-    part_inside,
-    parts_of,
     release_factor,
+    TossProblem,
 )
-from bellows_ros.core.toss.release import Held, release_of, toss
+from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
@@ -29,13 +29,13 @@ PACKAGE_STD = {'package.mass_std': 0.005, 'package.com_std': (5e-4, 5e-4, 5e-4)}
 def case():
     """Return the throw, released in the middle."""
     values = resolve({**tosses.values(), **PACKAGE_STD})
-    return Case(values, MODEL, tosses.GRIP, tosses.plan(), release_of(values), 0.5)
+    return TossProblem(values, MODEL, tosses.GRIP, tosses.plan(), release_of(values), 0.5)
 
 
 @pytest.fixture(scope='module')
 def held(case):
     """Return the package along the throw."""
-    return Held(case.model, case.grip, case.tool)
+    return HeldMotion(case.model, case.grip, case.tool)
 
 
 @pytest.mark.parametrize(('count', 'inside', 'within'), [
@@ -47,10 +47,10 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, i
     if not COMPILED:
         pytest.skip('a thousand interpreted tosses take too long; see numba')
     nominal = toss(held, case.release, case.switched)
-    covariance = parts_of(case, held, nominal).covariance
+    covariance = contributions_to(case, held, nominal).covariance
     drawn = draw(case, nominal, count)
     assert drawn.failed == 0
-    assert abs(part_inside(covariance, drawn.figures) - 0.95) <= inside
+    assert abs(coverage(covariance, drawn.figures) - 0.95) <= inside
     linear, counted = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(drawn.covariance))
     assert linear[2] < 1e-12  # on the floor
     np.testing.assert_allclose(linear[[0, 1, 3, 4, 5]], counted[[0, 1, 3, 4, 5]], rtol=within)
@@ -59,7 +59,7 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, i
 def test_a_millisecond_later_is_what_the_flight_makes_of_it(case, held):
     """The part of the delay is the difference of two tosses so far apart in time."""
     nominal = toss(held, case.release, case.switched)
-    parts = parts_of(case, held, nominal)
+    parts = contributions_to(case, held, nominal)
     part = parts.parts[parts.names.index('release.delay')]
     late, early = (
         toss(held, changed(case.release, by * np.eye(8)[0]), case.switched)
@@ -108,7 +108,7 @@ def test_refuses_to_aim_where_nothing_lands(case, held):
 
 def test_what_cannot_be_tossed_is_counted(case):
     """A valve that may not open in time fails now and then, and the rest counts."""
-    nominal = toss(Held(case.model, case.grip, case.tool), case.release, case.switched)
+    nominal = toss(HeldMotion(case.model, case.grip, case.tool), case.release, case.switched)
     loose = case._replace(values={**case.values, 'release.delay_std': 0.4})
     drawn = draw(loose, nominal, 12, seed=1)
     assert 0 < drawn.failed < 12

@@ -6,14 +6,13 @@ from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotati
 from bellows_ros.core.model.cup_package import model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
 from bellows_ros.core.toss.release import (
-    flight,
     flight_path,
-    Held,
+    HeldMotion,
     NO_LAW,
     Release,
     release_of,
-    STRIDE,
     toss,
 )
 from bellows_ros.errors import BellowsError
@@ -29,7 +28,7 @@ RELEASE = release_of(resolve(tosses.values()))
 @pytest.fixture(scope='module')
 def held():
     """Return the package along the throw."""
-    return Held(MODEL, tosses.GRIP, tosses.plan())
+    return HeldMotion(MODEL, tosses.GRIP, tosses.plan())
 
 
 def plain(row):
@@ -86,7 +85,7 @@ def test_without_an_opening_the_law_is_that_of_a_cup_that_keeps_its_length(held)
 
 def test_without_a_grip_it_is_let_go_after_the_delay():
     """The instant is that of the valve and the delay, exactly."""
-    held = Held(MODEL, None, tosses.plan())
+    held = HeldMotion(MODEL, None, tosses.plan())
     found = toss(held, RELEASE, 0.4)
     assert found.release_mode == 'delay'
     assert abs(found.release_time - 0.4 - RELEASE.law[0]) < 1e-9
@@ -105,7 +104,7 @@ def test_the_more_vacuum_the_later_and_by_tau_times_the_logarithm(held):
 
 def test_a_grip_that_is_lost_before_is_found(held):
     """The instant from which the load is above the suction, and letting go with the valve."""
-    weak = Held(MODEL, (60.0, *tosses.GRIP[1:]), tosses.plan())
+    weak = HeldMotion(MODEL, (60.0, *tosses.GRIP[1:]), tosses.plan())
     early = weak.lost_before(1.0)
     j = int(np.searchsorted(weak.times, early))
     assert weak.loads[j] >= 60.0 > weak.loads[j - 1]
@@ -121,7 +120,7 @@ def test_the_flight_keeps_energy_and_angular_momentum(rate):
     package = Package(1.8, inertia, (0.0, 0.0, -0.03))
     start = ((0.0, 0.1, 2.0), (0.1, 0.2, 0.3, math.sqrt(0.86)), (1.0, 0.5, 2.0), rate)
     gravity = (0.0, 0.0, -9.81)
-    end = flight(package.as_tuple, gravity, start, 2.0, STRIDE)
+    end = flight(package.as_tuple, gravity, start, 2.0, ROTATION_PER_STEP)
 
     def constants(state):
         o, q, v, w = (np.array(part) for part in state)
@@ -158,7 +157,7 @@ def test_in_a_tilted_world_the_same_package_lands_on_the_same_floor(held):
         plan.stamps_ns, plan.position @ Q.T, Q @ plan.rotation, plan.twist)
     model = model_tuple(tosses.CUP, tosses.PACKAGE, Q @ tosses.GRAVITY)
     expected = toss(held, RELEASE, 0.5)
-    found = toss(Held(model, tosses.GRIP, tilted), RELEASE, 0.5)
+    found = toss(HeldMotion(model, tosses.GRIP, tilted), RELEASE, 0.5)
     assert found.landing_time == pytest.approx(expected.landing_time, abs=1e-8)
     np.testing.assert_allclose(found.landing[0], Q @ expected.landing[0], atol=1e-7)
 
@@ -179,7 +178,7 @@ def test_refuses_a_plan_that_ends_in_motion_before_it_lets_go():
     """Nothing is known of the tool after the end."""
     plan = tosses.plan()
     with pytest.raises(BellowsError, match='ends earlier, in motion'):
-        toss(Held(MODEL, tosses.GRIP, plan.select(slice(500))), RELEASE, 0.49)
+        toss(HeldMotion(MODEL, tosses.GRIP, plan.select(slice(500))), RELEASE, 0.49)
 
 
 def test_refuses_a_package_without_a_size():

@@ -1,0 +1,162 @@
+"""Free flight: the impulse of a blow-off, the parabola with a tumbling package, the landing."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.tuples import (
+    add,
+    add_scaled,
+    apply,
+    apply_transposed,
+    dot,
+    exp_quaternion,
+    normalised,
+    Quaternion,
+    quaternion_product,
+    rotation_matrix,
+    scale,
+    Vector,
+)
+from bellows_ros.core.model.kernels import (
+    PackageTuple,
+    rotation_rate,
+    State,
+    weighted,
+    wrench_at_com,
+)
+
+ROTATION_PER_STEP, LONGEST_FLIGHT_STEP = 0.01, 0.02
+"""Rotation (rad) per integration step of the flight, and the longest step (s)."""
+SHORTEST_FLIGHT_STEP = 1e-5
+"""The shortest step (s): whatever turns faster is no package."""
+COARSE_ROTATION_PER_STEP = 0.1
+"""As `ROTATION_PER_STEP`, where 0.01 mrad is accurate enough, as of a landing."""
+
+INSTANT = 1e-10
+"""Accuracy (s) of the instants of letting go and landing."""
+
+LONGEST_FLIGHT = 10.0
+"""Longest time (s) from the release to the landing."""
+
+Box = tuple[Vector, Vector]
+"""Half the sides (m) along x, y, z of B, and the centre in B."""
+
+
+@kernel
+def secant_root(low: float, high: float, above: float, below: float, least: float) -> float:
+    """Return where a value vanishes between two ends, by the secant, and off both by `least`."""
+    s = low + (high - low) * above / (above - below)
+    return min(max(s, low + least), high - least)
+
+
+@kernel
+def pushed_off(package: PackageTuple, body: State, impulse: float) -> State:
+    """Return a state after an impulse (N s) along -z of S, at S."""
+    f, m = wrench_at_com(package[1], (0.0, 0.0, -impulse), (0.0, 0.0, 0.0))
+    return (
+        body[0], body[1], add_scaled(body[2], 1.0 / package[0], f),
+        add(body[3], apply(package[3], m)), *body[4:],
+    )
+
+
+@kernel
+def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: float) -> State:
+    """
+    Return the state h later in free flight: the parabola, and a step of RKMK4 for the rotation.
+
+    The angular momentum L in the world is constant, and w = I^-1 R^T L.
+    """
+    inertia, inverse = package[2], package[3]
+    q = body[1]
+    R = rotation_matrix(q)
+    L = apply(R, apply(inertia, body[3]))
+    k1 = body[3]
+    s2 = scale(0.5 * h, k1)
+    k2 = rotation_rate(s2, _spin(inverse, q, s2, L))
+    s3 = scale(0.5 * h, k2)
+    k3 = rotation_rate(s3, _spin(inverse, q, s3, L))
+    s4 = scale(h, k3)
+    k4 = rotation_rate(s4, _spin(inverse, q, s4, L))
+    q_later = normalised(
+        quaternion_product(q, exp_quaternion(scale(h, weighted(k1, k2, k3, k4)))))
+    R_later = rotation_matrix(q_later)
+    velocity = apply(R, body[2])
+    return (
+        add_scaled(add_scaled(body[0], h, velocity), 0.5 * h * h, gravity),
+        q_later,
+        apply_transposed(R_later, add_scaled(velocity, h, gravity)),
+        apply(inverse, apply_transposed(R_later, L)),
+        *body[4:],
+    )
+
+
+@kernel
+def _spin(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
+    """Return the body rate after a turn by sigma, with the angular momentum L in the world."""
+    R = rotation_matrix(quaternion_product(q, exp_quaternion(sigma)))
+    return apply(inverse, apply_transposed(R, L))
+
+
+@kernel
+def flight_step(body: State, rotation_per_step: float) -> float:
+    """Return how long (s) a step of the flight may be."""
+    rate = math.sqrt(dot(body[3], body[3]))
+    return max(SHORTEST_FLIGHT_STEP, min(LONGEST_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
+
+
+@kernel
+def flight(
+    package: PackageTuple, gravity: Vector, body: State, duration: float, rotation_per_step: float
+) -> State:
+    """Return the state a time (s) later in free flight."""
+    left = duration
+    while left > 0.0:
+        h = min(flight_step(body, rotation_per_step), left)
+        body = free_flight_step(package, gravity, body, h)
+        left -= h
+    return body
+
+
+@kernel
+def upward(gravity: Vector) -> Vector:
+    """Return the direction against gravity; zero without gravity."""
+    return scale(-1.0 / max(math.sqrt(dot(gravity, gravity)), 1e-9), gravity)
+
+
+@kernel
+def lowest(box: Box, up: Vector, body: State) -> float:
+    """Return the height (m) of the lowest corner of the box."""
+    half, centre = box
+    u = apply_transposed(rotation_matrix(body[1]), up)
+    below = abs(u[0]) * half[0] + abs(u[1]) * half[1] + abs(u[2]) * half[2]
+    return dot(up, body[0]) + dot(u, centre) - below
+
+
+@kernel
+def land(
+    package: PackageTuple, gravity: Vector, box: Box, height: float, body: State
+) -> tuple[float, State]:
+    """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
+    t, up, h = 0.0, upward(gravity), flight_step(body, COARSE_ROTATION_PER_STEP)
+    low, high, landed = 0.0, math.inf, body  # the step in which it lands is narrowed (Illinois)
+    above, below, side = lowest(box, up, body) - height, 0.0, 0
+    while t < LONGEST_FLIGHT:
+        after = free_flight_step(package, gravity, body, h)
+        left = lowest(box, up, after) - height
+        if left <= 0.0:
+            high, below, landed = h, left, after
+            above, side = above * 0.5 if side < 0 else above, -1
+        elif high < math.inf:
+            low, above = h, left
+            below, side = below * 0.5 if side > 0 else below, 1
+        else:
+            t, body, above = t + h, after, left
+            h = flight_step(body, COARSE_ROTATION_PER_STEP)
+            continue
+        if high - low <= INSTANT:
+            return t + high, landed
+        h = secant_root(low, high, above, below, 0.5 * INSTANT)
+    return -1.0, body
