@@ -21,6 +21,7 @@ from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
+from bellows_ros.core.recording.preparation import LOW_RATE_HZ
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
@@ -122,9 +123,10 @@ def identify(
 
     def read(own: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
         parts, failed = read_all(own, keep=keep, tell=tell, jobs=jobs, dask=dask)
-        return with_relaxation(parts, own), failed
+        return with_relaxation(parts, with_method(own, parts)), failed
 
     parts, failed = read(effective)
+    values, effective = (dict(with_method(own, parts)) for own in (values, effective))
     whole = [part for part in parts if isinstance(part, Recording)]
     notes = assumed(settings)
     if guess := first_guess(whole, effective):
@@ -137,6 +139,16 @@ def identify(
             effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
     return _identified(values, effective, parts, static, tell, read, failed=tuple(failed),
                        assumed=notes, parameter_files=of_files)
+
+
+def with_method(values: Mapping[str, Any], parts: Sequence[Part]) -> Mapping[str, Any]:
+    """Return parameters with the method that fit.method: auto comes to for recordings."""
+    if values['fit.method'] != 'auto':
+        return values
+    rates = [body.timing.rate_hz for part in parts if isinstance(part, Recording)
+             for body in (part.report.tool, part.report.package)]
+    slow = 'package_marker' in values['fit.free'] or min(rates, default=LOW_RATE_HZ) < LOW_RATE_HZ
+    return {**values, 'fit.method': 'output_error' if slow else 'prediction_error'}
 
 
 def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
@@ -189,8 +201,11 @@ def _with_free(values: dict[str, Any]) -> dict[str, Any]:
     ):
         if wrong:
             raise BellowsError(f'fit.free: {", ".join(given)}: {remedy}.')
-    if 'package_marker' in free and values['fit.method'] != 'output_error':
-        raise BellowsError('fit.free: package_marker: it needs fit.method: output_error. Set it.')
+    if 'package_marker' in free:
+        values = dict(with_method(values, ()))
+        if values['fit.method'] != 'output_error':
+            raise BellowsError(
+                'fit.free: package_marker: it needs fit.method: output_error. Set it.')
     world = values['recording.package_world']
     return {**values, 'fit.time_offset': values['fit.time_offset'] or 'time_offset' in free,
             'recording.package_world': world or ('estimate' if 'package_world' in free else '')}

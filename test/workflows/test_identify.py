@@ -9,6 +9,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result
+from bellows_ros.files.safe_yaml import load
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
@@ -80,6 +81,29 @@ def test_without_a_word_the_prediction_error_is_minimised(root):
         error = np.diag(getattr(fit, f'{name}_std'))
         assert np.all(np.abs(np.diag(getattr(fit, name)) - true) < 3.0 * error)
         assert np.all(error[[0, 3, 5]] < 0.05 * true[[0, 3, 5]])
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
+def test_a_camera_is_fitted_by_output_error_without_a_word(root, tmp_path):
+    """Record as a robot at 500 Hz and a camera at 30 Hz do, and find the cup within its errors."""
+    motion = load(root / 'bags/validation.yaml')
+    motion['package'] = {
+        'rate_hz': 30.0, 'frame': 'com', 'noise': {'position': 3e-4, 'rotation': 1.5e-3}}
+    motion['tool'] = {'rate_hz': 500.0, 'noise': {'position': 2e-5, 'rotation': 5e-5}}
+    truth = read_parameters(root / 'bags/cup.yaml')
+    known = read_parameters(root / 'bags/package.yaml')
+    simulate_recording({**truth, **known}, motion, tmp_path / 'camera')
+    result = identify({**known, 'recording.package_frame': 'com',
+                       'bags': [str(tmp_path / 'camera')]})
+    fit = result.fit
+    assert fit.method == 'output_error' and not result.refusals
+    for name in ('stiffness', 'damping'):
+        true = np.diag(np.reshape(truth[f'cup.{name}'], (6, 6)))
+        error = np.diag(getattr(fit, f'{name}_std'))
+        known_ones = np.isfinite(error)
+        assert known_ones[[0, 3, 4, 5]].all()
+        off = np.abs(np.diag(getattr(fit, name)) - true)
+        assert np.all(off[known_ones] < 4.0 * error[known_ones])
 
 
 def test_shipped_recording(shipped):

@@ -311,8 +311,8 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
          f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
          'must be in metres (REP-103).'),
         (time.rate_hz < LOW_RATE_HZ,
-         f"Topic '{name}' has only {time.rate_hz:.0f} Hz, too few for twists of a cup's modes: "
-         f'fit.method: output_error is for such poses, the others need {LOW_RATE_HZ:.0f} Hz.'),
+         f"Topic '{name}' has only {time.rate_hz:.0f} Hz, too few for twists of a cup's modes. "
+         f'Output error can fit such poses; the other methods need {LOW_RATE_HZ:.0f} Hz.'),
         (repeats > REPEATS_WARNED * len(recorded),
          f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
          'than it is measured, so its actual rate is lower.'),
