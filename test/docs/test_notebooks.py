@@ -48,3 +48,11 @@ def test_the_pages_lead_to_every_notebook(root: Path) -> None:
     text = (root / 'docs' / 'index.md').read_text()
     assert NOTEBOOKS.notebooks()
     assert all(f'../notebooks/{path.name}' in text for path in NOTEBOOKS.notebooks())
+
+
+@pytest.mark.parametrize('name', ['docs/tutorial.md', 'docs/validation.md', *(
+    f'notebooks/{path.name}' for path in NOTEBOOKS.notebooks())])
+def test_readers_meet_public_names_alone(root: Path, name: str) -> None:
+    """Import no module of the package but the library."""
+    found = re.findall(r'(?:import|from) bellows_ros\.\w+', (root / name).read_text())
+    assert found == []
