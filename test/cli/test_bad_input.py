@@ -251,7 +251,7 @@ def test_an_output_that_cannot_be_written_is_found_before_the_work(
 ) -> None:
     """Refuse a folder that is not there, and a folder in the place of the file."""
     before = contents(outputs)
-    for bad, words in ((outputs / 'no' / 'file', 'does not exist'), (outputs, 'not a plain file')):
+    for bad, words in ((outputs / 'no' / 'file', 'does not exist'), (outputs, 'is a folder')):
         done = bellows('identify', workshop / 'missing', '--params', workshop / 'package.yaml',
                        option, bad)
         check_refusal(done, outputs, before, [words, str(bad)])
