@@ -14,6 +14,7 @@ from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, cup_of, package_of, varied
 from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.recording import Noise, Recording, TimeOffset
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -192,9 +193,9 @@ def _by_output_error(
 
 def given_std(values: Mapping[str, Any]) -> dict[str, Array]:
     """Return the standard deviations of quantities of `KINDS` that were given with one."""
-    held = package_of(values) if 'package.mass' in values else None
-    if held is None:
+    if any(name not in values for name in PACKAGE_PARAMETERS):
         return {}
+    held = package_of(values)
     stated = {
         'mass': np.array([values['package.mass_std'] / held.mass]),
         'com': np.array(values['package.com_std']),

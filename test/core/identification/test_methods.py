@@ -1,6 +1,6 @@
 """What the methods of fitting make of prepared recordings."""
 
-from bellows_ros.core.identification.methods import fit, start_cup
+from bellows_ros.core.identification.methods import fit, given_std, start_cup
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
@@ -36,3 +36,8 @@ def test_least_squares_says_where_the_noise_is_not_white(kept):
         'package.mass': simulated.HELD.mass})
     said = [text for text in fit([recording], values).fit.warnings if 'correlated' in text]
     assert len(said) == (kept > 0.0)
+
+
+def test_what_is_given_of_half_a_package_is_nothing():
+    """Know no standard deviation of a package whose inertia is not given."""
+    assert given_std({'package.mass': 1.0, 'package.mass_std': 0.01}) == {}
