@@ -244,7 +244,7 @@ _TABLE = (
     Parameter('cup.layout', (0.0, 0.0, 0.0), 'm', _BOTH, length=ANY, minimum=-10.0, maximum=10.0,
               description='Positions x, y, z in E of the equal, parallel cups of a gripper, one '
               'after the other; all else in cup.* is of one cup.'),
-    Parameter('cup.open', (), '', _BOTH, kind='double_array', minimum=0.0,
+    Parameter('cup.open', (), '', _PREDICTOR, kind='double_array', minimum=0.0,
               description='Cups of cup.layout, from 0, that do not hold: they leave K, P and the '
               'safety factor.'),
     Parameter('cup.name', '', '', _PREDICTOR,
