@@ -20,8 +20,8 @@ PACKAGE = {
     'package.inertia': (0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0),
     'package.com': (0.0, 0.0, -0.03),
 }
-LISTS = {**{p.name: p.choices[:2] or ('a', 'b')
-            for p in PARAMETERS.values() if p.kind == 'string_array'}, 'cup.open': (0.0, 1.0)}
+LISTS = {p.name: p.choices[:2] or ('a', 'b')
+         for p in PARAMETERS.values() if p.kind == 'string_array'}
 
 
 @pytest.fixture

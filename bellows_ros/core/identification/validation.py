@@ -220,6 +220,8 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
         not stay finite.
 
     """
+    if most is not None and np.argmax(recording.measured) + most >= len(recording.measured):
+        most = None
     key = ('validated', cup.stiffness.tobytes(), cup.damping.tobytes(), cup.length, most)
     return recording.once(key, lambda: _validated(cup, recording, most))
 

@@ -176,7 +176,8 @@ class Package:
 
 def is_gripper(values: Mapping[str, Any]) -> bool:
     """Return whether parameter values describe cups other than one at E that holds."""
-    return bool(any(values.get('cup.layout', ())) or values.get('cup.open'))
+    return bool(any(values.get('cup.layout', ())) or any(
+        index >= 0.0 for index in values.get('cup.open', ())))
 
 
 def cup_of(values: Mapping[str, Any]) -> Cup:

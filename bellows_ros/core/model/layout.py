@@ -90,7 +90,7 @@ def places_of(values: Mapping[str, Any]) -> Array:
 
     """
     positions = positions_of(values.get('cup.layout', CENTRE))
-    opened = set(values.get('cup.open', ()))
+    opened = set(values.get('cup.open', ())) - {-1.0}  # which stands for none
     wrong = sorted(opened - set(range(len(positions))))
     if wrong:
         raise BellowsError(

@@ -244,9 +244,9 @@ _TABLE = (
     Parameter('cup.layout', (0.0, 0.0, 0.0), 'm', _BOTH, length=ANY, minimum=-10.0, maximum=10.0,
               description='Positions x, y, z in E of the equal, parallel cups of a gripper, one '
               'after the other; all else in cup.* is of one cup.'),
-    Parameter('cup.open', (), '', _PREDICTOR, kind='double_array', minimum=0.0,
+    Parameter('cup.open', (-1.0,), '', _PREDICTOR, length=ANY, minimum=-1.0,
               description='Cups of cup.layout, from 0, that do not hold: they leave K, P and the '
-              'safety factor.'),
+              'safety factor. -1 for none, as ROS has no empty lists.'),
     Parameter('cup.name', '', '', _PREDICTOR,
               description="Name of the mounted cup, one of cups.NAME.*; '' for the one in cup.*."),
     Parameter('cup.stiffness_std', (0.0,) * 36, 'N/m, N, N m/rad', _PREDICTOR, minimum=0.0,
