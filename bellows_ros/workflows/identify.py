@@ -15,13 +15,18 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros import __version__
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import with_relaxation
-from bellows_ros.core.identification.methods import first_guess, fit, fitted, with_freed
+from bellows_ros.core.identification.methods import (
+    first_guess,
+    fit,
+    fitted,
+    with_freed,
+    with_method,
+)
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import is_gripper
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
-from bellows_ros.core.recording.preparation import LOW_RATE_HZ
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
@@ -139,16 +144,6 @@ def identify(
             effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
     return _identified(values, effective, parts, static, tell, read, failed=tuple(failed),
                        assumed=notes, parameter_files=of_files)
-
-
-def with_method(values: Mapping[str, Any], parts: Sequence[Part]) -> Mapping[str, Any]:
-    """Return parameters with the method that fit.method: auto comes to for recordings."""
-    if values['fit.method'] != 'auto':
-        return values
-    rates = [body.timing.rate_hz for part in parts if isinstance(part, Recording)
-             for body in (part.report.tool, part.report.package)]
-    slow = 'package_marker' in values['fit.free'] or min(rates, default=LOW_RATE_HZ) < LOW_RATE_HZ
-    return {**values, 'fit.method': 'output_error' if slow else 'prediction_error'}
 
 
 def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
@@ -460,6 +455,7 @@ def structures(
     """
     tell, values = progress or (lambda what, part: None), resolved(settings)
     read: list[Recording] = read_all(values, True, tell)[0]
+    values = dict(with_method(values, read))
     recordings = with_relaxation(read, values)
     advice = StructureAdvice(
         excitation_of([reduced(recording, values) for recording in recordings]),

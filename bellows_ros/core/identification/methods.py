@@ -15,6 +15,7 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, cup_of, package_of, varied
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
+from bellows_ros.core.recording.preparation import LOW_RATE_HZ
 from bellows_ros.core.recording.recording import Noise, Recording, TimeOffset
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -74,6 +75,7 @@ def fit(
         If the recordings do not determine the cup.
 
     """
+    values = with_method(values, recordings)
     parts = [reduced(own, values) for own in recordings]
     found = fitted(recordings, values, progress)
     excitation = excitation_of(parts, found.method, (found.parameters, found.covariance))
@@ -123,6 +125,18 @@ def _of_colour(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
             f'The noise of {", ".join(coloured)} is correlated in time: motion capture smoothing? '
             'Least squares removes the bias of white noise only, so K and P may be too small by '
             'more than the standard errors say. Use fit.method: prediction_error.')
+
+
+def with_method(
+    values: Mapping[str, Any], parts: Sequence[Recording | Reduced]
+) -> Mapping[str, Any]:
+    """Return parameters with the method that fit.method: auto comes to for recordings."""
+    if values['fit.method'] != 'auto':
+        return values
+    rates = [body.timing.rate_hz for part in parts if isinstance(part, Recording)
+             for body in (part.report.tool, part.report.package)]
+    slow = 'package_marker' in values['fit.free'] or min(rates, default=LOW_RATE_HZ) < LOW_RATE_HZ
+    return {**values, 'fit.method': 'output_error' if slow else 'prediction_error'}
 
 
 def fitted(

@@ -1,6 +1,6 @@
 """What the methods of fitting make of prepared recordings."""
 
-from bellows_ros.core.identification.methods import fit, given_std, start_cup
+from bellows_ros.core.identification.methods import fit, given_std, start_cup, with_method
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
@@ -41,3 +41,15 @@ def test_least_squares_says_where_the_noise_is_not_white(kept):
 def test_what_is_given_of_half_a_package_is_nothing():
     """Know no standard deviation of a package whose inertia is not given."""
     assert given_std({'package.mass': 1.0, 'package.mass_std': 0.01}) == {}
+
+
+@pytest.mark.parametrize(('rate', 'free', 'method'), [
+    (120.0, (), 'prediction_error'), (60.0, (), 'output_error'),
+    (120.0, ('package_marker',), 'output_error')])
+def test_the_method_follows_from_the_recordings(rate, free, method):
+    """Take what slow poses, or a marker anywhere, need; what is set by name stays."""
+    recording = simulated.record(simulated.shake(seed=3), rate_hz=rate)
+    values = {'fit.method': 'auto', 'fit.free': free}
+    assert with_method(values, [recording])['fit.method'] == method
+    named = {**values, 'fit.method': 'least_squares'}
+    assert with_method(named, [recording]) == named
