@@ -80,7 +80,7 @@ def test_lands_where_it_said_it_would(
     valve.publish(Bool(data=False))
     assert until(lambda: state() == 'flying')
     asked_ns = ask(10 * PERIOD_NS)
-    assert until(lambda: state() == 'landed')
+    assert until(lambda: state() == 'landed' and heard['later'])
     later = heard['later'][0]
     positions = {
         stamp_to_ns(each.header.stamp): each.pose.position for each in partner.poses}
