@@ -6,18 +6,10 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.geometry.tuples import (
-    apply,
-    Matrix,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple, State
@@ -46,8 +38,8 @@ def _lip(com: Vector, tool: State, body: State) -> tuple[Vector, Matrix, Vector,
     """Return E_o_S, E_R_S and the twist of the lip relative to the tool."""
     return lip_relative_to_tool(
         com,
-        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3],
+        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
     )
 
 
@@ -59,14 +51,15 @@ def deflection(model: ModelTuple, prediction: Prediction) -> Deflection:
 
 def deflection_rotation(prediction: Prediction) -> Quaternion:
     """Return the rotation E_R_S of the lip in the tool (3.13), as [S] = [B]."""
-    return quaternion_product(quaternion_conjugate(prediction.tool[1]), prediction.quaternion_xyzw)
+    return t3.quaternion_product(
+        t3.quaternion_conjugate(prediction.tool[1]), prediction.quaternion_xyzw)
 
 
 def lip_position(model: ModelTuple, prediction: Prediction) -> Vector:
     """Return the centre of the lip S in the world (m)."""
     com = model[1][1]
-    return subtract(
-        prediction.position, apply(rotation_matrix(prediction.quaternion_xyzw), com))
+    return t3.subtract(
+        prediction.position, t3.apply(t3.rotation_matrix(prediction.quaternion_xyzw), com))
 
 
 def equivalent_box(values: Mapping[str, Any]) -> Vector:

@@ -10,21 +10,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.tuples import (
-    apply,
-    apply_transposed,
-    dot,
-    log_quaternion,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import row_state, Rows, tool_rows, write_row
@@ -71,7 +60,7 @@ def pose_distance(row: Any, o: Vector, q: Quaternion) -> float:
 @kernel
 def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
     """Return the product of two twists, turns counted as by `LEVER`."""
-    return dot(v, linear) + LEVER * LEVER * dot(w, angular)
+    return t3.dot(v, linear) + LEVER * LEVER * t3.dot(w, angular)
 
 
 @kernel
@@ -113,9 +102,9 @@ def locate(
     speed = along(point[2], point[3], point[2], point[3])
     if speed <= slow * slow:
         return nearest, seconds[found], math.inf
-    R = rotation_matrix(point[1])
-    turn = log_quaternion(quaternion_product(quaternion_conjugate(point[1]), q))
-    way = along(apply_transposed(R, subtract(o, point[0])), turn, point[2], point[3])
+    R = t3.rotation_matrix(point[1])
+    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(point[1]), q))
+    way = along(t3.apply_transposed(R, t3.subtract(o, point[0])), turn, point[2], point[3])
     return (
         nearest, min(max(seconds[found] + way / speed, 0.0), seconds[last]),
         along(v, w, point[2], point[3]) / speed,
@@ -159,7 +148,7 @@ def remaining_plan(
         o, q, v, w = row_state(rows[k])[:4]
         stamps_ns[count] = round(
             (wait + max(seconds[k] - progress, 1e-4) / rate) * NS_PER_S)
-        write_row(out[count], (o, q, scale(rate, v), scale(rate, w)))
+        write_row(out[count], (o, q, t3.scale(rate, v), t3.scale(rate, w)))
         count += 1
         if k == last:
             return count
@@ -179,8 +168,8 @@ def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> in
         if slot != before or k == last:
             o, q, v, w = row_state(states[k])[:4]
             if in_world:
-                R = rotation_matrix(q)
-                v, w = apply(R, v), apply(R, w)
+                R = t3.rotation_matrix(q)
+                v, w = t3.apply(R, v), t3.apply(R, w)
             times_ns[count] = times_ns[k]
             write_row(states[count], (o, q, v, w))
             count += 1

@@ -9,21 +9,11 @@ from __future__ import annotations
 
 import math
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import uncollected
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.geometry.tuples import (
-    add,
-    apply,
-    apply_transposed,
-    cross,
-    normalised,
-    norms,
-    Quaternion,
-    quaternion_product,
-    rotation_matrix,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
@@ -322,10 +312,10 @@ class LivePredictor:
                 longer_ns = pause_ns - self._pause_ns
                 self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
         self.arrival_ns = arrival_ns
-        q = normalised(quaternion_xyzw)
+        q = t3.normalised(quaternion_xyzw)
         if self._tip is not None:
-            position = add(position, apply(rotation_matrix(q), self._tip[0]))
-            q = quaternion_product(q, self._tip[1])
+            position = t3.add(position, t3.apply(t3.rotation_matrix(q), self._tip[0]))
+            q = t3.quaternion_product(q, self._tip[1])
         self._pairing.add_pose(PoseSample(stamp_ns, position, q))
         return self._release(predictions)
 
@@ -340,7 +330,7 @@ class LivePredictor:
         while.
         """
         self.twists_in += 1
-        speed, rate = norms(linear, angular)
+        speed, rate = t3.norms(linear, angular)
         if not (speed <= LARGEST_SPEED and rate <= LARGEST_RATE):  # nor where one is NaN
             finite = all(map(math.isfinite, (*linear, *angular)))
             self._counts['twist_too_fast' if finite else 'twist_nan'] += 1
@@ -468,12 +458,12 @@ def _at_tip(
     twist: TwistSample, lever: Vector, turn: Quaternion, q: Quaternion, in_world: bool
 ) -> TwistSample:
     """Return the twist of E, in axes as before, from that of a frame with E at lever and turn."""
-    R_tip, v, w = rotation_matrix(turn), twist.linear, twist.angular
+    R_tip, v, w = t3.rotation_matrix(turn), twist.linear, twist.angular
     if in_world:
-        lever = apply(rotation_matrix(q), apply_transposed(R_tip, lever))
-        return TwistSample(twist.stamp_ns, add(v, cross(w, lever)), w)
-    v = apply_transposed(R_tip, add(v, cross(w, lever)))
-    return TwistSample(twist.stamp_ns, v, apply_transposed(R_tip, w))
+        lever = t3.apply(t3.rotation_matrix(q), t3.apply_transposed(R_tip, lever))
+        return TwistSample(twist.stamp_ns, t3.add(v, t3.cross(w, lever)), w)
+    v = t3.apply_transposed(R_tip, t3.add(v, t3.cross(w, lever)))
+    return TwistSample(twist.stamp_ns, v, t3.apply_transposed(R_tip, w))
 
 
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:

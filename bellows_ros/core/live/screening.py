@@ -12,18 +12,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import (
-    dot,
-    log_quaternion,
-    norm,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.samples import ZERO
 from bellows_ros.core.signals.screening import (
     ACCEPTED,
@@ -110,7 +101,7 @@ REST = PoseStep(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
 @kernel
 def change(a: Vector, b: Vector) -> tuple[float, float]:
     """Return the length of b - a, and the smaller of both lengths where they agree."""
-    return norm(subtract(b, a)), min(norm(a), norm(b)) if dot(a, b) > 0.0 else 0.0
+    return t3.norm(t3.subtract(b, a)), min(t3.norm(a), t3.norm(b)) if t3.dot(a, b) > 0.0 else 0.0
 
 
 def step_between(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> PoseStep:
@@ -131,9 +122,9 @@ def step_after(
     The change of velocity counts for the shorter of the two periods, and less in a steady motion,
     so that neither bursts nor stamps with jitter make jumps of it.
     """
-    shift = subtract(other_o, o)
-    turn = log_quaternion(quaternion_product(quaternion_conjugate(q), other_q))
-    v, w = scale(1.0 / seconds, shift), scale(1.0 / seconds, turn)
+    shift = t3.subtract(other_o, o)
+    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(q), other_q))
+    v, w = t3.scale(1.0 / seconds, shift), t3.scale(1.0 / seconds, turn)
     velocity_change, speed = change(velocity, v)
     rate_change, turn_speed = change(rate, w)
     shorter = min(seconds, period) if period > 0.0 else seconds
@@ -141,8 +132,8 @@ def step_after(
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
     squared = 0.5 * (seconds + shorter) * shorter
     excess = max(
-        norm(shift) / (SPEED_SLACK + LARGEST_SPEED * seconds),
-        norm(turn) / (RATE_SLACK + LARGEST_RATE * seconds),
+        t3.norm(shift) / (SPEED_SLACK + LARGEST_SPEED * seconds),
+        t3.norm(turn) / (RATE_SLACK + LARGEST_RATE * seconds),
     )
     doubt = 0.0
     if period != UNKNOWN:

@@ -11,18 +11,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import (
-    add_scaled,
-    log_quaternion,
-    norms,
-    quaternion_conjugate,
-    quaternion_product,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.live.samples import Unsettled
 from bellows_ros.core.model.kernels import State
 import numpy as np
@@ -151,17 +143,17 @@ def motion_through(
 
     Of quadratics through three poses, s and t seconds after the start.
     """
-    back = quaternion_conjugate(start[1])
+    back = t3.quaternion_conjugate(start[1])
     v, a = quadratic(
-        subtract(middle[0], start[0]), subtract(end[0], start[0]), s, t)
+        t3.subtract(middle[0], start[0]), t3.subtract(end[0], start[0]), s, t)
     w, b = quadratic(
-        log_quaternion(quaternion_product(back, middle[1])),
-        log_quaternion(quaternion_product(back, end[1])), s, t)
-    return (*norms(v, w), *norms(a, b))
+        t3.log_quaternion(t3.quaternion_product(back, middle[1])),
+        t3.log_quaternion(t3.quaternion_product(back, end[1])), s, t)
+    return (*t3.norms(v, w), *t3.norms(a, b))
 
 
 @kernel
 def quadratic(x: Vector, y: Vector, s: float, t: float) -> tuple[Vector, Vector]:
     """Return slope at 0 and second derivative of the quadratic from 0 through x at s, y at t."""
-    half = scale(1.0 / (t - s), add_scaled(scale(1.0 / t, y), -1.0 / s, x))
-    return add_scaled(scale(1.0 / s, x), -s, half), scale(2.0, half)
+    half = t3.scale(1.0 / (t - s), t3.add_scaled(t3.scale(1.0 / t, y), -1.0 / s, x))
+    return t3.add_scaled(t3.scale(1.0 / s, x), -s, half), t3.scale(2.0, half)

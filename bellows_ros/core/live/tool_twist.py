@@ -4,20 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled,
-    apply_transposed,
-    log_quaternion,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model.kernels import State
 import numpy as np
 
@@ -87,22 +76,22 @@ def pose_with_slope(rows: Any, count: int, at: int) -> State:
     p0, p1, p2 = ZERO, ZERO, ZERO  # and of the rotation vectors
     for i in range(count):
         s = (rows[i][0] - rows[at][0]) / span
-        d = subtract((rows[i][1], rows[i][2], rows[i][3]), o)
+        d = t3.subtract((rows[i][1], rows[i][2], rows[i][3]), o)
         qi = (rows[i][4], rows[i][5], rows[i][6], rows[i][7])
-        p = log_quaternion(quaternion_product(quaternion_conjugate(q), qi))
+        p = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(q), qi))
         s1, s2, s3, s4 = s1 + s, s2 + s * s, s3 + s * s * s, s4 + s * s * s * s
-        d0, d1, d2 = add(d0, d), add_scaled(d1, s, d), add_scaled(d2, s * s, d)
-        p0, p1, p2 = add(p0, p), add_scaled(p1, s, p), add_scaled(p2, s * s, p)
+        d0, d1, d2 = t3.add(d0, d), t3.add_scaled(d1, s, d), t3.add_scaled(d2, s * s, d)
+        p0, p1, p2 = t3.add(p0, p), t3.add_scaled(p1, s, p), t3.add_scaled(p2, s * s, p)
     w0, w1, w2 = slope_weights(float(count), s1, s2, s3, s4)
     velocity = weighted_sum(w0 / span, d0, w1 / span, d1, w2 / span, d2)
     rate = weighted_sum(w0 / span, p0, w1 / span, p1, w2 / span, p2)
-    return o, q, apply_transposed(rotation_matrix(q), velocity), rate
+    return o, q, t3.apply_transposed(t3.rotation_matrix(q), velocity), rate
 
 
 @kernel
 def weighted_sum(a: float, x: Vector, b: float, y: Vector, c: float, z: Vector) -> Vector:
     """Return a x + b y + c z."""
-    return add_scaled(add_scaled(scale(a, x), b, y), c, z)
+    return t3.add_scaled(t3.add_scaled(t3.scale(a, x), b, y), c, z)
 
 
 @kernel

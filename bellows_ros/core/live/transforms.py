@@ -6,18 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled,
-    apply,
-    apply_transposed,
-    normalised,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    subtract,
-)
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.live.samples import PoseSample, ZERO
 
 KEPT = 500
@@ -176,21 +165,21 @@ def at(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
     x, y, z, w = ((1.0 - part) * a + sign * part * b for a, b in zip(p, q, strict=True))
     chord = (x, y, z, w)
     return PoseSample(
-        stamp_ns, add_scaled(scale(1.0 - part, old.position), part, new.position),
-        normalised(chord) if any(chord) else chord)
+        stamp_ns, t3.add_scaled(t3.scale(1.0 - part, old.position), part, new.position),
+        t3.normalised(chord) if any(chord) else chord)
 
 
 def composed(outer: PoseSample, inner: PoseSample) -> PoseSample:
     """Return a pose given in another pose."""
-    turned = apply(rotation_matrix(outer.quaternion_xyzw), inner.position)
+    turned = t3.apply(t3.rotation_matrix(outer.quaternion_xyzw), inner.position)
     return PoseSample(
-        outer.stamp_ns, add(outer.position, turned),
-        quaternion_product(outer.quaternion_xyzw, inner.quaternion_xyzw))
+        outer.stamp_ns, t3.add(outer.position, turned),
+        t3.quaternion_product(outer.quaternion_xyzw, inner.quaternion_xyzw))
 
 
 def relative(base: PoseSample, pose: PoseSample) -> PoseSample:
     """Return a pose relative to another, both given in the same frame."""
-    back = subtract(pose.position, base.position)
+    back = t3.subtract(pose.position, base.position)
     return PoseSample(
-        pose.stamp_ns, apply_transposed(rotation_matrix(base.quaternion_xyzw), back),
-        quaternion_product(quaternion_conjugate(base.quaternion_xyzw), pose.quaternion_xyzw))
+        pose.stamp_ns, t3.apply_transposed(t3.rotation_matrix(base.quaternion_xyzw), back),
+        t3.quaternion_product(t3.quaternion_conjugate(base.quaternion_xyzw), pose.quaternion_xyzw))

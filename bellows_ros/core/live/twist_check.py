@@ -5,21 +5,9 @@ from __future__ import annotations
 from collections import deque
 import math
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    apply,
-    apply_transposed,
-    dot,
-    log_quaternion,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model.kernels import State
 
 PERIOD_NS = 20_000_000
@@ -63,14 +51,15 @@ def misfits(
     What is left with the measured twist (linear, angular) taken to be in world axes, and in tool
     axes; rotations count with the lever.
     """
-    R = rotation_matrix(q)
+    R = t3.rotation_matrix(q)
     weight = LEVER * LEVER
-    dv, dw = subtract(apply_transposed(R, linear), v), subtract(apply_transposed(R, angular), w)
-    ev, ew = subtract(linear, v), subtract(angular, w)
+    dv = t3.subtract(t3.apply_transposed(R, linear), v)
+    dw = t3.subtract(t3.apply_transposed(R, angular), w)
+    ev, ew = t3.subtract(linear, v), t3.subtract(angular, w)
     return (
-        dot(v, v) + weight * dot(w, w),
-        dot(dv, dv) + weight * dot(dw, dw),
-        dot(ev, ev) + weight * dot(ew, ew),
+        t3.dot(v, v) + weight * t3.dot(w, w),
+        t3.dot(dv, dv) + weight * t3.dot(dw, dw),
+        t3.dot(ev, ev) + weight * t3.dot(ew, ew),
     )
 
 
@@ -140,12 +129,12 @@ def misfit(
     (rad). The way between two poses differs from the mean of both velocities times the time by no
     more than the largest jerk makes of it, j t^3 / 12.
     """
-    R_before, R_now = rotation_matrix(before[1]), rotation_matrix(now[1])
-    mean = scale(0.5, add(apply(R_before, before[2]), apply(R_now, now[2])))
-    off = subtract(subtract(now[0], before[0]), scale(seconds, mean))
-    turn = log_quaternion(quaternion_product(quaternion_conjugate(before[1]), now[1]))
-    turn_off = subtract(turn, scale(0.5 * seconds, add(before[3], now[3])))
-    shift, angle = math.sqrt(dot(off, off)), math.sqrt(dot(turn_off, turn_off))
+    R_before, R_now = t3.rotation_matrix(before[1]), t3.rotation_matrix(now[1])
+    mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R_now, now[2])))
+    off = t3.subtract(t3.subtract(now[0], before[0]), t3.scale(seconds, mean))
+    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(before[1]), now[1]))
+    turn_off = t3.subtract(turn, t3.scale(0.5 * seconds, t3.add(before[3], now[3])))
+    shift, angle = math.sqrt(t3.dot(off, off)), math.sqrt(t3.dot(turn_off, turn_off))
     cubed = seconds * seconds * seconds / 12.0
     excess = max(
         shift / (SLACK + LARGEST_JERK * cubed), angle / (TURN_SLACK + LARGEST_TURN_JERK * cubed))
@@ -162,8 +151,8 @@ def measured(
     """Return the tool with the measured twist, in tool axes, and its `misfit`."""
     v, w = linear, angular
     if in_world:
-        R = rotation_matrix(q)
-        v, w = apply_transposed(R, linear), apply_transposed(R, angular)
+        R = t3.rotation_matrix(q)
+        v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
     now = position, q, v, w
     excess, doubt, off = misfit(before, now, seconds)
     return now, excess, doubt, off

@@ -9,24 +9,10 @@ files/bellows_cup.h), so that both give the same bits; so its derivatives are di
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    apply,
-    apply_transposed,
-    exp_quaternion,
-    log_quaternion,
-    normalised,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    subtract,
-    unit,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model.jacobians import (
     body_jacobians,
     Square,
@@ -54,8 +40,8 @@ _ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 
 def resting_on_tool(model: ModelTuple, tool: State) -> State:
     """Return the package at the cup's nominal pose, [B] = [S] = [E], at rest."""
     com, zero = model[1][1], (0.0, 0.0, 0.0)
-    offset = apply(rotation_matrix(tool[1]), (com[0], com[1], com[2] - model[0][1]))
-    body: State = add(tool[0], offset), tool[1], zero, zero
+    offset = t3.apply(t3.rotation_matrix(tool[1]), (com[0], com[1], com[2] - model[0][1]))
+    body: State = t3.add(tool[0], offset), tool[1], zero, zero
     return relaxed(model[0], (zero, zero), body) if model[0][4:] else body
 
 
@@ -70,11 +56,11 @@ def adapted(model: ModelTuple, tool: State, body: State) -> State:
 @kernel
 def displaced(body: State, delta: Vector, phi: Vector) -> State:
     """Return the body at rest, moved by R delta and rotated by exp(phi) in its own axes."""
-    move = apply(rotation_matrix(body[1]), delta)
+    move = t3.apply(t3.rotation_matrix(body[1]), delta)
     o = body[0]
     return (
         (o[0] + move[0], o[1] + move[1], o[2] + move[2]),
-        quaternion_product(body[1], exp_quaternion(phi)),
+        t3.quaternion_product(body[1], t3.exp_quaternion(phi)),
         *body[2:],
     )
 
@@ -85,16 +71,16 @@ def moved(
 ) -> State:
     """Return a state displaced in its own axes, with its twist changed."""
     there = displaced(body, shift, turn)
-    there = with_rotation(there, normalised(there[1]))
-    return with_twist(there, add(there[2], linear), add(there[3], angular))
+    there = with_rotation(there, t3.normalised(there[1]))
+    return with_twist(there, t3.add(there[2], linear), t3.add(there[3], angular))
 
 
 @kernel
 def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
     """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
     return (
-        apply_transposed(rotation_matrix(body[1]), subtract(position, body[0])),
-        log_quaternion(quaternion_product(quaternion_conjugate(body[1]), q)),
+        t3.apply_transposed(t3.rotation_matrix(body[1]), t3.subtract(position, body[0])),
+        t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(body[1]), q)),
     )
 
 
@@ -156,7 +142,7 @@ def _accelerated(
 ) -> tuple[float, float, float, float, float, float]:
     """Return the package's acceleration with one of its 12 coordinates changed."""
     dv, dw = body_acceleration(model, tool, moved(
-        body, unit(j, by), unit(j - 3, by), unit(j - 6, by), unit(j - 9, by)))
+        body, t3.unit(j, by), t3.unit(j - 3, by), t3.unit(j - 6, by), t3.unit(j - 9, by)))
     return dv[0], dv[1], dv[2], dw[0], dw[1], dw[2]
 
 
@@ -205,13 +191,13 @@ def static_equilibrium(
         If there is none: the cup is too soft for the package in this tool pose.
 
     """
-    R_world_tool = rotation_matrix(tool[1])
-    gravity = apply_transposed(R_world_tool, model[2])
+    R_world_tool = t3.rotation_matrix(tool[1])
+    gravity = t3.apply_transposed(R_world_tool, model[2])
     if near is None:
         body, loads = resting_on_tool(model, _ORIGIN)[:4], _LOADS
     else:
-        shift = apply_transposed(R_world_tool, subtract(near[0], tool[0]))
-        turn = quaternion_product(quaternion_conjugate(tool[1]), near[1])
+        shift = t3.apply_transposed(R_world_tool, t3.subtract(near[0], tool[0]))
+        turn = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1])
         body, loads = (shift, turn, _ORIGIN[2], _ORIGIN[3]), 1
     rest, found = _loaded(
         model, gravity, body, loads, *as_inputs(np.zeros((6, 6)), np.zeros(6)))
@@ -220,10 +206,10 @@ def static_equilibrium(
             f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
             'without tipping over. Check package.mass, package.com, cup.stiffness and their '
             'units.')
-    position = add(tool[0], apply(R_world_tool, rest[0]))
+    position = t3.add(tool[0], t3.apply(R_world_tool, rest[0]))
     return adapted(
         model, (tool[0], tool[1], *_ORIGIN[2:]),
-        (position, quaternion_product(tool[1], rest[1]), rest[2], rest[3]))
+        (position, t3.quaternion_product(tool[1], rest[1]), rest[2], rest[3]))
 
 
 @kernel
@@ -232,7 +218,7 @@ def _loaded(
 ) -> tuple[State, bool]:
     """Apply gravity in steps; return the equilibrium, and whether it is stable."""
     for load in range(1, loads + 1):
-        now = (model[0], model[1], scale(load / loads, gravity))
+        now = (model[0], model[1], t3.scale(load / loads, gravity))
         body, settled, stable = _newton(now, body, A, x)
         if not settled or (load == loads and not stable):
             return body, False
@@ -245,9 +231,9 @@ def _newton(model: ModelTuple, body: State, A: Any, x: Any) -> tuple[State, bool
     size, stable = math.inf, False
     for _ in range(_ITERATIONS):
         for j in range(6):
-            turn, back = unit(j - 3, _DIFFERENCE), unit(j - 3, -_DIFFERENCE)
-            up = _unbalance(model, displaced(body, unit(j, _DIFFERENCE), turn))
-            down = _unbalance(model, displaced(body, unit(j, -_DIFFERENCE), back))
+            turn, back = t3.unit(j - 3, _DIFFERENCE), t3.unit(j - 3, -_DIFFERENCE)
+            up = _unbalance(model, displaced(body, t3.unit(j, _DIFFERENCE), turn))
+            down = _unbalance(model, displaced(body, t3.unit(j, -_DIFFERENCE), back))
             for i in range(6):
                 A[i][j] = (down[i] - up[i]) / (2.0 * _DIFFERENCE)
         force = _unbalance(model, body)
@@ -295,5 +281,5 @@ def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, flo
     """Return force and moment that accelerate a package at rest under a tool at rest."""
     package = model[1]
     dv, dw = body_acceleration(model, _ORIGIN, body)
-    f, m = scale(package[0], dv), apply(package[2], dw)
+    f, m = t3.scale(package[0], dv), t3.apply(package[2], dw)
     return f[0], f[1], f[2], m[0], m[1], m[2]

@@ -13,27 +13,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled,
-    add_scaled_matrix,
-    apply,
-    apply_transposed,
-    cross,
-    hat,
-    Matrix,
-    multiply,
-    multiply_transposed,
-    outer,
-    rotation_matrix,
-    scale,
-    scale_matrix,
-    subtract,
-    transposed,
-    unit,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.kernels import (
     Blocks,
     body_acceleration,
@@ -74,8 +56,8 @@ NOTHING = (0.0,) * 9
 def add_scaled_square(A: Square, factor: float, B: Square) -> Square:
     """Return A + factor * B."""
     return (
-        add_scaled_matrix(A[0], factor, B[0]), add_scaled_matrix(A[1], factor, B[1]),
-        add_scaled_matrix(A[2], factor, B[2]), add_scaled_matrix(A[3], factor, B[3]),
+        t3.add_scaled_matrix(A[0], factor, B[0]), t3.add_scaled_matrix(A[1], factor, B[1]),
+        t3.add_scaled_matrix(A[2], factor, B[2]), t3.add_scaled_matrix(A[3], factor, B[3]),
     )
 
 
@@ -83,8 +65,8 @@ def add_scaled_square(A: Square, factor: float, B: Square) -> Square:
 def apply_square(A: Square, a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return A [a; b]."""
     return (
-        add(apply(A[0], a), apply(A[1], b)),
-        add(apply(A[2], a), apply(A[3], b)),
+        t3.add(t3.apply(A[0], a), t3.apply(A[1], b)),
+        t3.add(t3.apply(A[2], a), t3.apply(A[3], b)),
     )
 
 
@@ -93,8 +75,8 @@ def shift_left(c: Vector, A: Square) -> Square:
     """Return X^T A with X = [[I, c^], [0, I]]."""
     return (
         A[0], A[1],
-        add_scaled_matrix(A[2], -1.0, multiply(hat(c), A[0])),
-        add_scaled_matrix(A[3], -1.0, multiply(hat(c), A[1])),
+        t3.add_scaled_matrix(A[2], -1.0, t3.multiply(t3.hat(c), A[0])),
+        t3.add_scaled_matrix(A[3], -1.0, t3.multiply(t3.hat(c), A[1])),
     )
 
 
@@ -102,16 +84,16 @@ def shift_left(c: Vector, A: Square) -> Square:
 def shift_right(A: Square, c: Vector) -> Square:
     """Return A X with X = [[I, c^], [0, I]]."""
     return (
-        A[0], add_scaled_matrix(A[1], 1.0, multiply(A[0], hat(c))),
-        A[2], add_scaled_matrix(A[3], 1.0, multiply(A[2], hat(c))),
+        A[0], t3.add_scaled_matrix(A[1], 1.0, t3.multiply(A[0], t3.hat(c))),
+        A[2], t3.add_scaled_matrix(A[3], 1.0, t3.multiply(A[2], t3.hat(c))),
     )
 
 
 @kernel
 def turn_right(A: Square, R: Matrix) -> Square:
     """Return A diag(R^T, R^T)."""
-    T = transposed(R)
-    return multiply(A[0], T), multiply(A[1], T), multiply(A[2], T), multiply(A[3], T)
+    T = t3.transposed(R)
+    return t3.multiply(A[0], T), t3.multiply(A[1], T), t3.multiply(A[2], T), t3.multiply(A[3], T)
 
 
 @kernel
@@ -120,7 +102,7 @@ def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
     trace = R[0] + R[4] + R[8]
     return (
         (R[0] + 1.0, R[1], R[2], R[3], R[4] + 1.0, R[5], R[6], R[7], R[8] + 1.0),
-        hat(apply_transposed(R, o)),
+        t3.hat(t3.apply_transposed(R, o)),
         (
             trace - R[0], -R[3], -R[6],
             -R[1], trace - R[4], -R[7],
@@ -135,12 +117,12 @@ def stress_jacobian(
 ) -> Square:
     """Return the derivative K J of K h, with K (1 + r1 + r2) for a cup that relaxes."""
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
-    K_Ro = transposed(K[1])
+    K_Ro = t3.transposed(K[1])
     KJ = (
-        multiply(K[0], J_oo),
-        add_scaled_matrix(multiply(K[0], q_hat), 1.0, multiply(K[1], J_RR)),
-        multiply(K_Ro, J_oo),
-        add_scaled_matrix(multiply(K_Ro, q_hat), 1.0, multiply(K[2], J_RR)),
+        t3.multiply(K[0], J_oo),
+        t3.add_scaled_matrix(t3.multiply(K[0], q_hat), 1.0, t3.multiply(K[1], J_RR)),
+        t3.multiply(K_Ro, J_oo),
+        t3.add_scaled_matrix(t3.multiply(K_Ro, q_hat), 1.0, t3.multiply(K[2], J_RR)),
     )
     if len(strains) == 0:
         return KJ
@@ -161,17 +143,18 @@ def spring_jacobian(
     s_o, s_R = multiply_blocks(K, h[0], h[1])
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
     Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, K, branches, strains)
-    far = multiply(q_hat, Z_oo), multiply(q_hat, Z_oR)  # - J_oR^T Z
-    RR = add_scaled_matrix(multiply(hat(s_o), q_hat), -1.0, outer(s_R, h_R))
-    RR = add_scaled_matrix(RR, 1.0, multiply(R, hat(s_R)))
-    RR = add_scaled_matrix(RR, 1.0, multiply_transposed(J_RR, Z_RR))
-    Ro = add_scaled_matrix(multiply_transposed(J_RR, Z_Ro), 1.0, hat(s_o))
-    oR = add_scaled_matrix(multiply_transposed(J_oo, Z_oR), 1.0, hat(apply_transposed(R, s_o)))
+    far = t3.multiply(q_hat, Z_oo), t3.multiply(q_hat, Z_oR)  # - J_oR^T Z
+    RR = t3.add_scaled_matrix(t3.multiply(t3.hat(s_o), q_hat), -1.0, t3.outer(s_R, h_R))
+    RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply(R, t3.hat(s_R)))
+    RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply_transposed(J_RR, Z_RR))
+    Ro = t3.add_scaled_matrix(t3.multiply_transposed(J_RR, Z_Ro), 1.0, t3.hat(s_o))
+    oR = t3.add_scaled_matrix(
+        t3.multiply_transposed(J_oo, Z_oR), 1.0, t3.hat(t3.apply_transposed(R, s_o)))
     return (
-        scale_matrix(-0.25, multiply_transposed(J_oo, Z_oo)),
-        scale_matrix(-0.25, oR),
-        scale_matrix(-0.25, add_scaled_matrix(Ro, -1.0, far[0])),
-        scale_matrix(-0.25, add_scaled_matrix(RR, -1.0, far[1])),
+        t3.scale_matrix(-0.25, t3.multiply_transposed(J_oo, Z_oo)),
+        t3.scale_matrix(-0.25, oR),
+        t3.scale_matrix(-0.25, t3.add_scaled_matrix(Ro, -1.0, far[0])),
+        t3.scale_matrix(-0.25, t3.add_scaled_matrix(RR, -1.0, far[1])),
     )
 
 
@@ -185,32 +168,33 @@ def damper_jacobians(
     By twist it is -D1 = -1/2 (P + G), G = X^T P X; by shift and turn, with F = G v1,
     -1/2 ([[0, F_o^], [F_o^, F_R^]] - G ad(v1)).
     """
-    o_R = multiply(hat(o), R)
-    P_R = multiply(P[0], R), multiply(P[1], R), multiply(transposed(P[1]), R), multiply(P[2], R)
+    o_R = t3.multiply(t3.hat(o), R)
+    P_R = (t3.multiply(P[0], R), t3.multiply(P[1], R),
+           t3.multiply(t3.transposed(P[1]), R), t3.multiply(P[2], R))
     right = (
-        P_R[0], add_scaled_matrix(P_R[1], 1.0, multiply(P[0], o_R)),
-        P_R[2], add_scaled_matrix(P_R[3], 1.0, multiply_transposed(P[1], o_R)),
+        P_R[0], t3.add_scaled_matrix(P_R[1], 1.0, t3.multiply(P[0], o_R)),
+        P_R[2], t3.add_scaled_matrix(P_R[3], 1.0, t3.multiply_transposed(P[1], o_R)),
     )  # P X
     G = (
-        multiply_transposed(R, right[0]), multiply_transposed(R, right[1]),
-        add_scaled_matrix(
-            multiply_transposed(R, right[2]), 1.0, multiply_transposed(o_R, right[0])),
-        add_scaled_matrix(
-            multiply_transposed(R, right[3]), 1.0, multiply_transposed(o_R, right[1])),
+        t3.multiply_transposed(R, right[0]), t3.multiply_transposed(R, right[1]),
+        t3.add_scaled_matrix(
+            t3.multiply_transposed(R, right[2]), 1.0, t3.multiply_transposed(o_R, right[0])),
+        t3.add_scaled_matrix(
+            t3.multiply_transposed(R, right[3]), 1.0, t3.multiply_transposed(o_R, right[1])),
     )
     F_o, F_R = apply_square(G, v, w)
     turning = times_twist(G, v, w)
     by_pose = (
-        scale_matrix(0.5, turning[0]),
-        scale_matrix(0.5, add_scaled_matrix(turning[1], -1.0, hat(F_o))),
-        scale_matrix(0.5, add_scaled_matrix(turning[2], -1.0, hat(F_o))),
-        scale_matrix(0.5, add_scaled_matrix(turning[3], -1.0, hat(F_R))),
+        t3.scale_matrix(0.5, turning[0]),
+        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[1], -1.0, t3.hat(F_o))),
+        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[2], -1.0, t3.hat(F_o))),
+        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[3], -1.0, t3.hat(F_R))),
     )
     by_twist = (
-        scale_matrix(-0.5, add_scaled_matrix(P[0], 1.0, G[0])),
-        scale_matrix(-0.5, add_scaled_matrix(P[1], 1.0, G[1])),
-        scale_matrix(-0.5, add_scaled_matrix(transposed(P[1]), 1.0, G[2])),
-        scale_matrix(-0.5, add_scaled_matrix(P[2], 1.0, G[3])),
+        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[0], 1.0, G[0])),
+        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[1], 1.0, G[1])),
+        t3.scale_matrix(-0.5, t3.add_scaled_matrix(t3.transposed(P[1]), 1.0, G[2])),
+        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[2], 1.0, G[3])),
     )
     return by_pose, by_twist
 
@@ -219,10 +203,10 @@ def damper_jacobians(
 def times_twist(A: Square, v: Vector, w: Vector) -> Square:
     """Return A ad(v) with ad(v) = [[w^, v^], [0, w^]]."""
     return (
-        multiply(A[0], hat(w)),
-        add_scaled_matrix(multiply(A[0], hat(v)), 1.0, multiply(A[1], hat(w))),
-        multiply(A[2], hat(w)),
-        add_scaled_matrix(multiply(A[2], hat(v)), 1.0, multiply(A[3], hat(w))),
+        t3.multiply(A[0], t3.hat(w)),
+        t3.add_scaled_matrix(t3.multiply(A[0], t3.hat(v)), 1.0, t3.multiply(A[1], t3.hat(w))),
+        t3.multiply(A[2], t3.hat(w)),
+        t3.add_scaled_matrix(t3.multiply(A[2], t3.hat(v)), 1.0, t3.multiply(A[3], t3.hat(w))),
     )
 
 
@@ -238,17 +222,18 @@ def ends_of_spring(
     cup, package, _ = model
     o_E_S, R, v, w = lip_relative_to_tool(
         package[1],
-        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3],
+        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
     )
     l1 = cup[0]
-    o_E_S1 = add_scaled(o_E_S, l1, (R[2], R[5], R[8]))
+    o_E_S1 = t3.add_scaled(o_E_S, l1, (R[2], R[5], R[8]))
     com = package[1]
     return (
         (com[0], com[1], com[2] - l1), spring_frames(cup, o_E_S, R), R,
         (v[0] + l1 * w[1], v[1] - l1 * w[0], v[2]), w,
         o_E_S1,
-        apply_transposed(R, add(tool[2], cross(tool[3], o_E_S1))), apply_transposed(R, tool[3]),
+        t3.apply_transposed(R, t3.add(tool[2], t3.cross(tool[3], o_E_S1))),
+        t3.apply_transposed(R, tool[3]),
     )
 
 
@@ -269,8 +254,8 @@ def accelerations(package: PackageTuple, A: Square) -> Square:
     """Return the accelerations under wrenches at B, one in each column (3.5)."""
     inverse = 1.0 / package[0]
     return (
-        scale_matrix(inverse, A[0]), scale_matrix(inverse, A[1]),
-        multiply(package[3], A[2]), multiply(package[3], A[3]),
+        t3.scale_matrix(inverse, A[0]), t3.scale_matrix(inverse, A[1]),
+        t3.multiply(package[3], A[2]), t3.multiply(package[3], A[3]),
     )
 
 
@@ -282,14 +267,16 @@ def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
     by_pose, by_twist = wrench_jacobians(model, tool, body)
     pose = accelerations(package, shift_left(c, shift_right(by_pose, c)))
     twist = accelerations(package, shift_left(c, shift_right(by_twist, c)))
-    g = hat(apply_transposed(rotation_matrix(body[1]), gravity))
+    g = t3.hat(t3.apply_transposed(t3.rotation_matrix(body[1]), gravity))
     v, w, inertia = body[2], body[3], package[2]
-    gyro = add_scaled_matrix(hat(apply(inertia, w)), -1.0, multiply(hat(w), inertia))
+    gyro = t3.add_scaled_matrix(
+        t3.hat(t3.apply(inertia, w)), -1.0, t3.multiply(t3.hat(w), inertia))
     return (
-        (pose[0], add_scaled_matrix(pose[1], 1.0, g), pose[2], pose[3]),
+        (pose[0], t3.add_scaled_matrix(pose[1], 1.0, g), pose[2], pose[3]),
         (
-            add_scaled_matrix(twist[0], -1.0, hat(w)), add_scaled_matrix(twist[1], 1.0, hat(v)),
-            twist[2], add_scaled_matrix(twist[3], 1.0, multiply(package[3], gyro)),
+            t3.add_scaled_matrix(twist[0], -1.0, t3.hat(w)),
+            t3.add_scaled_matrix(twist[1], 1.0, t3.hat(v)),
+            twist[2], t3.add_scaled_matrix(twist[3], 1.0, t3.multiply(package[3], gyro)),
         ),
     )
 
@@ -305,8 +292,8 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
     Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2], (), ())
     quarter = (
-        scale_matrix(0.25, transposed(Z_oo)), scale_matrix(0.25, transposed(Z_Ro)),
-        scale_matrix(0.25, transposed(Z_oR)), scale_matrix(0.25, transposed(Z_RR)),
+        t3.scale_matrix(0.25, t3.transposed(Z_oo)), t3.scale_matrix(0.25, t3.transposed(Z_Ro)),
+        t3.scale_matrix(0.25, t3.transposed(Z_oR)), t3.scale_matrix(0.25, t3.transposed(Z_RR)),
     )
     return accelerations(model[1], shift_left(c, quarter)), shift_right(
         (J_oo, J_oR, NOTHING, J_RR), c)
@@ -328,7 +315,7 @@ def relaxation_jacobian(
     for b in range(2):
         z = strains[b]
         f, m = strain_wrench(
-            o, R, model[0][2], (subtract(h[0], z[0]), subtract(h[1], z[1])))
+            o, R, model[0][2], (t3.subtract(h[0], z[0]), t3.subtract(h[1], z[1])))
         dv, dw = acceleration_at(model[1], c, f, m)
         write_column(out, column + b, dv, dw)
 
@@ -338,7 +325,7 @@ def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
     """Return the derivatives of `body_acceleration` by shift and turn, and twist, of the tool."""
     c, _, R, _, _, o_E_S1, _, _ = ends_of_spring(model, tool, body)
     by_pose, by_twist = wrench_jacobians(model, tool, body)
-    far = scale(-1.0, o_E_S1)
+    far = t3.scale(-1.0, o_E_S1)
     pose = accelerations(model[1], shift_left(c, shift_right(turn_right(by_pose, R), far)))
     twist = accelerations(model[1], shift_left(c, shift_right(turn_right(by_twist, R), far)))
     return add_scaled_square(pose, -2.0, pose), add_scaled_square(twist, -2.0, twist)
@@ -347,7 +334,7 @@ def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
 @kernel
 def acceleration_at(package: PackageTuple, c: Vector, f: Vector, m: Vector) -> Wrench:
     """Return the accelerations due to a wrench, with B at c from its point of action (3.5)."""
-    return scale(1.0 / package[0], f), apply(package[3], subtract(m, cross(c, f)))
+    return t3.scale(1.0 / package[0], f), t3.apply(package[3], t3.subtract(m, t3.cross(c, f)))
 
 
 @kernel
@@ -428,10 +415,10 @@ def _entries(
     c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
     package = model[1]
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
-    o_R = multiply(hat(o), R)
-    u_R = apply(R, w)
+    o_R = t3.multiply(t3.hat(o), R)
+    u_R = t3.apply(R, w)
     h = _six(*effective_strain(strain(o, R), model[0][4:], body[4:]))
-    near, far = _six(v, w), _six(add(apply(R, v), cross(o, u_R)), u_R)
+    near, far = _six(v, w), _six(t3.add(t3.apply(R, v), t3.cross(o, u_R)), u_R)
     s = accelerations_at(package, c, J_oo, J_oR, J_RR)
     e = accelerations_at(package, c, IDENTITY, NOTHING, IDENTITY)
     x = accelerations_at(package, c, R, o_R, R)
@@ -445,7 +432,7 @@ def _entries(
             if first <= number + 21 < last:
                 a, b = _pair(-0.5 * half, e[j], near[k], e[k], near[j])
                 a_far, b_far = _pair(-0.5 * half, x[j], far[k], x[k], far[j])
-                write_column(out, column + number + 21, add(a, a_far), add(b, b_far))
+                write_column(out, column + number + 21, t3.add(a, a_far), t3.add(b, b_far))
             number += 1
 
 
@@ -465,8 +452,8 @@ def _six(a: Vector, b: Vector) -> tuple[float, float, float, float, float, float
 def _pair(factor: float, A: Wrench, a: float, B: Wrench, b: float) -> Wrench:
     """Return factor * (A a + B b)."""
     return (
-        add(scale(factor * a, A[0]), scale(factor * b, B[0])),
-        add(scale(factor * a, A[1]), scale(factor * b, B[1])),
+        t3.add(t3.scale(factor * a, A[0]), t3.scale(factor * b, B[0])),
+        t3.add(t3.scale(factor * a, A[1]), t3.scale(factor * b, B[1])),
     )
 
 
@@ -481,7 +468,7 @@ def _others(
     -I^-1 (dI dw + w x dI w). By length and by the centre of mass S1 moves, and where B is from it.
     """
     package = model[1]
-    w, R = body[3], rotation_matrix(body[1])
+    w, R = body[3], t3.rotation_matrix(body[1])
     _, dw = body_acceleration(model, tool, body)
     f, _ = lip_wrench(model, tool, body)
     by_pose, by_twist = wrench_jacobians(model, tool, body)
@@ -495,11 +482,11 @@ def _others(
         elif i < 52:
             a = row(R, i - 49)
         elif i == 52:
-            a = scale(-1.0 / package[0] ** 2, f)
+            a = t3.scale(-1.0 / package[0] ** 2, f)
         elif i < 56:
-            a, b = by_com(package, c, by_pose, by_twist, w, f, unit(i - 53, 1.0))
+            a, b = by_com(package, c, by_pose, by_twist, w, f, t3.unit(i - 53, 1.0))
         else:
-            a, b = acceleration_at(package, package[1], unit(i - 56, 1.0), unit(i - 59, 1.0))
+            a, b = acceleration_at(package, package[1], t3.unit(i - 56, 1.0), t3.unit(i - 59, 1.0))
         write_column(out, column + i, a, b)
 
 
@@ -513,10 +500,10 @@ def by_length(model: ModelTuple, tool: State, body: State, f: Vector) -> Wrench:
     by_pose = add_scaled_square(spring, 1.0, damper)
     shift = (0.5 * R[6], 0.5 * R[7], 0.5 * R[8] + 0.5)
     speed = (0.5 * w[1], -0.5 * w[0], 0.0)
-    df, dm = add(apply(by_pose[0], shift), apply(by_twist[0], speed)), add(
-        apply(by_pose[2], shift), apply(by_twist[2], speed))
+    df, dm = t3.add(t3.apply(by_pose[0], shift), t3.apply(by_twist[0], speed)), t3.add(
+        t3.apply(by_pose[2], shift), t3.apply(by_twist[2], speed))
     dv, dw = acceleration_at(package, c, df, dm)
-    return dv, add(dw, apply(package[3], (-0.5 * f[1], 0.5 * f[0], 0.0)))
+    return dv, t3.add(dw, t3.apply(package[3], (-0.5 * f[1], 0.5 * f[0], 0.0)))
 
 
 @kernel
@@ -524,9 +511,9 @@ def by_inertia(inverse: Matrix, w: Vector, dw: Vector, entry: int) -> Vector:
     """Return the angular acceleration per kg m^2 of one of the six entries of the inertia."""
     j, k = (entry, entry) if entry < 3 else (entry // 5, min(entry - 2, 2))
     twice = 1.0 if j != k else 0.0
-    dI_dw = add(unit(j, dw[k]), unit(k, twice * dw[j]))
-    dI_w = add(unit(j, w[k]), unit(k, twice * w[j]))
-    return scale(-1.0, apply(inverse, add(dI_dw, cross(w, dI_w))))
+    dI_dw = t3.add(t3.unit(j, dw[k]), t3.unit(k, twice * dw[j]))
+    dI_w = t3.add(t3.unit(j, w[k]), t3.unit(k, twice * w[j]))
+    return t3.scale(-1.0, t3.apply(inverse, t3.add(dI_dw, t3.cross(w, dI_w))))
 
 
 @kernel
@@ -535,7 +522,7 @@ def by_com(
     w: Vector, f: Vector, along: Vector,
 ) -> Wrench:
     """Return the accelerations per metre of B along a direction: S1 moves the other way."""
-    speed = cross(along, w)
-    df = subtract(apply(by_twist[0], speed), apply(by_pose[0], along))
-    dm = subtract(apply(by_twist[2], speed), apply(by_pose[2], along))
-    return acceleration_at(package, c, df, subtract(dm, cross(along, f)))
+    speed = t3.cross(along, w)
+    df = t3.subtract(t3.apply(by_twist[0], speed), t3.apply(by_pose[0], along))
+    dm = t3.subtract(t3.apply(by_twist[2], speed), t3.apply(by_pose[2], along))
+    return acceleration_at(package, c, df, t3.subtract(dm, t3.cross(along, f)))

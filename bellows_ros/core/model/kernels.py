@@ -15,27 +15,9 @@ kernel is compiled once with them and once without; at rest, without them, K alo
 
 from __future__ import annotations
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled,
-    apply,
-    apply_transposed,
-    body_rate,
-    cross,
-    exp_quaternion,
-    log_quaternion,
-    Matrix,
-    multiply_transposed,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    rotation_vector_rate,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 
 Blocks = tuple[Matrix, Matrix, Matrix]
 Branch = tuple[float, float]
@@ -57,8 +39,8 @@ State = tuple[Vector, Quaternion, Vector, Vector, *Strains]
 def multiply_blocks(M: Blocks, a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return M [a; b] for a symmetric 6x6 matrix in blocks."""
     return (
-        add(apply(M[0], a), apply(M[1], b)),
-        add(apply_transposed(M[1], a), apply(M[2], b)),
+        t3.add(t3.apply(M[0], a), t3.apply(M[1], b)),
+        t3.add(t3.apply_transposed(M[1], a), t3.apply(M[2], b)),
     )
 
 
@@ -66,7 +48,7 @@ def multiply_blocks(M: Blocks, a: Vector, b: Vector) -> tuple[Vector, Vector]:
 def strain(o: Vector, R: Matrix) -> tuple[Vector, Vector]:
     """Return h = [(I + R^T) o; (R - R^T)^vee] (3.18) of H = S2_H_S1 = (R, o)."""
     return (
-        add(o, apply_transposed(R, o)),
+        t3.add(o, t3.apply_transposed(R, o)),
         (R[7] - R[5], R[2] - R[6], R[3] - R[1]),
     )
 
@@ -79,8 +61,8 @@ def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) 
     r, s = branches[0][0], branches[1][0]
     y, z = strains
     return (
-        add_scaled(add_scaled(scale(1.0 + r + s, h[0]), -r, y[0]), -s, z[0]),
-        add_scaled(add_scaled(scale(1.0 + r + s, h[1]), -r, y[1]), -s, z[1]),
+        t3.add_scaled(t3.add_scaled(t3.scale(1.0 + r + s, h[0]), -r, y[0]), -s, z[0]),
+        t3.add_scaled(t3.add_scaled(t3.scale(1.0 + r + s, h[1]), -r, y[1]), -s, z[1]),
     )
 
 
@@ -106,12 +88,12 @@ def strain_wrench(o: Vector, R: Matrix, K: Blocks, h: Strain) -> Wrench:
     """
     s_o, s_R = multiply_blocks(K, h[0], h[1])
     trace = R[0] + R[4] + R[8]
-    force = add(s_o, apply_transposed(R, s_o))
-    moment = add(
-        subtract(scale(trace, s_R), apply(R, s_R)),
-        cross(s_o, apply_transposed(R, o)),
+    force = t3.add(s_o, t3.apply_transposed(R, s_o))
+    moment = t3.add(
+        t3.subtract(t3.scale(trace, s_R), t3.apply(R, s_R)),
+        t3.cross(s_o, t3.apply_transposed(R, o)),
     )
-    return scale(-0.25, force), scale(-0.25, moment)
+    return t3.scale(-0.25, force), t3.scale(-0.25, moment)
 
 
 @kernel
@@ -122,11 +104,11 @@ def damper_wrench(o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks) -> Wren
     X = X(S2_H_S1) (2.24); (v, w) is v1 = S1_v_{S2,S1}, the twist of S1 relative to S2.
     """
     f_S1, m_S1 = multiply_blocks(P, v, w)  # P v1, the port at S1
-    R_w = apply(R, w)
-    f_S2, m_S2 = multiply_blocks(P, add(apply(R, v), cross(o, R_w)), R_w)  # P X v1, at S2
-    force = add(f_S1, apply_transposed(R, f_S2))
-    moment = add(m_S1, apply_transposed(R, subtract(m_S2, cross(o, f_S2))))
-    return scale(-0.5, force), scale(-0.5, moment)
+    R_w = t3.apply(R, w)
+    f_S2, m_S2 = multiply_blocks(P, t3.add(t3.apply(R, v), t3.cross(o, R_w)), R_w)  # P X v1, at S2
+    force = t3.add(f_S1, t3.apply_transposed(R, f_S2))
+    moment = t3.add(m_S1, t3.apply_transposed(R, t3.subtract(m_S2, t3.cross(o, f_S2))))
+    return t3.scale(-0.5, force), t3.scale(-0.5, moment)
 
 
 @kernel
@@ -155,15 +137,15 @@ def cup_wrench(
     v_S1 = (v_ES[0] + l1 * w_ES[1], v_ES[1] - l1 * w_ES[0], v_ES[2])  # X(S_H_S1)^-1 (3.34)
     spring_f, spring_m = spring_wrench(o, R_E_S, cup[2], cup[4:], strains)
     damper_f, damper_m = damper_wrench(o, R_E_S, v_S1, w_ES, cup[3])
-    f = add(spring_f, damper_f)
-    m = add(spring_m, damper_m)
+    f = t3.add(spring_f, damper_f)
+    m = t3.add(spring_m, damper_m)
     return f, (m[0] - l1 * f[1], m[1] + l1 * f[0], m[2])  # X(S_H_S1)^-T (3.25)
 
 
 @kernel
 def wrench_at_com(com: Vector, f: Vector, m: Vector) -> Wrench:
     """Return the wrench moved from S to B: X(S_H_B)^T f_S (2.28) with S_H_B = (I, com)."""
-    return f, subtract(m, cross(com, f))
+    return f, t3.subtract(m, t3.cross(com, f))
 
 
 @kernel
@@ -177,13 +159,13 @@ def lip_relative_to_tool(
 
     S_v_ES = X(S_H_B) B_v_AB - X(E_H_S)^-1 E_v_AE.
     """
-    R_E_S = multiply_transposed(R_A_E, R_A_B)
-    o_A_S = subtract(o_A_B, apply(R_A_B, com))
-    o_E_S = apply_transposed(R_A_E, subtract(o_A_S, o_A_E))
-    v_S = add(v_B, cross(com, w_B))
-    v_tool = apply_transposed(R_E_S, add(v_E, cross(w_E, o_E_S)))
-    w_tool = apply_transposed(R_E_S, w_E)
-    return o_E_S, R_E_S, subtract(v_S, v_tool), subtract(w_B, w_tool)
+    R_E_S = t3.multiply_transposed(R_A_E, R_A_B)
+    o_A_S = t3.subtract(o_A_B, t3.apply(R_A_B, com))
+    o_E_S = t3.apply_transposed(R_A_E, t3.subtract(o_A_S, o_A_E))
+    v_S = t3.add(v_B, t3.cross(com, w_B))
+    v_tool = t3.apply_transposed(R_E_S, t3.add(v_E, t3.cross(w_E, o_E_S)))
+    w_tool = t3.apply_transposed(R_E_S, w_E)
+    return o_E_S, R_E_S, t3.subtract(v_S, v_tool), t3.subtract(w_B, w_tool)
 
 
 @kernel
@@ -197,10 +179,10 @@ def newton_euler(
     m dv/dt = f - m w x v + m R^T g, I dw/dt = tau - w x I w.
     """
     mass, _, inertia, inertia_inverse = package
-    dv = add_scaled(
-        subtract(apply_transposed(R_A_B, gravity), cross(w, v)), 1.0 / mass, f
+    dv = t3.add_scaled(
+        t3.subtract(t3.apply_transposed(R_A_B, gravity), t3.cross(w, v)), 1.0 / mass, f
     )
-    dw = apply(inertia_inverse, subtract(tau, cross(w, apply(inertia, w))))
+    dw = t3.apply(inertia_inverse, t3.subtract(tau, t3.cross(w, t3.apply(inertia, w))))
     return dv, dw
 
 
@@ -210,8 +192,8 @@ def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
     cup, package, _ = model
     o_E_S, R_E_S, v_ES, w_ES = lip_relative_to_tool(
         package[1],
-        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3],
+        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
     )
     return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES, body[4:])
 
@@ -222,8 +204,8 @@ def lip_strain(model: ModelTuple, tool: State, body: State) -> Strain:
     cup, package, _ = model
     o_E_S, R_E_S, _, _ = lip_relative_to_tool(
         package[1],
-        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3],
+        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
     )
     return strain(spring_frames(cup, o_E_S, R_E_S), R_E_S)
 
@@ -231,7 +213,8 @@ def lip_strain(model: ModelTuple, tool: State, body: State) -> Strain:
 @kernel
 def strain_rate(h: Strain, z: Strain, tau: float) -> Strain:
     """Return dz/dt = (h - z) / tau."""
-    return scale(1.0 / tau, subtract(h[0], z[0])), scale(1.0 / tau, subtract(h[1], z[1]))
+    rate = 1.0 / tau
+    return t3.scale(rate, t3.subtract(h[0], z[0])), t3.scale(rate, t3.subtract(h[1], z[1]))
 
 
 @kernel
@@ -276,7 +259,7 @@ def body_acceleration(model: ModelTuple, tool: State, body: State) -> tuple[Vect
     _, package, gravity = model
     f, m = lip_wrench(model, tool, body)
     f, m = wrench_at_com(package[1], f, m)
-    return newton_euler(package, gravity, rotation_matrix(body[1]), body[2], body[3], f, m)
+    return newton_euler(package, gravity, t3.rotation_matrix(body[1]), body[2], body[3], f, m)
 
 
 Segment = tuple[float, Vector, Vector, Vector, Vector, Quaternion, Vector, Vector, Vector]
@@ -291,12 +274,12 @@ def tool_segment(start: State, end: State, duration: float) -> Segment:
     In s = t / duration from 0 to 1: o(s) = o0 + a1 s + a2 s^2 + a3 s^3 and
     R(s) = R0 exp(c1 s + c2 s^2 + c3 s^3), with both poses and both twists met.
     """
-    a1 = scale(duration, apply(rotation_matrix(start[1]), start[2]))
-    a1_end = scale(duration, apply(rotation_matrix(end[1]), end[2]))
-    step = subtract(end[0], start[0])
-    phi = log_quaternion(quaternion_product(quaternion_conjugate(start[1]), end[1]))
-    c1 = scale(duration, start[3])
-    c1_end = scale(duration, rotation_vector_rate(phi, end[3]))
+    a1 = t3.scale(duration, t3.apply(t3.rotation_matrix(start[1]), start[2]))
+    a1_end = t3.scale(duration, t3.apply(t3.rotation_matrix(end[1]), end[2]))
+    step = t3.subtract(end[0], start[0])
+    phi = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(start[1]), end[1]))
+    c1 = t3.scale(duration, start[3])
+    c1_end = t3.scale(duration, t3.rotation_vector_rate(phi, end[3]))
     return (
         duration,
         start[0], a1, hermite_quadratic(step, a1, a1_end), hermite_cubic(step, a1, a1_end),
@@ -307,25 +290,25 @@ def tool_segment(start: State, end: State, duration: float) -> Segment:
 @kernel
 def hermite_quadratic(step: Vector, slope: Vector, slope_end: Vector) -> Vector:
     """Return the s^2 coefficient 3 step - 2 slope - slope_end of a cubic Hermite curve."""
-    return add_scaled(add_scaled(scale(3.0, step), -2.0, slope), -1.0, slope_end)
+    return t3.add_scaled(t3.add_scaled(t3.scale(3.0, step), -2.0, slope), -1.0, slope_end)
 
 
 @kernel
 def hermite_cubic(step: Vector, slope: Vector, slope_end: Vector) -> Vector:
     """Return the s^3 coefficient slope + slope_end - 2 step of a cubic Hermite curve."""
-    return add_scaled(add(slope, slope_end), -2.0, step)
+    return t3.add_scaled(t3.add(slope, slope_end), -2.0, step)
 
 
 @kernel
 def cubic(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
     """Return c1 s + c2 s^2 + c3 s^3."""
-    return scale(s, add_scaled(c1, s, add_scaled(c2, s, c3)))
+    return t3.scale(s, t3.add_scaled(c1, s, t3.add_scaled(c2, s, c3)))
 
 
 @kernel
 def cubic_slope(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
     """Return c1 + 2 c2 s + 3 c3 s^2."""
-    return add_scaled(c1, 2.0 * s, add_scaled(c2, 1.5 * s, c3))
+    return t3.add_scaled(c1, 2.0 * s, t3.add_scaled(c2, 1.5 * s, c3))
 
 
 @kernel
@@ -333,13 +316,13 @@ def tool_at(segment: Segment, s: float) -> State:
     """Return the tool's pose and body twist at the fraction s of the segment."""
     duration, o0, a1, a2, a3, q0, c1, c2, c3 = segment
     phi = cubic(s, c1, c2, c3)
-    q = quaternion_product(q0, exp_quaternion(phi))
-    velocity = scale(1.0 / duration, cubic_slope(s, a1, a2, a3))
+    q = t3.quaternion_product(q0, t3.exp_quaternion(phi))
+    velocity = t3.scale(1.0 / duration, cubic_slope(s, a1, a2, a3))
     return (
-        add(o0, cubic(s, a1, a2, a3)),
+        t3.add(o0, cubic(s, a1, a2, a3)),
         q,
-        apply_transposed(rotation_matrix(q), velocity),
-        scale(1.0 / duration, body_rate(phi, cubic_slope(s, c1, c2, c3))),
+        t3.apply_transposed(t3.rotation_matrix(q), velocity),
+        t3.scale(1.0 / duration, t3.body_rate(phi, cubic_slope(s, c1, c2, c3))),
     )
 
 
@@ -347,11 +330,11 @@ def tool_at(segment: Segment, s: float) -> State:
 def extrapolated(tool: State, duration: float) -> State:
     """Return the tool a time later, its tip going on straight and its rotation steadily."""
     o, q, v, w = tool[:4]
-    velocity = apply(rotation_matrix(q), v)
-    q_later = quaternion_product(q, exp_quaternion(scale(duration, w)))
+    velocity = t3.apply(t3.rotation_matrix(q), v)
+    q_later = t3.quaternion_product(q, t3.exp_quaternion(t3.scale(duration, w)))
     return (
-        add_scaled(o, duration, velocity), q_later,
-        apply_transposed(rotation_matrix(q_later), velocity), w,
+        t3.add_scaled(o, duration, velocity), q_later,
+        t3.apply_transposed(t3.rotation_matrix(q_later), velocity), w,
     )
 
 
@@ -361,10 +344,10 @@ def stage_state(
 ) -> State:
     """Return the state moved by h along its rates: position, rotation vector, twist, strains."""
     return (
-        add_scaled(body[0], h, do),
-        quaternion_product(body[1], exp_quaternion(scale(h, sigma))),
-        add_scaled(body[2], h, dv),
-        add_scaled(body[3], h, dw),
+        t3.add_scaled(body[0], h, do),
+        t3.quaternion_product(body[1], t3.exp_quaternion(t3.scale(h, sigma))),
+        t3.add_scaled(body[2], h, dv),
+        t3.add_scaled(body[3], h, dw),
         *moved_strains(body[4:], h, dz),
     )
 
@@ -377,7 +360,8 @@ def moved_strains(strains: Strains, h: float, rates: Strains) -> Strains:
     (a, b), (c, d) = strains
     (e, f), (g, i) = rates
     return (
-        (add_scaled(a, h, e), add_scaled(b, h, f)), (add_scaled(c, h, g), add_scaled(d, h, i)))
+        (t3.add_scaled(a, h, e), t3.add_scaled(b, h, f)),
+        (t3.add_scaled(c, h, g), t3.add_scaled(d, h, i)))
 
 
 @kernel
@@ -387,14 +371,14 @@ def rotation_rate(sigma: Vector, w: Vector) -> Vector:
 
     w + 1/2 sigma x w + 1/12 sigma x (sigma x w), the inverse of dexp(-sigma) cut off.
     """
-    once = cross(sigma, w)
-    return add_scaled(add_scaled(w, 0.5, once), 1.0 / 12.0, cross(sigma, once))
+    once = t3.cross(sigma, w)
+    return t3.add_scaled(t3.add_scaled(w, 0.5, once), 1.0 / 12.0, t3.cross(sigma, once))
 
 
 @kernel
 def weighted(a: Vector, b: Vector, c: Vector, d: Vector) -> Vector:
     """Return (a + 2 b + 2 c + d) / 6, the Runge-Kutta mean of four stages."""
-    return scale(1.0 / 6.0, add(add(a, d), scale(2.0, add(b, c))))
+    return t3.scale(1.0 / 6.0, t3.add(t3.add(a, d), t3.scale(2.0, t3.add(b, c))))
 
 
 @kernel
@@ -423,26 +407,26 @@ def stages(
 ) -> tuple[State, State, State, State]:
     """Return the package's states at the second to fourth stage of a step, and at its end."""
     half = 0.5 * h
-    do1 = apply(rotation_matrix(body[1]), body[2])
+    do1 = t3.apply(t3.rotation_matrix(body[1]), body[2])
     ds1 = body[3]
     dv1, dw1 = body_acceleration(model, tool, body)
     dz1 = strain_rates(model, tool, body)
 
     body2 = stage_state(body, half, do1, ds1, dv1, dw1, dz1)
-    do2 = apply(rotation_matrix(body2[1]), body2[2])
-    ds2 = rotation_rate(scale(half, ds1), body2[3])
+    do2 = t3.apply(t3.rotation_matrix(body2[1]), body2[2])
+    ds2 = rotation_rate(t3.scale(half, ds1), body2[3])
     dv2, dw2 = body_acceleration(model, tool_middle, body2)
     dz2 = strain_rates(model, tool_middle, body2)
 
     body3 = stage_state(body, half, do2, ds2, dv2, dw2, dz2)
-    do3 = apply(rotation_matrix(body3[1]), body3[2])
-    ds3 = rotation_rate(scale(half, ds2), body3[3])
+    do3 = t3.apply(t3.rotation_matrix(body3[1]), body3[2])
+    ds3 = rotation_rate(t3.scale(half, ds2), body3[3])
     dv3, dw3 = body_acceleration(model, tool_middle, body3)
     dz3 = strain_rates(model, tool_middle, body3)
 
     body4 = stage_state(body, h, do3, ds3, dv3, dw3, dz3)
-    do4 = apply(rotation_matrix(body4[1]), body4[2])
-    ds4 = rotation_rate(scale(h, ds3), body4[3])
+    do4 = t3.apply(t3.rotation_matrix(body4[1]), body4[2])
+    ds4 = rotation_rate(t3.scale(h, ds3), body4[3])
     dv4, dw4 = body_acceleration(model, tool_end, body4)
     dz4 = strain_rates(model, tool_end, body4)
 

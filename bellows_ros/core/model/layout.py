@@ -13,24 +13,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled_matrix,
-    apply,
-    cross,
-    Matrix,
-    multiply,
-    scale_matrix,
-    subtract,
-    transposed,
-    Vector,
-)
-from bellows_ros.core.geometry.tuples import (
-    hat as hat_tuple,
-)
+from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.kernels import Blocks, cup_wrench, CupTuple, Strains, Wrench
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -137,17 +124,17 @@ def composition(places: Array) -> Array:
 def one_of(M: Blocks, places: Array) -> Blocks:
     """Return the blocks of one cup from those of the gripper, the inverse of `composed`."""
     n = float(len(places))
-    oo = scale_matrix(1.0 / n, M[0])
-    total, squares = (0.0, 0.0, 0.0), scale_matrix(0.0, M[0])
+    oo = t3.scale_matrix(1.0 / n, M[0])
+    total, squares = (0.0, 0.0, 0.0), t3.scale_matrix(0.0, M[0])
     for k in range(len(places)):
-        a = hat_tuple((places[k, 0], places[k, 1], places[k, 2]))
-        total = add(total, (places[k, 0], places[k, 1], places[k, 2]))
-        squares = add_scaled_matrix(squares, 1.0, multiply(multiply(a, oo), a))
-    S = hat_tuple(total)
-    oR = scale_matrix(1.0 / n, add_scaled_matrix(M[1], 1.0, multiply(oo, S)))
-    mixed = multiply(S, oR)  # S oR - oR^T S is twice its symmetric part
-    RR = add_scaled_matrix(add_scaled_matrix(M[2], -1.0, mixed), -1.0, transposed(mixed))
-    return oo, oR, scale_matrix(1.0 / n, add_scaled_matrix(RR, 1.0, squares))
+        a = t3.hat((places[k, 0], places[k, 1], places[k, 2]))
+        total = t3.add(total, (places[k, 0], places[k, 1], places[k, 2]))
+        squares = t3.add_scaled_matrix(squares, 1.0, t3.multiply(t3.multiply(a, oo), a))
+    S = t3.hat(total)
+    oR = t3.scale_matrix(1.0 / n, t3.add_scaled_matrix(M[1], 1.0, t3.multiply(oo, S)))
+    mixed = t3.multiply(S, oR)  # S oR - oR^T S is twice its symmetric part
+    RR = t3.add_scaled_matrix(t3.add_scaled_matrix(M[2], -1.0, mixed), -1.0, t3.transposed(mixed))
+    return oo, oR, t3.scale_matrix(1.0 / n, t3.add_scaled_matrix(RR, 1.0, squares))
 
 
 @kernel
@@ -165,8 +152,8 @@ def wrench_at(
 
     It stands at a; pose and twist are those of S, and the internal strains of the gripper.
     """
-    o = add(o, subtract(apply(R, a), a))
-    return cup_wrench(one, o, R, add(v, cross(w, a)), w, strains_at(strains, a))
+    o = t3.add(o, t3.subtract(t3.apply(R, a), a))
+    return cup_wrench(one, o, R, t3.add(v, t3.cross(w, a)), w, strains_at(strains, a))
 
 
 @kernel
@@ -175,4 +162,4 @@ def strains_at(strains: Strains, a: Vector) -> Strains:
     if len(strains) == 0:
         return ()
     (b, c), (d, e) = strains
-    return ((subtract(b, cross(a, c)), c), (subtract(d, cross(a, e)), e))
+    return ((t3.subtract(b, t3.cross(a, c)), c), (t3.subtract(d, t3.cross(a, e)), e))

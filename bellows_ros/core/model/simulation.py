@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.lie import (
@@ -15,13 +16,6 @@ from bellows_ros.core.geometry.lie import (
     quaternion_to_rotation,
     rotation_to_quaternion,
     transform,
-)
-from bellows_ros.core.geometry.tuples import (
-    apply_transposed,
-    cross,
-    rotation_matrix,
-    scale,
-    subtract,
 )
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.equilibrium import (
@@ -109,9 +103,9 @@ def steady_start(
     first = row_state(rows[0])
     duration = float(tool.seconds[1])
     _, _, _, bend, _, _, _, turn_bend, _ = tool_segment(first, row_state(rows[1]), duration)
-    R, (v, w) = rotation_matrix(first[1]), first[2:4]
-    dv = subtract(apply_transposed(R, scale(2.0 / duration**2, bend)), cross(w, v))
-    rates = np.array([v, w, dv, scale(2.0 / duration**2, turn_bend)]).reshape(2, 6)
+    R, (v, w) = t3.rotation_matrix(first[1]), first[2:4]
+    dv = t3.subtract(t3.apply_transposed(R, t3.scale(2.0 / duration**2, bend)), t3.cross(w, v))
+    rates = np.array([v, w, dv, t3.scale(2.0 / duration**2, turn_bend)]).reshape(2, 6)
     T_world_tool = transform(quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
 
     def carried(offset: Array) -> tuple[State, Array]:

@@ -12,23 +12,10 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    apply,
-    apply_transposed,
-    cross,
-    log_quaternion,
-    norm,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import (
@@ -303,15 +290,15 @@ def rest_after(
     Where the tool hardly tilts in between it hangs nearly alike; else it is sought near a state.
     Where nothing is found there, it is sought from the beginning.
     """
-    R, R_end = (rotation_matrix(tuple(row[3:7].tolist())) for row in (first, last))
-    tilt = norm(subtract(apply_transposed(R, model[2]), apply_transposed(R_end, model[2])))
-    if tilt <= SAME_TILT * norm(model[2]):
-        shift = apply_transposed(R, subtract(start[0], tuple(first[:3].tolist())))
-        turn = quaternion_product(quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
+    R, R_end = (t3.rotation_matrix(tuple(row[3:7].tolist())) for row in (first, last))
+    gravity, gravity_end = (t3.apply_transposed(matrix, model[2]) for matrix in (R, R_end))
+    if t3.norm(t3.subtract(gravity, gravity_end)) <= SAME_TILT * t3.norm(model[2]):
+        shift = t3.apply_transposed(R, t3.subtract(start[0], tuple(first[:3].tolist())))
+        turn = t3.quaternion_product(t3.quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
         still = (0.0, 0.0, 0.0)
         near = (
-            add(tuple(last[:3].tolist()), apply(R_end, shift)),
-            quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
+            t3.add(tuple(last[:3].tolist()), t3.apply(R_end, shift)),
+            t3.quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
     try:
         return rest(model, last, near)
     except UnstableError:
@@ -321,27 +308,27 @@ def rest_after(
 @kernel
 def slowed(state: State, factor: float) -> State:
     """Return a state with its twist divided by a factor."""
-    return state[0], state[1], scale(1.0 / factor, state[2]), scale(1.0 / factor, state[3])
+    return state[0], state[1], t3.scale(1.0 / factor, state[2]), t3.scale(1.0 / factor, state[3])
 
 
 @kernel
 def rigid_velocity(tool: State, arm: Vector) -> Vector:
     """Return the velocity in the world (m/s) of a point fixed at `arm` in the tool."""
-    return apply(rotation_matrix(tool[1]), add(tool[2], cross(tool[3], arm)))
+    return t3.apply(t3.rotation_matrix(tool[1]), t3.add(tool[2], t3.cross(tool[3], arm)))
 
 
 @kernel
 def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
     """Return |com x m (a - g)| (N m): the lip's moment if tool and package were one body."""
     mass, com, _, _ = model[1]
-    return mass * norm(
-        cross(apply(rotation_matrix(tool[1]), com), subtract(acceleration, model[2])))
+    return mass * t3.norm(
+        t3.cross(t3.apply(t3.rotation_matrix(tool[1]), com), t3.subtract(acceleration, model[2])))
 
 
 @kernel
 def turn_between(p: Quaternion, q: Quaternion) -> float:
     """Return the angle (rad) from one orientation to another."""
-    return norm(log_quaternion(quaternion_product(quaternion_conjugate(p), q)))
+    return t3.norm(t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(p), q)))
 
 
 @kernel
@@ -373,8 +360,8 @@ def record_sample(
     cup, package, _ = model
     o, R, v, w = lip_relative_to_tool(
         package[1],
-        tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3],
+        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
     )
     f, m = cup_wrench(cup, o, R, v, w, body[4:])
     peel, slip, peeling, slipping = least_factors(grip, cup, o, R, v, w, body[4:], f, m)
@@ -383,7 +370,7 @@ def record_sample(
     wrench[0], wrench[1], wrench[2] = f
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
-    turn = log_quaternion(quaternion_product(quaternion_conjugate(tool[1]), body[1]))
+    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(tool[1]), body[1]))
     before = peaks[0, 0], peaks[1, 0]
     update_peak(peaks, past, 0, t, loads[0])
     update_peak(peaks, past, 1, t, loads[1])
@@ -392,9 +379,9 @@ def record_sample(
     if peaks[1, 0] > before[1]:
         peaks[1, 2] = slipping
     update_peak(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
-    update_peak(peaks, past, 3, t, norm(shift))
-    update_peak(peaks, past, 4, t, norm(f))
-    update_peak(peaks, past, 5, t, norm(m))
+    update_peak(peaks, past, 3, t, t3.norm(shift))
+    update_peak(peaks, past, 4, t, t3.norm(f))
+    update_peak(peaks, past, 5, t, t3.norm(m))
     for i in range(3):
         lip[i, 0], lip[i, 1] = min(lip[i, 0], shift[i]), max(lip[i, 1], shift[i])
         lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], turn[i]), max(lip[i + 3, 1], turn[i])
@@ -441,7 +428,7 @@ def _simulate_plan(
             if load > ceiling:
                 return body, now, False
             before, velocity = velocity, rigid_velocity(tool, arm)
-            moment = rigid_moment(model, tool, scale(1.0 / h, subtract(velocity, before)))
+            moment = rigid_moment(model, tool, t3.scale(1.0 / h, t3.subtract(velocity, before)))
             if moment > peaks[6, 0]:
                 peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
         t += duration

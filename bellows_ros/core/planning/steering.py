@@ -13,6 +13,7 @@ from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.lie import (
@@ -27,22 +28,7 @@ from bellows_ros.core.geometry.lie import (
 from bellows_ros.core.geometry.lie import (
     apply as apply_all,
 )
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled,
-    add_scaled_matrix,
-    apply,
-    apply_transposed,
-    cross,
-    dot,
-    Matrix,
-    multiply,
-    normalised,
-    rotation_matrix,
-    scale,
-    subtract,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import (
@@ -130,9 +116,9 @@ class SwingMode(NamedTuple):
 @kernel
 def inverse3(A: Matrix) -> Matrix:
     """Return the inverse of a 3x3 matrix."""
-    a = cross((A[3], A[4], A[5]), (A[6], A[7], A[8]))
-    b = cross((A[6], A[7], A[8]), (A[0], A[1], A[2]))
-    c = cross((A[0], A[1], A[2]), (A[3], A[4], A[5]))
+    a = t3.cross((A[3], A[4], A[5]), (A[6], A[7], A[8]))
+    b = t3.cross((A[6], A[7], A[8]), (A[0], A[1], A[2]))
+    c = t3.cross((A[0], A[1], A[2]), (A[3], A[4], A[5]))
     k = 1.0 / (A[0] * a[0] + A[1] * a[1] + A[2] * a[2])
     return (
         k * a[0], k * b[0], k * c[0], k * a[1], k * b[1], k * c[1], k * a[2], k * b[2], k * c[2])
@@ -143,10 +129,10 @@ def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wre
     """Return the wrench at the lip, in S axes, that causes these rates of the package (3.5)."""
     mass, com, inertia, _ = model[1]
     _, q, v, w = body[:4]
-    f = scale(mass, subtract(
-        add(dv, cross(w, v)), apply_transposed(rotation_matrix(q), model[2])))
-    tau = add(apply(inertia, dw), cross(w, apply(inertia, w)))
-    return f, add(tau, cross(com, f))
+    f = t3.scale(mass, t3.subtract(
+        t3.add(dv, t3.cross(w, v)), t3.apply_transposed(t3.rotation_matrix(q), model[2])))
+    tau = t3.add(t3.apply(inertia, dw), t3.cross(w, t3.apply(inertia, w)))
+    return f, t3.add(tau, t3.cross(com, f))
 
 
 @kernel
@@ -163,22 +149,22 @@ def inverse_dynamics(
     l1, zero = cup[0], (0.0, 0.0, 0.0)
     f, m = needed_wrench(model, body, dv, dw)
     o_E_S, R, v_S, w_S = lip_relative_to_tool(
-        package[1], tool[0], rotation_matrix(tool[1]), zero, zero,
-        body[0], rotation_matrix(body[1]), body[2], body[3])
+        package[1], tool[0], t3.rotation_matrix(tool[1]), zero, zero,
+        body[0], t3.rotation_matrix(body[1]), body[2], body[3])
     o = spring_frames(cup, o_E_S, R)
     spring_f, spring_m = spring_wrench(o, R, cup[2], cup[4:], tool[4:])
-    a = subtract(spring_f, f)
-    b = subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
+    a = t3.subtract(spring_f, f)
+    b = t3.subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
     D = damper_jacobians(o, R, zero, zero, cup[3])[1]  # -D1, by blocks
     near = inverse3(D[0])
-    cross_part = multiply(D[2], near)
-    w = apply(
-        inverse3(add_scaled_matrix(D[3], -1.0, multiply(cross_part, D[1]))),
-        subtract(apply(cross_part, a), b))
-    v = apply(near, subtract(scale(-1.0, a), apply(D[1], w)))
+    cross_part = t3.multiply(D[2], near)
+    w = t3.apply(
+        inverse3(t3.add_scaled_matrix(D[3], -1.0, t3.multiply(cross_part, D[1]))),
+        t3.subtract(t3.apply(cross_part, a), b))
+    v = t3.apply(near, t3.subtract(t3.scale(-1.0, a), t3.apply(D[1], w)))
     v_ES = (v[0] - l1 * w[1], v[1] + l1 * w[0], v[2])
-    w_E = apply(R, subtract(w_S, w))
-    v_E = subtract(apply(R, subtract(v_S, v_ES)), cross(w_E, o_E_S))
+    w_E = t3.apply(R, t3.subtract(w_S, w))
+    v_E = t3.subtract(t3.apply(R, t3.subtract(v_S, v_ES)), t3.cross(w_E, o_E_S))
     return with_twist(tool, v_E, w_E)
 
 
@@ -210,26 +196,26 @@ def _invert_kernel(
             stage = inverse_dynamics(
                 model, stage_state(tool, at, do, ds, still, still, dz), body, dv, dw)
             if i == 0 and faded == 0 and 2 * k >= len(reference) - 1 and (
-                    dot(stage[2], stage[2]) < way * way and (
-                        dot(stage[3], stage[3]) < turn * turn)):
+                    t3.dot(stage[2], stage[2]) < way * way and (
+                        t3.dot(stage[3], stage[3]) < turn * turn)):
                 faded = k
             if faded > 0:
                 s = min(1.0, (k - faded + 0.5 * ((i + 1) // 2)) / fading)
                 part = (1.0 - s) ** 3 * (1.0 + s * (3.0 + 6.0 * s))
-                stage = with_twist(stage, scale(part, stage[2]), scale(part, stage[3]))
+                stage = with_twist(stage, t3.scale(part, stage[2]), t3.scale(part, stage[3]))
             if i == 0:
                 write_row(out[k], stage)
                 write_row(package[k], body)
                 if faded > 0 and k >= faded + fading:
                     return k + 1
-            do, ds = apply(rotation_matrix(stage[1]), stage[2]), rotation_rate(
-                scale(at, ds), stage[3])
+            do, ds = t3.apply(t3.rotation_matrix(stage[1]), stage[2]), rotation_rate(
+                t3.scale(at, ds), stage[3])
             dz = strain_rates(model, stage, with_strains(body, stage[4:]))
             weight = 1.0 if i % 3 == 0 else 2.0
-            sum_o, sum_s = add_scaled(sum_o, weight, do), add_scaled(sum_s, weight, ds)
+            sum_o, sum_s = t3.add_scaled(sum_o, weight, do), t3.add_scaled(sum_s, weight, ds)
             sum_z = moved_strains(sum_z, weight, dz)
         tool = stage_state(tool, h / 6.0, sum_o, sum_s, still, still, sum_z)
-        tool = with_rotation(tool, normalised(tool[1]))
+        tool = with_rotation(tool, t3.normalised(tool[1]))
     return len(out)
 
 
