@@ -146,6 +146,7 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
         std, scatter = (
             f'{factor * part[k]:.2g} {unit}' if part[k] else '' for part in (fit.std, fit.scatter))
         rows.append((name, f'{factor * fit.law[k]:.4g} {unit}', std, scatter))
+    rows += [(list(UNITS)[k], 'not identifiable', '', '') for k in fit.not_identifiable]
     console.table(rows, right=True)
     console.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(
         (f'{mass:.3g} kg', f'{count}',

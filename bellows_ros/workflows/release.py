@@ -10,6 +10,7 @@ from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.toss.landing import as_law
 from bellows_ros.core.toss.release import law_of, RELEASE_NAMES
 from bellows_ros.core.toss.release_fit import (
     Drop,
@@ -58,9 +59,15 @@ class ReleaseResult:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        count = len(self.left_out)
-        return (f'{count} of {count + len(self.used)} valve-offs are not used: '
-                f'{"; ".join(self.left_out)}.',) if count else ()
+        count, held, fit = len(self.left_out), self.fit.not_identifiable, self.fit
+        numbers = (f'{RELEASE_NAMES[k]} ({fit.law[k]:.3g} +- {fit.std[k]:.2g} '
+                   f'{UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in held)
+        return tuple(text for text, true in (
+            (f'Not identifiable from these drops, so that what is given is used, or of a usual '
+             f'cup: {", ".join(numbers)}. Tosses of other masses are less certain; drops of a '
+             'package of half or twice the mass would determine more.', held),
+            (f'{count} of {count + len(self.used)} valve-offs are not used: '
+             f'{"; ".join(self.left_out)}.', count)) if true)
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
         """Return mass (kg), drops, letting go (s; NaN if later), and rms (m, m/s)."""
@@ -88,6 +95,7 @@ class ReleaseResult:
             'standard_errors': {RELEASE_NAMES[k]: fit.std[k] for k in fit.free},
             'units': UNITS,
             'fitted': [RELEASE_NAMES[k] for k in fit.free],
+            'not_identifiable': [RELEASE_NAMES[k] for k in fit.not_identifiable],
             'scatter': {RELEASE_NAMES[k]: fit.scatter[k] for k in fit.free},
             'chi2': fit.chi2,
             'lack_of_fit': fit.lack,
@@ -135,7 +143,8 @@ def identify_release(
         left_out += [f'{bag}, {text}' for text in not_used]
     progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
-        fit = fit_release(drops, law_of(values))
+        fit = fit_release(drops, law_of(values), as_law(np.array(
+            [values[f'{name}_std'] for name in RELEASE_NAMES])))
     except UndeterminedError as error:
         raise type(error)(' '.join([str(error), *(f'Not used: {t}.' for t in left_out)])) from None
     progress('done', 1.0)

@@ -30,11 +30,12 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step, moved
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.toss.landing import as_law
-from bellows_ros.core.toss.release import Law, NO_GRIP, RELEASE_NAMES, write_toss
+from bellows_ros.core.toss.release import Law, NO_GRIP, NO_LAW, RELEASE_NAMES, write_toss
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
@@ -85,6 +86,14 @@ GAIN = 0.8
 
 OPENING = (0, 3, 4, 5, 6, 7)
 """The numbers of a cup that opens, without tau and an impulse."""
+
+USUAL: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
+"""The law of a cup that opens, for numbers that are neither given nor identifiable: about that of
+the drops that docs/toss.md shows."""
+
+IDENTIFIABLE, SMALL = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
+"""A number is identifiable if its standard error is less than this part of it, or of one that is
+small; one that is given without a standard deviation is known to this part."""
 
 MOST_AT_FIRST, MOST_STEPS, RENEWED = 12, 20, 5
 """Drops from which a law is chosen, about, most steps of a fit, and after how many of them the
@@ -210,7 +219,8 @@ class ReleaseFit:
     free : tuple of int
         Those that were fitted.
     covariance : ndarray (8, 8)
-        Of the numbers, from the scatter between drops; 0 of those that were not fitted.
+        Of the numbers, from the scatter between drops and from what is known of those that are
+        not identifiable; 0 of the others that were not fitted.
     scatter : ndarray (8,)
         Standard deviations from drop to drop; 0 of those that are common to all.
     drops : tuple of Explained
@@ -234,6 +244,11 @@ class ReleaseFit:
     def std(self) -> Array:
         """Standard errors (8,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def not_identifiable(self) -> tuple[int, ...]:
+        """The numbers of the law that the drops do not determine: as given, or usual."""
+        return tuple(k for k in range(8) if self.std[k] > 0.0 and k not in self.free)
 
     @property
     def chi2(self) -> float:
@@ -270,7 +285,9 @@ def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
         'release.mass_range': (min(masses), max(masses))}
 
 
-def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
+def fit_release(
+    drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_LAW
+) -> ReleaseFit:
     """
     Return the smallest law that explains drops.
 
@@ -280,13 +297,14 @@ def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
     ----------
     drops : sequence of Drop
         At least `FEWEST`.
-    given : Law
-        The numbers that are not identifiable from them.
+    given, given_std : Law
+        The numbers that are not identifiable from them, and their standard deviations; without
+        an opening, those of a usual cup.
 
     Raises
     ------
     UndeterminedError
-        If there are too few, or no law explains them.
+        If there are too few, they do not determine the law, or none explains them.
 
     """
     if len(drops) < FEWEST:
@@ -311,12 +329,13 @@ def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
         shorter = np.array(best.law)
         shorter[[1, 3]] = 0.15, max((1.0 + best.law[3]) * 0.15 / best.law[1] - 1.0, 0.0)
         further = _fitted(few, shorter, (1, *OPENING))
-        if _squares(further) < GAIN * _squares(best):
+        if _squares(further) < GAIN * _squares(best) and (
+                further.std[1] < IDENTIFIABLE * further.law[1] or not best.explains):
             best = further
     if len(few) < len(drops):
         best = _fitted(drops, np.array(best.law), best.free)
     if best.explains:
-        return best
+        return _identifiable(drops, best, given, given_std)
     raise UnexplainedError(
         f'No law of release explains the drops: it leaves {1e3 * best.position:.2g} mm of their '
         f'positions (rms, chi2 per pose {best.chi2:.3g}), {1e3 * best.common:.2g} mm of it in all '
@@ -324,6 +343,34 @@ def fit_release(drops: Sequence[Drop], given: Law) -> ReleaseFit:
         f'expected less than {1e3 * EXPLAINED:g} mm, and {1e3 * SCATTER[0]:g} ms. The likeliest '
         'cause is a wrong package.mass, cup.stiffness or cup.length, or a valve stamped by '
         'another clock; check the first with bellows static.')
+
+
+def _identifiable(
+    drops: Sequence[Drop], fit: ReleaseFit, given: Law, given_std: Law
+) -> ReleaseFit:
+    """Return a fit of the identifiable numbers alone; the worst of the others go first."""
+    opens = fit.law[5] > 0.0
+    known = np.array(USUAL if opens and not given[5] > 0.0 else given)
+    std = np.where(np.array(given_std) > 0.0, given_std,
+                   IDENTIFIABLE * np.where(known > 0.0, known, SMALL))
+    held = np.zeros(8)
+    while True:
+        part = fit.std / np.maximum(np.abs(fit.law), SMALL)
+        wide = [k for k in fit.free if part[k] >= IDENTIFIABLE]
+        if not wide:
+            return fit
+        worst = max(wide, key=lambda k: float(part[k]) if k else 0.0)
+        law = np.array(fit.law)
+        law[worst], held[worst] = known[worst], std[worst]
+        if worst:
+            fit = _fitted(drops, law, tuple(k for k in fit.free if k != worst), held)
+        if not (worst and fit.explains):
+            raise UndeterminedError(
+                f'The drops do not determine {RELEASE_NAMES[worst]}: they differ too much from '
+                f'each other, or too little in mass. With {known[worst]:.3g} '
+                f'{PARAMETERS[RELEASE_NAMES[worst]].unit} for it, the law leaves '
+                f'{1e3 * fit.position:.2g} mm of their positions. Record more drops, of packages '
+                'from half to twice this mass, or give the number.')
 
 
 def _squares(fit: ReleaseFit) -> float:
@@ -392,8 +439,10 @@ def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
     return out
 
 
-def _fitted(drops: Sequence[Drop], start: Array, free: tuple[int, ...]) -> ReleaseFit:
-    """Return the fit of some numbers of a law, from a start."""
+def _fitted(
+    drops: Sequence[Drop], start: Array, free: tuple[int, ...], held: Array | None = None
+) -> ReleaseFit:
+    """Return the fit of some numbers of a law, from a start; others are known to `held` (8,)."""
     problem = [_DropFit(drop, free) for drop in drops]
     law, chosen = start.copy(), list(free)
     lowest, highest = LOWEST[chosen], HIGHEST[chosen]
@@ -428,13 +477,35 @@ def _fitted(drops: Sequence[Drop], start: Array, free: tuple[int, ...]) -> Relea
     covariance = inverse @ (gradients.T @ gradients) @ inverse
     lack, common = _in_common(problem, law)
     covariance *= max(lack, 1.0) * len(drops) / max(len(drops) - len(free), 1)
+    covariance += len(free) / len(drops) * cost / sum(
+        one.residuals(law, one.own).size for one in problem) * inverse
     placed = SCALES[:, None] * np.eye(8)[:, chosen]
+    covariance = placed @ covariance @ placed.T
+    if held is not None:
+        covariance += _of_held(problem, law, inverse, held)
     scatter = np.sqrt(np.maximum(
         np.var([one.by() for one in problem], axis=0, ddof=1)
         - np.mean([one.noise for one in problem], axis=0), 0.0))
     return ReleaseFit(
-        as_law(law), free, placed @ covariance @ placed.T, scatter,
+        as_law(law), free, covariance, scatter,
         tuple(one.explained(law) for one in problem), lack, common)
+
+
+def _of_held(
+    problem: Sequence[_DropFit], law: Array, inverse: Array, held: Array
+) -> Array:
+    """Return the covariance (8, 8) from numbers that are known to `held`, and move the others."""
+    free, known = problem[0].free, np.flatnonzero(held)
+    H = np.zeros((len(free) + len(known),) * 2)
+    for one in problem:
+        both = _DropFit(one.drop, (*free, *known.tolist()))
+        both.own = one.own
+        H += both.reduced(law)[0]
+    moves = np.vstack([-inverse @ H[:len(free), len(free):], np.eye(len(known))])
+    moves = SCALES[[*free, *known], None] * moves * (held / SCALES)[known]
+    out = np.zeros((8, 8))
+    out[np.ix_([*free, *known], [*free, *known])] = moves @ moves.T
+    return out
 
 
 def _in_common(problem: Sequence[_DropFit], law: Array) -> tuple[float, float]:

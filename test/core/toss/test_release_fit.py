@@ -8,14 +8,13 @@ from bellows_ros.core.toss import release_fit
 from bellows_ros.core.toss.landing import release_factor
 from bellows_ros.core.toss.release import Law
 from bellows_ros.core.toss.release_fit import fit_release, parameters_of
-from bellows_ros.errors import BellowsError, UnexplainedError
+from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 import numpy as np
 import pytest
 
 from .. import drops
 
 LAW: Law = (0.015, 0.5, 0.0, 22.0, 19.0, 0.0204, 25.0, 2.42)
-NOTHING = (0.0,) * 8
 STIFFNESS, LENGTH = 6500.0, 0.05
 SECONDS, VALVE = np.arange(80) / 360.0, 0.04
 
@@ -36,7 +35,7 @@ def made(masses, rng, law=LAW, stiffness=STIFFNESS):
 
 def test_finds_the_law_that_made_the_drops_and_no_more_numbers():
     """Within its own standard errors; tau, hardly visible in a release, is not fitted."""
-    found = fit_release(made((0.3, 0.8, 1.8), np.random.default_rng(2)), NOTHING)
+    found = fit_release(made((0.3, 0.8, 1.8), np.random.default_rng(2)))
     assert found.free == (0, 3, 4, 5, 6, 7)
     free = list(found.free)
     off = (np.array(found.law) - LAW)[free] / found.std[free]
@@ -45,16 +44,48 @@ def test_finds_the_law_that_made_the_drops_and_no_more_numbers():
     assert found.position < 2e-4
 
 
+def test_a_number_that_one_mass_does_not_determine_is_not_fitted():
+    """It stays as given, what is not known of it reaches the others, and all are honest."""
+    rng, each = np.random.default_rng(1), np.array(LAW)
+    vague = []  # all numbers of the law differ from drop to drop, not its instant alone
+    for _ in range(6):
+        law = each.copy()
+        law[3:] *= 1.0 + 0.02 * rng.standard_normal(5)
+        vague += made((0.8,), rng, tuple(law.tolist()))[:1]
+    given_std = (0.0,) * 3 + (2.0, 2.0, 2e-3, 12.0, 0.25)
+    found = fit_release(vague, LAW, given_std)
+    assert found.not_identifiable == (6,) and 6 not in found.free
+    assert found.law[6] == LAW[6] and found.std[6] == pytest.approx(12.0)
+    for k in found.free:
+        assert found.std[k] < 0.5 * found.law[k]
+        assert abs(found.law[k] - LAW[k]) < 3.0 * found.std[k]
+    sure = fit_release(vague, LAW, (0.0,) * 6 + (0.1, 0.0))
+    free = list(found.free)
+    assert sure.law == found.law and (sure.std[free] < 0.9 * found.std[free]).any()
+    assert (sure.std[free] < found.std[free]).all()
+
+
+def test_an_impulse_that_the_drops_do_not_determine_is_refused():
+    """Drops that differ too much have none in common."""
+    rng, several = np.random.default_rng(3), []
+    for _ in range(4):
+        law = np.array(LAW)
+        law[3:] *= 1.0 + 0.05 * rng.standard_normal(5)
+        several += made((0.8,), rng, tuple(law.tolist()))[:1]
+    with pytest.raises(UndeterminedError, match=r'release\.impulse'):
+        fit_release(several)
+
+
 def test_refuses_too_few_drops_and_a_law_that_does_not_explain_them():
     """The second with exit code 1: the answer is no."""
     rng = np.random.default_rng(4)
     few = made((0.3,), rng)
     with pytest.raises(BellowsError, match='3 or more usable drops, got 2'):
-        fit_release(few, NOTHING)
+        fit_release(few)
     other = (0.08, *LAW[1:])  # as if the valves of the heavy packages were of another clock
     mixed = made((0.3, 0.8), rng) + made((1.8,), rng, other)
     with pytest.raises(UnexplainedError) as refused:
-        fit_release(mixed, NOTHING)
+        fit_release(mixed)
     assert refused.value.exit_code == 1
 
 
@@ -96,7 +127,7 @@ def test_predicts_real_drops_of_masses_left_out(left_out, most):
     """Within 0.6 mm and 20 mm/s over 139 ms, parting within 5 ms, the flight to 30 mm/s."""
     data, by_mass = drops.real_drops(most=most)
     found = fit_release(
-        [drop for mass in by_mass if mass not in left_out for drop in by_mass[mass]], NOTHING)
+        [drop for mass in by_mass if mass not in left_out for drop in by_mass[mass]])
     for mass in left_out:
         off = drops.misses(data, by_mass[mass][:3], found.law)
         position, velocity = np.sqrt(np.mean(off[:, :2]**2, axis=0))
@@ -111,7 +142,7 @@ def test_the_lightest_and_the_heaviest_left_out_are_where_their_uncertainty_says
     """Height and velocity at the end of each drop within 95 %, which is no more than needed."""
     data, by_mass = drops.real_drops(most=5)
     others = [mass for mass in by_mass if mass != left_out]
-    found = fit_release([drop for mass in others for drop in by_mass[mass]], NOTHING)
+    found = fit_release([drop for mass in others for drop in by_mass[mass]])
     values = resolve({**parameters_of(found), 'package.mass': left_out})
     errors, std = drops.at_the_end(data, by_mass[left_out], np.array(found.law),
                                    release_factor(values))
