@@ -482,7 +482,7 @@ def toss(
 
 def design_motion(
     parameters: Parameters, limits: Mapping[str, Any] | File, duration: float = 12.0,
-    urdf: str = '', seed: int = 0,
+    urdf: str = '', seed: int = 0, hold: float = 7.0,
 ) -> 'DesignedMotion':
     """
     Design the motion that identifies a cup best, as `bellows excite`.
@@ -499,6 +499,8 @@ def design_motion(
         File with the arm, whose joints are limited, too.
     seed : int
         Of the shape from which the search begins.
+    hold : float
+        Of a tilt after the motion, s, in which rubber relaxes; 0 for none.
 
     Returns
     -------
@@ -513,7 +515,7 @@ def design_motion(
     Examples
     --------
     >>> found = bellows_ros.design_motion(
-    ...     'bags/tossing.yaml', 'config/limits_example.yaml', duration=8.0)
+    ...     'bags/tossing.yaml', 'config/limits_example.yaml', duration=8.0, hold=0.0)
     >>> found.design.motion.duration
     8.0
 
@@ -523,7 +525,7 @@ def design_motion(
 
     return excite(
         _with_package(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
-        duration, urdf, seed=seed)
+        duration, urdf, seed=seed, hold=hold)
 
 
 def replay(recording: File, parameters: Parameters) -> 'Replay':

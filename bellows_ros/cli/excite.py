@@ -40,8 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--time', metavar='S', required=True, type=float,
-        help='total duration, s: 2 s of standstill, then the motion with ramps of 1 s at both '
-             'ends',
+        help='duration, s: 2 s of standstill, then the motion with ramps of 1 s at both ends',
+    )
+    parser.add_argument(
+        '--hold', metavar='S', type=float, default=7.0,
+        help='then hold a tilt for this time, s, beside --time: rubber relaxes in it, which '
+             'bellows identify fits (default: 7; 0 for none)',
     )
     options.add_output(
         parser, '--out', kind=options.Folder, required=True,
@@ -79,7 +83,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return run_plan_command(
         arguments, console, lambda values, progress: excite(
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
-            arguments.beside, arguments.seed, progress, arguments.series),
+            arguments.beside, arguments.seed, progress, arguments.series, arguments.hold),
         _say, lambda found: write_motion(
             arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
 
@@ -90,7 +94,10 @@ def _say(found: 'DesignedMotion', console: Console) -> None:
 
     motion = found.design.motion
     console.say(f'A motion of {motion.duration:g} s', 'bold')
-    console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name})', 'dim')
+    held = math.degrees(math.hypot(*motion.tilt))
+    console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name}'
+                + (f'; at the end {motion.hold:g} s at a tilt of {held:.0f} degrees)'
+                   if motion.hold else ')'), 'dim')
     rows = [['entry', 'expected', '', *(f'{Path(name).stem}' for name in found.beside)]]
     for i, (label, unit, value, error) in enumerate(zip(
             found.structure.labels, parameter_units(found.structure), found.guess.tolist(),

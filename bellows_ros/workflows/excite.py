@@ -14,7 +14,15 @@ from bellows_ros.core.excitation.fisher import (
     standard_errors,
     Tracking,
 )
-from bellows_ros.core.excitation.motion_design import cups_near, Design, design, LOADS, RAMP, REST
+from bellows_ros.core.excitation.motion_design import (
+    cups_near,
+    Design,
+    design,
+    HOLD,
+    LOADS,
+    RAMP,
+    REST,
+)
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
@@ -53,6 +61,10 @@ NO_GRIP = (
     'The safety factor of the grip is unknown and does not limit this motion: set '
     'cup.lip_radius and vacuum.holding.')
 
+NO_HOLD = (
+    'Without a hold, as no tilt is within the limits: a fit cannot tell how far the rubber '
+    'relaxes. Raise bending or lower safety_factor.')
+
 
 @dataclass(frozen=True, eq=False)
 class DesignedMotion(Result):
@@ -73,6 +85,8 @@ class DesignedMotion(Result):
         What else to record, by names in their order, and the standard errors it would give alone.
     values : mapping
         All parameters.
+    hold : float
+        The hold that was wanted, s.
 
     """
 
@@ -82,6 +96,7 @@ class DesignedMotion(Result):
     beside: Mapping[str, Array]
     series: Mapping[str, tuple[Motion, Array]]
     values: Mapping[str, Any]
+    hold: float
 
     @property
     def errors(self) -> Array:
@@ -91,7 +106,9 @@ class DesignedMotion(Result):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings before the motion: what it cannot identify, and what would."""
-        found = () if LOADS[-1] in self.design.ratios else (NO_GRIP,)
+        found: tuple[str, ...] = () if LOADS[-1] in self.design.ratios else (NO_GRIP,)
+        if self.hold and not self.design.motion.hold:
+            found += (NO_HOLD,)
         limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')
         return found + tuple(
             f'{label} is not identifiable with this arm and tracking: its expected error is '
@@ -108,6 +125,8 @@ class DesignedMotion(Result):
                    self.errors, strict=True)
         return {
             'duration_s': self.design.motion.duration,
+            'hold_s': self.design.motion.hold,
+            'hold_tilt': np.asarray(self.design.motion.tilt).tolist(),
             'structure': self.structure.name,
             'entries': [
                 {'name': name, 'unit': unit, 'guess': float(value), 'expected_std': float(std),
@@ -130,7 +149,7 @@ def _rounded_up(factor: float) -> str:
 def excite(
     settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[str | os.PathLike[str]] = (), seed: int = 0,
-    progress: Progress | None = None, with_series: bool = False,
+    progress: Progress | None = None, with_series: bool = False, hold: float = HOLD,
 ) -> DesignedMotion:
     """
     Design a motion that is most informative on K and P.
@@ -153,6 +172,8 @@ def excite(
         Called with what is being done and the part (0 to 1) that is done.
     with_series : bool
         Whether standstills and a motion for validation are wanted, too.
+    hold : float
+        Of a tilt after the motion, s, in which rubber relaxes; 0 for none.
 
     Raises
     ------
@@ -164,6 +185,10 @@ def excite(
         raise BellowsError(
             f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s, with '
             f'{REST:g} s of rest and ramps of {RAMP:g} s.')
+    if not 0.0 <= hold <= LONGEST:
+        raise BellowsError(
+            f'The hold is {hold:g} s long; expected 0 (none) to {LONGEST:g} s, 5 to 10 s for '
+            'rubber.')
     if seed < 0:
         raise BellowsError(f'The seed is {seed}; expected an integer from 0 on.')
     tell = progress or (lambda what, part: None)
@@ -188,7 +213,7 @@ def excite(
         at = np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
         others[os.fspath(path)] = errors_of(resample(tool, tool.stamps_ns[0] + at))
     found = design(
-        cup, package, gravity, grip, structure, bounds, tracking, duration, seed, tell)
+        cup, package, gravity, grip, structure, bounds, tracking, duration, seed, tell, hold)
     guess = structure.parameters(cup.stiffness, cup.damping)
     more: dict[str, Motion] = {
         STANDSTILLS: standstills(bounds, models, grip), EXCITATION: found.motion,
@@ -196,7 +221,7 @@ def excite(
     } if with_series else {}
     series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
               for name, motion in more.items()}
-    return DesignedMotion(found, structure, guess, others, series, values)
+    return DesignedMotion(found, structure, guess, others, series, values, hold)
 
 
 def tracking_from(settings: Settings) -> Tracking:

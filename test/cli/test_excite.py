@@ -28,7 +28,7 @@ def limits(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_designs_and_writes(bellows: Run, workshop: Path, limits: Path, tmp_path: Path) -> None:
-    """Write the same motion as plan, text and program, with what to expect of it."""
+    """Write the same motion as plan, text and program, with what to expect of it, and a hold."""
     done = bellows(
         'excite', '--params', workshop / 'cup.yaml', '--limits', limits, '--time', '6', '--out',
         'motion', '--csv', 'm.csv', '--urscript', 'm.script', '--plot', 'm.png', '--json',
@@ -44,11 +44,11 @@ def test_designs_and_writes(bellows: Run, workshop: Path, limits: Path, tmp_path
     assert 'K rz' in done.stdout and 'times' in done.stdout and 'Wrote m.script.' in done.stdout
     (_, plan), = plans_in(tmp_path / 'motion')
     stamps, poses = read_euroc(tmp_path / 'm.csv')
-    assert len(plan.times_ns) == 6001 and np.array_equal(stamps, plan.times_ns)
+    assert len(plan.times_ns) == 15001 and np.array_equal(stamps, plan.times_ns)
     assert np.abs(poses - plan.poses).max() < 1e-8
     lines = [x for x in (tmp_path / 'm.script').read_text().splitlines() if '  to(p[' in x]
     row = [float(x) for x in lines[500].split('[')[1].rstrip('])').split(',')]
-    assert len(lines) == 751 and np.abs(np.array(row[:3]) - plan.poses[4000, :3]).max() < 1e-6
+    assert len(lines) == 1876 and np.abs(np.array(row[:3]) - plan.poses[4000, :3]).max() < 1e-6
     assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
     again = bellows('plan', 'motion', '--params', workshop / 'cup.yaml', cwd=tmp_path)
     assert again.returncode == 0 and 'swing left at the end' in again.stdout

@@ -55,6 +55,12 @@ STRONGER = 1.4
 MARGIN = 1e-3
 """Distance kept from a limit, as a fraction."""
 
+HOLD, TILT_SHARE, SEPTIC_PEAKS = 7.0, 0.9, (2.1875, 7.5132, 52.5)
+"""A hold in which rubber relaxes (s), its part of the largest rotation, and the peaks of speed,
+acceleration and jerk of the septic step within one second."""
+
+LESS_TILT, MOST_TRIES = 0.85, 20
+
 CHUNK = 4096
 
 LOADS = ('bending', 'torsion', 'safety factor (peel)', 'safety factor (slip)')
@@ -83,7 +89,7 @@ def window(t: Array, period: float) -> Array:
 @dataclass(frozen=True, eq=False)
 class FourierMotion(Vibration):
     """
-    A rest, and a Fourier series in each axis that swells and dies away.
+    A rest, a Fourier series in each axis that swells and dies away, and a hold of a tilt.
 
     Parameters
     ----------
@@ -93,6 +99,12 @@ class FourierMotion(Vibration):
     coefficients : complex array (K, 6)
         Of its harmonics, m and rad: real part of c exp(i omega t), of the displacement in world
         axes and of the rotation vector in the tool's axes at the start.
+    rest_duration : float
+        Before them, s.
+    tilt : array (3,)
+        Rotation vector of the hold after them, rad, in the tool's axes at the start.
+    move, hold : float
+        Durations of the turn to the tilt (and back), and of the hold, s.
 
     """
 
@@ -100,11 +112,14 @@ class FourierMotion(Vibration):
     period: float
     coefficients: Any
     rest_duration: float = REST
+    tilt: Any = (0.0, 0.0, 0.0)
+    move: float = 0.0
+    hold: float = 0.0
 
     @property
     def duration(self) -> float:  # type: ignore[override]
-        """With the rest, s."""
-        return self.rest_duration + self.period
+        """With rest and hold, s."""
+        return self.rest_duration + self.period + 2.0 * self.move + self.hold
 
     @property
     def highest_frequency(self) -> float:
@@ -129,6 +144,11 @@ class FourierMotion(Vibration):
             swell = window(tau[part], self.period)[:, :, None]
             out[0, part] = swell[0] * value
             out[1, part] = swell[1] * value + swell[0] * rate
+        if self.move:
+            after = (tau - self.period) / self.move
+            tilted = septic_step(after) - septic_step(after - 1.0 - self.hold / self.move)
+            out[0, :, 3:] += tilted[0, :, None] * self.tilt
+            out[1, :, 3:] += tilted[1, :, None] / self.move * self.tilt
         return out
 
 
@@ -270,9 +290,10 @@ class Design(NamedTuple):
 def design(
     cup: Cup, package: Package, gravity: Array | float, grip: Grip | None, structure: Structure,
     limits: ArmLimits, tracking: Tracking, duration: float, seed: int, progress: Progress,
+    hold: float = 0.0,
 ) -> Design:
     """
-    Return the motion that is most informative on K and P.
+    Return the motion that is most informative on K and P, and a hold of a tilt after it.
 
     Parameters
     ----------
@@ -291,6 +312,8 @@ def design(
         Of the shape from which the search begins.
     progress : callable
         Called with what is being done and the part (0 to 1) that is done.
+    hold : float
+        Of a tilt, s, beside `duration`: rubber relaxes in it. None where the tool may not tilt.
 
     Raises
     ------
@@ -315,7 +338,7 @@ def design(
     search = Search(limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
     rng = np.random.default_rng(seed)
     best, shares, shape = -math.inf, dict[str, float](), np.empty(0)
-    motion = FourierMotion(limits.start, period, np.zeros((1, 6)))
+    motion = still = _held(limits, models, grip, period, hold)
     for number, (power, most) in enumerate(STARTS * STAGES):
         progress('designing the motion', number / (STARTS * len(STAGES)))
         if number % len(STAGES) == 0:
@@ -324,7 +347,7 @@ def design(
         shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
             'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': ENOUGH}).x
         coefficients, now = search.within(shape, power)
-        moved = FourierMotion(limits.start, period, coefficients)
+        moved = replace(still, coefficients=coefficients)
         worst = loads(moved, limits, models, grip).ravel()
         reached = search.criterion(coefficients / max(1.0, float(worst.max())))
         if reached > best:
@@ -335,6 +358,23 @@ def design(
     tool = motion.at_rate(1.0 / tracking.package_period)
     return Design(motion, ratios, shares, motion_information(
         cup, package, gravity, tool, tracking, structure))
+
+
+def _held(
+    limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None, period: float, hold: float,
+) -> FourierMotion:
+    """Return a hold alone, tilted about x and y by as much as the limits permit, or none."""
+    still = FourierMotion(limits.start, period, np.zeros((1, 6)))
+    tilt = TILT_SHARE * np.array([*limits.turn[:2], 0.0])
+    for _ in range(MOST_TRIES if hold and tilt.any() else 0):
+        most = list(limits.rates.values())[3:]
+        move = max((peak * float(np.linalg.norm(tilt)) / (0.9 * limit)) ** (1.0 / order)
+                   for order, (peak, limit) in enumerate(zip(SEPTIC_PEAKS, most, strict=True), 1))
+        held = replace(still, tilt=tilt, move=max(move, RAMP), hold=hold)
+        if max(all_ratios(held, limits, models, grip).values()) <= 1.0 - 2.0 * MARGIN:
+            return held
+        tilt = LESS_TILT * tilt
+    return still
 
 
 def cups_near(cup: Cup) -> list[Cup]:

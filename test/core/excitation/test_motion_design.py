@@ -1,5 +1,7 @@
 """A designed motion: within its limits by differences and simulation, and better than ours."""
 
+from dataclasses import replace
+
 from bellows_ros.core.excitation import motion_design as excitation
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation.fisher import response, standard_errors
@@ -48,6 +50,30 @@ LIMITS = limits_from(CONTENT, 1.5)[0]
 def designed(guess=TRUTH, limits=LIMITS, duration=20.0, grip=None, seed=0):
     return design(cup_of(guess), PACKAGE, 9.81, grip, STRUCTURE, limits, TRACKING, duration, seed,
                   lambda what, part: None)
+
+
+@pytest.mark.parametrize('grip', [None, GRIP])
+def test_ends_with_a_hold_of_a_tilt_within_limits(grip):
+    """Steady for its time, from rest to rest, with zero jerk; none where the tool may not tilt."""
+    models = [model_tuple(cup, PACKAGE, 9.81) for cup in excitation.cups_near(cup_of(TRUTH))]
+    held = excitation._held(LIMITS, models, grip, 5.0, 7.0)
+    assert held.hold == 7.0 and 0.1 < np.linalg.norm(held.tilt) and held.tilt[2] == 0.0
+    begin = held.rest_duration + held.period + held.move
+    *_, R, w = held.state(np.linspace(begin, begin + 7.0, 50))
+    assert np.abs(w).max() < 1e-12
+    assert_allclose(
+        R, np.broadcast_to(LIMITS.start.rotation @ exp_so3(held.tilt), R.shape), atol=1e-12)
+    *_, R, w = held.state(np.array([begin - held.move, held.duration]))
+    assert_allclose(R, np.stack([LIMITS.start.rotation] * 2), atol=1e-12)
+    t, h = np.array([begin - held.move, begin, begin + 7.0, held.duration]), 1e-4
+    _, _, _, far = held.state(t + h)
+    _, _, _, near = held.state(t - h)
+    _, _, _, at = held.state(t)
+    jerk = (far - 2.0 * at + near) / h**2
+    assert np.abs(jerk).max() < 1e-2 * LIMITS.rates['angular_jerk']
+    assert max(excitation.all_ratios(held, LIMITS, models, grip).values()) <= 1.0
+    rigid = replace(LIMITS, bending=1e-9)
+    assert excitation._held(rigid, models, grip, 5.0, 7.0).hold == 0.0
 
 
 def errors_of(motion):
@@ -215,11 +241,11 @@ def test_small_motions_tell_what_the_linear_response_says():
 
 def test_ramps_begin_and_end_at_rest_without_jerk():
     """Let value, speed, acceleration and jerk be zero at both ends, and be derivatives."""
-    np.testing.assert_allclose(window(np.array([0.0, 10.0]), 10.0), 0.0, atol=1e-9)
+    assert_allclose(window(np.array([0.0, 10.0]), 10.0), 0.0, atol=1e-9)
     t = np.linspace(0.0, 10.0, 20_001)
     W = window(t, 10.0)
     for rate, value in zip(W[1:], W[:-1], strict=True):
-        np.testing.assert_allclose(rate[1:-1], np.gradient(value, t)[1:-1], atol=0.2)
+        assert_allclose(rate[1:-1], np.gradient(value, t)[1:-1], atol=0.2)
 
 
 def test_motion_moves_as_it_says():
