@@ -9,24 +9,22 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import dot, rotation_matrix
-from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
+from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.live.settling import Modes, modes_of, Settling
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import (
     adapted,
     largest_step,
+    nominal_system_matrix,
     PHASE_PER_STEP,
-    resting_on_tool,
     static_equilibrium,
     substeps_for,
-    system_matrix,
 )
 from bellows_ros.core.model.kernels import (
     advance,
     cup_wrench,
     extrapolated,
     lip_relative_to_tool,
-    lip_wrench,
     ModelTuple,
     State,
     Wrench,
@@ -59,17 +57,11 @@ def advance_and_hold(
     Return the package at the newest tool sample, the cup's wrench, and if both can be.
 
     They can where all numbers are finite, and the lip is within reach (m) of where it is without
-    load.
+    load. With no substeps the package stays as it is.
     """
-    body = advance(model, body, before, now, duration, substeps)
-    wrench, sound = hold(model, body, now, reach)
-    return body, wrench, sound
-
-
-@kernel
-def hold(model: ModelTuple, body: State, now: State, reach: float) -> tuple[Wrench, bool]:
-    """Return the cup's wrench on a package, and if all can be: see `advance_and_hold`."""
     cup, package, _ = model
+    if substeps > 0:
+        body = advance(model, body, before, now, duration, substeps)
     o_lip, R_lip, v_lip, w_lip = lip_relative_to_tool(
         package[1], now[0], rotation_matrix(now[1]), now[2], now[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
@@ -78,7 +70,7 @@ def hold(model: ModelTuple, body: State, now: State, reach: float) -> tuple[Wren
     v, w = body[2], body[3]
     total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
     shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
-    return wrench, total - total == 0.0 and dot(shift, shift) <= reach * reach
+    return body, wrench, total - total == 0.0 and dot(shift, shift) <= reach * reach
 
 
 class Prepared(NamedTuple):
@@ -105,9 +97,9 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
     try:
         with np.errstate(all='ignore'):
             model = model_tuple(cup, package, gravity)
-            A = system_matrix(model)
+            A = nominal_system_matrix(model)
             _require_slow(A)
-            modes = modes_of(system_matrix(model, ORIGIN, resting_on_tool(model, ORIGIN)[:4]))
+            modes = modes_of(nominal_system_matrix((model[0][:4], *model[1:])))
             softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
             sag = package.mass * math.hypot(*model[2]) / softest
             reach = CUP_LENGTHS * cup.length + SAGS * sag
@@ -280,7 +272,8 @@ class LivePayload:
             else:
                 body = (self.observer.follow(kept_ns, start, end) if kept_ns
                         else self.observer.drifted(body, start, end, duration))
-                wrench, sound = hold(self.model, body, end, self._reach)
+                _, wrench, sound = advance_and_hold(
+                    self.model, body, end, end, 0.0, 0, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             return None
         return (body, wrench) if sound else None
@@ -294,7 +287,9 @@ class LivePayload:
         self._retry_ns = stamp_ns + RETRY_NS
         try:
             body = static_equilibrium(self.model, tool)
-            force, moment = lip_wrench(self.model, (tool[0], tool[1], ZERO, ZERO), body)
+            still: State = tool[0], tool[1], ZERO, ZERO
+            _, (force, moment), _ = advance_and_hold(
+                self.model, body, still, still, 0.0, 0, math.inf)
         except (BellowsError, ArithmeticError, ValueError):
             return None
         if not all(map(math.isfinite, (*body[0], *body[1], *force, *moment))):

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model.jacobians import (
     body_jacobians,
@@ -105,28 +106,46 @@ def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
 
 
 def _matrix(square: Square) -> Array:
-    """Return a 6x6 matrix of its blocks."""
+    """Return a 6x6 matrix of its blocks oo, oR, Ro, RR."""
     return np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
 
 
-def system_matrix(
-    model: ModelTuple, tool: State = _ORIGIN, body: State | None = None
-) -> Array:
+def nominal_system_matrix(model: ModelTuple) -> Array:
     """
-    Return the matrix (12, 12) of small motions about a state, or the nominal pose, at rest.
+    Return the `system_matrix` of the nominal pose, at rest and without load, in closed form.
+
+    There h = 0 and J = 2 I (3.18, 3.23), so that the wrench on the package is -X^T (K d + P v) for
+    small displacements d and twists v of it, X = X(S1_H_B). Nothing has to be compiled for it.
+    """
+    (l1, _, K, P, *branches), (mass, com, _, inverse), gravity = model
+    X, M_inverse, by_pose = np.eye(6), np.eye(6) / mass, np.zeros((6, 6))
+    X[:3, 3:] = -hat(np.array([-com[0], -com[1], l1 - com[2]]))
+    M_inverse[3:, 3:] = np.reshape(inverse, (3, 3))
+    by_pose[:3, 3:] = hat(gravity)
+    of_K, of_P = (
+        np.asarray(-M_inverse @ X.T @ _matrix((oo, oR, (*oR[::3], *oR[1::3], *oR[2::3]), RR)))
+        for oo, oR, RR in (K, P))
+    by_pose += (1.0 + sum(r for r, _ in branches)) * of_K @ X
+    size = 12 + 6 * len(branches)
+    A = np.eye(size, k=6)
+    A[6:], A[6:12, :6], A[6:12, 6:12] = 0.0, by_pose, of_P @ X
+    for k, (r, tau) in zip(range(12, size, 6), branches, strict=True):
+        A[6:12, k:k + 6] = -0.5 * r * of_K
+        A[k:k + 6, :6], A[k:k + 6, k:k + 6] = 2.0 * X / tau, -np.eye(6) / tau
+    return A
+
+
+def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
+    """
+    Return the matrix (12, 12) of small motions about a state at rest.
 
     The state is displacement and twist of B in its own axes; its eigenvalues are the package's
-    modes (rad/s). Internal strains of a cup that relaxes are 12 states more (24, 24). Without them
-    it is of differences, good to nine digits: those of `linearise` take seconds to compile, and a
-    live prediction starts without them.
+    modes (rad/s). Internal strains of a cup that relaxes are 12 states more (24, 24).
     """
-    body = body or resting_on_tool(model, tool)
-    if len(body) == 4:
-        up, down = (np.transpose([_accelerated(model, tool, body, j, by) for j in range(12)])
-                    for by in (_DIFFERENCE, -_DIFFERENCE))
-        return np.vstack([np.eye(6, 12, k=6), (up - down) / (2.0 * _DIFFERENCE)])
     by = linearise(model, tool, body)
     eye, none = np.eye(6), np.zeros((6, 6))
+    if len(body) == 4:
+        return np.block([[none, eye], [by.body_pose, by.body_twist]])
     by_strain, strain_by_pose = map(_matrix, strain_jacobians(model, tool, body))
     (r, tau), (s, theta) = model[0][4:]
     return np.block([
@@ -136,23 +155,13 @@ def system_matrix(
         [strain_by_pose / theta, none, none, -eye / theta]])
 
 
-@kernel
-def _accelerated(
-    model: ModelTuple, tool: State, body: State, j: int, by: float
-) -> tuple[float, float, float, float, float, float]:
-    """Return the package's acceleration with one of its 12 coordinates changed."""
-    dv, dw = body_acceleration(model, tool, moved(
-        body, t3.unit(j, by), t3.unit(j - 3, by), t3.unit(j - 6, by), t3.unit(j - 9, by)))
-    return dv[0], dv[1], dv[2], dw[0], dw[1], dw[2]
-
-
 def largest_step(model: ModelTuple, A: Array | None = None) -> float:
     """
     Return the longest integration step (s) that keeps RK4 accurate for the fastest mode.
 
-    A is the `system_matrix` of the model, where it is known.
+    A is its `nominal_system_matrix`, where it is known.
     """
-    A = system_matrix(model) if A is None else A
+    A = nominal_system_matrix(model) if A is None else A
     fastest = float(np.abs(np.linalg.eigvals(A)).max())
     return PHASE_PER_STEP / fastest if fastest > 0.0 else math.inf
 
@@ -200,7 +209,7 @@ def static_equilibrium(
         turn = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1])
         body, loads = (shift, turn, _ORIGIN[2], _ORIGIN[3]), 1
     rest, found = _loaded(
-        model, gravity, body, loads, *as_inputs(np.zeros((6, 6)), np.zeros(6)))
+        model, gravity, body, loads, np.zeros((6, 6)), np.zeros(6))
     if not found:
         raise UnstableError(
             f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
@@ -217,38 +226,33 @@ def _loaded(
     model: ModelTuple, gravity: Vector, body: State, loads: int, A: Any, x: Any
 ) -> tuple[State, bool]:
     """Apply gravity in steps; return the equilibrium, and whether it is stable."""
+    stable = False
     for load in range(1, loads + 1):
         now = (model[0], model[1], t3.scale(load / loads, gravity))
-        body, settled, stable = _newton(now, body, A, x)
-        if not settled or (load == loads and not stable):
-            return body, False
-    return body, True
-
-
-@kernel
-def _newton(model: ModelTuple, body: State, A: Any, x: Any) -> tuple[State, bool, bool]:
-    """Return the equilibrium near a state, and whether it exists and is a minimum."""
-    size, stable = math.inf, False
-    for _ in range(_ITERATIONS):
-        for j in range(6):
-            turn, back = t3.unit(j - 3, _DIFFERENCE), t3.unit(j - 3, -_DIFFERENCE)
-            up = _unbalance(model, displaced(body, t3.unit(j, _DIFFERENCE), turn))
-            down = _unbalance(model, displaced(body, t3.unit(j, -_DIFFERENCE), back))
+        size = math.inf
+        for _ in range(_ITERATIONS):  # Newton's
+            for j in range(6):
+                turn, back = t3.unit(j - 3, _DIFFERENCE), t3.unit(j - 3, -_DIFFERENCE)
+                up = _unbalance(now, displaced(body, t3.unit(j, _DIFFERENCE), turn))
+                down = _unbalance(now, displaced(body, t3.unit(j, -_DIFFERENCE), back))
+                for i in range(6):
+                    A[i, j] = (down[i] - up[i]) / (2.0 * _DIFFERENCE)
+            force = _unbalance(now, body)
             for i in range(6):
-                A[i][j] = (down[i] - up[i]) / (2.0 * _DIFFERENCE)
-        force = _unbalance(model, body)
-        for i in range(6):
-            x[i] = force[i]
-        before = size
-        size, stable = _solve(A, x)
-        if not size < math.inf:
-            return body, False, False
-        part = _LARGEST_MOVE / size if size > _LARGEST_MOVE else 1.0
-        body = displaced(
-            body, (part * x[0], part * x[1], part * x[2]), (part * x[3], part * x[4], part * x[5]))
-        if (size < 1e-9 and size > 0.1 * before) or size < 1e-13:  # as near as rounding lets it
-            break
-    return body, size < 1e-9, stable
+                x[i] = force[i]
+            before = size
+            size, stable = _solve(A, x)
+            if not size < math.inf:
+                return body, False
+            part = _LARGEST_MOVE / size if size > _LARGEST_MOVE else 1.0
+            body = displaced(
+                body, (part * x[0], part * x[1], part * x[2]),
+                (part * x[3], part * x[4], part * x[5]))
+            if (size < 1e-9 and size > 0.1 * before) or size < 1e-13:  # as near as rounding is
+                break
+        if size >= 1e-9:
+            return body, False
+    return body, stable
 
 
 @kernel
@@ -260,18 +264,18 @@ def _solve(A: Any, x: Any) -> tuple[float, bool]:
     """
     stable, square = True, 0.0
     for k in range(6):
-        if A[k][k] == 0.0:
+        if A[k, k] == 0.0:
             return math.inf, False
-        stable = stable and A[k][k] > 0.0
+        stable = stable and A[k, k] > 0.0
         for i in range(k + 1, 6):
-            c = A[i][k] / A[k][k]
+            c = A[i, k] / A[k, k]
             for j in range(k, 6):
-                A[i][j] -= c * A[k][j]
+                A[i, j] -= c * A[k, j]
             x[i] -= c * x[k]
     for k in range(5, -1, -1):
         for j in range(k + 1, 6):
-            x[k] -= A[k][j] * x[j]
-        x[k] /= A[k][k]
+            x[k] -= A[k, j] * x[j]
+        x[k] /= A[k, k]
         square += x[k] * x[k]
     return math.sqrt(square), stable
 

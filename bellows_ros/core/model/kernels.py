@@ -461,6 +461,6 @@ def advance(
     for i in range(substeps):
         middle = tool_at(segment, (i + 0.5) / substeps)
         tool_end = end if i == substeps - 1 else tool_at(segment, (i + 1.0) / substeps)
-        body = step(model, body, tool, middle, tool_end, h)
+        body = stages(model, body, tool, middle, tool_end, h)[3]
         tool = tool_end
     return body

@@ -7,7 +7,7 @@ from functools import partial
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.model.equilibrium import largest_step, system_matrix
+from bellows_ros.core.model.equilibrium import largest_step, nominal_system_matrix
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.perturbed import perturbed, STEP
@@ -77,7 +77,7 @@ def fastest(
     longest = largest_step(model)
     _, first = np.unique(tool.stamps_ns // ROW_NS, return_index=True)
     thin = tool.select(np.unique([*first, len(tool) - 1]))  # with its ends
-    slowest = float(np.abs(np.linalg.eigvals(system_matrix(model))).min())
+    slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
     tail = min(LONGEST_TAIL, 2.0 * math.pi / slowest)
     quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE * longest)
     spread = [quick.with_model(each) for _, *both in perturbed(values, model) for each in both]

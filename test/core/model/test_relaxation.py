@@ -5,7 +5,13 @@ from dataclasses import replace
 from bellows_ros.core.geometry.lie import adjoint, inverse_transform
 from bellows_ros.core.geometry.tuples import unit
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.equilibrium import moved, static_equilibrium, system_matrix
+from bellows_ros.core.model.equilibrium import (
+    moved,
+    nominal_system_matrix,
+    resting_on_tool,
+    static_equilibrium,
+    system_matrix,
+)
 from bellows_ros.core.model.jacobians import (
     body_jacobians,
     parameter_jacobian,
@@ -200,15 +206,25 @@ def test_derivatives(seed):
     near(by_pose, expected, 1e-8)  # central differences
 
 
+@pytest.mark.parametrize('relaxation', [(0.0, 0.0), R])
+def test_nominal_motions_are_those_of_the_linearised_model(relaxation):
+    rng = np.random.default_rng(11)
+    cup = replace(random_cup(rng), relaxation=relaxation)
+    model = model_tuple(cup, random_package(rng), (1.0, -2.0, -9.0))
+    tool = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    near(nominal_system_matrix(model), system_matrix(
+        model, tool, resting_on_tool(model, tool)), 1e-12)
+
+
 def test_modes_are_those_of_the_complex_stiffness():
     rng = np.random.default_rng(8)
     cup, package = replace(random_cup(rng), relaxation=R), random_package(rng)
-    values = np.linalg.eigvals(system_matrix(model_tuple(cup, package, 0.0)))
+    values = np.linalg.eigvals(nominal_system_matrix(model_tuple(cup, package, 0.0)))
     for s in values[np.abs(values.imag) > 1.0]:
         growth = sum(r * s * tau / (1.0 + s * tau) for r, tau in zip(
             cup.relaxation, cup.relaxation_times, strict=True))
         by_static, by_damping = (
-            system_matrix(model_tuple(Cup(K, P, cup.length), package, 0.0))[6:]
+            nominal_system_matrix(model_tuple(Cup(K, P, cup.length), package, 0.0))[6:]
             for K, P in ((cup.stiffness, np.zeros((6, 6))), (np.zeros((6, 6)), cup.damping)))
         A = s * s * np.eye(6) - (1.0 + growth) * by_static[:, :6] - s * by_damping[:, 6:]
         assert np.linalg.svd(A, compute_uv=False)[-1] < 1e-8 * abs(s) ** 2
