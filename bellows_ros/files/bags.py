@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from itertools import chain
 import os
 from pathlib import Path
 import shutil
@@ -99,10 +100,14 @@ class _Bag:
 
     def messages(self, wanted: Wanted) -> Iterator[Message]:
         """Yield the messages of the wanted topics, file by file."""
+        return chain.from_iterable(self.batches(wanted))
+
+    def batches(self, wanted: Wanted) -> Iterator[list[Message]]:
+        """Yield them as they are stored together, which takes half of the time."""
         for file in self._listed.files:
             lost: list[str] = []
             try:
-                yield from _file_messages(file, wanted, self.counts, lost)
+                yield from _file_batches(file, wanted, self.counts, lost)
             except (DamagedError, ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
@@ -244,9 +249,13 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
                 and topic.encoding == 'cdr'}
         return bool(collectors[topic])
 
-    for topic, log_time_ns, data in bag.messages(is_wanted):
-        for collector in collectors[topic].values():
-            collector.add(log_time_ns, data)
+    for batch in bag.batches(is_wanted):
+        of_topic: dict[Channel, list[Message]] = {}
+        for message in batch:
+            of_topic.setdefault(message.topic, []).append(message)
+        for topic, own in of_topic.items():
+            for collector in collectors[topic].values():
+                collector.add(own)
     bag.require_messages()
     contents = Contents({}, {}, tuple(bag.notes))
     for role, name in roles.items():
@@ -343,12 +352,12 @@ class _Collector:
         self._frames: dict[tuple[str, ...], int] = {}
         self._decoded: list[messages.Decoded] = []
 
-    def add(self, log_time_ns: int, data: bytes) -> None:
-        """Take a message, unless there are too many."""
-        if len(self._log_times) < LARGEST_COUNT:
-            self._log_times.append(min(log_time_ns, _LARGEST_INT64))
-            self._batch.append(_plain(data))
-        if len(self._batch) == _BATCH:
+    def add(self, batch: Sequence[Message]) -> None:
+        """Take messages, unless there are too many."""
+        taken = batch[:LARGEST_COUNT - len(self._log_times)]
+        self._log_times.extend([min(each.log_time_ns, _LARGEST_INT64) for each in taken])
+        self._batch += [_plain(each.data) for each in taken]
+        if len(self._batch) >= _BATCH:
             self._flush()
 
     def _flush(self) -> None:
@@ -425,9 +434,9 @@ def _plain(data: bytes) -> bytes:
         return b''
 
 
-def _file_messages(
+def _file_batches(
     path: Path, wanted: Wanted, counts: dict[Channel, int], lost: list[str]
-) -> Iterator[Message]:
+) -> Iterator[list[Message]]:
     """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
     with open_plain(path) as (file, compressed):
         magic = file.read(len(SQLITE_MAGIC))

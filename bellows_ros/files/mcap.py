@@ -42,9 +42,9 @@ Record = tuple[int, bytes]
 
 def scan(
     file: BinaryIO, wanted: Wanted, counts: dict[Channel, int], notes: list[str]
-) -> Iterator[Message]:
+) -> Iterator[list[Message]]:
     """
-    Yield the messages of the wanted topics in the order they are stored in.
+    Yield the messages of the wanted topics in the order they are stored in, chunk by chunk.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def scan(
         raise DamagedError('it does not begin as an MCAP file does')
     scanned = _Scan(wanted, counts)
     try:
-        yield from scanned.messages(scanned.file_records(file))
+        yield from scanned.batches(scanned.file_records(file))
     except (struct.error, UnicodeDecodeError, DamagedError) as error:
         named = isinstance(error, DamagedError)
         reason = str(error) if named else f'a record is damaged ({error})'
@@ -125,28 +125,56 @@ class _Scan:
         if file.read(len(MAGIC) + 1) != MAGIC:
             raise DamagedError('it does not end as an MCAP file does')
 
-    def messages(self, records: Iterator[Record]) -> Iterator[Message]:
-        """Yield the wanted messages among records, and those in their chunks."""
+    def batches(self, records: Iterator[Record]) -> Iterator[list[Message]]:
+        """Yield the wanted messages among records, and those of each chunk together."""
         for kind, body in records:
+            found: list[Message] = []
+            try:
+                if kind == _CHUNK:
+                    self._read_chunk(_chunk_data(_Fields(body)), found)
+                elif kind == _MESSAGE:
+                    self._read_message(body, 0, len(body), found)
+                else:
+                    self._read_other(kind, body)
+            finally:  # what is whole of a chunk that is cut short
+                if found:
+                    yield found
+
+    def _read_chunk(self, records: bytes, found: list[Message]) -> None:
+        """Read the records of a chunk."""
+        at, end = 0, len(records)
+        while at < end:
+            kind, size = _RECORD_HEAD.unpack_from(records, at)
+            at += _RECORD_HEAD.size
+            if size > end - at or kind in (0, _CHUNK):
+                raise DamagedError('a record inside a chunk is damaged')
             if kind == _MESSAGE:
-                channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(body)
-                if channel not in self._channels:
-                    raise DamagedError(
-                        f'a message belongs to channel {channel}, which is not defined')
-                self.met[channel] += 1
-                if channel in self._wanted_channels:
-                    yield Message(
-                        self._channels[channel], log_time_ns, body[_MESSAGE_HEAD.size:])
-            elif kind == _CHUNK:
-                yield from self.messages(_chunk_records(body))
-            elif kind == _SCHEMA:
-                fields = _Fields(body)
-                number = fields.number('<H')
-                self._schemas[number] = fields.text()
-            elif kind == _CHANNEL:
-                self._add_channel(_Fields(body))
-            elif kind == _STATISTICS:
-                self._compare(_Fields(body))
+                self._read_message(records, at, at + size, found)
+            else:
+                self._read_other(kind, records[at:at + size])
+            at += size
+
+    def _read_message(self, records: bytes, at: int, end: int, found: list[Message]) -> None:
+        """Count a message, and take it if it is wanted."""
+        channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(records, at)
+        at += _MESSAGE_HEAD.size
+        if channel not in self._channels or at > end:
+            raise DamagedError(f'a message belongs to channel {channel}, which is not defined'
+                               if at <= end else _TRUNCATED)
+        self.met[channel] += 1
+        if channel in self._wanted_channels:
+            found.append(Message(self._channels[channel], log_time_ns, records[at:end]))
+
+    def _read_other(self, kind: int, body: bytes) -> None:
+        """Read what is no message."""
+        if kind == _SCHEMA:
+            fields = _Fields(body)
+            number = fields.number('<H')
+            self._schemas[number] = fields.text()
+        elif kind == _CHANNEL:
+            self._add_channel(_Fields(body))
+        elif kind == _STATISTICS:
+            self._compare(_Fields(body))
 
     def add_counts(self) -> None:
         """Add the messages met to those of their topics."""
@@ -221,19 +249,6 @@ def _require_checksum(said: int, found: int, of: str) -> None:
     """Refuse a checksum other than the stated one; 0 stands for none."""
     if said and said != found:
         raise DamagedError(f'the checksum of {of} is wrong')
-
-
-def _chunk_records(chunk: bytes) -> Iterator[Record]:
-    """Yield the records of a chunk; of one that is cut short, those that are whole."""
-    records = _chunk_data(_Fields(chunk))
-    at = 0
-    while at < len(records):
-        kind, size = _RECORD_HEAD.unpack_from(records, at)
-        at += _RECORD_HEAD.size
-        if size > len(records) - at or kind in (0, _CHUNK):
-            raise DamagedError('a record inside a chunk is damaged')
-        yield kind, records[at:at + size]
-        at += size
 
 
 def _chunk_data(fields: _Fields) -> bytes:

@@ -15,6 +15,7 @@ import sqlite3
 from bellows_ros.files.bag_folder import Channel, DamagedError, LARGEST_RECORD, Message, Wanted
 
 _HEADER = 100
+_BATCH = 4096
 
 # Steps of SQLite's machine: a sound file of N bytes is read in far fewer than these.
 _STEPS_PER_BYTE = 10
@@ -22,9 +23,11 @@ _LEAST_STEPS = 10_000_000
 _STEPS_BETWEEN_CHECKS = 100_000
 
 
-def scan(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Iterator[Message]:
+def scan(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Iterator[list[Message]]:
     """
     Yield the messages of the wanted topics, topic by topic, in the order they are stored in.
+
+    In batches of some thousand.
 
     Parameters
     ----------
@@ -135,10 +138,12 @@ def _topics(database: sqlite3.Connection, counts: dict[Channel, int]) -> dict[in
     return numbers
 
 
-def _messages(database: sqlite3.Connection, topic_id: int, topic: Channel) -> Iterator[Message]:
-    """Yield the messages of one topic."""
-    query = 'SELECT timestamp, data FROM messages WHERE topic_id = ?'
-    for log_time_ns, data in database.execute(query, (topic_id,)):
-        if not isinstance(log_time_ns, int) or not isinstance(data, bytes):
+def _messages(
+    database: sqlite3.Connection, topic_id: int, topic: Channel
+) -> Iterator[list[Message]]:
+    """Yield the messages of one topic in batches."""
+    rows = database.execute('SELECT timestamp, data FROM messages WHERE topic_id = ?', (topic_id,))
+    while batch := rows.fetchmany(_BATCH):
+        if not all(isinstance(time, int) and isinstance(data, bytes) for time, data in batch):
             raise DamagedError("its table 'messages' is damaged")
-        yield Message(topic, log_time_ns, data)
+        yield [Message(topic, log_time_ns, data) for log_time_ns, data in batch]
