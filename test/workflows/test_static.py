@@ -2,13 +2,21 @@
 
 import json
 
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.workflows.simulate import simulate_recording
-from bellows_ros.workflows.static import save_length, standstills_in, static_check
+from bellows_ros.workflows.static import (
+    save_length,
+    standstills_in,
+    static_check,
+    StaticResult,
+)
 from numpy.testing import assert_allclose
 import pytest
+
+from ..core.identification import simulated
 
 MASSES = (0.5, 0.9, 1.4, 1.9, 2.4)
 MOTION = {
@@ -108,3 +116,16 @@ def test_mistakes_are_named(weights, truth, root):
     moving = static_check([(str(root / 'bags/static'), {})], truth)
     with pytest.raises(BellowsError):
         save_length(moving, 'nowhere.yaml', known(truth))
+
+
+def test_a_step_meets_more_than_the_static_stiffness():
+    """What the creep after moves shows is a lower bound of it; nothing where nothing creeps."""
+    cup = Cup(simulated.CUP.stiffness, simulated.CUP.damping, simulated.CUP.length, (0.1, 0.25))
+    tilts = simulated.standstills([(0.3, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.3, 0.0)], hold=4.0)
+    noise = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
+    found = StaticResult(
+        (simulated.record(tilts, cup, **noise),), None, '', cup.length, instant=1.35)
+    assert 1.02 < found.after_moves < found.instant
+    assert '1.35' in found.creep and f'{found.after_moves:.2f}' in found.creep
+    still = StaticResult((simulated.record(tilts, **noise),), None, '', cup.length)
+    assert still.after_moves == 1.0 and not still.creep
