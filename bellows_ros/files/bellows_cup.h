@@ -10,7 +10,8 @@
    bellows_step           the package a time later, the tool moving from one state to another
    bellows_equilibrium    where it hangs at rest; 0, or 1 where the cup cannot carry it
    bellows_lip_wrench     of the cup on the package, at S in axes of S
-   bellows_safety_factor  of the grip, the smaller of peel and slip; below 1 it lets go
+   bellows_safety_factor  of the grip, the smallest of peel and slip of its cups; below 1 it lets
+                          go
 
    All are bit for bit what bellows_ros computes where multiplications and additions are not
    contracted: gcc -ffp-contract=off. */
@@ -48,7 +49,13 @@ typedef struct { double r, tau; } bw_branch; /* strength as a fraction of K, tim
 typedef struct { double l1, l0; bw_blocks K, P; BW_WITH(bw_branch b1; bw_branch b2;) } bellows_cup;
 typedef struct { double mass; bw_vec com; bw_mat inertia, inertia_inverse; } bellows_package;
 typedef struct { bellows_cup cup; bellows_package package; bw_vec gravity; } bellows_model;
-typedef struct { double suction, radius, friction; } bellows_grip; /* N, m, 1 */
+/* Of each cup, N, m, 1; of a gripper of several also one of them, and where they are in E (m). */
+typedef struct {
+    double suction, radius, friction;
+    int cups;
+    const bellows_cup *one;
+    const bw_vec *places;
+} bellows_grip;
 /* Of a frame in the world: position (m), quaternion x, y, z, w, linear and angular twist (m/s,
    rad/s) in its own axes. */
 typedef struct { bw_vec o; bw_quat q; bw_vec v, w; BW_WITH(bw_pair z[2];) } bellows_state;
@@ -190,12 +197,12 @@ BW bw_pair bw_strain_rate(bw_branch b, const bw_pair *h, const bw_pair *z)
 
 /* For internal strains z, whose rates are written to dz; where z is 0, those of long rest are. */
 BW bw_pair bw_cup_wrench(
-    const bellows_model *m, bw_vec o_lip, const bw_mat *R, bw_vec v_lip, bw_vec w,
+    const bellows_cup *c, bw_vec o_lip, const bw_mat *R, bw_vec v_lip, bw_vec w,
     const bw_pair *z, bw_pair *dz)
 {
-    double l1 = m->cup.l1;
+    double l1 = c->l1;
     const double *r = R->a;
-    bw_vec o = {o_lip.x + l1 * r[2], o_lip.y + l1 * r[5], o_lip.z + l1 * r[8] + (m->cup.l0 - l1)};
+    bw_vec o = {o_lip.x + l1 * r[2], o_lip.y + l1 * r[5], o_lip.z + l1 * r[8] + (c->l0 - l1)};
     bw_vec v = {v_lip.x + l1 * w.y, v_lip.y - l1 * w.x, v_lip.z}; /* (3.34) */
     bw_vec R_o = bw_tmul(R, o);
     /* spring, (3.18), (3.27) */
@@ -203,25 +210,25 @@ BW bw_pair bw_cup_wrench(
     bw_pair h = {bw_add(o, R_o), skew};
 #ifdef BELLOWS_RELAXATION
     if (dz) {
-        dz[0] = z ? bw_strain_rate(m->cup.b1, &h, &z[0]) : h;
-        dz[1] = z ? bw_strain_rate(m->cup.b2, &h, &z[1]) : h;
+        dz[0] = z ? bw_strain_rate(c->b1, &h, &z[0]) : h;
+        dz[1] = z ? bw_strain_rate(c->b2, &h, &z[1]) : h;
     }
     if (z) {
-        h.a = bw_effective(&m->cup, h.a, z[0].a, z[1].a);
-        h.b = bw_effective(&m->cup, h.b, z[0].b, z[1].b);
+        h.a = bw_effective(c, h.a, z[0].a, z[1].a);
+        h.b = bw_effective(c, h.b, z[0].b, z[1].b);
     }
 #else
     (void)z;
     (void)dz;
 #endif
-    bw_pair s = bw_bmul(&m->cup.K, h.a, h.b);
+    bw_pair s = bw_bmul(&c->K, h.a, h.b);
     bw_vec spring_f = bw_add(s.a, bw_tmul(R, s.a));
     bw_vec spring_m =
         bw_add(bw_sub(bw_scale(r[0] + r[4] + r[8], s.b), bw_mul(R, s.b)), bw_cross(s.a, R_o));
     /* damper, (3.32), (3.33) */
-    bw_pair near = bw_bmul(&m->cup.P, v, w);
+    bw_pair near = bw_bmul(&c->P, v, w);
     bw_vec R_w = bw_mul(R, w);
-    bw_pair far = bw_bmul(&m->cup.P, bw_add(bw_mul(R, v), bw_cross(o, R_w)), R_w);
+    bw_pair far = bw_bmul(&c->P, bw_add(bw_mul(R, v), bw_cross(o, R_w)), R_w);
     bw_vec damper_f = bw_add(near.a, bw_tmul(R, far.a));
     bw_vec damper_m = bw_add(near.b, bw_tmul(R, bw_sub(far.b, bw_cross(o, far.a))));
     bw_vec f = bw_add(bw_scale(-0.25, spring_f), bw_scale(-0.5, damper_f));
@@ -229,17 +236,21 @@ BW bw_pair bw_cup_wrench(
     return BW_OF(bw_pair){f, {n.x - l1 * f.y, n.y + l1 * f.x, n.z}}; /* (3.25) */
 }
 
-BW bellows_wrench bw_lip_wrench(
-    const bellows_model *m, const bw_frame *tool, const bw_frame *body, const bw_pair *z,
-    bw_pair *dz)
+BW bw_frame bw_lip(bw_vec com, const bw_frame *tool, const bw_frame *body) /* S in E */
 {
-    bw_vec com = m->package.com;
     bw_mat R = bw_tmulm(&tool->R, &body->R);
     bw_vec o = bw_tmul(&tool->R, bw_sub(bw_sub(body->o, bw_mul(&body->R, com)), tool->o));
     bw_vec v = bw_sub(bw_add(body->v, bw_cross(com, body->w)),
                       bw_tmul(&R, bw_add(tool->v, bw_cross(tool->w, o))));
-    bw_vec w = bw_sub(body->w, bw_tmul(&R, tool->w));
-    bw_pair f = bw_cup_wrench(m, o, &R, v, w, z, dz);
+    return BW_OF(bw_frame){o, R, v, bw_sub(body->w, bw_tmul(&R, tool->w))};
+}
+
+BW bellows_wrench bw_lip_wrench(
+    const bellows_model *m, const bw_frame *tool, const bw_frame *body, const bw_pair *z,
+    bw_pair *dz)
+{
+    bw_frame s = bw_lip(m->package.com, tool, body);
+    bw_pair f = bw_cup_wrench(&m->cup, s.o, &s.R, s.v, s.w, z, dz);
     return BW_OF(bellows_wrench){f.a, f.b};
 }
 
@@ -390,11 +401,8 @@ BW double bw_ratio(double suction, double load)
     return load > 0 ? suction / load : HUGE_VAL;
 }
 
-BW double bellows_safety_factor(
-    const bellows_model *m, const bellows_grip *g, const bellows_state *tool,
-    const bellows_state *body)
+BW double bw_factor(const bellows_grip *g, bellows_wrench w)
 {
-    bellows_wrench w = bellows_lip_wrench(m, tool, body);
     double twist = w.m.z / g->radius;
     double peel = bw_ratio(
         g->suction, w.f.z + 2 * sqrt(w.m.x * w.m.x + w.m.y * w.m.y) / g->radius);
@@ -402,6 +410,37 @@ BW double bellows_safety_factor(
         g->friction * g->suction,
         sqrt(w.f.x * w.f.x + w.f.y * w.f.y + twist * twist) + g->friction * w.f.z);
     return peel < slip ? peel : slip;
+}
+
+/* Of one cup of a gripper at its own lip, for the lip S in E and internal strains of the gripper. */
+BW bellows_wrench bw_wrench_at(
+    const bellows_cup *one, bw_vec a, const bw_frame *s, const bw_pair *z)
+{
+    bw_vec o = bw_add(s->o, bw_sub(bw_mul(&s->R, a), a));
+    bw_vec v = bw_add(s->v, bw_cross(s->w, a));
+#ifdef BELLOWS_RELAXATION
+    bw_pair own[2] = {{bw_sub(z[0].a, bw_cross(a, z[0].b)), z[0].b},
+                      {bw_sub(z[1].a, bw_cross(a, z[1].b)), z[1].b}};
+    bw_pair f = bw_cup_wrench(one, o, &s->R, v, s->w, own, 0);
+#else
+    bw_pair f = bw_cup_wrench(one, o, &s->R, v, s->w, z, 0);
+#endif
+    return BW_OF(bellows_wrench){f.a, f.b};
+}
+
+BW double bellows_safety_factor(
+    const bellows_model *m, const bellows_grip *g, const bellows_state *tool,
+    const bellows_state *body)
+{
+    if (g->cups == 0)
+        return bw_factor(g, bellows_lip_wrench(m, tool, body));
+    bw_frame t = bw_framed(tool), b = bw_framed(body), s = bw_lip(m->package.com, &t, &b);
+    double least = HUGE_VAL;
+    for (int k = 0; k < g->cups; k++) {
+        double own = bw_factor(g, bw_wrench_at(g->one, g->places[k], &s, BW_STRAINS(body)));
+        least = own < least ? own : least;
+    }
+    return least;
 }
 
 /* Write M times the acceleration of the package at rest under a tool at rest in the origin. */

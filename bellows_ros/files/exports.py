@@ -17,6 +17,8 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.kernels import CupTuple
+from bellows_ros.core.model.layout import cup_of_gripper
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -205,15 +207,9 @@ def header(exported: Exported) -> str:
             '--name: expected letters, digits and underscores, beginning with a letter; got '
             f"'{name}'.")
     model = model_tuple(exported.cup, exported.package, exported.gravity)
-    grip = [
-        '/* Suction force (N), radius of the lip (m), friction. */',
-        f'static const bellows_grip {name}_grip = {_braced(exported.grip)};',
-    ] if exported.grip and len(exported.grip) == 3 else [
-        f'/* There is no {name}_grip: ' + (
-            'each cup of cup.layout has a margin of its own. */' if exported.grip else
-            'cup.lip_radius and vacuum.holding are not set. */')]
     numbers = '\n'.join([
-        f'static const bellows_model {name} = {_braced(model)};', *grip,
+        f'static const bellows_model {name} = {_braced(model)};',
+        *_grip(name, exported.grip, model[0]),
         '/* Longest step of integration, s. */',
         f'static const double {name}_longest = {largest_step(model)!r};'])
     relaxes = len(model[0]) > 4
@@ -226,12 +222,28 @@ def header(exported: Exported) -> str:
         '#endif', numbers, '', '#endif', ''])
 
 
+def _grip(name: str, grip: Grip | None, cup: CupTuple) -> list[str]:
+    """Return the definition of the grip, of a gripper with one of its cups, and their places."""
+    if grip is None:
+        return [f'/* There is no {name}_grip: cup.lip_radius and vacuum.holding are not set. */']
+    gripper, rest = [], '0, 0, 0'
+    if len(grip) > 3:
+        places = grip[3][:, :3].tolist()
+        gripper = [
+            f'static const bellows_cup {name}_one = {_braced(cup_of_gripper(cup, grip[3]))};',
+            f'static const bw_vec {name}_places[] = {_braced(tuple(map(tuple, places)))};']
+        rest = f'{len(places)}, &{name}_one, {name}_places'
+    return [*gripper, f'static const bellows_grip {name}_grip = {{'
+            f'{", ".join(map(_braced, grip[:3]))}, {rest}}};']
+
+
 def _braced(values: Any) -> str:
     """Return nested tuples of numbers as C initialises structs; a matrix is an array in one."""
     if not isinstance(values, tuple):
         return float(values).hex()
     inner = ', '.join(_braced(value) for value in values)
-    return f'{{{{{inner}}}}}' if len(values) == 9 else f'{{{inner}}}'
+    matrix = len(values) == 9 and not isinstance(values[0], tuple)
+    return f'{{{{{inner}}}}}' if matrix else f'{{{inner}}}'
 
 
 _ANGLES = (

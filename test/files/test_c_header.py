@@ -8,10 +8,18 @@ import subprocess
 from typing import Any
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.tuples import rotation_matrix
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import resting_on_tool, static_equilibrium
-from bellows_ros.core.model.grip import safety_factors
-from bellows_ros.core.model.kernels import advance, body_acceleration, lip_wrench, ModelTuple
+from bellows_ros.core.model.grip import least_factors
+from bellows_ros.core.model.kernels import (
+    advance,
+    body_acceleration,
+    lip_relative_to_tool,
+    lip_wrench,
+    ModelTuple,
+)
+from bellows_ros.core.model.layout import composed
 from bellows_ros.core.model.simulation import body_row, row_state, state_row
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.exports import Exported, header
@@ -27,6 +35,10 @@ INERTIA = [[0.0044, 1e-4, 0.0], [1e-4, 0.0065, -2e-4], [0.0, -2e-4, 0.0098]]
 PACKAGE = Package(1.8, np.array(INERTIA), (0.004, -0.003, -0.03))
 GRAVITY, GRIP = (0.1, -0.2, -9.81), (170.0, 0.03, 0.5)
 RUBBER = replace(CUP, relaxation=(0.2, 0.15))
+PLACES = np.array([[0.06, 0.04, 0.0, 0.0], [0.06, -0.04, 0.001, 1.0], [-0.05, 0.0, 0.0, 3.0]])
+GRIPPER, RUBBER_GRIPPER = (
+    replace(cup, stiffness=composed(K, PLACES), damping=composed(P, PLACES))
+    for cup in (CUP, RUBBER))
 
 LIBRARY = """
 #include "cup.h"
@@ -55,7 +67,8 @@ STRICT = ('-Wall', '-Wextra', '-Wpedantic', '-Wconversion', '-Wdouble-promotion'
 
 @pytest.fixture(scope='module', params=[
     ('gcc -std=c99 -O0', CUP), ('gcc -std=c11 -O3', CUP), ('g++ -std=c++17 -O2', CUP),
-    ('gcc -std=c11 -O2', RUBBER), ('g++ -std=c++17 -O2', RUBBER)])
+    ('gcc -std=c11 -O2', RUBBER), ('g++ -std=c++17 -O2', RUBBER),
+    ('gcc -std=c99 -O2', GRIPPER), ('g++ -std=c++17 -O2', RUBBER_GRIPPER)])
 def library(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> ctypes.CDLL:
@@ -66,14 +79,15 @@ def library(
         pytest.skip(f'{compiler} is not installed')
     folder: Path = tmp_path_factory.mktemp('c')
     name = 'cup.c' if compiler == 'gcc' else 'cup.cpp'
-    (folder / 'cup.h').write_text(header(Exported(cup, PACKAGE, GRAVITY, GRIP)))
+    grip = GRIP if cup is CUP or cup is RUBBER else (*GRIP, PLACES)
+    (folder / 'cup.h').write_text(header(Exported(cup, PACKAGE, GRAVITY, grip)))
     (folder / name).write_text(LIBRARY)
     subprocess.run(
         [compiler, *options, *STRICT, '-shared', '-fPIC', '-o', 'cup.so', name, '-lm'],
         cwd=folder, check=True)
     loaded = ctypes.CDLL(str(folder / 'cup.so'))
     loaded.factor.restype = ctypes.c_double
-    loaded.model = model_tuple(cup, PACKAGE, GRAVITY)
+    loaded.model, loaded.grip = model_tuple(cup, PACKAGE, GRAVITY), grip
     return loaded
 
 
@@ -102,6 +116,11 @@ def flat(state: tuple[Any, ...]) -> list[float]:
     return np.hstack([np.ravel(part) for part in state]).tolist()
 
 
+def moving(state: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return position, rotation matrix and twist of a state."""
+    return state[0], rotation_matrix(state[1]), state[2], state[3]
+
+
 @pytest.mark.parametrize('size', [0.02, 0.5])
 def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(
     library: ctypes.CDLL, size: float
@@ -118,7 +137,9 @@ def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(
         library.wrench(pointer(rows), pointer(f))
         wrench = lip_wrench(model, tool, body)
         assert f.tolist() == flat(wrench)
-        assert library.factor(pointer(rows)) == min(safety_factors(GRIP, *wrench))
+        lip = lip_relative_to_tool(*model[1][1:2], *moving(tool), *moving(body))
+        factors = least_factors(library.grip, model[0], *lip, body[4:], *wrench)
+        assert library.factor(pointer(rows)) == min(factors[:2])
 
 
 def test_rest_is_where_nothing_accelerates(library: ctypes.CDLL) -> None:
@@ -133,7 +154,7 @@ def test_rest_is_where_nothing_accelerates(library: ctypes.CDLL) -> None:
         found = body_row(out, expected)
         assert flat(found) == flat(expected)
         np.testing.assert_allclose(flat(body_acceleration(model, still, found)), 0.0, atol=1e-8)
-    assert library.rest(pointer(tool), ctypes.c_double(50.0), pointer(out)) == 1
+    assert library.rest(pointer(tool), ctypes.c_double(1000.0), pointer(out)) == 1
 
 
 def test_a_grip_that_is_not_known_is_not_made_up() -> None:
