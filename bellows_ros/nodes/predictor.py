@@ -90,7 +90,8 @@ INTERFACE = Interface(
         ('vacuum/held', 'std_msgs/Bool, subscribed, with vacuum.signal bool',
          'Attaches and detaches the package.'),
         ('vacuum/pressure', 'sensor_msgs/FluidPressure, subscribed, with vacuum.signal pressure',
-         'Absolute pressure in the cup, Pa; attaches and detaches the package.'),
+         'Absolute pressure in the cup, Pa; attaches and detaches the package. Sensors of single '
+         'cups of cup.layout have the frame_id cup_0, cup_1 and so on.'),
         ('package/attach', 'std_srvs/Trigger, service',
          'The cup holds the package now: predict from static equilibrium.'),
         ('package/detach', 'std_srvs/Trigger, service',

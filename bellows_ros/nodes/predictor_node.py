@@ -108,7 +108,7 @@ class PredictorNode(ManagedNode):
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # which nobody sets
         self.create_timer(TICK, self._tick, clock=steady)
-        self.create_timer(REPORT_PERIOD, self._say_report, clock=steady)
+        self.create_timer(REPORT_PERIOD, self._report_health, clock=steady)
         if self.values['autostart']:
             self.start()
         else:
@@ -132,7 +132,8 @@ class PredictorNode(ManagedNode):
             self._pose_in = SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
-        self._attachment = Attachment(self, values, self._attach, self._on_pressure)
+        self._attachment = Attachment(
+            self, values, self._attach, self._on_pressure, self._on_open_cups)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._planning = Planning(self, lambda: self._last)
         self._tossing = Tossing(self, self._on_valve, self._planning)
@@ -145,7 +146,7 @@ class PredictorNode(ManagedNode):
             lambda: (self._observing.status('measured package'),
                      self._attachment.status('vacuum'), self._planning.status))
         self._live = live
-        self._say_model(values)
+        self._log_model(values)
         for name in self._parameter_overrides:
             if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
                 self.get_logger().warning(
@@ -158,7 +159,7 @@ class PredictorNode(ManagedNode):
         self._live.expect_twists = self._twists_exist
         result = super().on_activate(state)
         self._active = True
-        self._say_state()
+        self._publish_state()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -207,7 +208,7 @@ class PredictorNode(ManagedNode):
         self._planning = self._tossing = None  # type: ignore[assignment]
         super().release_resources()
 
-    def _say_model(self, values: Values) -> None:
+    def _log_model(self, values: Values) -> None:
         """Log the cup and the package that are used."""
         log = self.get_logger().info
         name = values['cup.name']
@@ -327,7 +328,7 @@ class PredictorNode(ManagedNode):
         if on and self._tossing.flight.state:
             self._last = None  # of the package before
         self.advance(self._live.switch_valve, on, stamp_ns)
-        self._say_state()
+        self._publish_state()
 
     def _on_pressure(self, pressure: float) -> None:
         """Take the grip from the pressure (Pa) in the cup; once the valve is off it only falls."""
@@ -346,7 +347,7 @@ class PredictorNode(ManagedNode):
         self._publish(self._live.set_attached, held)
         self._last, self._outputs.model = None, self._live.model
         self.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
-        self._say_state()
+        self._publish_state()
         return True
 
     def _tick(self) -> None:
@@ -372,13 +373,13 @@ class PredictorNode(ManagedNode):
         if held is not None and flight.known and not flight.state:
             self._tossing.publish(
                 live.model, held, live.frame_id, self._outputs.uncertainty.covariance)
-        self._say_state()
+        self._publish_state()
 
-    def _say_report(self) -> None:
+    def _report_health(self) -> None:
         """Report the health of the node, and log what is wrong."""
         self._diagnostics.report(self.lifecycle_state, self._last)
 
-    def _say_state(self) -> None:
+    def _publish_state(self) -> None:
         """Publish the state when it changes."""
         alarm, now_ns = self._observing.alarm, time.monotonic_ns()
         state = f'alarm: {alarm.cause}' if alarm else self._live.phase(now_ns)
@@ -403,7 +404,21 @@ class PredictorNode(ManagedNode):
         self.get_logger().info(f"Set while running: {', '.join(names)}.")
         if self._live is None:
             return
+        self._use_values()
+
+    def _on_open_cups(self) -> None:
+        """Go on without the cups of a gripper that have no vacuum."""
+        cups = ', '.join(map(str, self._attachment.open_cups))
+        self.get_logger().warning(
+            f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
+        self._use_values()
+
+    def _use_values(self) -> None:
+        """Pass on the parameters, with the cups that are open; the package keeps its motion."""
         values = with_chosen_cup(self.values)
+        opened = {*values['cup.open'], *map(float, self._attachment.open_cups)}
+        if len(opened - {-1.0}) < len(values['cup.layout']) // 3:  # else none holds: see detached
+            values = {**values, 'cup.open': tuple(opened)}
         cup, package = cup_of(values), package_of(values)
         if len(cup.as_tuple) != len(self._live.model[0]):  # relaxing or not, it is compiled anew
             warm_up(cup, package, gravity_of(values), values['tool_twist.frame'])
