@@ -25,7 +25,12 @@ from bellows_ros.core.excitation import motion_design as excitation
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation.commissioning import everyday
 from bellows_ros.core.excitation.fisher import motion_information, standard_errors, Tracking
-from bellows_ros.core.excitation.motion_design import all_ratios, cups_near, design, Search
+from bellows_ros.core.excitation.motion_design import (
+    all_ratios,
+    cups_near,
+    design,
+    MotionObjective,
+)
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.minimum import Root
@@ -55,7 +60,7 @@ SECONDS = 20.0
 STRUCTURE = STRUCTURES['axisymmetric']
 
 
-class Conditioned(Search):
+class Conditioned(MotionObjective):
     """The same search for the smallest condition number of the information."""
 
     def _criterion(self, M: Array) -> tuple[float, Array]:
@@ -81,12 +86,12 @@ def motions(
         ratios = all_ratios(ours, limits, models, None)
         ours = replace(ours, amplitude=ours.amplitude * 0.999 / max(ratios.values()))
     yield 'multisine, scaled up', ours
-    plain = excitation.Search
-    excitation.Search = Conditioned  # type: ignore[misc]
+    plain = excitation.MotionObjective
+    excitation.MotionObjective = Conditioned  # type: ignore[misc]
     try:
         yield 'condition number', designed(limits, cup, package, tracking)
     finally:
-        excitation.Search = plain  # type: ignore[misc]
+        excitation.MotionObjective = plain  # type: ignore[misc]
     yield 'determinant', designed(limits, cup, package, tracking)
 
 

@@ -24,7 +24,7 @@ EXAMPLES = (
      'write all figures to a file'),
 )
 FOUND = 'a change matters'
-SHOWN = 60  # characters of a setting
+SETTING_WIDTH = 60  # characters of a setting
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +62,7 @@ def _say(result: 'ResultComparison', console: Console) -> None:
         console.say()
         console.say('Made differently:')
         for difference in result.settings:
-            before, after = ('-' if value is None else short(value, SHOWN)
+            before, after = ('-' if value is None else short(value, SETTING_WIDTH)
                              for value in (difference.before, difference.after))
             console.paragraph(f'  {difference.name}: {before} -> {after}')
 

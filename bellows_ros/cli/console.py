@@ -38,9 +38,9 @@ EXIT_CODES = """exit codes:
 
 WIDTH, NARROWEST = 79, 40
 GUTTER, INDENTED = 2, 2  # of tables, characters
-SHOWN = 5  # items of a list
+MAX_LISTED = 5  # items of a list
 BAR = 24  # characters
-AGAIN = 0.1  # s, between two drawings of the progress
+REDRAW_INTERVAL = 0.1  # s, between two drawings of the progress
 CLEAR_LINE = '\r\x1b[2K'
 STYLES: Mapping[str, str] = {'bold': '1', 'dim': '2', 'red': '31', 'yellow': '33', 'green': '32'}
 
@@ -82,7 +82,7 @@ class Console:
             raise KeyboardInterrupt
 
     def say(self, text: str = '', style: str = '') -> None:
-        """Print a line of the result; without a text an empty one, but never two, nor first."""
+        """Print a line of the result; without one it is empty, but never two, nor first."""
         if not text:
             self._gap = self._begun
             return
@@ -161,7 +161,7 @@ class Console:
             progress.clear()
 
     def _styled(self, stream: TextIO, text: str, style: str) -> str:
-        """Return a text in a style, where the stream shows it."""
+        """Return a string in a style, where the stream shows it."""
         shown = style and _is_terminal(stream) and not os.environ.get('NO_COLOR')
         return f'\x1b[{STYLES[style]}m{text}\x1b[0m' if shown else text
 
@@ -185,7 +185,7 @@ class Progress:
         now = time.monotonic()
         if not self._shown or (now < self._next and stage == self._stage):
             return
-        self._next, self._stage = now + AGAIN, stage
+        self._next, self._stage = now + REDRAW_INTERVAL, stage
         width = shutil.get_terminal_size().columns - 1
         line = progress_line(stage, fraction, now - self._start)
         shown = line if len(line) <= width else stage  # what is done matters more than the bar
@@ -214,7 +214,7 @@ NEGATIVE_ZERO = re.compile(r'(?<![\w.+-])-(?=0(?:\.0+)?(?![\d.eE]))')
 
 
 def printable(text: str, kept: str = '') -> str:
-    """Return a text with control characters escaped, as names may be hostile, and without -0.0."""
+    """Escape the control characters of a string, as names may be hostile; write -0.0 as 0.0."""
     text = NEGATIVE_ZERO.sub('', text)
     return ''.join(
         c if c.isprintable() or c in kept else c.encode('unicode_escape').decode() for c in text)
@@ -284,8 +284,8 @@ def percent(ratio: float, decimals: int = 2) -> str:
 
 def listed(items: Sequence[str]) -> str:
     """Return items as in a sentence; of many the first ones and how many more."""
-    if len(items) > SHOWN:
-        return f'{", ".join(items[:SHOWN])} and {len(items) - SHOWN} more'
+    if len(items) > MAX_LISTED:
+        return f'{", ".join(items[:MAX_LISTED])} and {len(items) - MAX_LISTED} more'
     return ' and '.join(filter(None, [', '.join(items[:-1]), items[-1]]))
 
 
@@ -327,7 +327,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     before = {number: signal.signal(number, end) for number in taken}
     unraisable, sys.unraisablehook = sys.unraisablehook, lost
     try:
-        return _ended_in_order(work, console, ended)
+        return _run_guarded(work, console, ended)
     except BrokenPipeError:  # the reader of the output has closed it
         _discard(sys.stdout)
         return PIPE_CLOSED
@@ -343,7 +343,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
             signal.signal(number, before[number])
 
 
-def _ended_in_order(
+def _run_guarded(
     work: Callable[[Console], int], console: Console, ended: Sequence[int]
 ) -> int:
     """Do some work, and print why it ends; return the exit code."""

@@ -49,7 +49,7 @@ def run_plan_command(
     arguments, console
         Of the command.
     work : callable
-        From parameters by name and a progress to a `workflows.result.Result`.
+        From parameters by name and a progress to a `workflows.result.CommandResult`.
     write : callable
         Writes a result as the recording `out`.
     say : callable

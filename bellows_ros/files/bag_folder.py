@@ -48,7 +48,7 @@ class DamagedError(BellowsError):
 METADATA = 'metadata.yaml'
 STORED = ('.mcap', '.db3', '.zstd')  # last suffixes of storage files
 
-_SHOWN = 5
+MAX_LISTED = 5
 
 
 class Listing(NamedTuple):
@@ -165,14 +165,14 @@ def _without_metadata(folder: Path) -> Listing:
     if len({name.removesuffix('.zstd').rpartition('.')[2] for name in names}) > 1:
         raise BellowsError(
             f"Folder '{folder}' has no {METADATA}, but files of two storages: "
-            f'{", ".join(sorted(names)[:_SHOWN])}. Give the one that is meant.')
+            f'{", ".join(sorted(names)[:MAX_LISTED])}. Give the one that is meant.')
     # A recorder numbers its files: numbers in names count as such.
     in_order = sorted(names, key=lambda name: [
         (text, int(number or -1)) for text, number in re.findall(r'(\D*)(\d*)', name)])
     files = tuple(_inside(folder, name) for name in in_order)
     return Listing(files, {}, (
         f"Recording '{folder}' has no {METADATA}: its recorder has crashed, or is still "
-        f'recording. Read were {", ".join(file.name for file in files[:_SHOWN])}.',))
+        f'recording. Read were {", ".join(file.name for file in files[:MAX_LISTED])}.',))
 
 
 def _damaged(folder: Path, reason: str) -> BellowsError:

@@ -188,16 +188,16 @@ class Reader:
         return int(value)
 
     def text(self) -> str:
-        """Return a text."""
+        """Return a string."""
         size = self.number()
         raw = bytes(self.body[self.at:self.at + size])
         self.at += size
         if len(raw) != size or raw[-1:] != b'\0':
-            raise _damaged('a text in it does not end')
+            raise _damaged('a string in it does not end')
         try:
             return raw[:-1].decode()
         except UnicodeDecodeError:
-            raise _damaged('a text in it is not UTF-8') from None
+            raise _damaged('a string in it is not UTF-8') from None
 
     def skip_list(self, doubles: int) -> int:
         """Skip a list of items of so many doubles; return the number of items."""
@@ -224,7 +224,7 @@ def with_number(data: bytes, number: int) -> bytes:
 
 
 def with_text(data: bytes, text: str) -> bytes:
-    """Return data followed by a text."""
+    """Return data followed by a string."""
     raw = text.encode() + b'\0'
     return with_number(data, len(raw)) + raw
 

@@ -25,7 +25,7 @@ LONGEST_WAIT = 10.0
 """How long (s) to wait for the predictor."""
 
 OF_THE_CUP = ('cup.', 'envelope.')
-SHOWN = [p.name for p in parameters_of('identifier') if p.name.startswith(OF_THE_CUP)]
+RESULT_NAMES = [p.name for p in parameters_of('identifier') if p.name.startswith(OF_THE_CUP)]
 """Parameters that are declared when the work is done."""
 
 
@@ -52,7 +52,7 @@ class IdentifierNode(TableNode):
 
     def __init__(self, **options: Any) -> None:
         """Start the work."""
-        super().__init__('identifier', read_only=True, results=SHOWN, **options)
+        super().__init__('identifier', read_only=True, results=RESULT_NAMES, **options)
         self.finished: Future = Future()
         self._stages: deque[str] = deque()
         self._work: Work[Any] = Work()
@@ -117,8 +117,8 @@ class IdentifierNode(TableNode):
         cup = {name: validate(name, value) for name, value in result.parameters().items()
                if name.startswith(OF_THE_CUP)}
         cup.setdefault('cup.relaxation', (0.0, 0.0))  # of a cup that does not relax, K is of this
-        self.values = {**self.values, **{name: cup[name] for name in SHOWN if name in cup}}
-        for name in SHOWN:
+        self.values = {**self.values, **{name: cup[name] for name in RESULT_NAMES if name in cup}}
+        for name in RESULT_NAMES:
             self.declare_from_table(name, self.values[name])
         for name in ('cup.stiffness', 'cup.damping'):
             diagonal = ', '.join(f'{x:.5g}' for x in self.values[name][::7])

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
-from ..core.model.simulation import Rows, tool_rows
+from ..core.model.simulation import tool_rows, ToolRows
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.joint_path import joint_excess, JointPath, Joints
 from ..core.planning.limits import NO_LIMITS, stretched
@@ -80,9 +80,9 @@ class JointPlanning:
 
     def _on_plan(self, message: JointTrajectory) -> None:
         """Predict a plan, and follow it from now on."""
-        def read() -> tuple[int, Rows]:
+        def read() -> tuple[int, ToolRows]:
             plan, _, tool = self._read(message)
-            return plan.stamp_ns, Rows(tool.stamps_ns, tool_rows(tool))
+            return plan.stamp_ns, ToolRows(tool.stamps_ns, tool_rows(tool))
 
         self._planning.take_plan(read)
 

@@ -23,7 +23,7 @@ KINDS = {
 }
 """By the name of the parameter measured.type."""
 
-SHOWN_NS = 5_000_000_000
+ALARM_SHOWN_NS = 5_000_000_000
 """How long (ns) an alarm stays in the diagnostics and as the state."""
 
 
@@ -90,14 +90,14 @@ class Observing:
                 'recording.package_world to the pose of the first frame in the second, as '
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
-        self._say_alarms()
+        self._log_alarms()
         payload = live.observer and live.observer.payload
         if payload and self._estimated.wanted:
             message = InertiaStamped()
             write_payload(message, self._values['frames.lip'], payload)
             self._estimated.publish(message)
 
-    def _say_alarms(self) -> None:
+    def _log_alarms(self) -> None:
         """Log the alarms since the last call."""
         alarms = self._live.observer.alarms if self._live and self._live.observer else []
         for alarm in alarms[self._said:]:
@@ -111,7 +111,7 @@ class Observing:
         if live is None or live.observer is None or not live.observer.alarms:
             return None
         newest = live.observer.alarms[-1]
-        return newest if live.newest_ns - newest.stamp_ns < SHOWN_NS else None
+        return newest if live.newest_ns - newest.stamp_ns < ALARM_SHOWN_NS else None
 
     def status(self, name: str) -> Status | None:
         """Return the line of the diagnostics; None if no message ever came."""

@@ -107,7 +107,7 @@ class TableNode(GuardedNode):
         except BellowsError:
             self.destroy_node()
             raise
-        self._parameter_service = TogetherParameterService(self)
+        self._parameter_service = AtomicParameterService(self)
         self.add_pre_set_parameters_callback(
             lambda parameters: [_as_double(parameter) for parameter in parameters])
         self.add_on_set_parameters_callback(self._check)
@@ -205,7 +205,7 @@ class TableNode(GuardedNode):
             self.on_values(names)
 
 
-class TogetherParameterService(ParameterService):
+class AtomicParameterService(ParameterService):
     """
     The parameter services of a node, with its own `set_parameters`.
 

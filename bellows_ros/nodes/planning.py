@@ -28,7 +28,7 @@ from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.model.grip import grip_of, safety_sentence
-from ..core.model.simulation import Rows, tool_rows
+from ..core.model.simulation import tool_rows, ToolRows
 from ..core.model.validity_range import known_envelope
 from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation, predict
 from ..core.planning.points import rows_of
@@ -179,14 +179,14 @@ class Planning:
         steer(self._live.model, _still().trajectory(), self._values['steer.method'])
         gc.freeze()
 
-    def rest(self, now: Prediction) -> Rows | None:
+    def rest(self, now: Prediction) -> ToolRows | None:
         """Return the tool from a prediction on, by its plan, or None where it drives none."""
         tracker = self._tracker
         return tracker.rest(now) if tracker is not None and tracker.is_driven(now) else None
 
     # --------------------------------------------------------------- messages
 
-    def _read(self, data: bytes) -> tuple[PlanMessage, Rows]:
+    def _read(self, data: bytes) -> tuple[PlanMessage, ToolRows]:
         """Return a plan as received, and checked."""
         message = decode_multi_dof(data)
         self.require_frame(message.frame_id)
@@ -196,7 +196,7 @@ class Planning:
         if tip is None or message.names[:1] == (self._values['frames.package'],):
             return message, plan
         tool = at_tip(plan.trajectory(), tip)
-        return message, Rows(tool.stamps_ns, tool_rows(tool))
+        return message, ToolRows(tool.stamps_ns, tool_rows(tool))
 
     def require_frame(self, frame_id: str) -> None:
         """Refuse a plan in another frame than that of the tool's poses."""
@@ -209,13 +209,13 @@ class Planning:
 
     def _on_plan(self, data: bytes) -> None:
         """Predict a plan, and follow it from now on."""
-        def read() -> tuple[int, Rows]:
+        def read() -> tuple[int, ToolRows]:
             message, tool = self._read(data)
             return message.stamp_ns, tool
 
         self.take_plan(read)
 
-    def take_plan(self, read: Callable[[], tuple[int, Rows]]) -> None:
+    def take_plan(self, read: Callable[[], tuple[int, ToolRows]]) -> None:
         """Predict a plan of the tool with its stamp (ns), and follow it from now on."""
         try:
             stamp_ns, tool = read()
@@ -371,7 +371,7 @@ class Planning:
             self._values['tool_twist.frame'])))
 
 
-def _still() -> Rows:
+def _still() -> ToolRows:
     """Return a plan of a tool that stands."""
     return rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
                    np.zeros((9, 6)))

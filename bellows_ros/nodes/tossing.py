@@ -96,9 +96,11 @@ class Tossing:
         if (self._at.wanted and now_ns - self._aimed_ns >= AIM_PERIOD_NS
                 and not self._worker.is_busy):
             self._aimed_ns = now_ns
-            self._worker.submit('aim', self._say_when, model, prediction, frame_id)
+            self._worker.submit('aim', self._publish_valve_time, model, prediction, frame_id)
 
-    def _say_when(self, model: ModelTuple, prediction: Prediction, frame_id: str) -> None:
+    def _publish_valve_time(
+        self, model: ModelTuple, prediction: Prediction, frame_id: str
+    ) -> None:
         """Publish when to switch the valve for the target."""
         after = self.flight.time_to_target(model, prediction)
         if after is not None and not self._worker.stop[0]:

@@ -8,7 +8,7 @@ from bellows_ros.plots.prediction import prediction_figure
 from bellows_ros.workflows.excite import DesignedMotion
 from bellows_ros.workflows.plan import PlanReport
 from bellows_ros.workflows.replay import Replay
-from bellows_ros.workflows.result import Result
+from bellows_ros.workflows.result import CommandResult
 from bellows_ros.workflows.steer import SteerReport
 from bellows_ros.workflows.toss import TossResult
 
@@ -24,6 +24,6 @@ FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
 }
 
 
-def figure_of(found: Result, theme: str = 'light') -> Any:
+def figure_of(found: CommandResult, theme: str = 'light') -> Any:
     """Return the matplotlib Figure of a result."""
     return FIGURES[type(found)](found, theme)

@@ -305,7 +305,7 @@ def samples_content(recording: Recording) -> list[str]:
         gaps = f'{len(stream.timing.gaps)}, longest {longest:.3g} s' if longest else '0'
         rows.append((
             stream.recorded.name, str(len(stream.recorded)), f'{stream.timing.rate_hz:.6g} Hz',
-            ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.touched)))
+            ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.overlapping_gap)))
     return [
         figure(samples_figure(
             recording, f'{np.count_nonzero(recording.valid)} of {len(recording.valid)} samples '

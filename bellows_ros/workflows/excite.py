@@ -43,7 +43,7 @@ from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_me
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
 from bellows_ros.workflows.plan import read_plan
-from bellows_ros.workflows.result import Result
+from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 Progress = Callable[[str, float], None]
@@ -67,7 +67,7 @@ NO_HOLD = (
 
 
 @dataclass(frozen=True, eq=False)
-class DesignedMotion(Result):
+class DesignedMotion(CommandResult):
     """
     A designed motion and its expected information.
 

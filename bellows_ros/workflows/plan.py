@@ -15,7 +15,7 @@ from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.perturbed import contributions
-from bellows_ros.core.model.simulation import Rows, stands
+from bellows_ros.core.model.simulation import stands, ToolRows
 from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
@@ -58,7 +58,7 @@ from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.files.transforms import read_transforms, rotations_in_root
 from bellows_ros.workflows.recordings import inside
-from bellows_ros.workflows.result import Result
+from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
@@ -180,7 +180,7 @@ class Curves:
 
 
 @dataclass(frozen=True, eq=False)
-class PlanReport(Result):
+class PlanReport(CommandResult):
     """
     The effects of a plan on the package.
 
@@ -579,7 +579,7 @@ def write_prediction(
     frame, axes = source.frame_id or 'world', source.values['tool_twist.frame']
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
     plan = plan_message(from_tip(tool, tip_of(source.values)), 0, frame, 'tool', axes)
-    package = plan_message(Rows(stamps, states).trajectory(), start, frame,
+    package = plan_message(ToolRows(stamps, states).trajectory(), start, frame,
                            source.values['frames.package'], axes)
     joints = []
     if source.joints is not None:

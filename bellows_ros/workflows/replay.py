@@ -27,10 +27,10 @@ from bellows_ros.files.results import provenance, with_units
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load, Progress
-from bellows_ros.workflows.result import Result
+from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
-SHOWN = 3
+MAX_LISTED = 3
 """Validity ranges named in a warning."""
 
 
@@ -88,7 +88,7 @@ class Margins:
 
 
 @dataclass(frozen=True, eq=False)
-class Replay(Result):
+class Replay(CommandResult):
     """
     A recording predicted with a cup.
 
@@ -250,10 +250,11 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
     known = known_envelope(values)
     phrases = beyond(known, envelope_of(recording, values['cup.length'])) if known else []
     if phrases:
-        more = f'; and {len(phrases) - SHOWN} more' if len(phrases) > SHOWN else ''
+        more = f'; and {len(phrases) - MAX_LISTED} more' if len(phrases) > MAX_LISTED else ''
         outside = (
             'The recording leaves the validity range of the fit: '
-            f'{"; ".join(phrases[:SHOWN])}{more}. There the errors say little about the fit.',)
+            f'{"; ".join(phrases[:MAX_LISTED])}{more}. '
+            'There the errors say little about the fit.',)
     warnings = recording.report.warnings + found.warnings + outside + (
         *implausible(values), *(_causes(values, found) if found.worse_than_noise else ()))
     return Replay(recording.name, dict(values), recording, found, warnings)

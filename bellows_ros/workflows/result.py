@@ -7,7 +7,7 @@ from bellows_ros.extras import require_pictures
 from bellows_ros.files.results import write_json
 
 
-class Result:
+class CommandResult:
     """A result that has `as_json()`."""
 
     def as_json(self) -> dict[str, Any]:

@@ -26,7 +26,7 @@ LONGEST_DISTANCE = 1.0  # m, between tool and package
 LARGEST_CHANGE = 0.25  # of the distance, between its quartiles, of a package that is held
 BELOW_WITHIN = np.deg2rad(40.0)  # of straight down, for what hangs below
 SAMPLES = 2000  # at which two streams are compared
-STRIDE = 0.05  # s, over which a twist is compared with the way its body goes
+TWIST_WINDOW = 0.05  # s, over which a twist is compared with the way its body goes
 WAY = 2e-3  # m, over that time: less is too little to compare with
 SAME_WITHIN = 0.3  # relative difference between the two, at most, to belong together
 
@@ -185,14 +185,14 @@ def _compared(tool: PoseStream, twist: TwistStream) -> tuple[float, str] | None:
         return None
     body = resample(tool.trajectory(), stamps)
     steps = np.diff(stamps)[:, None] / NS_PER_S
-    stride = max(1, round(STRIDE / float(np.median(steps))))
-    if len(stamps) <= 2 * stride:
+    window = max(1, round(TWIST_WINDOW / float(np.median(steps))))
+    if len(stamps) <= 2 * window:
         return None
     ways = [body.position]  # how far the tool goes in each short time: by its poses, its twists
     for velocity in (linear, apply(body.rotation, linear)):
         moved = 0.5 * steps * (velocity[1:] + velocity[:-1])
         ways.append(np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)]))
-    expected, world, own = (way[stride:] - way[:-stride] for way in ways)
+    expected, world, own = (way[window:] - way[:-window] for way in ways)
     if np.sqrt(np.mean(np.sum(expected**2, axis=1))) <= WAY:
         return None
     in_world, in_tool = (float(np.sqrt(np.mean((way - expected)**2) / np.mean(expected**2)))

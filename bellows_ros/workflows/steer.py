@@ -21,7 +21,7 @@ from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.plan import Motion, NO_GRIP, plan_with_cup, Source, standing
-from bellows_ros.workflows.result import Result
+from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 TAIL = 2.0
@@ -70,7 +70,7 @@ OF_EXCITE = (
 
 
 @dataclass(frozen=True, eq=False)
-class SteerReport(Result):
+class SteerReport(CommandResult):
     """
     A plan and the same motion steered.
 

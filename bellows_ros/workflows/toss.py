@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
-from bellows_ros.core.model.simulation import Rows
+from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.core.parameters.checks import implausible
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
@@ -27,7 +27,7 @@ from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of,
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.plan import Motion, plan_with_cup, Source, write_prediction
-from bellows_ros.workflows.result import Result
+from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 MILLI = 1e3
@@ -52,7 +52,7 @@ class Share(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TossResult(Result):
+class TossResult(CommandResult):
     """A toss of a plan, with all that was asked of it."""
 
     source: Source
@@ -200,7 +200,7 @@ def write_toss(
     rows, states = result.held.along(
         result.case.release, result.case.switched, (stamps_ns - stamps_ns[0]) / NS_PER_S)
     write_prediction(
-        path, result.source, Rows(stamps_ns, rows).trajectory(), states, replace_bag)
+        path, result.source, ToolRows(stamps_ns, rows).trajectory(), states, replace_bag)
 
 
 def toss_plan(

@@ -191,11 +191,11 @@ def test_another_fault_of_the_same_line_is_logged(
     monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.0)
     predictor = make_predictor()
     for _ in range(2):
-        predictor._say_report()
+        predictor._report_health()
     for k in range(3):
         predictor._take_pose(START + k * MS, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 3.0))
     for _ in range(2):
-        predictor._say_report()
+        predictor._report_health()
     log = capfd.readouterr().err
     assert log.count('Nobody publishes /tool_arm/pose') == 1
     assert log.count('quaternion not of unit length') == 1

@@ -390,7 +390,7 @@ def test_simulated_time_that_goes_back_starts_afresh(
         lambda: partner.predictor._live.restarts['clock_jump'] > before)
     partner.send_pose(50 * 10**9)
     partner.wait_for_poses(6)
-    partner.predictor._say_report()
+    partner.predictor._report_health()
     assert 'the clock of the simulation was set' in capfd.readouterr().err
 
 

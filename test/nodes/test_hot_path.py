@@ -107,12 +107,12 @@ def held():
     return sum(trace.size for trace in taken.traces)
 
 spin_until(wanted, 'the topics')
-predictor._say_report()
+predictor._report_health()
 modules, compiled = set(sys.modules), signatures()
 send(300)
 pause()
 send(100)
-predictor._say_report()
+predictor._report_health()
 new_modules = sorted(set(sys.modules) - modules)
 newly_compiled = sorted(key for key, n in signatures().items() if compiled.get(key) != n)
 

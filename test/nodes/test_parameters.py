@@ -377,7 +377,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[...,
                                       node._outputs.uncertainty.covariance)
                 node._tossing.flight.time_to_target(node._live.model, node._last)
             node._tick()
-            node._say_report()
+            node._report_health()
             assert not node.failures, (parameter.name, value)
             assert time.process_time() - begun < 10.0, (parameter.name, value)
         assert node.set_parameters([before])[0].successful, parameter.name

@@ -296,7 +296,7 @@ def test_recording_that_begins_again_is_followed(
     assert live.restarts['clock_set_back'] == 2
     assert live.refused['backward_stamp'] * 20 * MS <= 2 * 200 * MS  # of each loop's beginning
     partner.wait_for_poses(150 - sum(live.refused.values()))
-    partner.predictor._say_report()
+    partner.predictor._report_health()
     assert 'a recording started again' in capfd.readouterr().err
 
 
@@ -311,7 +311,7 @@ def test_cup_too_soft_for_the_package_is_said_once(
     for step in range(10):
         partner.send_pose(START + step * MS)
         partner.wait_for_inputs(step + 1)
-        partner.predictor._say_report()
+        partner.predictor._report_health()
 
     assert partner.poses == []
     assert capfd.readouterr().err.count('the cup cannot hold the package') == 1

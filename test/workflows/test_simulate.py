@@ -259,7 +259,7 @@ def without(name):
         (PARAMETERS, None, "'kind' is missing; it must be one of"),
         (PARAMETERS, [1], 'A motion file must hold names and values'),
         (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
-        (PARAMETERS, motion(seed=-1), "'seed' must be a whole number, at least 0"),
+        (PARAMETERS, motion(seed=-1), "'seed' must be an integer, at least 0"),
         (PARAMETERS, motion(world='y_up'), "'world' must be one of z_up, motive_y_up, got 'y_up'"),
         (PARAMETERS, motion(storage='bag'), "'storage' must be one of mcap, sqlite3, got 'bag'."),
         (PARAMETERS, motion(compression='lz4'), "'compression' must be one of none, zstd"),
@@ -273,7 +273,7 @@ def without(name):
         (PARAMETERS, motion(**{'topics.package': 'x'}), "Did you mean 'topics.package_pose'?"),
         (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
         (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
-        (PARAMETERS, motion(start_time_ns=0), "'start_time_ns' must be a whole number"),
+        (PARAMETERS, motion(start_time_ns=0), "'start_time_ns' must be an integer"),
     ],
 )
 def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):

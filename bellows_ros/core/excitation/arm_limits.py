@@ -86,9 +86,9 @@ class ArmLimits:
     def bounds(self) -> list[Bound]:
         """Return the limits on the tool, those of joints for small motions."""
         eye, start = np.eye(6), self.start.position
-        room = np.concatenate(
+        headroom = np.concatenate(
             [np.minimum(self.upper - start, start - self.lower), self.turn]).tolist()
-        found = [Bound('workspace' if i < 3 else 'rotation', 0, eye[i:i + 1], room[i])
+        found = [Bound('workspace' if i < 3 else 'rotation', 0, eye[i:i + 1], headroom[i])
                  for i in range(6)]
         for i, (name, limit) in enumerate(self.rates.items()):
             part = slice(3) if i < 3 else slice(3, 6)
@@ -107,9 +107,9 @@ class ArmLimits:
         tool = motion.at_rate(CHECK_RATE)
         o, R = tool.position, tool.rotation
         shift, turn = o - self.start.position, log_so3(self.start.rotation.T @ R)
-        room = np.where(shift > 0.0, self.upper - self.start.position,
-                        self.start.position - self.lower)
-        found = {'workspace': np.abs(shift / room).max(),
+        headroom = np.where(shift > 0.0, self.upper - self.start.position,
+                            self.start.position - self.lower)
+        found = {'workspace': np.abs(shift / headroom).max(),
                  'rotation': np.abs(turn / self.turn).max()}
         for name, most in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
             found[name.replace('_', ' ')] = most / self.rates[name]

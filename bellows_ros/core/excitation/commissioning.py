@@ -8,7 +8,7 @@ from bellows_ros.core.excitation.motion_design import all_ratios
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.synthetic.motion import Pose, Segment, Waypoints
+from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -21,7 +21,7 @@ WORKSPACE_SHARE = 0.9
 SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
 """Peak speed, acceleration and jerk of the smooth step from 0 to 1 within one second."""
 
-EASIER, MOST_TRIES = 1.15, 30
+SLOWER, MOST_TRIES = 1.15, 30
 
 
 def standstills(
@@ -31,12 +31,12 @@ def standstills(
     tilt = WORKSPACE_SHARE * limits.turn[:2]
     turns = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0)]
 
-    def eased(by: float) -> Waypoints:
+    def slowed(factor: float) -> Waypoints:
         poses = [Pose(limits.start.position, limits.start.rotation @ exp_so3(
-            [x * tilt[0] / by, y * tilt[1] / by, 0.0])) for x, y in turns]
-        return _through(poses, limits, by, itertools.repeat(HOLD))
+            [x * tilt[0] / factor, y * tilt[1] / factor, 0.0])) for x, y in turns]
+        return _through(poses, limits, factor, itertools.repeat(HOLD))
 
-    return _within(eased, limits, models, grip)
+    return _within(slowed, limits, models, grip)
 
 
 def everyday(
@@ -50,19 +50,19 @@ def everyday(
     poses = [Pose(middle + WORKSPACE_SHARE * reach * draw[:3], limits.start.rotation @ exp_so3(
         WORKSPACE_SHARE * limits.turn * draw[3:])) for draw in draws]
 
-    def eased(by: float) -> Waypoints:
-        whole = _through(poses, limits, by, itertools.cycle(STOPS))
+    def slowed(factor: float) -> Waypoints:
+        whole = _through(poses, limits, factor, itertools.cycle(STOPS))
         ends = REST + np.cumsum([s.move + s.hold for s in whole.segments])
         count = max(1, int(np.searchsorted(ends, duration - 1.0)))
         back = [*poses[:count], limits.start]
-        return _through(back, limits, by, itertools.chain(
+        return _through(back, limits, factor, itertools.chain(
             itertools.islice(itertools.cycle(STOPS), count), [1.0]))
 
-    return _within(eased, limits, models, grip)
+    return _within(slowed, limits, models, grip)
 
 
 def _through(
-    poses: Sequence[Pose], limits: ArmLimits, by: float, holds: Iterable[float]
+    poses: Sequence[Pose], limits: ArmLimits, factor: float, holds: Iterable[float]
 ) -> Waypoints:
     """Return moves from the start through poses, slower than the arm can by a factor."""
     segments, here = [], limits.start
@@ -75,23 +75,23 @@ def _through(
                 2 * (1, 2, 3), 2 * SMOOTH_STEP_PEAKS, [way] * 3 + [angle] * 3,
                 limits.rates.values(),
                 strict=True))
-        segments.append(Segment(pose, max(0.05, 1.001 * by * shortest), hold))
+        segments.append(MoveAndHold(pose, max(0.05, 1.001 * factor * shortest), hold))
         here = pose
     return Waypoints(limits.start, REST, tuple(segments))
 
 
 def _within(
-    eased: Callable[[float], Waypoints], limits: ArmLimits, models: Sequence[ModelTuple],
+    slowed: Callable[[float], Waypoints], limits: ArmLimits, models: Sequence[ModelTuple],
     grip: Grip | None,
 ) -> Waypoints:
-    """Return the first of ever easier motions that is within the limits."""
-    by, ratios = 1.0, {'': 1.0}
+    """Return the first of ever slower motions that is within the limits."""
+    factor, ratios = 1.0, {'': 1.0}
     for _ in range(MOST_TRIES):
-        motion = eased(by)
+        motion = slowed(factor)
         ratios = all_ratios(motion, limits, models, grip)
         if max(ratios.values()) <= 1.0:
             return motion
-        by *= EASIER
+        factor *= SLOWER
     worst = max(ratios, key=lambda name: ratios[name])
     raise BellowsError(
         f'No standstills or moves meet the limits: {worst} is {ratios[worst]:.3g} times its '

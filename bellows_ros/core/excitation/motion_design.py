@@ -89,7 +89,7 @@ def window(t: Array, period: float) -> Array:
 @dataclass(frozen=True, eq=False)
 class FourierMotion(Vibration):
     """
-    A rest, a Fourier series in each axis that swells and dies away, and a hold of a tilt.
+    A rest, a Fourier series in each axis under an envelope, and a hold of a tilt.
 
     Parameters
     ----------
@@ -141,9 +141,9 @@ class FourierMotion(Vibration):
             first = np.exp(2j * np.pi / self.period * tau[part])
             wave = np.cumprod(np.broadcast_to(first, (len(harmonics), len(first))), axis=0)
             value, rate = np.split((wave.T @ both).real, 2, axis=1)
-            swell = window(tau[part], self.period)[:, :, None]
-            out[0, part] = swell[0] * value
-            out[1, part] = swell[1] * value + swell[0] * rate
+            envelope = window(tau[part], self.period)[:, :, None]
+            out[0, part] = envelope[0] * value
+            out[1, part] = envelope[1] * value + envelope[0] * rate
         if self.move:
             after = (tau - self.period) / self.move
             tilted = septic_step(after) - septic_step(after - 1.0 - self.hold / self.move)
@@ -152,7 +152,7 @@ class FourierMotion(Vibration):
         return out
 
 
-class Search:
+class MotionObjective:
     """The negative mean log determinant as a function of the coefficients' shape, with slopes."""
 
     def __init__(
@@ -166,7 +166,8 @@ class Search:
         omega = 2.0 * np.pi / period * np.arange(1, wide + 1, dtype=np.float64)
         self._powers = (1j * omega[:self.count]) ** np.arange(4)[:, None, None]
         W = window(np.arange(self.points) * period / self.points, period)
-        self._swell = {(n, m): math.comb(n, m) * W[n - m] for n in range(4) for m in range(n + 1)}
+        self._envelope = {
+            (n, m): math.comb(n, m) * W[n - m] for n in range(4) for m in range(n + 1)}
         found = responses_at(omega)
         self._models = len(found)
         self._poses = rate_hz * period
@@ -178,8 +179,8 @@ class Search:
         self._loads = np.concatenate(rows) @ limits.axes
         self._bounds, self.allowed = limits.bounds(), np.ones(len(self._loads))
         self._names = [b.name for b in self._bounds] + [*LOADS[:len(rows[0])]] * self._models
-        room = np.array([b.limit for b in self._bounds[:6]])
-        self.size = 0.3 * room[:, None] / (1.0 + (omega[:self.count] / 6.0) ** 2)
+        headroom = np.array([b.limit for b in self._bounds[:6]])
+        self.size = 0.3 * headroom[:, None] / (1.0 + (omega[:self.count] / 6.0) ** 2)
 
     def _signals(self, spectrum: Any) -> Array:
         """Return the real part (..., N) of a series of lines (..., F)."""
@@ -210,14 +211,15 @@ class Search:
 
     def criterion(self, coefficients: Any) -> float:
         """Return the criterion of coefficients (K, 6) as they are."""
-        waves = self._swell[0, 0] * self._signals(coefficients.T)
+        waves = self._envelope[0, 0] * self._signals(coefficients.T)
         lines = self._lines(waves, self._loads.shape[1]).T * (2.0 / self.points)
         return self._information(lines)[0]
 
     def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, dict[str, float]]]:
         """Return value, slope by the coefficients, and largest ratio with the shares in it."""
         rates = self._signals(self._powers * c)
-        u = np.array([sum(self._swell[n, m] * rates[m] for m in range(n + 1)) for n in range(4)])
+        u = np.array([
+            sum(self._envelope[n, m] * rates[m] for m in range(n + 1)) for n in range(4)])
         first, wide = len(self._bounds), self._loads.shape[1]
         lines = self._lines(u[0], wide).T * (2.0 / self.points)
         loads = self._loads / self.allowed[:, None, None, None]
@@ -232,9 +234,9 @@ class Search:
         parts = (ratios / top) ** power
         total = float(np.sum(parts))
         norm = top * (total / self.points) ** (1.0 / power)
-        pulls = parts / np.maximum(ratios, 1e-6 * top) / total
-        by_signals = signals * (pulls / np.maximum(lengths, 1e-6 * top))[:, None]
-        by_signals[:, 3] = pulls
+        weights = parts / np.maximum(ratios, 1e-6 * top) / total
+        by_signals = signals * (weights / np.maximum(lengths, 1e-6 * top))[:, None]
+        by_signals[:, 3] = weights
         by_u = np.zeros_like(u)
         for by_signal, b in zip(by_signals, self._bounds, strict=False):
             by_u[b.order] += b.rows.T @ by_signal[:len(b.rows)] / b.limit
@@ -244,7 +246,7 @@ class Search:
         inner = float(np.real(np.sum(gained.conj() * lines))) / norm
         by_u *= -inner
         by_u[0] += self._signals((gained / norm - inner * by_lines).T) * (2.0 / self.points)
-        by_rates = np.array([sum(self._swell[n, m] * by_u[n] for n in range(m, 4))
+        by_rates = np.array([sum(self._envelope[n, m] * by_u[n] for n in range(m, 4))
                              for m in range(4)])
         slope = np.sum(np.conj(self._powers) * self._lines(by_rates, self.count), axis=0)
         shares: dict[str, float] = {}
@@ -260,8 +262,8 @@ class Search:
         M = M + PRIOR * np.eye(M.shape[1])
         value, by_M = float(np.mean(np.linalg.slogdet(M)[1])), np.linalg.inv(M) / len(M)
         weighted = (by_M @ flat).reshape(self._models, -1, len(lines), 6)
-        pull = weighted.transpose(2, 0, 1, 3).reshape(len(lines), -1, 1)
-        slope = (np.swapaxes(self._changes, 1, 2) @ pull.conj())[:, :, 0].conj()
+        weighted_gradient = weighted.transpose(2, 0, 1, 3).reshape(len(lines), -1, 1)
+        slope = (np.swapaxes(self._changes, 1, 2) @ weighted_gradient.conj())[:, :, 0].conj()
         return value, self._poses * slope
 
 
@@ -275,7 +277,7 @@ class Design(NamedTuple):
     ratios : mapping of str to float
         Largest part of each limit that it takes; for bending and safety with K as bad as may be.
     shares : mapping of str to float
-        By what part of the gain in log determinant each limit, eased, would let it grow.
+        By what part of the gain in log determinant a relaxed limit would raise it, for each limit.
     information : array (2 n, 2 n)
         On the parameters of K and P, of the whole model.
 
@@ -335,7 +337,8 @@ def design(
             structure.parameters(each.stiffness, each.damping),
             structure.sizes(each.stiffness, each.damping), at, omega, tracking) for each in cups]
 
-    search = Search(limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
+    search = MotionObjective(
+        limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
     rng = np.random.default_rng(seed)
     best, shares, shape = -math.inf, dict[str, float](), np.empty(0)
     motion = still = _held(limits, models, grip, period, hold)
@@ -393,7 +396,7 @@ def all_ratios(
 def loads(
     motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
 ) -> Array:
-    """Return the largest parts (M, 4) of the limits of `LOADS`, with M models; (M, 2) gripless."""
+    """Return the largest parts (M, 4) of limits `LOADS` with M models; (M, 2) without a grip."""
     tool = motion.at_rate(CHECK_RATE)
     found = [PlanSimulation(model, grip, tool).predict(1.0) for model in models]
     return np.array([

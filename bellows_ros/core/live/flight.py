@@ -13,7 +13,7 @@ from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, State
-from bellows_ros.core.model.simulation import diverged, require_steps, row_state, Rows
+from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
 from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward
 from bellows_ros.core.toss.landing import aim, factor_columns
 from bellows_ros.core.toss.release import (
@@ -61,14 +61,14 @@ class Landing(NamedTuple):
     landing."""
 
 
-def steadily(now: Prediction, tool: Rows | None, duration: float) -> Rows:
+def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float) -> ToolRows:
     """Return the tool for a time (s) at least: as known, then straight on and turning steadily."""
-    tool = tool or Rows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
+    tool = tool or ToolRows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
     left_ns = round(duration * 1e9) - int(tool.stamps_ns[-1])
     if left_ns <= 0:
         return tool
     last = np.concatenate(extrapolated(row_state(tool.rows[-1]), left_ns * 1e-9))
-    return Rows(
+    return ToolRows(
         np.append(tool.stamps_ns, tool.stamps_ns[-1] + left_ns), np.vstack([tool.rows, last]))
 
 
@@ -98,7 +98,7 @@ class Flight:
 
     def __init__(
         self, values: Mapping[str, Any],
-        future: Callable[[Prediction], Rows | None] = lambda now: None,
+        future: Callable[[Prediction], ToolRows | None] = lambda now: None,
     ) -> None:
         """Set the data of release and landing."""
         self._values, self._future = values, future
@@ -153,7 +153,7 @@ class Flight:
         duration = (now.stamp_ns - before.stamp_ns) * 1e-9
         if not 0.0 < duration < 1.0:
             return now
-        tool = Rows(np.array([0, now.stamp_ns - before.stamp_ns]), np.array([
+        tool = ToolRows(np.array([0, now.stamp_ns - before.stamp_ns]), np.array([
             np.concatenate(each.tool) for each in (before, now)]))
         released, body, landed, _ = self._toss(
             model, before, tool, (self._switched_ns - before.stamp_ns) * 1e-9, duration)
@@ -217,7 +217,8 @@ class Flight:
         return flight(model[1], model[2], body, seconds - released, COARSE_ROTATION_PER_STEP)
 
     def _toss(
-        self, model: ModelTuple, now: Prediction, tool: Rows | None, switched: float, until: float,
+        self, model: ModelTuple, now: Prediction, tool: ToolRows | None, switched: float,
+        until: float,
     ) -> tuple[float, State, float, State]:
         """Return what `toss_along` does, of a package that is held up to a time (s)."""
         rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
@@ -279,7 +280,7 @@ class Flight:
             return None  # so many steps take too long
         x, y = self._values['landing.target']
         try:
-            tool = steadily(prediction, self._future(prediction), 2.0 * AIMED_AHEAD)
+            tool = at_constant_velocity(prediction, self._future(prediction), 2.0 * AIMED_AHEAD)
             held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIMED_AHEAD)
             found = aim(held, self._release, (x, y), None, AIMED_AHEAD, AIMED_SCAN, AIMED_CLOSELY)
         except (BellowsError, ArithmeticError, ValueError):

@@ -16,7 +16,7 @@ from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.kernels import State
-from bellows_ros.core.model.simulation import row_state, Rows, tool_rows, write_row
+from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows, write_row
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
@@ -183,14 +183,14 @@ class PlanTracker:
 
     Parameters
     ----------
-    plan : Trajectory or Rows
+    plan : Trajectory or ToolRows
         Of E in the world with body twists.
     stamp_ns : int
         When it starts, ns; 0 for when the tool starts.
 
     Attributes
     ----------
-    plan : Rows
+    plan : ToolRows
     progress : float
         s of the plan.
     rate : float
@@ -200,10 +200,10 @@ class PlanTracker:
 
     """
 
-    def __init__(self, plan: Trajectory | Rows, stamp_ns: int) -> None:
+    def __init__(self, plan: Trajectory | ToolRows, stamp_ns: int) -> None:
         """Take the plan."""
         self._stamp_ns = stamp_ns
-        self.plan = Rows(plan.stamps_ns, tool_rows(plan))
+        self.plan = ToolRows(plan.stamps_ns, tool_rows(plan))
         self._seconds, self._rows = self.plan.seconds, self.plan.rows
         speed = np.linalg.norm(self._rows[:, 7:] * np.repeat([1.0, LEVER], 3), axis=1)
         gaps = np.diff(self._seconds)
@@ -258,7 +258,7 @@ class PlanTracker:
             self.progress > self._leaves
             or -LATEST - self._leaves <= self._wait(now.stamp_ns) < math.inf)
 
-    def rest(self, now: Prediction, spacing: float = SPACING) -> Rows:
+    def rest(self, now: Prediction, spacing: float = SPACING) -> ToolRows:
         """
         Return the rest of the plan from the current tool pose, with stamps from now.
 
@@ -274,4 +274,4 @@ class PlanTracker:
         rows = np.empty((len(stamps_ns), 13))
         count = remaining_plan(
             *self._inputs[:2], now.tool, progress, rate, wait, spacing, stamps_ns, rows)
-        return Rows(stamps_ns[:count], rows[:count])
+        return ToolRows(stamps_ns[:count], rows[:count])

@@ -304,7 +304,7 @@ class LivePredictor:
             self._forget_motion()
         elif newest_ns >= 0:
             self._period_ns = stamp_ns - newest_ns
-        if self._screen.doubted:
+        if self._screen.suspect:
             self._package.settling.inflate(stamp_ns, *self._screen.jump)
         if arrival_ns is not None and self.arrival_ns is not None:
             pause_ns = arrival_ns - self.arrival_ns
@@ -441,14 +441,14 @@ class LivePredictor:
         last = self._package.sample
         before = ORIGIN if last is None else last.tool
         seconds = 0.0 if last is None else (pose.stamp_ns - last.stamp_ns) * 1e-9
-        now, excess, doubt, off = measured(
+        now, excess, suspicion, off = measured(
             before, pose.position, q, twist.linear, twist.angular, self._twist_in_world, seconds)
         if last is None:
             return now
         if excess > 1.0:
             self._counts['twist_misses_pose'] += 1
             return None
-        if doubt > 1.0:
+        if suspicion > 1.0:
             self._package.settling.inflate(pose.stamp_ns, *off)
         return now
 

@@ -67,8 +67,8 @@ class PoseStep(NamedTuple):
 
     excess: float
     """Size relative to what an arm can do; above 1 is impossible."""
-    doubt: float
-    """Size relative to the limit of doubt."""
+    suspicion: float
+    """Size relative to the limit of suspicion."""
     position_jump: float
     """Deviation from a steady motion, m."""
     rotation_jump: float
@@ -135,16 +135,16 @@ def step_after(
         t3.norm(shift) / (SPEED_SLACK + LARGEST_SPEED * seconds),
         t3.norm(turn) / (RATE_SLACK + LARGEST_RATE * seconds),
     )
-    doubt = 0.0
+    suspicion = 0.0
     if period != UNKNOWN:
         excess = max(
             excess, position_jump / (JUMP_SLACK + jitter + LARGEST_JUMP * squared),
             rotation_jump / (TURN_JUMP_SLACK + turn_jitter + LARGEST_TURN_JUMP * squared))
     if period > 0.0:
-        doubt = max(
+        suspicion = max(
             position_jump / (DOUBTED_JUMP_SLACK + jitter + DOUBTED_JUMP * squared),
             rotation_jump / (DOUBTED_TURN_JUMP_SLACK + turn_jitter + DOUBTED_TURN_JUMP * squared))
-    return excess, doubt, position_jump, rotation_jump, speed, turn_speed, v, w
+    return excess, suspicion, position_jump, rotation_jump, speed, turn_speed, v, w
 
 
 class FrameChange:
@@ -178,8 +178,8 @@ class Screen(StampScreen):
         Frame of the accepted poses; '' before the first.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
-    doubted : bool
-        Whether the newest accepted pose is doubted, by the `jump` (m, rad) that led there.
+    suspect : bool
+        Whether the newest accepted pose is suspect, by the `jump` (m, rad) that led there.
 
     """
 
@@ -198,7 +198,7 @@ class Screen(StampScreen):
         self.forget_stamps()
         self._last: Reference | None = None
         self._step = REST  # from there, if judged by its place
-        self.doubted = False
+        self.suspect = False
         self._elsewhere: Reference | None = None
         self._elsewhere_run = 0
 
@@ -274,14 +274,14 @@ class Screen(StampScreen):
         if last is None:
             return GOOD
         if o == last.position and q == last.quaternion_xyzw:
-            self._step, self.doubted = REST, False
+            self._step, self.suspect = REST, False
             return Verdict('repeated_pose', '') if _cannot_stop(last) else GOOD
         if self._elsewhere_run:  # then the time since the last one tells of no burst
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
         self._step = step = step_between(last, stamp_ns, o, q)
         if step.excess <= 1.0 and not (
                 self._elsewhere_run and self._is_elsewhere(stamp_ns, o, q)):
-            self.doubted = step.doubt > (AFTER_JUMPS if self._elsewhere_run else 1.0)
+            self.suspect = step.suspicion > (AFTER_JUMPS if self._elsewhere_run else 1.0)
             return GOOD
         self._note_elsewhere(stamp_ns, o, q)
         if self._elsewhere_run >= JUMP_RUN:

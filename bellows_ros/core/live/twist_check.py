@@ -38,7 +38,7 @@ LARGEST_TURN_JERK, TURN_SLACK = 5e4, 0.15
 """The same for rotations (rad/s^3, rad)."""
 
 DOUBTED_JERK, DOUBTED_TURN_JERK = 5e2, 5e3
-"""Jerk (m/s^3, rad/s^3) above which twists are doubted."""
+"""Jerk (m/s^3, rad/s^3) above which twists are suspect."""
 
 
 @kernel
@@ -125,7 +125,7 @@ def misfit(
     """
     Return how far a pose is from where the body twists at it and at the one before lead.
 
-    As a part of what any arm does, as a part of what is not doubted, and as a shift (m) and turn
+    As a part of what any arm does, as a part of what is not suspect, and as a shift (m) and turn
     (rad). The way between two poses differs from the mean of both velocities times the time by no
     more than the largest jerk makes of it, j t^3 / 12.
     """
@@ -138,9 +138,9 @@ def misfit(
     cubed = seconds * seconds * seconds / 12.0
     excess = max(
         shift / (SLACK + LARGEST_JERK * cubed), angle / (TURN_SLACK + LARGEST_TURN_JERK * cubed))
-    doubt = max(
+    suspicion = max(
         shift / (SLACK + DOUBTED_JERK * cubed), angle / (TURN_SLACK + DOUBTED_TURN_JERK * cubed))
-    return excess, doubt, (shift, angle)
+    return excess, suspicion, (shift, angle)
 
 
 @kernel
@@ -154,5 +154,5 @@ def measured(
         R = t3.rotation_matrix(q)
         v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
     now = position, q, v, w
-    excess, doubt, off = misfit(before, now, seconds)
-    return now, excess, doubt, off
+    excess, suspicion, off = misfit(before, now, seconds)
+    return now, excess, suspicion, off

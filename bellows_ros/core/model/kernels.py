@@ -262,12 +262,12 @@ def body_acceleration(model: ModelTuple, tool: State, body: State) -> tuple[Vect
     return newton_euler(package, gravity, t3.rotation_matrix(body[1]), body[2], body[3], f, m)
 
 
-Segment = tuple[float, Vector, Vector, Vector, Vector, Quaternion, Vector, Vector, Vector]
+ToolSegment = tuple[float, Vector, Vector, Vector, Vector, Quaternion, Vector, Vector, Vector]
 """Duration (s), position cubic (four coefficients), start orientation, rotation cubic (three)."""
 
 
 @kernel
-def tool_segment(start: State, end: State, duration: float) -> Segment:
+def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     """
     Return the cubic Hermite curve between two tool samples a time apart.
 
@@ -312,7 +312,7 @@ def cubic_slope(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
 
 
 @kernel
-def tool_at(segment: Segment, s: float) -> State:
+def tool_at(segment: ToolSegment, s: float) -> State:
     """Return the tool's pose and body twist at the fraction s of the segment."""
     duration, o0, a1, a2, a3, q0, c1, c2, c3 = segment
     phi = cubic(s, c1, c2, c3)

@@ -81,7 +81,7 @@ def places_of(values: Mapping[str, Any]) -> Array:
     wrong = sorted(opened - set(range(len(positions))))
     if wrong:
         raise BellowsError(
-            f'cup.open has {wrong[0]:g}; expected whole numbers from 0 to {len(positions) - 1}, '
+            f'cup.open has {wrong[0]:g}; expected integers from 0 to {len(positions) - 1}, '
             'the places of cups in cup.layout.')
     if len(opened) == len(positions):
         raise BellowsError(

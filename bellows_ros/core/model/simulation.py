@@ -82,7 +82,7 @@ NEWTON_STEPS, LARGEST_NEWTON_STEP = 30, 0.1
 
 
 def steady_start(
-    model: ModelTuple, tool: Trajectory | Rows, near: State | None = None
+    model: ModelTuple, tool: Trajectory | ToolRows, near: State | None = None
 ) -> State:
     """
     Return the package in steady motion at a plan's first point: at rest where the tool is.
@@ -143,7 +143,7 @@ def diverged() -> UnstableError:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Rows:
+class ToolRows:
     """
     A checked motion of the tool in the form of the kernels.
 
@@ -174,9 +174,9 @@ class Rows:
                           quaternion_to_rotation(self.rows[:, 3:7]), self.rows[:, 7:])
 
 
-def tool_rows(tool: Trajectory | Rows) -> Array:
+def tool_rows(tool: Trajectory | ToolRows) -> Array:
     """Return a motion with twists as rows (N, 13): position, quaternion xyzw, body twist."""
-    if isinstance(tool, Rows):
+    if isinstance(tool, ToolRows):
         return tool.rows
     if tool.twist is None:
         raise BellowsError('The tool trajectory has no twists; filter or differentiate it first.')

@@ -42,7 +42,7 @@ ESTIMATE = 'estimate'
 
 
 POSES = ('recording.package_world', 'tool_pose.offset')
-"""Parameters that are a pose, as a text."""
+"""Parameters that are a pose, as a string."""
 
 LEAST_VACUUM = 1000.0
 """Smallest vacuum (Pa below ambient) that is no mistake of unit."""
@@ -181,7 +181,7 @@ def _refuse(parameter: Parameter, got: str) -> BellowsError:
 
 
 def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
-    """Return seven numbers, given as a list or a text, as a text; other values unchanged."""
+    """Return seven numbers, given as a list or a string, as a string; other values unchanged."""
     parts = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
     if parts == [] or (estimated and parts == [ESTIMATE]):
         return ''.join(parts)
@@ -213,7 +213,7 @@ def _items(parameter: Parameter, value: object) -> list[object]:
 
 
 def _text(parameter: Parameter, value: object, where: str = '') -> str:
-    """Return a text, one of the choices if there are any, without control characters."""
+    """Return a string, one of the choices if there are any, without control characters."""
     if not isinstance(value, str):
         raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
     if any(ord(c) < 32 or ord(c) == 127 for c in value):  # no file, topic or frame has them

@@ -30,7 +30,7 @@ class Settings:
     Raises
     ------
     BellowsError
-        If it is not a mapping of texts.
+        If it is not a mapping of strings.
 
     """
 
@@ -65,7 +65,7 @@ class Settings:
     def whole(
         self, name: str, default: int, least: int = 0, most: int | None = None
     ) -> int:
-        """Return a whole number in a range."""
+        """Return an integer in a range."""
         return int(self._take(name, default, 'integer', minimum=least, maximum=most))
 
     def flag(self, name: str, default: bool) -> bool:
@@ -73,11 +73,11 @@ class Settings:
         return bool(self._take(name, default, 'bool'))
 
     def text(self, name: str, default: str | None = None) -> str:
-        """Return a text that is not empty."""
+        """Return a string that is not empty."""
         return str(self._take(name, default, 'string', required_text=True))
 
     def choice(self, name: str, choices: Sequence[str], default: str | None = None) -> str:
-        """Return one of some texts."""
+        """Return one of some strings."""
         return str(self._take(name, default, 'string', choices=tuple(choices)))
 
     def vector(

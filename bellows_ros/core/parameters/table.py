@@ -134,8 +134,8 @@ _KINDS: Mapping[type, Kind] = {
     bool: 'bool', int: 'integer', float: 'double', str: 'string', tuple: 'string_array'}
 
 _KIND_MESSAGES: Mapping[Kind, str] = {
-    'bool': 'true or false', 'integer': 'a whole number', 'double': 'a number',
-    'string': 'a text', 'double_array': 'a list of numbers', 'string_array': 'a list of texts'}
+    'bool': 'true or false', 'integer': 'an integer', 'double': 'a number',
+    'string': 'a string', 'double_array': 'a list of numbers', 'string_array': 'a list of strings'}
 
 
 def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:

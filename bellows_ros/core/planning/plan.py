@@ -32,10 +32,10 @@ from bellows_ros.core.model.simulation import (
     require_steps,
     rest,
     row_state,
-    Rows,
     stands,
     steady_start,
     tool_rows,
+    ToolRows,
     write_row,
 )
 from bellows_ros.core.model.validity_range import beyond, Envelope
@@ -77,7 +77,7 @@ class PlanPrediction:
 
     Parameters
     ----------
-    tool : Trajectory or Rows
+    tool : Trajectory or ToolRows
         The plan, N points.
     states : array (N, 13)
         Of B in the world: position (m), quaternion xyzw, body twist (m/s, rad/s).
@@ -99,7 +99,7 @@ class PlanPrediction:
 
     """
 
-    tool: Trajectory | Rows
+    tool: Trajectory | ToolRows
     states: Array
     wrench: Array
     loads: Array
@@ -150,7 +150,7 @@ class PlanPrediction:
 
 
 def predict(
-    model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows, start: State | None = None,
+    model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows, start: State | None = None,
     tail: float = LONGEST_TAIL, longest: float = 0.0,
 ) -> PlanPrediction:
     """
@@ -162,7 +162,7 @@ def predict(
         As the kernels take it.
     grip : tuple, optional
         As `grip_of` returns it; without it the safety factor is unknown.
-    tool : Trajectory or Rows
+    tool : Trajectory or ToolRows
         A plan, as `plan_points.plan_of` returns it.
     start : State, optional
         Of B in the world at the first point; in steady motion there when left out.
@@ -190,7 +190,7 @@ class PlanSimulation:
     """
 
     def __init__(
-        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows,
+        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows,
         start: State | None = None, tail: float = LONGEST_TAIL, longest: float = 0.0,
         stop: Mask = NEVER,
     ) -> None:

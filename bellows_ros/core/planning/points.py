@@ -15,7 +15,7 @@ from bellows_ros.core.geometry.lie import (
     quaternion_to_rotation,
     rotation_to_quaternion,
 )
-from bellows_ros.core.model.simulation import Rows, tool_rows, write_row
+from bellows_ros.core.model.simulation import tool_rows, ToolRows, write_row
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
@@ -77,7 +77,7 @@ def plan_of(
 def rows_of(
     stamps_ns: Stamps, poses: Array, twist: Array | None = None,
     acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
-) -> Rows:
+) -> ToolRows:
     """Return the rows for the kernels from poses (N, 7), in a fifth of the time."""
     _require_points(stamps_ns, (poses, twist, acceleration), name)
     durations = np.diff(stamps_ns) / NS_PER_S
@@ -98,7 +98,7 @@ def rows_of(
         rows[:, 7:] = body_twists(q, curve(t, 1))[1]
     elif len(poses) >= DENSE:
         _require_fitting(np.sqrt(fit / (3 * len(durations))), name)
-    plan = Rows(stamps_ns, rows)
+    plan = ToolRows(stamps_ns, rows)
     if np.diff(stamps_ns).max() <= LONGEST_GAP_NS:
         return plan
     if acceleration is not None:
@@ -109,7 +109,7 @@ def rows_of(
             linear = apply(R, linear + np.cross(rows[:, 10:], rows[:, 7:10]))
         acceleration = np.hstack([linear, angular])
     fine = refined(plan.trajectory(), acceleration)
-    return Rows(fine.stamps_ns, tool_rows(fine))
+    return ToolRows(fine.stamps_ns, tool_rows(fine))
 
 
 def plan_of_joints(

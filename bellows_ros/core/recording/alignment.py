@@ -336,10 +336,10 @@ def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
 
 
 def _near(deviation: Array) -> Mask:
-    """Return where no axis deviates by more than its usual deviation times a factor."""
-    usual = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
+    """Return where no axis deviates by more than its typical deviation times a factor."""
+    typical = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
     # Without noise the median is nothing but rounding: then all that is tiny is near.
-    return np.asarray(np.all(np.abs(deviation) <= TRIMMED_BEYOND * usual + 1e-6, axis=1))
+    return np.asarray(np.all(np.abs(deviation) <= TRIMMED_BEYOND * typical + 1e-6, axis=1))
 
 
 def levelling(direction: ArrayLike) -> Array:

@@ -62,14 +62,14 @@ GAPS_SAMPLED = 2000
 MIN_GAPS_SAMPLED = 20
 
 
-class Run(NamedTuple):
+class SampleRange(NamedTuple):
     """The first and the last of some samples in a row."""
 
     first: int
     last: int
 
 
-class Step(NamedTuple):
+class PoseStep(NamedTuple):
     """A jump without a return: the sample before it, and its size, m and rad."""
 
     before: int
@@ -203,11 +203,11 @@ def _thresholds_over(
     return np.asarray(GAP_THRESHOLD_FACTOR * np.linalg.norm(jumps, axis=2).max(axis=1))
 
 
-def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Run], list[Step]]:
+def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[SampleRange], list[PoseStep]]:
     """Return the excursions between jumps that cancel, and the remaining steps."""
     edges = sorted(edges, key=lambda edge: edge.before)
     flickers = _flicker(edges)
-    excursions: list[Run] = []
+    excursions: list[SampleRange] = []
     used: set[int] = set()
     single = []
     for k, edge in enumerate(edges):
@@ -221,13 +221,13 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[Run], list[Step]]
             continue
         first, last = min(ends, key=lambda end: edges[end[1]].before - edges[end[0]].before)
         used.update(range(first, last + 1))
-        excursions.append(Run(edges[first].before + 1, edges[last].before))
+        excursions.append(SampleRange(edges[first].before + 1, edges[last].before))
     steps = []
     for edge, flickering in single:
-        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else Run(
+        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else SampleRange(
             edge.before, edge.before + 1)
         if run is None:
-            steps.append(Step(edge.before, *_sizes(edge.forms)))
+            steps.append(PoseStep(edge.before, *_sizes(edge.forms)))
         else:
             excursions.append(run)
     return sorted(excursions), steps
@@ -311,15 +311,15 @@ def _sizes(forms: Array) -> Array:
     return np.asarray(np.linalg.norm(forms[:, 0], axis=1))
 
 
-def _to_the_end(edge: Edge, poses: Trajectory) -> Run | None:
+def _to_the_end(edge: Edge, poses: Trajectory) -> SampleRange | None:
     """Return the part between a jump and an end of the recording, if short, else nothing."""
     seconds = poses.seconds
     first = edge.before + 1
     before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[first])
     if before < min(after, LONGEST_AT_END):
-        return Run(0, edge.before)
+        return SampleRange(0, edge.before)
     if after < min(before, LONGEST_AT_END):
-        return Run(first, len(poses) - 1)
+        return SampleRange(first, len(poses) - 1)
     return None
 
 
@@ -344,13 +344,13 @@ class Outliers:
     ----------
     good : bool array (N,)
         False for the samples marked.
-    excursions : tuple of Run
+    excursions : tuple of SampleRange
         Jumps away and back.
-    isolated : tuple of Run
+    isolated : tuple of SampleRange
         Single samples between others marked or missing.
-    frozen : tuple of Run
+    frozen : tuple of SampleRange
         Exact repeats of a pose while the body moved.
-    steps : tuple of Step
+    steps : tuple of PoseStep
         Jumps without a return; only the samples beside one are marked.
     noise : dict of str to array (3,)
         Standard deviation of the white noise along each axis, 'position' in m in the world and
@@ -360,10 +360,10 @@ class Outliers:
     """
 
     good: Mask
-    excursions: tuple[Run, ...]
-    isolated: tuple[Run, ...]
-    frozen: tuple[Run, ...]
-    steps: tuple[Step, ...]
+    excursions: tuple[SampleRange, ...]
+    isolated: tuple[SampleRange, ...]
+    frozen: tuple[SampleRange, ...]
+    steps: tuple[PoseStep, ...]
     noise: dict[str, Array]
 
 
@@ -385,7 +385,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     """
     frozen = _frozen(poses)
     moving = np.full(len(poses), True)
-    _mark(moving, frozen)
+    _exclude(moving, frozen)
     kept = np.flatnonzero(moving)
     if len(kept) < 2 * SHORTEST_RUN:
         return Outliers(moving, (), (), frozen, (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
@@ -400,14 +400,14 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     edges = edges_seen(poses, short, long, breaks & ~gap)
     excursions, steps = paired(edges + edges_over_gaps(poses, increments, gap, breaks), poses)
     good = np.full(len(poses), True)
-    _mark(good, excursions)
+    _exclude(good, excursions)
     for step in steps:
         good[step.before:step.before + 2] = False
     isolated = _isolated(good, gap)
-    _mark(good, isolated)
+    _exclude(good, isolated)
     moving[kept] = good
     deviations = (jumps.typical / MEDIAN_PER_DEVIATION for jumps in short)
-    away, alone = (tuple(Run(*kept[list(run)].tolist()) for run in runs)
+    away, alone = (tuple(SampleRange(*kept[list(run)].tolist()) for run in runs)
                    for runs in (excursions, isolated))
     return Outliers(
         moving, away, alone, frozen,
@@ -455,21 +455,21 @@ def _repeats(poses: Trajectory | PoseStream) -> Mask:
     return same
 
 
-def _mark(good: Mask, runs: Iterable[Run]) -> None:
+def _exclude(good: Mask, runs: Iterable[SampleRange]) -> None:
     """Take the samples of runs out of the good ones."""
     for run in runs:
         good[run.first:run.last + 1] = False
 
 
-def _isolated(good: Mask, gap: Mask) -> tuple[Run, ...]:
+def _isolated(good: Mask, gap: Mask) -> tuple[SampleRange, ...]:
     """Return the runs of good samples, without a gap in them, that are too short to be judged."""
     begins = np.concatenate([[True], gap | (good[1:] != good[:-1])])
     first = np.append(np.flatnonzero(begins), len(good)).tolist()
-    return tuple(Run(i, after - 1) for i, after in pairwise(first)
+    return tuple(SampleRange(i, after - 1) for i, after in pairwise(first)
                  if good[i] and after - i < SHORTEST_RUN)
 
 
-def _frozen(poses: Trajectory) -> tuple[Run, ...]:
+def _frozen(poses: Trajectory) -> tuple[SampleRange, ...]:
     """
     Return the exact repeats that end with a step too large for the motion around.
 
@@ -490,13 +490,13 @@ def _frozen(poses: Trajectory) -> tuple[Run, ...]:
         k = int(np.searchsorted(moves, last))
         excess = [_catch_up(length, moves, k, last - first + 1) for length in lengths]
         if any(e > floor for e, floor in zip(excess, SMALLEST_JUMP.values(), strict=True)):
-            found.append(Run(first + 1, last + 1))
+            found.append(SampleRange(first + 1, last + 1))
     return tuple(found)
 
 
 def _catch_up(length: Array, moves: Indices, k: int, repeats: int) -> float:
     """
-    Return by how much the step after repeated poses exceeds what is usual around.
+    Return by how much the step after repeated poses exceeds the typical step around.
 
     A body that froze till the end would have gone on, unless it slowed down before.
     """

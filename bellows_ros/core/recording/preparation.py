@@ -21,7 +21,12 @@ from bellows_ros.core.recording.alignment import (
     rest_of,
     standstill,
 )
-from bellows_ros.core.recording.outliers import find_outliers, Outliers, repeats_in_motion, Step
+from bellows_ros.core.recording.outliers import (
+    find_outliers,
+    Outliers,
+    PoseStep,
+    repeats_in_motion,
+)
 from bellows_ros.core.recording.recording import (
     PrepareSettings,
     Recording,
@@ -107,7 +112,8 @@ class FilteredStreams:
         if not (tool_there.valid & package_there.valid).any():
             found = '; '.join(
                 f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
-                f'{len(r.timing.gaps)} gaps, {r.touched} filtered samples touch one of these'
+                f'{len(r.timing.gaps)} gaps, '
+                f'{r.overlapping_gap} filtered samples touch one of these'
                 for r in (self.report.tool, self.report.package))
             raise BellowsError(
                 f'None of the {len(common)} common samples is left: {found}. Use smaller half '
@@ -170,7 +176,7 @@ def filter_streams(
         _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name),
     )
     of_tool, of_package = (
-        replace(report, touched=int(np.count_nonzero(
+        replace(report, overlapping_gap=int(np.count_nonzero(
             _at(poses, kept.stamps_ns).valid & ~kept.valid)))
         for report, poses, kept in zip(
             (of_tool, of_package), (tool_poses, package_poses), filtered, strict=True))
@@ -323,7 +329,7 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
     ) if noticed]
 
 
-def _is_of_jitter(poses: PoseStream, time: Timing, step: Step) -> bool:
+def _is_of_jitter(poses: PoseStream, time: Timing, step: PoseStep) -> bool:
     """Return whether jitter of the stamps explains a step at the body's speed."""
     near = slice(max(step.before - 5, 0), step.before + 6)
     seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S

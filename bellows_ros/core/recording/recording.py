@@ -134,7 +134,7 @@ def noise_of(poses: Trajectory) -> Noise:
     return Noise(*(float(scale * np.median(part)) for part in np.hsplit(left, 2)))
 
 
-class Colour(NamedTuple):
+class AR1Noise(NamedTuple):
     """Noise of first order: its standard deviation, and its correlation with the sample before."""
 
     size: float
@@ -149,7 +149,7 @@ class Colour(NamedTuple):
         return first_order(white, self.correlation)
 
 
-def colours_of(poses: Trajectory, noise: Noise) -> tuple[Colour, Colour]:
+def colours_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
     """
     Return the noise of positions (m) and of rotations (rad) of poses at a uniform rate.
 
@@ -169,7 +169,7 @@ def colours_of(poses: Trajectory, noise: Noise) -> tuple[Colour, Colour]:
     for one, other in zip(noise, wide, strict=True):
         ratio = other / one if one > 0.0 else 1.0
         at = int(np.argmin(np.abs(seen[:, 1] / seen[:, 0] - ratio))) if ratio > COLOURED else 0
-        parts.append(Colour(one / float(seen[at, 0]), float(kept[at])))
+        parts.append(AR1Noise(one / float(seen[at, 0]), float(kept[at])))
     return parts[0], parts[1]
 
 
@@ -293,7 +293,7 @@ class StreamReport:
         Rate, jitter, and gaps by sample.
     outliers : Outliers
         Excursions, frozen poses and steps, by sample, and the noise.
-    touched : int
+    overlapping_gap : int
         Filtered samples left out because their windows touch invalid ones.
 
     """
@@ -301,7 +301,7 @@ class StreamReport:
     recorded: PoseStream
     timing: Timing
     outliers: Outliers
-    touched: int = 0
+    overlapping_gap: int = 0
 
     @property
     def marked(self) -> int:
@@ -318,7 +318,7 @@ class StreamReport:
             'outliers': self.marked,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
-            'filtered_samples_left_out': self.touched,
+            'filtered_samples_left_out': self.overlapping_gap,
         }
 
 
@@ -496,7 +496,7 @@ class Recording:
         )
 
     @cached_property
-    def colours(self) -> tuple[tuple[Colour, Colour], tuple[Colour, Colour]]:
+    def colours(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
         """Time correlation of the noise of tool and package, in position and rotation."""
         tool, package = self._pose_noise
         return (colours_of(self.aligned_tool, tool),

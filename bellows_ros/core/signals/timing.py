@@ -15,7 +15,7 @@ GAP_DEVIATIONS = 3.0
 # from the mean step instead of the period estimated here.
 COPIED_WITHIN = 0.5 * UNIFORM_WITHIN
 # Stamps come in bursts where the mean of so many steps is mostly not within these factors
-# of the usual step: half the samples may be lost, but none is there twice.
+# of the typical step: half the samples may be lost, but none is there twice.
 STEPS_TOGETHER = 20
 MEAN_WITHIN = (0.8, 2.5)
 # Standard deviation of a normal distribution per median absolute deviation.
@@ -118,13 +118,13 @@ def _period(steps: Stamps) -> float:
     steps is the period.
     """
     together = min(STEPS_TOGETHER, max(len(steps) // 4, 1))
-    usual = _usual(steps)
-    mean = _usual(np.convolve(steps, np.ones(together), 'valid')) / together
+    typical = _typical(steps)
+    mean = _typical(np.convolve(steps, np.ones(together), 'valid')) / together
     few, many = MEAN_WITHIN
-    return usual if few * usual <= mean <= many * usual else mean
+    return typical if few * typical <= mean <= many * typical else mean
 
 
-def _usual(values: Array | Stamps) -> float:
+def _typical(values: Array | Stamps) -> float:
     """Return the mean of the values near their median, or the median if there are none."""
     median = float(np.median(values))
     near = values[np.abs(values - median) < 0.5 * median]

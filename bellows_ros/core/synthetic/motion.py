@@ -222,7 +222,7 @@ class Oscillation(Vibration):
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class MoveAndHold:
     """A move to a pose along a smooth step, and a hold there; times in s."""
 
     goal: Pose
@@ -242,14 +242,14 @@ class Waypoints(Motion):
     start : Pose
     rest_duration : float
         s.
-    segments : tuple of Segment
+    segments : tuple of MoveAndHold
         At least one.
 
     """
 
     start: Pose
     rest_duration: float
-    segments: tuple[Segment, ...]
+    segments: tuple[MoveAndHold, ...]
     duration: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -428,10 +428,10 @@ def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
     return axes, amplitude[axes], np.tile(ends, (len(axes), 1))
 
 
-def _segments(settings: Settings, kind: str) -> tuple[Segment, ...]:
+def _segments(settings: Settings, kind: str) -> tuple[MoveAndHold, ...]:
     """Return the segments of waypoints, each with its times, or of static poses."""
     common = _times(settings) if kind == 'static' else None
-    segments = tuple(Segment(pose_from(block), *(common or _times(block)))
+    segments = tuple(MoveAndHold(pose_from(block), *(common or _times(block)))
                      for block in settings.blocks('poses'))
     return (1 + settings.whole('repeat', 0, most=1000)) * segments
 

@@ -49,11 +49,11 @@ from bellows_ros.core.model.kernels import (
     extrapolated,
     lip_relative_to_tool,
     ModelTuple,
-    Segment,
     State,
     step,
     tool_at,
     tool_segment,
+    ToolSegment,
 )
 from bellows_ros.core.model.simulation import (
     body_row,
@@ -61,10 +61,10 @@ from bellows_ros.core.model.simulation import (
     require_steps,
     row_length,
     row_state,
-    Rows,
     stands,
     steady_start,
     tool_rows,
+    ToolRows,
     write_row,
 )
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -239,7 +239,7 @@ def _hold(
 
 @kernel
 def _within(
-    model: ModelTuple, law: Law, since_valve: float, segment: Segment, body: State, low: float,
+    model: ModelTuple, law: Law, since_valve: float, segment: ToolSegment, body: State, low: float,
     high: float,
 ) -> tuple[State, State]:
     """
@@ -475,7 +475,7 @@ class HeldMotion:
         As the kernels take it.
     grip : tuple, optional
         As `grip_of` returns it.
-    tool : Trajectory or Rows
+    tool : Trajectory or ToolRows
         The plan: poses and body twists of E; it stands still after the last one, if it does there.
     start : State, optional
         Of B in the world at the first point; in steady motion there when left out.
@@ -498,7 +498,7 @@ class HeldMotion:
     """
 
     def __init__(
-        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | Rows,
+        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows,
         start: State | None = None, until: float = math.inf,
     ) -> None:
         """Follow the plan."""

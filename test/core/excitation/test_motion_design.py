@@ -10,7 +10,7 @@ from bellows_ros.core.excitation.motion_design import (
     FourierMotion,
     load_rows,
     loads,
-    Search,
+    MotionObjective,
     window,
 )
 from bellows_ros.core.geometry.jit import COMPILED
@@ -197,7 +197,7 @@ def test_slopes_of_the_search_are_its_differences():
     def responses(omega):
         return [response(model_of, TRUTH, TRUTH, at, omega, TRACKING)]
 
-    search = Search(LIMITS, 4.0, models, GRIP, responses, 360.0)
+    search = MotionObjective(LIMITS, 4.0, models, GRIP, responses, 360.0)
     shape = rng.standard_normal(2 * search.size.size)
     for power in (8, 60):
         value, slope = search(shape, power)

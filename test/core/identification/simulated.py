@@ -16,10 +16,10 @@ from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.core.synthetic.motion import (
+    MoveAndHold,
     Oscillation,
     Pose,
     sample_stamps,
-    Segment,
     Waypoints,
 )
 import numpy as np
@@ -51,7 +51,7 @@ def shake(axes=(0, 1, 2, 3, 4, 5), duration=10.0, seed=1):
 def standstills(rotation_vectors, hold=2.0):
     """Return a tool motion from pose to pose, each held still."""
     segments = tuple(
-        Segment(Pose(np.zeros(3), exp_so3(np.array(phi, float))), 0.8, hold)
+        MoveAndHold(Pose(np.zeros(3), exp_so3(np.array(phi, float))), 0.8, hold)
         for phi in rotation_vectors)
     return Waypoints(Pose(np.zeros(3), np.eye(3)), hold, segments)
 

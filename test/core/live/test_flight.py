@@ -2,12 +2,12 @@
 
 from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.flight import Flight, steadily
+from bellows_ros.core.live.flight import at_constant_velocity, Flight
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, moved
 from bellows_ros.core.model.grip import grip_of
-from bellows_ros.core.model.simulation import Rows, tool_rows
+from bellows_ros.core.model.simulation import tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.landing import changed, release_factor
 from bellows_ros.core.toss.release import (
@@ -108,7 +108,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     flight = Flight(VALUES)
     std = np.repeat([1e-4, 1e-3, 2e-3, 1e-2], 3)
     found = flight.landing(MODEL, now, lambda _: np.diag(std**2))
-    steady = HeldMotion(MODEL, tosses.GRIP, steadily(now, None, 0.5), now.body, 0.5)
+    steady = HeldMotion(MODEL, tosses.GRIP, at_constant_velocity(now, None, 0.5), now.body, 0.5)
     expected = toss(steady, release_of(VALUES), 0.0)
     np.testing.assert_allclose(found.toss.landing[0], expected.landing[0], atol=1e-7)
     landing, covariance = worked_out(flight, now, std)
@@ -141,7 +141,7 @@ def test_says_where_it_will_be_once_the_valve_is_switched(plan, asked):
     """Before the cup has let go and after, as it comes; not once it has landed."""
     def as_planned(now):
         i = (now.stamp_ns - START_NS) // PERIOD_NS
-        return Rows(plan.stamps_ns[i:] - plan.stamps_ns[i], tool_rows(plan)[i:])
+        return ToolRows(plan.stamps_ns[i:] - plan.stamps_ns[i], tool_rows(plan)[i:])
 
     flight = Flight(VALUES, as_planned)
     live, found, states = played(plan, flight, asked + 1)
@@ -183,7 +183,7 @@ def test_says_when_to_release_for_a_target(plan):
         START_NS, tuple(rows[:3]), tuple(rows[3:7]), tuple(rows[7:10]), tuple(rows[10:]),
         (0.0,) * 3, (0.0,) * 3,
         (tuple(tool[0]), tuple(tool[1]), tuple(tool[2][:3]), tuple(tool[2][3:])))
-    steady = HeldMotion(MODEL, tosses.GRIP, steadily(now, None, 0.8), now.body, 0.8)
+    steady = HeldMotion(MODEL, tosses.GRIP, at_constant_velocity(now, None, 0.8), now.body, 0.8)
     target = toss(steady, release_of(VALUES), 0.123).landing[0][:2]
     aimed = Flight({**VALUES, 'landing.aim': True, 'landing.target': target})
     assert aimed.time_to_target(MODEL, now) == pytest.approx(0.123, abs=1e-4)

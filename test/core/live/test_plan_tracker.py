@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor, Prediction
-from bellows_ros.core.live.flight import Flight, steadily
+from bellows_ros.core.live.flight import at_constant_velocity, Flight
 from bellows_ros.core.live.plan_tracker import PlanTracker
 from bellows_ros.core.live.samples import ZERO
 from bellows_ros.core.model.cup_package import model_tuple
@@ -94,7 +94,7 @@ def test_the_future_is_the_plan_and_then_standing():
     ahead, now = PlanTracker(MOVE.plan(250), T0), driven(0.4)
     ahead.follow(now)
     for duration in (0.1, 0.4, 2.0):
-        tool = steadily(now, ahead.rest(now), duration).trajectory()
+        tool = at_constant_velocity(now, ahead.rest(now), duration).trajectory()
         assert tool.stamps_ns[0] == 0 and tool.stamps_ns[-1] >= round(duration * 1e9)
         truth = driven(min(0.4 + tool.seconds[-1], 0.8)).tool
         assert_allclose(tool.position[-1], truth[0], atol=2e-4)

@@ -200,8 +200,8 @@ def test_of_two_tools_on_one_topic_the_first_is_followed(period_ns, apart):
     driver = Driver(period_ns=period_ns)
     places = [(0.0, 0.0, 0.0), (apart, 0.0, 0.0)]
     verdicts = [driver.send(1, position=places[k % 2])[0] for k in range(200)]
-    if apart < 0.05 and period_ns > 10 * MS:  # an arm could just do it: it is doubted
-        assert driver.screen.doubted
+    if apart < 0.05 and period_ns > 10 * MS:  # an arm could just do it: it is suspect
+        assert driver.screen.suspect
         return
     assert verdicts == [GOOD, Verdict('jump', '')] * 100
     assert driver.send(20, position=places[0]) == [GOOD] * 20
@@ -223,7 +223,7 @@ def test_a_start_in_motion_is_believed_soon(period_ns, speed):
     driver = Driver(speed=speed, period_ns=period_ns)
     verdicts = driver.send(100)
     assert sum(bool(v.refused) for v in verdicts) <= screening.JUMP_RUN
-    assert verdicts[10:] == [GOOD] * 90 and not driver.screen.doubted
+    assert verdicts[10:] == [GOOD] * 90 and not driver.screen.suspect
 
 
 @pytest.mark.parametrize('noise', [1e-4, 1e-3])
@@ -242,7 +242,7 @@ def test_noise_jitter_and_bursts_are_no_jumps(period_ns, noise):
         turn = 0.5 * math.sin(5.0 * t) + 5.0 * noise * rng.standard_normal()
         q = (0.0, 0.0, math.sin(0.5 * turn), math.cos(0.5 * turn))
         assert screen.judge(stamp, 'base', tuple(o.tolist()), q) == GOOD, k
-        assert not screen.doubted
+        assert not screen.suspect
 
 
 def test_sign_of_a_quaternion_is_no_jump():

@@ -128,7 +128,7 @@ def test_the_covariance_is_that_of_one_cups_entries():
     ([0.0, 0.0, 0.0, 0.001, 0.0, 0.0], [], '1 mm apart'),
     ([0.06, 0.0, 0.0, 6.0, 0.0, 0.0], [], 'in mm'),
     ([x for k in range(33) for x in (0.02 * k, 0.0, 0.0)], [], '33 cups'),
-    (FOUR, [4.0], '0 to 3'), (FOUR, [1.5], 'whole numbers'),
+    (FOUR, [4.0], '0 to 3'), (FOUR, [1.5], 'integers'),
     (FOUR, [0, 1, 2, 3], 'none holds')])
 def test_refuses_what_is_no_gripper(layout, open_cups, message):
     with pytest.raises(BellowsError, match=message):

@@ -143,8 +143,8 @@ def test_what_a_window_touches_is_dropped_and_counted():
         np.flatnonzero(~found.measured) + 25,
         np.concatenate([np.arange(3000, 3005), np.arange(5000, 5010)]))
     report = found.report
-    assert (report.tool.marked, report.tool.touched) == (5, 50)
-    assert (report.package.marked, report.package.touched) == (0, 50)
+    assert (report.tool.marked, report.tool.overlapping_gap) == (5, 50)
+    assert (report.package.marked, report.package.overlapping_gap) == (0, 50)
     (excursion,) = report.tool.outliers.excursions
     assert (excursion.first, excursion.last) == (3000, 3004)
     (hole,) = report.package.timing.gaps

@@ -255,7 +255,7 @@ SENSOR = {'rate_hz': 100.0}
         ({**SENSOR, 'noise': {'postion': 1.0}}, "Did you mean 'tool.noise.position'?"),
         ({**SENSOR, 'marker': {'rotation': 0.1}}, "'tool.marker.rotation' must be a list of 3"),
         ({**SENSOR, 'outliers': {'count': 2}}, "'tool.outliers.position' is missing"),
-        ({**SENSOR, 'outliers': {'count': 0.5}}, "'tool.outliers.count' must be a whole number"),
+        ({**SENSOR, 'outliers': {'count': 0.5}}, "'tool.outliers.count' must be an integer"),
         ({**SENSOR, 'dropouts': {'count': 2}}, "'tool.dropouts.duration' is missing"),
         ({**SENSOR, 'dropouts': 3}, "Setting 'tool.dropouts' must hold names and values, got 3."),
         ({**SENSOR, 'stamps': {'latency': -1.0}}, "'tool.stamps.latency' must be a number"),
