@@ -5,7 +5,7 @@ Aliases are refused where asked: ROS does not know them either, and nested ones 
 when written out.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 import json
 from pathlib import Path
 import re
@@ -26,6 +26,24 @@ Lines = dict[tuple[str, ...], int]
 def _refused(why: str, at: Any) -> yaml.MarkedYAMLError:
     """Return the error for an event or a node."""
     return yaml.MarkedYAMLError(problem=why, problem_mark=at.start_mark)
+
+
+class Content(dict[str, Any]):
+    """The content of a YAML file, which knows where its keys stand."""
+
+    def __init__(self, content: Mapping[str, Any], path: Path, lines: Lines) -> None:
+        """Take a mapping, and the line of each key."""
+        super().__init__(content)
+        self._path, self._lines = path, lines
+
+    def where(self, keys: Sequence[str]) -> str:
+        """Return the file and the line of the innermost of some keys that is given."""
+        given = (self._lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
+        line = next(filter(None, given), None)
+        return f'{self._path}, line {line}: ' if line else f'{self._path}: '
+
+
+yaml.SafeDumper.add_representer(Content, yaml.SafeDumper.represent_dict)
 
 
 class _Loader(yaml.SafeLoader):
@@ -86,13 +104,15 @@ def load(path: Path, aliases: bool = False) -> Any:
     """
     Return the content of a YAML file: dicts, lists, strings, numbers, booleans and None.
 
+    A mapping is returned as `Content`.
+
     Raises
     ------
     BellowsError
         If the file cannot be read, is too large, or is not the YAML described above.
 
     """
-    return load_with_lines(path, aliases)[0]
+    return _located(path, *load_with_lines(path, aliases))
 
 
 def load_with_lines(path: Path, aliases: bool = False) -> tuple[Any, Lines]:
@@ -145,7 +165,12 @@ def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
             f'{path} is larger than {LARGEST_FILE} bytes; expected so much only of '
             f'{" or ".join(names)} that differ in nothing but plain numbers. Give a recording of '
             "the message: 'ros2 bag record'.")
-    return _parsed(text, path, False)[0]
+    return _located(path, *_parsed(text, path, False))
+
+
+def _located(path: Path, content: Any, lines: Lines) -> Any:
+    """Return the content of a file with the lines of its keys, if it has any."""
+    return Content(content, path, lines) if isinstance(content, dict) else content
 
 
 _NEXT_KEY = re.compile(r'^[^\s#-]', re.MULTILINE)
@@ -203,8 +228,18 @@ def _parsed(text: str, path: Path, aliases: bool) -> tuple[Any, Lines]:
 
 
 def _lines(node: yaml.Node, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], int]]:
-    """Yield the keys that lead to each value of nested mappings, with the line of the last."""
+    """
+    Yield the keys that lead to each value of nested mappings, with the line of the last.
+
+    The mappings of a list are 'name[0]', 'name[1]' and so on.
+    """
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             yield (*keys, key.value), key.start_mark.line + 1
             yield from _lines(value, (*keys, key.value))
+    elif isinstance(node, yaml.SequenceNode) and keys:
+        for i, value in enumerate(node.value):
+            if isinstance(value, yaml.MappingNode):
+                item = (*keys[:-1], f'{keys[-1]}[{i}]')
+                yield item, value.start_mark.line + 1
+                yield from _lines(value, item)

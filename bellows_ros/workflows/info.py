@@ -23,6 +23,7 @@ from bellows_ros.core.signals.timing import timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.files.messages import BOOL
+from bellows_ros.files.transforms import read_transforms, TF
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import Guess, likely_alone, likely_pair, likely_twist, Pair
 import numpy as np
@@ -34,6 +35,8 @@ REST_USED = 0.9  # of the standstill that was found
 
 SHORTEST_HOLD, LEAST_TILT = 4.0, 0.1
 """A tilt beyond this (rad) that is held so long (s) shows how rubber creeps."""
+MOST_FRAMES = 20
+"""Frames of transforms that are named."""
 HOLD_STEP, HELD = 0.25, (0.01, 0.04)
 """Time (s) between the poses that are compared, and what stands still (m/s, rad/s)."""
 
@@ -166,7 +169,21 @@ def info(
     described = tuple(_topic(topic, streams, problems, start_ns) for topic in found)
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
+    if not poses and any(topic.type_name == TF and topic.messages for topic in found):
+        notes.append(_frames_note(path))
     return _assigned(path, described, poses, twists, span, notes)
+
+
+def _frames_note(path: str | os.PathLike[str]) -> str:
+    """Return which frames move in the transforms, and how to make a recording with poses."""
+    links = read_transforms(path)
+    moving = sorted(name for name, link in links.items() if len(link.stamps_ns) > 1)
+    named = [short(name) for name in moving[:MOST_FRAMES]]
+    rest = f' and {len(moving) - len(named)} more' if len(moving) > len(named) else ''
+    return (
+        f'It has transforms instead of poses. Frames that move: {", ".join(named) or "none"}'
+        f"{rest}. Make a recording with poses: 'bellows convert {short(os.fspath(path))} "
+        "--tool-frame FRAME --package-frame FRAME --out with_poses'.")
 
 
 def _topic(

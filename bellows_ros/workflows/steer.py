@@ -214,7 +214,7 @@ def read_limits(content: object) -> Limits:
         If a name or number is not allowed.
 
     """
-    settings = Settings(content, 'limits')
+    settings = Settings(content)
     rates = read_rates(settings, NONE)
     safety = settings.number('safety_factor', 0.0, least=0.0)
     box = settings.block('workspace')
@@ -223,9 +223,9 @@ def read_limits(content: object) -> Limits:
     acceleration = settings.number('joint_acceleration', NONE, 'rad/s^2 or m/s^2', above=0.0)
     settings.done(ignored=OF_EXCITE)
     if (lower >= upper).any():
-        raise BellowsError(
-            f'workspace.lower is {lower.tolist()} and workspace.upper {upper.tolist()}; expected '
-            'each number of lower below that of upper.')
+        raise settings.error(
+            'workspace', f'workspace.lower is {lower.tolist()} and workspace.upper '
+            f'{upper.tolist()}; expected each number of lower below that of upper.')
     return Limits(rates, lower, upper, safety, acceleration)
 
 

@@ -95,7 +95,7 @@ def test_an_animation_shows_planned_and_steered(
     (('plan.yaml', '--method', 'zvdd'), 'invalid choice'),
     (('plan.yaml', '--method', 'zv', '--plot', 'plan.avi'), '.pdf, .gif or .mp4'),
     (('plan.yaml', '--method', 'zv', '--limits', 'no.yaml'), "'no.yaml' does not exist"),
-    (('plan.yaml', '--method', 'zv', '--limits', 'bad.yaml'), "Did you mean 'limits.linear'"),
+    (('plan.yaml', '--method', 'zv', '--limits', 'bad.yaml'), "Did you mean 'linear'"),
     (('plan.yaml', '--method', 'zv', '--limits', 'safe.yaml'), 'set cup.lip_radius'),
     (('fast.yaml', '--method', 'inverse'), 'bend the cup by more than 45 degrees'),
 ])

@@ -6,6 +6,7 @@ from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.transforms import poses_in, read_transforms, TF
 from bellows_ros.workflows.convert import bodies_in_transforms, to_bag
+from bellows_ros.workflows.info import info
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -134,3 +135,10 @@ def test_damaged_transforms_are_an_error(tmp_path):
             tmp_path / 'bag', [Encoded('/tf', TF, np.array([10**18]), [damaged])], replace=True)
         with pytest.raises(BellowsError):
             read_transforms(tmp_path / 'bag')
+
+
+def test_info_names_the_frames_that_move_and_how_to_convert(tmp_path):
+    folder = recording(tmp_path / 'tf')
+    (note,) = [text for text in info(folder).notes if 'bellows convert' in text]
+    assert ': base, box, flange. ' in note  # not what is fixed
+    assert f'bellows convert {folder} --tool-frame' in note

@@ -11,7 +11,6 @@ from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.limits import largest_rates, read_rates
 from bellows_ros.core.synthetic.motion import Motion, Pose, pose_from
-from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -165,8 +164,8 @@ def limits_from(
     lower, upper, turn = (space.vector(name, 3, unit=unit) for name, unit in (
         ('lower', 'm'), ('upper', 'm'), ('rotation', 'rad')))
     if not ((lower < start.position) & (start.position < upper)).all() or turn.min() <= 0.0:
-        raise BellowsError(
-            f"The start {start.position.tolist()} m is not inside of 'workspace' "
+        raise settings.error(
+            'workspace', f"The start {start.position.tolist()} m is not inside of 'workspace' "
             f"({lower.tolist()} to {upper.tolist()} m), or 'workspace.rotation' is not above 0. "
             'Move the start or widen the workspace.')
     found = ArmLimits(

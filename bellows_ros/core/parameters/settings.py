@@ -5,7 +5,7 @@ Every name that is asked for is remembered, so that `Settings.done` can refuse t
 the blocks inside.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import difflib
 from typing import Any
 
@@ -14,6 +14,13 @@ from bellows_ros.core.parameters.checks import convert
 from bellows_ros.core.parameters.table import Kind, Parameter, short
 from bellows_ros.errors import BellowsError
 import numpy as np
+
+Where = Callable[[Sequence[str]], str]
+
+
+def _nowhere(_: Sequence[str]) -> str:
+    """Return that nothing is known of where a setting stands."""
+    return ''
 
 
 class Settings:
@@ -26,6 +33,9 @@ class Settings:
         Mapping of names to values, or to blocks and lists of blocks; None is an empty block.
     path : str
         Where the block stands, for messages: '' or 'tool.outliers', for instance.
+    where : callable, optional
+        From the names that lead to a setting to what errors on it begin with, as its line; that
+        of the values where they have one.
 
     Raises
     ------
@@ -34,14 +44,15 @@ class Settings:
 
     """
 
-    def __init__(self, values: object, path: str = '') -> None:
+    def __init__(self, values: object, path: str = '', where: Where | None = None) -> None:
         """Check that it is a block."""
         self.path = path
+        self._where: Where = getattr(values, 'where', where or _nowhere)
         values = {} if values is None else values
         if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
-            where = f"Setting '{path}'" if path else 'A motion file'
-            raise BellowsError(
-                f'{where} must hold names and values, got {short(repr(values), 60)}.')
+            what = f"Setting '{path}'" if path else 'The file'
+            raise self.error(
+                '', f'{what} must hold names and values, got {short(repr(values), 60)}.')
         self._values: Mapping[str, object] = values
         self._asked: list[str] = []
         self._blocks: dict[str, Settings] = {}
@@ -112,7 +123,7 @@ class Settings:
 
     def _inside(self, name: str, values: object) -> 'Settings':
         """Return a block of this one, to be done with it."""
-        self._blocks[name] = Settings(values, self.name(name))
+        self._blocks[name] = Settings(values, self.name(name), self._where)
         return self._blocks[name]
 
     def done(self, ignored: Sequence[str] = ()) -> None:
@@ -130,15 +141,19 @@ class Settings:
                 near = difflib.get_close_matches(name, self._asked, n=1, cutoff=0.6)
                 known = ', '.join(dict.fromkeys(self._asked))
                 hint = f"Did you mean '{self.name(near[0])}'?" if near else f'Known here: {known}.'
-                raise BellowsError(f"Unknown setting '{self.name(name)[:200]}'. {hint}")
+                raise self.error(name, f"Unknown setting '{self.name(name)[:200]}'. {hint}")
         for name, block in self._blocks.items():
             if name not in ignored:
                 block.done(ignored)
 
     def refuse(self, name: str, expected: str, got: object) -> BellowsError:
         """Return the error for a setting that is not what it must be."""
-        return BellowsError(
-            f"Setting '{self.name(name)}' must be {expected}, got {short(repr(got), 60)}.")
+        return self.error(
+            name, f"Setting '{self.name(name)}' must be {expected}, got {short(repr(got), 60)}.")
+
+    def error(self, name: str, message: str) -> BellowsError:
+        """Return an error on a setting, which begins with where it stands."""
+        return BellowsError(self._where(tuple(self.name(name).split('.'))) + message)
 
     def _take(self, name: str, default: object, kind: Kind, **constraint: Any) -> Any:
         """Return a setting as it is given, or its default, if it is as a parameter would be."""
@@ -148,5 +163,9 @@ class Settings:
             f"Setting '{self.name(name)}'", None, used_by=(), kind=kind,
             **{'unit': '', **constraint})
         if value is None:
-            raise BellowsError(f'{parameter.name} is missing; it must be {parameter.constraint}.')
-        return convert(parameter, value)
+            raise self.error(
+                name, f'{parameter.name} is missing; it must be {parameter.constraint}.')
+        try:
+            return convert(parameter, value)
+        except BellowsError as error:
+            raise self.error(name, str(error)) from None

@@ -2,6 +2,7 @@
 
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.safe_yaml import load
 import pytest
 
 BLOCK = {
@@ -87,3 +88,19 @@ def test_unknown_names_are_refused_with_the_nearest():
 def test_a_file_that_is_no_block_is_refused(content):
     with pytest.raises(BellowsError):
         Settings(content)
+
+
+@pytest.mark.parametrize(('read', 'line'), [
+    (lambda s: s.number('rate', above=10.0), 1),
+    (lambda s: s.block('inner').number('size'), 3),
+    (lambda s: s.block('inner').number('other'), 2),  # missing: the block that lacks it
+    (lambda s: [each.number('a', most=1.5) for each in s.blocks('list')], 6),
+    (lambda s: (s.block('inner').text('size', 'x'), s.number('rate'), s.done()), 4),
+    (lambda s: s.block('rate'), 1),
+])
+def test_an_error_begins_with_the_file_and_the_line(tmp_path, read, line):
+    file = tmp_path / 'limits.yaml'
+    file.write_text('rate: 3.0\ninner:\n  size: "x"\nlist:\n  - a: 1.0\n  - a: 2.0\n')
+    with pytest.raises(BellowsError) as caught:
+        read(Settings(load(file)))
+    assert str(caught.value).startswith(f'{file}, line {line}: ')
