@@ -122,9 +122,10 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
 
     with console.progress() as progress:
         result = identify_release(settings, progress)
-    with uninterrupted():
+    with uninterrupted(), options.naming_written() as written:
         if arguments.out:
             write_parameters(arguments.out, result.parameters())
+            written += [arguments.out]
         options.put_json(arguments.json, {
             **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
     _say_release(result, console)

@@ -1,8 +1,8 @@
 """Options shared by the commands, and the settings they give."""
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from itertools import permutations
 import os
 from pathlib import Path
@@ -126,6 +126,18 @@ def put_json(target: str, content: Any) -> None:
         from bellows_ros.files.results import write_json
 
         write_json(target, content)
+
+
+@contextmanager
+def naming_written() -> Iterator[list[str]]:
+    """Let an error while outputs are written say which of them are written already."""
+    written: list[str] = []
+    try:
+        yield written
+    except BellowsError as error:
+        if any(written):
+            error.args = (f'{error} Already written: {", ".join(filter(None, written))}.',)
+        raise
 
 
 def given_parameters(

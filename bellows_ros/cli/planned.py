@@ -71,20 +71,23 @@ def run_plan_command(
     with console.progress() as progress:
         progress('planning')
         result = work(values, progress)
-        if film and arguments.plot.lower().endswith(style.FILMS):
-            film(result)
-        elif arguments.plot:
-            style.write_figure(arguments.plot, result.plot())
-    if arguments.json:
-        from bellows_ros import __version__
-        from bellows_ros.files.results import provenance
+        with options.naming_written() as written:
+            if write is not None and arguments.out:
+                write(result)
+                written += [arguments.out]
+            if film and arguments.plot.lower().endswith(style.FILMS):
+                film(result)
+            elif arguments.plot:
+                style.write_figure(arguments.plot, result.plot())
+            written += [arguments.plot]
+            if arguments.json:
+                from bellows_ros import __version__
+                from bellows_ros.files.results import provenance
 
-        plans = [arguments.plan] if 'plan' in arguments else []
-        options.put_json(arguments.json, {
-            **result.as_json(), 'version': __version__,
-            'provenance': provenance(plans, arguments.params)})
-    if write is not None and arguments.out:
-        write(result)
+                plans = [arguments.plan] if 'plan' in arguments else []
+                options.put_json(arguments.json, {
+                    **result.as_json(), 'version': __version__,
+                    'provenance': provenance(plans, arguments.params)})
     say(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))

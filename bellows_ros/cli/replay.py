@@ -83,17 +83,20 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         result = replay(arguments.bag, settings, progress, arguments.observe)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
-    options.put_json(arguments.json, result.as_json(limit, arguments.params))
-    if arguments.report:
-        from bellows_ros.files.atomic import write_text
-        from bellows_ros.report.build import replay_report
+    with options.naming_written() as written:
+        if result.observed and arguments.out:
+            from bellows_ros.files.parameter_files import write_parameters
 
-        write_text(arguments.report, replay_report(result, arguments.params))
-    if result.observed and arguments.out:
-        from bellows_ros.files.parameter_files import write_parameters
+            write_parameters(arguments.out, result.observed.parameters, [
+                f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
+            written += [arguments.out]
+        if arguments.report:
+            from bellows_ros.files.atomic import write_text
+            from bellows_ros.report.build import replay_report
 
-        write_parameters(arguments.out, result.observed.parameters, [
-            f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
+            write_text(arguments.report, replay_report(result, arguments.params))
+            written += [arguments.report]
+        options.put_json(arguments.json, result.as_json(limit, arguments.params))
     _say(result, limit, arguments, console)
     failing = result.validation.failing(limit)
     worse = failing if arguments.limit is not None else result.validation.worse_than_noise

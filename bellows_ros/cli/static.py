@@ -55,10 +55,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
     with console.progress() as progress:
         result = static_check(bags, settings, progress)
-    if arguments.out:
-        save_length(result, arguments.out, settings)
-    options.put_json(
-        arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
+    with options.naming_written() as written:
+        if arguments.out:
+            save_length(result, arguments.out, settings)
+            written += [arguments.out]
+        options.put_json(
+            arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
     _say(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK if result.spring is None or result.spring.passed else NOT_USABLE

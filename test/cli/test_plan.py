@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from bellows_ros.cli import main
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import topics
 import pytest
 
@@ -47,6 +49,23 @@ def test_says_writes_and_draws(
                    '--json', 'other.json', cwd=tmp_path)
     assert done.returncode == 2 and '--force' in done.stderr
     assert contents(tmp_path) == before
+
+
+def test_what_was_written_before_a_full_disk_is_named(
+    workshop: Path, transport: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Say which outputs exist where a later one fails."""
+    def fails(*_: object) -> None:
+        raise BellowsError('No space is left.')
+
+    monkeypatch.setattr('bellows_ros.files.results.write_json', fails)
+    out = tmp_path / 'predicted'
+    code = main(['plan', f'{transport}', '--params', f'{workshop / "cup.yaml"}', '--out', f'{out}',
+                 '--json', f'{tmp_path / "plan.json"}'])
+    said = ''.join(capsys.readouterr().err.split())
+    assert code == 2 and ''.join(f'Already written: {out}.'.split()) in said
+    assert topics(out) and not (tmp_path / 'plan.json').exists()
 
 
 def test_a_recording_is_a_plan(bellows: Run, workshop: Path) -> None:
