@@ -77,6 +77,9 @@ STATE = 12
 SECONDS, FALL_SPEED, FALL = 0, 1, 4
 """In row `STATE` of a transition: its time, and speed and shift (m/s, m; world) of what falls."""
 
+FALLEN = 7
+"""Rows of what falls, after those of the error: see `alarms`."""
+
 ZERO = (0.0, 0.0, 0.0)
 
 COARSE = 12
@@ -92,8 +95,12 @@ MOST_CORRELATED = 0.97
 if COMPILED:
     @array_kernel
     def add_product(A: Any, B: Any, out: Any) -> Any:
-        """Add A B to the first rows: 12 columns of A at once, then 6, and none of zeros."""
-        n = A.shape[1]
+        """
+        Add A B to the first rows: 12 columns of A at once, then 6, and none of zeros.
+
+        Only as many columns of A are used as B has rows.
+        """
+        n = min(A.shape[1], B.shape[0])
         for i in range(A.shape[0]):
             row, m = out[i], 0
             while n - m >= 12:
@@ -101,14 +108,14 @@ if COMPILED:
                 if C.any():
                     _add_rows(C, B[m:m + 12], row)
                 m += 12
-            if n - m >= 6:
+            if n - m >= 6 and A[i, m:m + 6].any():
                 a, b, c, d, e, f = (
                     A[i, m], A[i, m + 1], A[i, m + 2], A[i, m + 3], A[i, m + 4], A[i, m + 5])
                 for j in range(B.shape[1]):
                     row[j] += (
                         a * B[m, j] + b * B[m + 1, j] + c * B[m + 2, j] + d * B[m + 3, j]
                         + e * B[m + 4, j] + f * B[m + 5, j])
-                m += 6
+            m += 6 if n - m >= 6 else 0
             for k in range(m, n):
                 if A[i, k] != 0.0:
                     for j in range(B.shape[1]):
@@ -150,13 +157,13 @@ if COMPILED:
 else:
     def add_product(A: Any, B: Any, out: Any) -> Any:
         """Add A B to the first rows, and return the sum."""
-        out[:len(A)] += A @ B
+        out[:len(A)] += A[:, :len(B)] @ B
         return out
 
     def product(A: Any, B: Any, out: Any) -> Any:
         """Write A B to the first rows, and return it."""
         out[:] = 0.0
-        out[:len(A)] = A @ B
+        out[:len(A)] = A[:, :len(B)] @ B
         return out
 
     def subtract_square(Z: Array, out: Array) -> None:
@@ -175,13 +182,10 @@ class Evidence(NamedTuple):
 
     signatures: Any
     """(n + 7, columns), of single precision: they are the larger part of the work."""
-    information: Array
-    scores: Array
-    """Of the sizes of each component, by onset (components, 6, onsets), (components, onsets)."""
-    distances: Array
-    counts: Stamps
+    numbers: Array
+    """Scores, squared distances since each onset, and information, see `alarms.INFORMATION`."""
     onsets: Stamps
-    """Squared distances summed since each onset; measurements since then; its stamp (ns)."""
+    """Measurements since each onset, and its stamp (ns): (2, onsets)."""
     half_way: tuple[int, ...] = ()
     """Stamps (ns) since half-way to the threshold."""
     is_first: bool = True
@@ -189,8 +193,7 @@ class Evidence(NamedTuple):
 
 
 NO_EVIDENCE = Evidence(
-    np.zeros((0, 0), np.float32), np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros(0),
-    np.zeros(0, np.int64), np.zeros(0, np.int64))
+    np.zeros((0, 0), np.float32), np.zeros(0), np.zeros((0, 0), np.int64))
 """Where no faults are looked for."""
 
 
@@ -307,11 +310,11 @@ def slopes(
         By how much mass and inertia are times the nominal ones.
     A : ndarray (12, 12)
         Slope by the state's error: pose and twist change in axes that turn with the body.
-    B : ndarray (6, n)
-        That of the twist's error by the other rows.
+    B : ndarray (6, m)
+        That of the twist's error by the other rows; m as in `identity_transition`.
 
     """
-    package, com, n = model[1], model[1][1], B.shape[1]
+    package, com = model[1], model[1][1]
     v_hat, w_hat = hat(body[2]), hat(body[3])
     by_pose, by_twist = body_jacobians(model, tool, body)
     write_block(A, 0, 0, scale_matrix(-1.0, w_hat))
@@ -324,9 +327,9 @@ def slopes(
     columns = np.empty((6, 62))
     parameter_jacobian(model, tool, body, 0, 62, columns, 0)
     _by_axes(columns, nominal[2], B[:, STIFFNESS:])
-    if n > DAMPING:
-        _by_axes(columns[:, 21:], nominal[3], B[:, DAMPING:])
-        B[:, INERTIA:] = columns[:, 43:46]
+    if B.shape[1] > MARKER:
+        _by_axes(columns[:, 21:], nominal[3], B[:, MARKER:])
+        B[:, MARKER + INERTIA - DAMPING:] = columns[:, 43:46]
     B[:, LENGTH], B[:, COM:LENGTH] = columns[:, 42], columns[:, 53:]
     f, m = lip_wrench(model, tool, body)
     dv, dw = acceleration_at(package, com, add(f, push[0]), add(m, push[1]))
@@ -363,7 +366,7 @@ def accumulate(
     A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, falling: Vector
 ) -> None:
     """
-    Carry a transition (13, n) and the noise's covariance (12, 12) through a step, in place.
+    Carry a transition (13, m) and the noise's covariance (12, 12) through a step, in place.
 
     With G the mean of exp(A t) over the step, to fourth order, the error becomes
     (I + h A G) x + h G B theta. What drives it acts half before and half after the step.
@@ -418,11 +421,24 @@ def identity_plus(factor: float, A: Array, out: Array) -> Array:
 
 @kernel
 def identity_transition(rows: int) -> Array:
-    """Return the transition (13, n) over no time."""
-    T = np.zeros((STATE + 1, rows))
+    """
+    Return the transition (13, m) over no time, for so many rows of the error.
+
+    Its columns are those of the rows before `MARKER` and from `DAMPING` on: others move nothing.
+    """
+    T = np.zeros((STATE + 1, MARKER + rows - LEAST_ROWS))
     for i in range(STATE):
         T[i, i] = 1.0
     return T
+
+
+@kernel
+def times_transition(T: Any, B: Any, out: Any) -> Any:
+    """Write what a transition (13, m) makes of errors (n, k) into (12, k), and return it."""
+    product(T[:STATE], B[:MARKER], out)
+    if T.shape[1] > MARKER:
+        add_product(np.ascontiguousarray(T[:STATE, MARKER:]), B[DAMPING:], out)
+    return out
 
 
 @kernel
@@ -450,25 +466,28 @@ def correlation(memory: Array, seconds: float, axis: int) -> float:
 @array_kernel
 def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Array) -> Array:
     """Return the covariance (n, n) after a transition; half of the walk acts before it."""
-    n, h = len(P), T[STATE, SECONDS]
-    out, kept = P.copy(), np.ones(n)
+    n, h, out = len(P), T[STATE, SECONDS], P.copy()
     for i in range(6):
         out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
-        kept[NOISE + i] = correlation(memory, h, i)
-    side = product(T[:STATE], out, np.empty((12, n)))
-    state = product(T[:STATE], transpose(side), np.empty((12, 12)))
+    side = times_transition(T, out, np.empty((12, n)))
+    state = times_transition(T, transpose(side), np.empty((12, 12)))
     out[:STATE] = side
     out[:STATE, :STATE] = state + Q
     out[LENGTH] += h * out[LENGTHENING]
+    kept = np.array((correlation(memory, h, 0), correlation(memory, h, 3)))
     for i in range(n):  # both halves are rounded alike
         out[i, LENGTH] += h * out[i, LENGTHENING]
-        for j in range(n):
-            out[i, j] *= kept[i] * kept[j]
-        for j in range(min(i, STATE)):
+        a = kept[(i - NOISE) // 3] if 0 <= i - NOISE < 6 else 1.0
+        for j in range(6):
+            out[i, NOISE + j] *= a * kept[j // 3]
+        for j in range(STATE if i >= STATE else i):
             out[i, j] = out[j, i]
     for i in range(6):
+        for j in range(STATE, n):
+            out[NOISE + i, j] = out[j, NOISE + i]
+    for i in range(6):
         out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
-        out[NOISE + i, NOISE + i] += 1.0 - kept[NOISE + i] ** 2
+        out[NOISE + i, NOISE + i] += 1.0 - kept[i // 3] ** 2
     return out
 
 
@@ -494,7 +513,7 @@ def propagated(
         Nominal, and as it is estimated.
     tool, body : State
         At the beginning.
-    T, Q : ndarray (13, n), (12, 12)
+    T, Q : ndarray (13, m), (12, 12)
         Transition, and covariance of the noise; of no size where they are not followed.
     stamps, starts, ends : sequences
         Of the tool's samples: stamp (ns), and states (13,) at the beginning and at the end of
@@ -569,9 +588,9 @@ def predicted(
 
 @array_kernel
 def propagated_signatures(E: Any, T: Array, memory: Array) -> Any:
-    """Return the signatures of faults (n + 7, columns) after a transition (13, n)."""
-    n, last, out = T.shape[1], T[STATE], E.copy()
-    product(T[:STATE].astype(np.float32), E[:n], out[:STATE])
+    """Return the signatures of faults (n + 7, columns) after a transition (13, m)."""
+    n, last, out = len(E) - FALLEN, T[STATE], E.copy()
+    times_transition(T.astype(np.float32), E[:n], out[:STATE])
     carry_theta(out[STATE:n], last[SECONDS], memory)
     for i in range(3):
         out[n + 4 + i] += last[SECONDS] * E[n + 1 + i] + last[FALL + i] * E[n]

@@ -56,8 +56,8 @@ WHITE = 0.05
 COUNTED = 1000.0
 """The noise's memory is that of so many measurements."""
 
-FIRST_MEMORY = (15.0, 7.5)
-"""Sums of squares and of products of noise before the first: as of 5 with a correlation of 0.5."""
+FIRST_MEMORY = 0.03, 15.0
+"""Time (s) between measurements, and sum of squares of noise, before the first: as of 5."""
 
 
 class Measurement(NamedTuple):

@@ -208,7 +208,8 @@ class Observer:
         self._alarms = Alarms(allowed, len(self._prior), of_lip) if allowed > 0.0 else None
         self._steps = self._alarms.steps if self._alarms else NOT_FOLLOWED
         self._known.clear()
-        self._memory = first_memory()
+        self._memory = self._first_memory = first_memory(
+            self._values['measured.memory'])
         self._kept = np.zeros(len(self._prior) - STATE), np.diag(np.square(self._prior))
         self.forget()
 
@@ -346,18 +347,15 @@ class Observer:
         and its verdict.
         """
         before, others = known.evidence, (known.refused, known.away)
-        verdict, tool, body, theta, P, memory, evidence, outcome, model = processed(
+        verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome, model = processed(
             self._nominal, known.theta, known.tool, known.body, known.covariance, known.memory,
             *self._track.rows, is_known, self._track.after(known.stamp_ns), known.stamp_ns,
-            stamp_ns, self._longest, self._drive, self._walk, before.signatures,
-            before.information, before.scores, before.distances, before.counts, before.onsets,
-            before.is_first, self._steps, seen is not None, *(seen or NOTHING_SEEN)[1:],
-            self.sensor.marker, self._reach, gate)
+            stamp_ns, self._longest, self._drive, self._walk, *before[:3], before.is_first,
+            self._steps, seen is not None, *(seen or NOTHING_SEEN)[1:], self.sensor.marker,
+            self._reach, gate)
         if seen is not None:
             others = (known.refused + 1, known.away) if verdict else (0, 0)
-        E, information, scores, distances, counts, onsets = evidence
-        after = Evidence(E, information, scores, distances, counts, onsets, before.half_way,
-                         before.is_first)
+        after = Evidence(E, numbers, onsets, before.half_way, before.is_first)
         return Estimate(
             stamp_ns, tool, body, theta, P, memory, model, after, *others), outcome, verdict
 
@@ -429,7 +427,7 @@ class Observer:
                 self._raise(fault.alarm)
                 body, theta = changed_by(after.body, after.theta, fault.error)
                 return after._replace(  # the fault was taken for noise, too
-                    body=body, theta=theta, memory=first_memory(), refused=0,
+                    body=body, theta=theta, memory=self._first_memory, refused=0,
                     model=with_theta(self._nominal, theta),
                     covariance=self._opened(after) + fault.spread @ fault.spread.T)
         if name == 'recovered':
@@ -454,7 +452,7 @@ class Observer:
 
     def _is_near(self, known: Estimate) -> bool:
         """Return whether the package has been seen within reach."""
-        return bool(known.memory[1] > FIRST_MEMORY[0])
+        return bool(known.memory[1] > FIRST_MEMORY[1])
 
     def _raise(self, alarm: Alarm) -> None:
         """Keep an alarm, unless the same one has just been raised."""
@@ -470,9 +468,11 @@ OF_PACKAGE = (*range(MASS, COM + 3), *range(MARKER, MARKER + 6), *range(INERTIA,
 """... and with another one, too."""
 
 
-def first_memory() -> Array:
-    """Return the memory of the noise before the first measurement, see `correlation`."""
-    memory: Array = np.r_[0.03, np.repeat(FIRST_MEMORY, 2), np.zeros(6)]
+def first_memory(time_constant: float) -> Array:
+    """Return the memory (s) of the noise before the first measurement, see `correlation`."""
+    seconds, squares = FIRST_MEMORY
+    products = squares * math.exp(-seconds / time_constant)
+    memory: Array = np.r_[seconds, squares, squares, products, products, np.zeros(6)]
     return memory
 
 

@@ -382,6 +382,9 @@ _TABLE = (
     Parameter('measured.noise', (2e-3, 1e-2), 'm, rad', _PREDICTOR, minimum=1e-6, maximum=1.0,
               description='Standard deviations of a measured pose of the package, position and '
               'rotation in each axis, if the message has no covariance.'),
+    Parameter('measured.memory', 0.043, 's', _PREDICTOR, minimum=1e-3, maximum=1.0,
+              description='Time in which the correlation of the noise of measured poses falls to '
+              '1 / e, at the beginning; it is then estimated from the poses.'),
     Parameter('measured.frame', 'com', '', _PREDICTOR, choices=('com', 'lip'),
               description="Measured frame of the package: its centre of mass B, or the cup's lip "
               'S.'),

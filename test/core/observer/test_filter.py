@@ -36,6 +36,7 @@ SIZES = np.repeat(
      0.005, 1.0, 0.1, 2e-5],
     [3, 3, 3, 3, 1, 3, 3, 3, 1, 1, 6, 3, 3, 3, 3, 1, 6, 6, 3])
 OF_MOTION = [*range(MARKER), *range(DAMPING, ALL_ROWS)]
+MEMORY = first_memory(0.03 / np.log(2.0))
 
 
 def difference(one, other):
@@ -68,7 +69,7 @@ def test_transition_is_that_by_differences(is_off):
         stamps[250], stamps[251], largest_step(model), drive)
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(difference(middle, found), 0.0, atol=2e-6)
-    F, memory, step = np.eye(ALL_ROWS), first_memory(), 1e-4
+    F, memory, step = np.eye(ALL_ROWS), MEMORY, 1e-4
     for row in OF_MOTION:
         ends = []
         for sign in (step, -step):
@@ -82,8 +83,8 @@ def test_transition_is_that_by_differences(is_off):
     noise = range(NOISE, NOISE + 6)
     F[noise, noise] = kept = 0.5 ** (h / memory[0])
     scale = SIZES[None] / SIZES[:, None]
-    np.testing.assert_allclose((T[:12] * scale[:12])[:, OF_MOTION],
-                               (F * scale)[:12, OF_MOTION], atol=5e-4)
+    np.testing.assert_allclose(
+        T[:12] * scale[:12, OF_MOTION], (F * scale)[:12, OF_MOTION], atol=5e-4)
     P, walk = np.diag(SIZES**2), np.arange(6.0) * 1e-4
     half = np.zeros((ALL_ROWS, ALL_ROWS))
     half[range(WRENCH, WRENCH + 6), range(WRENCH, WRENCH + 6)] = h / 2 * walk
@@ -120,7 +121,7 @@ def test_innovation_is_what_it_says(of_lip):
 
     def seen(e):
         return updated(
-            model, tool[60], body, none, P, first_memory(), 0.03, *pose(e), noise, marker, 1.0,
+            model, tool[60], body, none, P, MEMORY, 0.03, *pose(e), noise, marker, 1.0,
             np.inf)[1]
 
     H = seen(np.zeros(ALL_ROWS))[1]
@@ -142,7 +143,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     model = model_tuple(CUP, PACKAGE, 9.81)
     tool = ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     body = own = static_equilibrium(model, tool)
-    theta, P, memory = np.zeros(ALL_ROWS - 12), np.diag(SIZES**2), first_memory()
+    theta, P, memory = np.zeros(ALL_ROWS - 12), np.diag(SIZES**2), MEMORY
     T, Q = identity_transition(ALL_ROWS), np.zeros((12, 12))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
     propagated(
