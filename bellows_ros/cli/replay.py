@@ -33,6 +33,9 @@ EXAMPLES = (
     ('bellows replay bags/validation --params cup.yaml --observe camera/box \\\n'
      '      --set measured.calibrate=true --out camera.yaml',
      'find where the camera is, and keep it for the node'),
+    ('bellows replay sound_work --params cup.yaml --observe camera/box \\\n'
+     '      --calibrate-alarms --out alarms.yaml',
+     'find what alarms must allow for, and the false alarms to expect'),
     ('bellows replay second --params cup.yaml --limit 5',
      'in a script: exit code 1 unless every axis that moves is within 5 %'),
 )
@@ -59,9 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='poses of the package from a camera, which correct a second live prediction; see '
              'measured.*',
     )
+    parser.add_argument(
+        '--calibrate-alarms', action='store_true',
+        help='take the recording for sound work: find noise, its memory, and errors of pose and '
+             'stamps of the camera, and count the false alarms to expect with and without them')
     options.add_output(
-        parser, '--out', 'write the pose of the camera as parameters, with what is uncertain of '
-        'it and of its stamps (with --observe and measured.calibrate)')
+        parser, '--out', 'write what was found of the camera as parameters (with --observe, and '
+        '--calibrate-alarms or measured.calibrate)')
     parser.add_argument(
         '--limit', metavar='PERCENT', type=float, default=None,
         help='exit with 1 if the NRMSE of an axis that moves is above this',
@@ -76,12 +83,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     if arguments.report:
         require_pictures()
-    if arguments.out and not (arguments.observe and settings.get('measured.calibrate')):
+    if arguments.calibrate_alarms and not arguments.observe:
+        raise BellowsError(
+            '--calibrate-alarms takes the poses of a camera. Give their topic with --observe.')
+    if arguments.out and not (arguments.observe and (
+            arguments.calibrate_alarms or settings.get('measured.calibrate'))):
         raise BellowsError(
             '--out writes the calibration of a camera, which is not estimated here. Give its '
-            'topic with --observe, and --set measured.calibrate=true.')
+            'topic with --observe, and --calibrate-alarms or --set measured.calibrate=true.')
     with console.progress() as progress:
-        result = replay(arguments.bag, settings, progress, arguments.observe)
+        result = replay(
+            arguments.bag, settings, progress, arguments.observe, arguments.calibrate_alarms)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
     with options.naming_written() as written:
         if result.observed and arguments.out:

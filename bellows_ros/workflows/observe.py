@@ -18,10 +18,11 @@ from bellows_ros.core.recording.alignment import world_rotation
 from bellows_ros.core.recording.package_world import pose_of
 from bellows_ros.core.recording.recording import Recording, require_one_frame
 from bellows_ros.core.signals.residuals import compare, Comparison
-from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.results import attributes
+from bellows_ros.workflows.alarm_calibration import AlarmCalibration, calibrated_alarms
 import numpy as np
 
 ONE_WORLD = np.array([0.0] * 6 + [1.0])
@@ -50,6 +51,8 @@ class Observed:
         By how much the camera was found to be off, where measured.calibrate is set.
     parameters : mapping
         Parameters that take this into account, with what stays uncertain.
+    alarm_calibration : AlarmCalibration or None
+        What alarms must allow for, where it was asked.
 
     """
 
@@ -62,6 +65,7 @@ class Observed:
     payload: Payload | None = None
     calibration: Calibration | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    alarm_calibration: AlarmCalibration | None = None
 
     @property
     def sentence(self) -> str:
@@ -89,6 +93,8 @@ class Observed:
             said.append(
                 f'The camera is off by {shift} mm and {turn} mrad along and about the axes of the '
                 f'world, its stamps by {1e3 * off.latency:.2f} ± {1e3 * off.latency_std:.2g} ms.')
+        if self.alarm_calibration:
+            said.append(self.alarm_calibration.sentence)
         return ' '.join(said + ([] if self.alarms else ['No alarm.']))
 
     @property
@@ -121,13 +127,14 @@ class Observed:
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             'calibration': self.calibration and attributes(
                 self.calibration, *self.calibration._fields),
+            'alarm_calibration': self.alarm_calibration,
             **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
         }
 
 
 def observed(
     bag: str | os.PathLike[str], recording: Recording, messages: Messages,
-    values: Mapping[str, Any], topic: str,
+    values: Mapping[str, Any], topic: str, calibrate_alarms: bool = False,
 ) -> Observed:
     """
     Predict a recording live with and without the poses of the package on a topic.
@@ -144,6 +151,8 @@ def observed(
         Parameters by name, measured.* among them.
     topic : str
         With poses of the package in the world of the recording.
+    calibrate_alarms : bool
+        Whether to find what alarms must allow for, see `calibrated_alarms`.
 
     Raises
     ------
@@ -161,14 +170,18 @@ def observed(
     turn = world_rotation(values['recording.world'], values['gravity.direction'])
     q = rotation_to_quaternion(turn @ quaternion_to_rotation(pose[3:]))
     values = {**values, 'recording.package_world': pose_text(np.append(turn @ pose[:3], q))}
-    alone, corrected = (live_predictor(values) for _ in range(2))
     observer = Observer(values)
-    corrected.observe(observer)
     covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
     seen = list(zip(
         stream.stamps_ns.tolist(), map(tuple, stream.position.tolist()),
         map(tuple, rotation_to_quaternion(stream.rotation).tolist()), covariances, strict=True))
-    ways = predictions(alone, messages), predictions(corrected, messages, seen=seen)
+
+    def run(by: Observer) -> Trajectory:
+        corrected = live_predictor(values)
+        corrected.observe(by)
+        return predictions(corrected, messages, seen=seen)
+
+    ways = predictions(live_predictor(values), messages), run(observer)
     held = _held(observer, stream, recording.measured_package, package_of(values).com)
     package = recording.measured_package
     known = (package.stamps_ns >= held.stamps_ns[0]) & (
@@ -180,11 +193,16 @@ def observed(
     if later := len(seen) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later
     counts |= {reason: len(numbers) for reason, numbers in stream.refused.items()}
+    calibration = calibrated_alarms(
+        run, values, float(np.ptp(stream.stamps_ns)) / NS_PER_S,
+        stream.covariance is not None) if calibrate_alarms else None
     alarms = tuple(
         ((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm) for alarm in observer.alarms)
     return Observed(
         topic, prediction, compare(held, tool, package), both, counts, alarms, observer.payload,
-        observer.calibration, _calibrated(observer.calibration, pose, turn))
+        observer.calibration, {
+            **_calibrated(observer.calibration, pose, turn),
+            **(calibration.parameters if calibration else {})}, calibration)
 
 
 def _calibrated(found: Calibration | None, pose: Array, turn: Array) -> dict[str, Any]:

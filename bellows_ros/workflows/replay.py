@@ -206,6 +206,7 @@ def replay(
     settings: Mapping[str, object],
     progress: Progress | None = None,
     observe: str = '',
+    calibrate_alarms: bool = False,
 ) -> Replay:
     """
     Predict a recording with a cup, freely from start to end, and compare.
@@ -224,6 +225,8 @@ def replay(
     observe : str
         Topic with measured poses of the package, which correct another live prediction; none when
         left out.
+    calibrate_alarms : bool
+        Whether to find what alarms must allow for in work like this, which must be sound.
 
     Raises
     ------
@@ -239,7 +242,8 @@ def replay(
     free = validated(values, recording)
     live = predicted_live(recording, values, lambda what, part: tell(what, 0.6 + 0.4 * part))
     found = observed(
-        bag, recording, tool_messages(recording, values), values, observe) if observe else None
+        bag, recording, tool_messages(recording, values), values, observe,
+        calibrate_alarms) if observe else None
     tell('done', 1.0)
     return replace(free, live=live, observed=found)
 

@@ -181,3 +181,43 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
     apart = seen('apart', known * [1, 5, 1, 1, 1, 1], inverse_transform(T), **{
         'recording.package_world': ' '.join(map(str, pose))})
     np.testing.assert_allclose(apart, uneven, rtol=1e-3)
+
+
+def with_memory(streams, which, seconds, rng, noise=NOISE):
+    """Give camera rows whose noise has a memory (s), 30 Hz."""
+    kept = np.exp(-1.0 / 30.0 / seconds)
+    n = rng.normal(size=(len(which), 6))
+    for k in range(1, len(n)):
+        n[k] = kept * n[k - 1] + np.sqrt(1.0 - kept**2) * n[k]
+    package = streams['package']
+    turns = exp_so3(n[:, 3:] * noise[1])
+    return rows(package.position[which] + n[:, :3] * noise[0], package.rotation[which] @ turns)
+
+
+def test_alarms_are_calibrated_on_sound_work(root, tmp_path):
+    """Find noise of 3 mm and 15 mrad with a memory of 100 ms, and say what it makes of alarms."""
+    streams = read_streams(root / 'bags' / 'validation', ROLES)
+    which = np.arange(12, len(streams['package'].stamps_ns), 12)
+    bag = tmp_path / 'bag'
+    pose = 'geometry_msgs/msg/PoseStamped'
+    noise = 3e-3, 15e-3
+    camera = with_memory(streams, which, 0.1, np.random.default_rng(2), noise)
+    write_bag(bag, [
+        *(Recorded('/' + ROLES[role], pose, streams[role].stamps_ns,
+                   rows(streams[role].position, streams[role].rotation))
+          for role in ('tool', 'package')),
+        Recorded('/camera/box', pose, streams['package'].stamps_ns[which], camera)])
+    values = {
+        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml'),
+        'topics.tool_twist': '', 'measured.noise': (1e-3, 5e-3)}
+    found = replay(bag, values, observe='camera/box', calibrate_alarms=True).observed
+    calibration = found.alarm_calibration
+    # some 13 s hold some 60 independent values in each of three axes
+    np.testing.assert_allclose(calibration.parameters['measured.noise'], noise, rtol=0.25)
+    assert calibration.parameters['measured.memory'] == pytest.approx(0.1, rel=0.5)
+    assert calibration.parameters['measured.latency_std'] < 0.01
+    assert calibration.parameters['measured.offset_std'][0] < 5e-3
+    assert calibration.after.per_hour < min(calibration.before.per_hour, 100.0)
+    assert calibration.after.per_hour < calibration.after.at_most
+    with pytest.raises(BellowsError, match='usable measured poses'):
+        replay(bag, {**values, 'recording.end': 4.0}, observe='camera/box', calibrate_alarms=True)
