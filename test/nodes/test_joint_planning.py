@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
-from bellows_ros.core.geometry.lie import log_se3, transform
+from bellows_ros.core.geometry.lie import log_se3, rotation_to_quaternion, transform
+from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.points import plan_of_joints
 from bellows_ros.core.planning.steering import steer
@@ -11,7 +12,7 @@ from bellows_ros.files.plan_messages import decode_multi_dof
 import numpy as np
 import pytest
 
-from .conftest import Partner
+from .conftest import ORIGIN, Partner
 from .test_planning import MODEL, VALUES
 from ..core.planning.arms import UR5E, UR5E_START
 
@@ -92,6 +93,21 @@ def test_a_plan_of_joints_is_answered_and_steered_in_them(planner: JointPlanner)
         transform(wanted.rotation[rows], wanted.position[rows])) @ found)
     assert np.abs(off[:, :3]).max() < 0.05e-3 and np.abs(off[:, 3:]).max() < 0.1e-3
     assert len(answer.points[1].velocities) == len(answer.points[1].accelerations) == 6
+
+
+def test_joints_lead_to_a_flange_with_the_tip_beside_it(
+        make_partner: Callable[..., Partner]) -> None:
+    """The package along a plan of joints hangs where the tip is, not where the link is."""
+    planner = JointPlanner(make_partner({
+        **VALUES, 'tool_link': 'tool', 'tool_pose.offset': '0.01 -0.02 -0.05 0 0 0 1'}), UR5E)
+    planner.plan_out.publish(message())
+    planner.wait(lambda: planner.plans)
+    (at_start,), _ = ARM.tool(POSITION[:1])
+    tip = transform(np.eye(3), np.array([0.01, -0.02, -0.05]))
+    tool = at_start @ tip
+    still = (tuple(tool[:3, 3]), tuple(rotation_to_quaternion(tool[:3, :3])), ORIGIN, ORIGIN)
+    np.testing.assert_allclose(
+        planner.plans[0].poses[0, :3], static_equilibrium(MODEL, still)[0], atol=1e-5)
 
 
 @pytest.mark.parametrize(('change', 'named'), [

@@ -4,7 +4,11 @@ from collections.abc import Callable
 import time
 from typing import Any
 
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.geometry.lie import (
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+    transform,
+)
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.planning.plan import predict
 from bellows_ros.core.planning.steering import hanging
@@ -210,6 +214,41 @@ def test_a_motion_is_steered(planner: Planner, of_package: bool) -> None:
     tool = plan_of(found.times_ns, found.poses[:, :3], found.poses[:, 3:], found.twists,
                    twist_frame='tool')
     assert np.degrees(predict(MODEL, None, tool).figures()['swing_left']) < 0.01
+
+
+def test_plans_of_a_flange_are_predicted_and_steered_in_it(
+        make_partner: Callable[..., Partner]) -> None:
+    """With E turned and beside the frame that poses, plans and answers are of."""
+    from bellows_ros.core.planning.points import plan_of
+
+    T_flange_E = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x
+    T_flange_E[:3, 3] = 0.02, -0.03, 0.1
+    planner = Planner(make_partner({**VALUES, 'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'}))
+
+    def in_frame(poses: Any, T: Any) -> Any:
+        moved = transform(quaternion_to_rotation(poses[:, 3:]), poses[:, :3]) @ T
+        return np.hstack([moved[:, :3, 3], rotation_to_quaternion(moved[:, :3, :3])])
+
+    move = Smooth([0.3, 0.0, 0.0], [0.0, 0.2, 0.0], 0.6)
+    plan = message(move)
+    of_flange = message(move, twists=None, poses=in_frame(plan.poses, np.linalg.inv(T_flange_E)))
+    first = of_flange.poses[0]
+    planner.partner.send_pose(1_700_000_000_000_000_000, first[:3], first[3:])
+    planner.partner.send_twist(1_700_000_000_000_000_000)
+    planner.partner.wait_for_poses(1)
+    o, truth = planner.partner.poses[0].pose.position, predict(MODEL, GRIP, move.plan(500))
+    assert_allclose([o.x, o.y, o.z], truth.states[0, :3], atol=1e-6)
+    planner.send(of_flange)
+    planner.wait(lambda: planner.plans)
+    rows = planner.plans[0].times_ns // (2 * MS)
+    assert_allclose(planner.plans[0].poses[:, :3], truth.states[rows, :3], atol=2e-6)
+    planner.steer_out.publish(encode_multi_dof(of_flange))
+    planner.wait(lambda: planner.heard['steered'])
+    found = planner.heard['steered'][0]
+    poses = in_frame(found.poses, T_flange_E)
+    assert_allclose(poses[0], plan.poses[0], atol=1e-6)
+    tool = plan_of(found.times_ns, poses[:, :3], poses[:, 3:])
+    assert np.degrees(predict(MODEL, None, tool).figures()['swing_left']) < 0.02
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
