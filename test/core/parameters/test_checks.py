@@ -204,7 +204,7 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         ('recording.align_at_rest', 1, 'true or false'),
         ('recording.align_at_rest', 'yes', 'true or false'),
         ('recording.world', 'y_up', 'z_up, motive_y_up'),
-        ('fit.structure', 'Full', 'axisymmetric, axisymmetric_coupled, diagonal, full'),
+        ('fit.structure', 'Full', 'axisymmetric'),
         ('topics.tool_pose', '', 'empty'),
         ('topics.tool_pose', 'a\nb', 'control character'),
         ('topics.tool_pose', 7, 'a string'),
