@@ -244,8 +244,20 @@ def with_error(value: float, error: float, unit: str = '') -> str:
         return 'not identifiable'
     if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
         return f'{value:.5g} {unit}'.rstrip()
-    decimals = max(0, 1 - math.floor(math.log10(error)))
-    return f'{value:.{decimals}f} ± {error:.{decimals}f} {unit}'.rstrip()
+    value_text, error_text = column([value, error], error)
+    return f'{value_text} ± {error_text} {unit}'.rstrip()
+
+
+def column(values: Sequence[float], error: float | None = None) -> list[str]:
+    """
+    Return numbers with the same decimals: as many as show two figures of an error.
+
+    Without one, of the smallest number that is not below a hundredth of the largest.
+    """
+    sizes = [abs(value) for value in values if math.isfinite(value) and value]
+    least = error or min((size for size in sizes if size >= 0.01 * max(sizes)), default=1.0)
+    decimals = max(0, 1 - math.floor(math.log10(least)))
+    return [f'{value:z.{decimals}f}' for value in values]
 
 
 def _wrapped(text: str, first: str, rest: str) -> list[str]:

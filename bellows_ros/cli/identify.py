@@ -13,7 +13,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.errors import BellowsError
 
 from . import options
-from .console import Console, listed, many, NOT_USABLE, OK, uninterrupted, with_error
+from .console import column, Console, listed, many, NOT_USABLE, OK, uninterrupted, with_error
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.result import Fit
@@ -139,14 +139,16 @@ def _say_release(result: 'ReleaseResult', console: Console) -> None:
 
     fit, milli = result.fit, 1e3
     console.say(f'Release identified from {len(fit.drops)} drops in {listed(result.bags)}', 'bold')
-    rows = [('', '', 'standard error', 'scatter')]
+    rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
     for k in fit.free:
         name = list(UNITS)[k]
         unit = UNITS[name]
         factor, unit = (milli, f'm{unit}') if unit in ('s', 'm', 'N s') else (1.0, unit)
-        std, scatter = (
-            f'{factor * part[k]:.2g} {unit}' if part[k] else '' for part in (fit.std, fit.scatter))
-        rows.append((name, f'{factor * fit.law[k]:.4g} {unit}', std, scatter))
+        known = column([factor * x for x in (fit.law[k], fit.std[k], fit.scatter[k])],
+                       factor * fit.std[k])
+        law, *errors = (f'{text} {unit}' for text in known)
+        rows.append((name, law, *(text if part[k] else '' for text, part in zip(
+            errors, (fit.std, fit.scatter), strict=True))))
     rows += [(list(UNITS)[k], 'not identifiable', '', '') for k in fit.not_identifiable]
     console.table(rows, right=True)
     console.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(

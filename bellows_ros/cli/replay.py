@@ -13,7 +13,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.extras import require_pictures
 
 from . import options
-from .console import Console, NOT_USABLE, OK, percent
+from .console import column, Console, NOT_USABLE, OK, percent
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.observe import Observed
@@ -153,9 +153,9 @@ def _say_observed(found: 'Observed', console: Console) -> None:
     """Print the gain by measured poses, and alarms."""
     from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 
-    errors = [way.scores.rms for way in found.ways.values()]
+    errors = [column([MILLI * x for x in way.scores.rms]) for way in found.ways.values()]
     console.table([('axis', *found.ways), *(
-        (f'{name:2} {MILLI_UNITS[i]}', *(f'{MILLI * rms[i]:.3g}' for rms in errors))
+        (f'{name:2} {MILLI_UNITS[i]}', *(rms[i] for rms in errors))
         for i, name in enumerate(AXES))], right=True, title=f'With {found.topic}, RMS error')
     console.paragraph(found.sentence)
     for line in found.alarm_lines:
@@ -169,12 +169,11 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     found, live = result.validation, result.live
     white = found.one_step.whiteness.verdicts if found.one_step else ('-',) * 6
     rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
+    errors = [('-',) * 6 if error is None else column([MILLI * x for x in error]) for error in (
+        found.scores.rms, live.scores.rms if live else None, found.noise, found.scores.largest)]
     for i, name in enumerate(AXES):
-        errors = (found.scores.rms, live.scores.rms if live else None, found.noise,
-                  found.scores.largest)
         rows.append((
-            f'{name:2} {MILLI_UNITS[i]}',
-            *('-' if error is None else f'{MILLI * error[i]:.3g}' for error in errors),
+            f'{name:2} {MILLI_UNITS[i]}', *(error[i] for error in errors),
             percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
             white[i].removesuffix(' white'),
         ))

@@ -4,7 +4,7 @@ import io
 import math
 import os
 
-from bellows_ros.cli.console import aligned, Console, with_error
+from bellows_ros.cli.console import aligned, column, Console, with_error
 import pytest
 
 ROWS = [['axis', *(f'column {k}' for k in range(8))]] + [
@@ -36,6 +36,18 @@ def test_a_table_for_no_terminal_is_whole(monkeypatch):
 ])
 def test_a_value_is_shown_as_far_as_it_is_known(value, error, shown):
     assert with_error(value, error, 'N/m') == shown
+
+
+@pytest.mark.parametrize(('values', 'error', 'shown'), [
+    ([0.0851, 1.234, 12.5], None, ['0.1', '1.2', '12.5']),  # what is far below the largest ...
+    ([0.851, 1.234, 12.5], None, ['0.85', '1.23', '12.50']),  # ... does not count
+    ([12.34, 0.56], 0.56, ['12.34', '0.56']),
+    ([1234.5, 123.4], 123.4, ['1234', '123']),
+    ([-0.001, 5.0], None, ['0.0', '5.0']),
+    ([0.0, float('nan')], None, ['0.0', 'nan']),
+])
+def test_a_column_has_the_same_decimals(values, error, shown):
+    assert column(values, error) == shown
 
 
 class Terminal(io.StringIO):
