@@ -4,12 +4,19 @@ from collections import Counter
 
 from bellows_ros.core.observer import observer as module
 from bellows_ros.core.observer.alarms import (
+    _place,
+    _set_in,
     Alarms,
     AT_START,
     CAUSES,
+    COLUMNS,
     FEWEST,
+    FIRSTS,
     HYPOTHESES,
+    ONSET_NS,
+    ONSETS,
     SETTLING,
+    SLOTS,
     START_WEIGHS,
     UNEXPLAINED,
 )
@@ -163,6 +170,29 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     assert len(totals) >= 15
     assert totals[-1] == pytest.approx(_dense_total(given), rel=1e-5)
     assert totals[-1] > totals[12] + 1.0
+
+
+def test_onset_that_is_named_keeps_its_slot():
+    """Put a new onset elsewhere than the likeliest one, from whose slot an alarm has its size."""
+    rng = np.random.default_rng(1)
+    made = Alarms(1.0, 49, False)
+    E, numbers, onsets, *_ = made.start(1)
+    for k in range(ONSETS):
+        _set_in(E, numbers, onsets, made.steps, 1_000_000_000 + k * ONSET_NS, 0)
+    numbers[:] = rng.normal(size=len(numbers))
+    now_ns = 1_000_000_000 + ONSETS * ONSET_NS
+    taken = _place(onsets[1], now_ns, 0)
+    before = numbers.copy(), E.copy(), onsets.copy()
+    _set_in(E, numbers, onsets, made.steps, now_ns, taken)
+    other = int(np.flatnonzero(onsets[1] == now_ns)[0])
+    assert taken > 0 and other not in (0, taken)
+    for what in range(AT_START, len(HYPOTHESES)):
+        if SLOTS[what] == ONSETS:
+            for a in range(FIRSTS[what], FIRSTS[what + 1]):
+                column = COLUMNS[a] + taken - 1
+                assert numbers[column] == before[0][column]
+                np.testing.assert_array_equal(E[:, column], before[1][:, column])
+    assert onsets[1, taken] == before[2][1, taken]
 
 
 def test_slip_is_learned():
