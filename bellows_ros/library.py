@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 if TYPE_CHECKING:  # loads much that the others do without
     from bellows_ros.core.identification.result import Fit
     from bellows_ros.workflows.excite import DesignedMotion
-    from bellows_ros.workflows.plan import Motion, PlanReport
+    from bellows_ros.workflows.plan import MotionSource, PlanReport
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.steer import SteerReport
     from bellows_ros.workflows.toss import TossResult
@@ -325,7 +325,7 @@ def static_equilibrium(
 
 
 def plan(
-    motion: 'Motion', parameters: Parameters, urdf: str = '', topic: str = ''
+    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
 ) -> 'PlanReport':
     """
     Predict what a planned motion of the tool does to the package, as `bellows plan`.
@@ -364,7 +364,7 @@ def plan(
 
 
 def fastest(
-    motion: 'Motion', parameters: Parameters, urdf: str = '', topic: str = ''
+    motion: 'MotionSource', parameters: Parameters, urdf: str = '', topic: str = ''
 ) -> 'PlanReport':
     """
     Predict a motion as `plan`, and find the shortest time in which the grip surely holds.
@@ -393,7 +393,7 @@ def fastest(
 
 
 def steer(
-    motion: 'Motion', parameters: Parameters, method: str = 'inverse',
+    motion: 'MotionSource', parameters: Parameters, method: str = 'inverse',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
 ) -> 'SteerReport':
     """
@@ -434,7 +434,7 @@ def steer(
 
 
 def toss(
-    motion: 'Motion', parameters: Parameters, release: float | None = None,
+    motion: 'MotionSource', parameters: Parameters, release: float | None = None,
     target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
     monte_carlo: int = 0, urdf: str = '', topic: str = '',
 ) -> 'TossResult':

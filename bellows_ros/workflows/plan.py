@@ -90,7 +90,7 @@ ENDS_IN_MOTION = (
     'The plan ends in motion, so the swing after its end is unknown.')
 
 
-Motion = str | os.PathLike[str] | Trajectory
+MotionSource = str | os.PathLike[str] | Trajectory
 """A file with a motion, or the motion of E."""
 
 
@@ -278,7 +278,7 @@ class PlanReport(CommandResult):
 
 
 def plan(
-    path: Motion, settings: Mapping[str, object], urdf: str = '',
+    path: MotionSource, settings: Mapping[str, object], urdf: str = '',
     topic: str = '', seek_fastest: bool = False,
 ) -> PlanReport:
     """
@@ -383,7 +383,7 @@ def standing(tool: Trajectory, seconds: float) -> Trajectory:
 
 
 def plan_with_cup(
-    path: Motion, settings: Mapping[str, object], urdf: str = '', topic: str = ''
+    path: MotionSource, settings: Mapping[str, object], urdf: str = '', topic: str = ''
 ) -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
     values = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))

@@ -20,7 +20,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.plan import Motion, NO_GRIP, plan_with_cup, Source, standing
+from bellows_ros.workflows.plan import MotionSource, NO_GRIP, plan_with_cup, Source, standing
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
@@ -156,7 +156,7 @@ class SteerReport(CommandResult):
 
 
 def steer_plan(
-    path: Motion, settings: Mapping[str, object], method: str,
+    path: MotionSource, settings: Mapping[str, object], method: str,
     limits: str | os.PathLike[str] | Mapping[str, object] = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """

@@ -26,7 +26,7 @@ from bellows_ros.core.toss.landing import (
 from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.plan import Motion, plan_with_cup, Source, write_prediction
+from bellows_ros.workflows.plan import MotionSource, plan_with_cup, Source, write_prediction
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
@@ -204,7 +204,7 @@ def write_toss(
 
 
 def toss_plan(
-    path: Motion,
+    path: MotionSource,
     parameters: Mapping[str, object],
     switched: float | None,
     target: tuple[float, float] | None = None,

@@ -18,7 +18,7 @@ RELAXATION_TIMES = (0.06, 0.8)
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 """Names of the six directions: translations, then rotations."""
 
-Block = tuple[tuple[int, float], ...]
+CoupledAxes = tuple[tuple[int, float], ...]
 """Axes coupled with each other, each with its sign."""
 
 Entry = tuple[int, int, float]
@@ -48,7 +48,7 @@ class Structure:
     groups: tuple[str, ...]
 
     @cached_property
-    def blocks(self) -> tuple[tuple[Block, ...], ...]:
+    def blocks(self) -> tuple[tuple[CoupledAxes, ...], ...]:
         """The blocks of each group, which hold the same parameters."""
         return tuple(
             tuple(

@@ -69,7 +69,7 @@ class SampleRange(NamedTuple):
     last: int
 
 
-class PoseStep(NamedTuple):
+class LastingStep(NamedTuple):
     """A jump without a return: the sample before it, and its size, m and rad."""
 
     before: int
@@ -203,7 +203,7 @@ def _thresholds_over(
     return np.asarray(GAP_THRESHOLD_FACTOR * np.linalg.norm(jumps, axis=2).max(axis=1))
 
 
-def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[SampleRange], list[PoseStep]]:
+def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[SampleRange], list[LastingStep]]:
     """Return the excursions between jumps that cancel, and the remaining steps."""
     edges = sorted(edges, key=lambda edge: edge.before)
     flickers = _flicker(edges)
@@ -227,7 +227,7 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[SampleRange], lis
         run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else SampleRange(
             edge.before, edge.before + 1)
         if run is None:
-            steps.append(PoseStep(edge.before, *_sizes(edge.forms)))
+            steps.append(LastingStep(edge.before, *_sizes(edge.forms)))
         else:
             excursions.append(run)
     return sorted(excursions), steps
@@ -350,7 +350,7 @@ class Outliers:
         Single samples between others marked or missing.
     frozen : tuple of SampleRange
         Exact repeats of a pose while the body moved.
-    steps : tuple of PoseStep
+    steps : tuple of LastingStep
         Jumps without a return; only the samples beside one are marked.
     noise : dict of str to array (3,)
         Standard deviation of the white noise along each axis, 'position' in m in the world and
@@ -363,7 +363,7 @@ class Outliers:
     excursions: tuple[SampleRange, ...]
     isolated: tuple[SampleRange, ...]
     frozen: tuple[SampleRange, ...]
-    steps: tuple[PoseStep, ...]
+    steps: tuple[LastingStep, ...]
     noise: dict[str, Array]
 
 

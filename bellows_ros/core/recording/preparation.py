@@ -23,8 +23,8 @@ from bellows_ros.core.recording.alignment import (
 )
 from bellows_ros.core.recording.outliers import (
     find_outliers,
+    LastingStep,
     Outliers,
-    PoseStep,
     repeats_in_motion,
 )
 from bellows_ros.core.recording.recording import (
@@ -329,7 +329,7 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
     ) if noticed]
 
 
-def _is_of_jitter(poses: PoseStream, time: Timing, step: PoseStep) -> bool:
+def _is_of_jitter(poses: PoseStream, time: Timing, step: LastingStep) -> bool:
     """Return whether jitter of the stamps explains a step at the body's speed."""
     near = slice(max(step.before - 5, 0), step.before + 6)
     seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S
