@@ -6,6 +6,9 @@ from bellows_ros.core.live.flight import at_constant_velocity, Flight
 from bellows_ros.core.live.plan_tracker import PlanTracker
 from bellows_ros.core.live.samples import ZERO
 from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.equilibrium import static_equilibrium
+from bellows_ros.core.model.kernels import advance
+from bellows_ros.core.model.simulation import state_row, ToolRows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.plan import predict
 from bellows_ros.core.signals.resampling import resample
@@ -181,6 +184,43 @@ def test_the_package_is_where_it_was_said_to_be(driven_as, stamped, every):
     errors = {k: np.linalg.norm(np.subtract(body[0], seen[k + 50].position))
               for k, body in said.items()}
     assert len(errors) > 15 and max(errors.values()) < (5e-4 if every == 1 else 1.5e-3), errors
+
+
+@pytest.mark.parametrize('driven_as', [
+    {}, {'late': 0.3}, {'speed': 0.5}, {'pause': (0.35, 0.8)}], ids=str)
+def test_landing_and_release_are_those_of_the_motion_that_the_tool_drives(driven_as):
+    """With the rest of the plan as tracked, and with the motion that really follows."""
+    at, step = ahead_of_time(**driven_as), 0.002
+    times = step * np.arange(round(2.2 / step))
+    seconds, rates = at(times)
+    o, R, v = MOVE.at(np.minimum(seconds, 0.8))
+    quaternions = rotation_to_quaternion(R)
+    rows = np.hstack([o, quaternions, v * (rates * (seconds < 0.8))[:, None]])
+    ahead, now, errors = PlanTracker(MOVE.plan(500), T0), 0, []
+    aimed = resolve({**TOSSED, 'landing.height': -0.5, 'landing.aim': True, 'release.delay': 0.08,
+                     'landing.target': [0.6, -0.25]})
+    flights = [Flight(aimed, future) for future in (
+        lambda each: ahead.rest(each),
+        lambda each: ToolRows(np.round(times[:-now] * 1e9).astype(np.int64), rows[now:]))]
+    body = static_equilibrium(MODEL, state_row(rows[0, :3], rows[0, 3:7]))
+    for now in range(1, round(1.5 / step)):
+        tool = tuple(tuple(rows[now, part].tolist()) for part in (
+            slice(3), slice(3, 7), slice(7, 10), slice(10, 13)))
+        before = tuple(tuple(rows[now - 1, part].tolist()) for part in (
+            slice(3), slice(3, 7), slice(7, 10), slice(10, 13)))
+        body = advance(MODEL, body, before, tool, step, 1)
+        here = Prediction(T0 + round(times[now] * 1e9), *body, ZERO, ZERO, tool)
+        ahead.follow(here)
+        steady = np.ptp(rates[max(0, now - 50):now + 300]) < 1e-9
+        if now % 60 == 20 and steady and 0.1 < seconds[now] < 0.7:
+            (landed, expected), (switched, right) = (
+                [flight.landing(MODEL, here, lambda _: np.zeros((12, 12))).toss.landing[0]
+                 for flight in flights],
+                [flight.time_to_target(MODEL, here) for flight in flights])
+            errors.append((np.linalg.norm(np.subtract(landed, expected)),
+                           abs(switched - right) if right is not None else 0.0))
+    assert len(errors) >= 2 and np.max(errors, axis=0)[0] < 1e-3, errors
+    assert np.max(errors, axis=0)[1] < 2e-3, errors
 
 
 def test_a_tool_that_waits_for_a_plan_without_a_stamp_stands():
