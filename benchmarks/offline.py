@@ -27,7 +27,7 @@ PARTS = {False: (0.25, 0.5), True: ()}
 """Parts of the duration for which the peak of memory is measured too."""
 
 FIT_DURATION = 20.0
-"""Of the recording for the prediction-error fit, s."""
+"""Of the recording for the fit by output error, s."""
 
 SETTINGS: Mapping[str, Any] = {
     'topics.tool_pose': '/tool_arm/pose',
@@ -106,7 +106,7 @@ def run(short: bool) -> dict[str, Any]:
             *(_peak(Path(folder) / f'{part:g}', part * duration) for part in PARTS[short]),
             {'seconds': duration, 'peak': found['peak_least_squares']},
         ]
-    found['prediction_error_recorded'] = min(duration, FIT_DURATION)
+    found['output_error_recorded'] = min(duration, FIT_DURATION)
     found['recording'] = {'seconds': duration, 'rate_hz': RATE, 'messages': found['messages']}
     found['filter'] = _filters(int(duration * RATE), rounds)
     return found
@@ -150,7 +150,7 @@ def _in_turn(bag: str, fit_bag: str, rounds: int) -> dict[str, Any]:
         'plain_loop': lambda: in_process(PLAIN_LOOP, bag),
         'least_squares': lambda: in_process(IDENTIFY, bag, 'least_squares'),
         'replay': lambda: _replay(bag),
-        'prediction_error': lambda: in_process(IDENTIFY, fit_bag, 'prediction_error'),
+        'output_error': lambda: in_process(IDENTIFY, fit_bag, 'output_error'),
     }
     for work in works.values():
         work()  # compiles, and fills the disk's cache

@@ -26,7 +26,7 @@ from bellows_ros.core.identification.search import (
     Search,
     Segment,
 )
-from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.settings import Settings
@@ -35,8 +35,23 @@ from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.core.synthetic.motion import motion_from
-from benchmarks.identification import GRAVITY, MOTION, PLATE
 import numpy as np
+
+GRAVITY = 9.81
+PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), np.array([0.0, 0.0, -0.03]))
+MOTION = {
+    'kind': 'multi_sine', 'rest_duration': 1.0, 'ramp_duration': 1.0,
+    'multi_sine': {
+        'position': {
+            axis: {'amplitude': [0.02, 0.01, 0.003], 'frequency': [0.4 + i / 50, 1.3, 3 - i / 9]}
+            for i, axis in enumerate('xyz')
+        },
+        'rotation': {
+            axis: {'amplitude': [0.08, 0.04, 0.01], 'frequency': [0.5 + i / 40, 1.4, 2.9 - i / 7]}
+            for i, axis in enumerate('xyz')
+        },
+    },
+}
 
 Pair = tuple[float, float]
 

@@ -99,7 +99,7 @@ def _offline(section: Mapping[str, Any]) -> Table:
     """Return identification and replay of a long recording."""
     plain, fit = section['plain_loop']['median'], section['least_squares']['median']
     recording, replay = section['recording'], section['replay']['median']
-    error = section['prediction_error']['median'] / section['prediction_error_recorded']
+    error = section['output_error']['median'] / section['output_error_recorded']
     about = f'{recording["seconds"]:g} s, {recording["messages"]} messages'
     return [
         ('offline', about, ''),
@@ -115,7 +115,7 @@ def _offline(section: Mapping[str, Any]) -> Table:
          _memory(section['peak_replay'])),
         ('predicting alone, of that',
          f'{section["replay_factor"]["median"]:.0f} times real time', ''),
-        ('prediction-error fit', f'{_time(error)} per recorded second', ''),
+        ('output-error fit', f'{_time(error)} per recorded second', ''),
     ]
 
 

@@ -49,7 +49,7 @@ def _compile_plans() -> None:
 
 def _compile_filters() -> None:
     """Compile what observes, estimates and simulates, with all derivatives."""
-    from bellows_ros.core.identification.prediction_error import prediction_error
+    from bellows_ros.core.identification.search import Search, Segment
     from bellows_ros.core.live.uncertainty import warm_up_uncertainty
     from bellows_ros.core.model.cup_package import Cup, model_tuple
     from bellows_ros.core.model.structure import STRUCTURES
@@ -57,9 +57,10 @@ def _compile_filters() -> None:
     from bellows_ros.core.parameters.checks import resolve
 
     from .core import tosses
-    from .core.identification.recordings import segments
+    from .core.identification.test_output_error import measured
 
     cup = Cup.thesis()
     warm_up_observer(resolve(tosses.values()), model_tuple(cup, tosses.PACKAGE, 9.81))
     warm_up_uncertainty()
-    prediction_error(segments(9, 3.0, rate_hz=100.0), STRUCTURES['axisymmetric'], cup)
+    search = Search([Segment(measured(9, duration=3.0))], STRUCTURES['axisymmetric'], cup, {})
+    search.system(search.start, 0.0)

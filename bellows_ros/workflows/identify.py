@@ -16,11 +16,10 @@ from bellows_ros import __version__
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import with_relaxation
 from bellows_ros.core.identification.methods import (
-    first_guess,
+    are_differentiable,
     fit,
     fitted,
     with_freed,
-    with_method,
 )
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
@@ -72,7 +71,7 @@ NEEDING_RECORDINGS = ('static.length', 'fit.compare_structures', 'output.report'
 """Parameters that need the recordings themselves, not only their statistics."""
 
 ONLY_QUICK = (
-    'K and P are those of least squares: something given is wrong, so the prediction error was '
+    'K and P are those of least squares: something given is wrong, so the output error was '
     'not fitted. --force fits it all the same.')
 
 
@@ -87,7 +86,7 @@ def identify(
     """
     Identify a cup from the recordings that the parameter `bags` names.
 
-    The prediction error is not fitted where something given is certainly wrong.
+    The output error is not fitted where something given is certainly wrong.
 
     Parameters
     ----------
@@ -104,7 +103,7 @@ def identify(
         Address of a Dask scheduler whose workers see the recordings at the same paths, used
         instead of processes here; '' for none.
     force : bool
-        Whether the prediction error is fitted to wrong data, too.
+        Whether the output error is fitted to wrong data, too.
 
     Raises
     ------
@@ -128,16 +127,15 @@ def identify(
 
     def read(own: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
         parts, failed = read_all(own, keep=keep, tell=tell, jobs=jobs, dask=dask)
-        return with_relaxation(parts, with_method(own, parts)), failed
+        differentiable = are_differentiable(parts, own)
+        return with_relaxation(parts, own) if differentiable else parts, failed
 
     parts, failed = read(effective)
-    values, effective = (dict(with_method(own, parts)) for own in (values, effective))
     whole = [part for part in parts if isinstance(part, Recording)]
     notes = assumed(settings)
-    if guess := first_guess(whole, effective):
-        values, effective = (with_freed(own, guess) for own in (values, effective))
-        parts, failed = read(effective)
-    elif values['fit.method'] == 'prediction_error' and not (force or static):
+    of_model = set(values['fit.free']) - {'time_offset', 'package_world'}
+    if values['fit.method'] == 'output_error' and not (force or static or of_model) and (
+            are_differentiable(parts, values)):
         tell(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole, effective['cup.length'], effective)
         if early and early.refusals:
@@ -184,11 +182,11 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
 def _with_free(values: dict[str, Any]) -> dict[str, Any]:
     """Return parameters with the clocks and worlds of fit.free; refuse what cannot be free."""
     free = set(values['fit.free'])
-    given = sorted(free - {'time_offset', 'package_world', 'package_marker'})
+    given = sorted(free - {'time_offset', 'package_world'})
     for wrong, remedy in (
         (given and values['fit.method'] == 'least_squares',
-         'they need fit.method: prediction_error or output_error. Set one'),
-        (set(given) - {'length'} and values['package.files'],
+         'they need fit.method: output_error. Set it'),
+        (set(given) - {'length', 'package_marker'} and values['package.files'],
          'package.files gives each recording a package of its own. Fit the recordings of one '
          'package alone'),
         ('length' in free and values['static.length'],
@@ -196,11 +194,6 @@ def _with_free(values: dict[str, Any]) -> dict[str, Any]:
     ):
         if wrong:
             raise BellowsError(f'fit.free: {", ".join(given)}: {remedy}.')
-    if 'package_marker' in free:
-        values = dict(with_method(values, ()))
-        if values['fit.method'] != 'output_error':
-            raise BellowsError(
-                'fit.free: package_marker: it needs fit.method: output_error. Set it.')
     world = values['recording.package_world']
     return {**values, 'fit.time_offset': values['fit.time_offset'] or 'time_offset' in free,
             'recording.package_world': world or ('estimate' if 'package_world' in free else '')}
@@ -455,7 +448,6 @@ def structures(
     """
     tell, values = progress or (lambda what, part: None), resolved(settings)
     read: list[Recording] = read_all(values, True, tell)[0]
-    values = dict(with_method(values, read))
     recordings = with_relaxation(read, values)
     advice = StructureAdvice(
         excitation_of([reduced(recording, values) for recording in recordings]),

@@ -260,6 +260,8 @@ def _registered(
         tool, twist = _earlier(tool, fine), twist and _earlier(twist, fine)
         changes['time_offset'] = TimeOffset(offset + fine, float(found.std['time_offset'][0]))
     recording = filter_streams(tool, package, settings, twist, alignment).joined()
+    if values['fit.time_offset'] and 'time_offset' not in found.values:
+        changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
     return replace(recording, report=replace(recording.report, **changes))
 
 

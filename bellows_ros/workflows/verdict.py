@@ -11,6 +11,7 @@ from bellows_ros.core.identification.hypotheses import (
     DOUBTED,
     Finding,
 )
+from bellows_ros.core.identification.methods import are_differentiable
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import structure_named
@@ -34,7 +35,7 @@ MISFIT = 2.0
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
-be left all the same: filters take a part of quick motions, not of the prediction error."""
+be left all the same: filters take a part of quick motions, not of the output error."""
 
 
 class Simulated(NamedTuple):
@@ -178,7 +179,9 @@ def verdict_of(
     held = some[0].payload
     values = {**values, 'package.mass': held.mass, 'package.com': held.com,
               'package.inertia': np.diag(held.inertia)}
-    if fit is not None and fit.method == 'output_error':
+    slow = fit is not None and fit.method == 'output_error' and (
+        not are_differentiable(some, values))
+    if fit is not None and slow:
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
             *(wrong for own in some for wrong in absurd(own)), *fit.causes))
     else:
@@ -187,7 +190,7 @@ def verdict_of(
         return FitVerdict((), diagnosis, values)
     cup = Cup(fit.stiffness, fit.damping, length, fit.relaxation)
     return FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values,
-                      fit.method == 'output_error')
+                      slow)
 
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:
@@ -254,8 +257,7 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
         shift, turn = (float(np.linalg.norm(part)) for part in np.split(theta, 2))
         return (f'The marker on the package is {1e3 * shift:.1f} mm and '
                 f'{np.rad2deg(turn):.1f} degrees from where it was supposed',
-                'Correct its frame, or set fit.free: [package_marker] with fit.method: '
-                'output_error.')
+                'Correct its frame, or set fit.free: [package_marker].')
     if name == 'package_world':
         from bellows_ros.core.recording.package_world import motion_sentence  # late: rare
 

@@ -4,7 +4,7 @@ import importlib.util
 import json
 
 from bellows_ros.cli import main
-from bellows_ros.core.identification import minimum
+from bellows_ros.core.identification import search
 import pytest
 
 
@@ -56,7 +56,7 @@ def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
 
 def test_a_search_that_does_not_end_gives_no_cup(call, tmp_path, capsys, monkeypatch):
     """End with 1, without standard errors and without a cup file."""
-    monkeypatch.setattr(minimum, 'MOST_STEPS', 2)
+    monkeypatch.setattr(search, 'MOST_STEPS', 1)
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     assert call('identify', 'bags/validation', '--params', 'bags/package.yaml', '--out', cup,
                 '--json', fit) == 1

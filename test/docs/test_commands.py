@@ -19,7 +19,7 @@ from .conftest import load
 
 PAGES = load('tools', 'pages')
 ALL = {str(page.relative_to(PAGES.ROOT)): page for page in PAGES.pages()}
-SLOW = ('prediction_error', 'tosses', 'excite')
+SLOW = ('output_error', 'tosses', 'excite')
 EXECUTABLES = ('predictor', 'identifier', 'bellows')
 
 

@@ -30,7 +30,7 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
 
 
 @pytest.mark.parametrize(('change', 'words'), [
-    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'need fit.method: prediction_error'),
+    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'need fit.method: output_error'),
     ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'one package alone'),
     ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']}, 'one of the two'),
     ({'fit.free': ['weight']}, 'a list of some of time_offset, com'),

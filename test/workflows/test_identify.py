@@ -71,10 +71,10 @@ def shipped(root):
                      'fit.method': 'least_squares'}), truth
 
 
-def test_without_a_word_the_prediction_error_is_minimised(root):
+def test_without_a_word_it_is_the_output_error(root):
     known = read_parameters(root / 'bags/package.yaml')
     fit = identify({**known, 'bags': [str(root / 'bags/validation')]}).fit
-    assert fit.method == 'prediction_error'
+    assert fit.method == 'output_error'
     truth = read_parameters(root / 'bags/cup.yaml')
     for name in ('stiffness', 'damping'):
         true = np.diag(np.reshape(truth[f'cup.{name}'], (6, 6)))
@@ -135,7 +135,7 @@ def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_p
 
 
 @pytest.mark.parametrize('method', ['least_squares', pytest.param(
-    'prediction_error', marks=pytest.mark.skipif(
+    'output_error', marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
 def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
     settings = {**shipped[0].values, 'fit.method': method,
@@ -146,7 +146,7 @@ def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
         for _ in range(2)]
     assert texts[0] == texts[1]
     steps = [what for what in found if what.startswith('step')]
-    if method == 'prediction_error':  # cost and parameters of every step
+    if method == 'output_error':  # cost and parameters of every step
         assert all(re.match(r'step \d+: chi\^2 [\d.]+.*; K [\d.e+ ]+, P [\d.e+ ]+$', s)
                    for s in steps)
         assert len(steps) == 2 * len(json.loads(texts[0])['iterations'])
@@ -213,7 +213,7 @@ def two_packages(tmp_path_factory, root):
 
 
 @pytest.mark.parametrize('method', ['least_squares', pytest.param(
-    'prediction_error', marks=pytest.mark.skipif(
+    'output_error', marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
 def test_each_recording_may_have_its_own_package(two_packages, root, method):
     bags, files = two_packages
@@ -236,7 +236,7 @@ def test_each_recording_may_have_its_own_package(two_packages, root, method):
     recordings = result.as_json()['recordings']
     assert [entry['package']['mass'] for entry in recordings] == [1.8, 1.2]
     assert all(entry['noise']['package']['position'] > 0.0 for entry in recordings)
-    if method == 'prediction_error':
+    if method == 'output_error':
         assert 0.9 < result.fit.chi2 < 1.1
 
 
@@ -426,7 +426,7 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, sideways, tmp_
     assert np.isinf(torsion.before_std) and not torsion.significant
 
 
-@pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])
+@pytest.mark.parametrize('method', ['least_squares', 'output_error'])
 def test_a_recording_at_rest_is_refused(shipped, root, tmp_path, method):
     cup = read_parameters(root / 'bags/cup.yaml')
     simulate_recording(cup, {
@@ -439,7 +439,7 @@ def test_a_recording_at_rest_is_refused(shipped, root, tmp_path, method):
         identify({**shipped[0].values, 'bags': [str(tmp_path / 'bag')], 'fit.method': method})
 
 
-@pytest.mark.parametrize('method', ['least_squares', 'prediction_error'])
+@pytest.mark.parametrize('method', ['least_squares', 'output_error'])
 def test_exchanged_topics_are_refused_before_the_fit(shipped, method):
     values = shipped[0].values
     exchanged = {'topics.tool_pose': values['topics.package_pose'], 'topics.tool_twist': '',
@@ -449,10 +449,10 @@ def test_exchanged_topics_are_refused_before_the_fit(shipped, method):
 
 
 def test_a_wrong_length_is_suspected(shipped):
-    wrong = {**shipped[0].values, 'cup.length': 0.047, 'fit.method': 'prediction_error'}
+    wrong = {**shipped[0].values, 'cup.length': 0.047, 'fit.method': 'output_error'}
     result = identify(wrong)
     assert result.fit.method == 'least_squares'  # no other fit to data that are wrong
-    assert 'the prediction error was not fitted' in result.warnings[0]
+    assert 'the output error was not fitted' in result.warnings[0]
     assert result.findings[0].startswith('cup.length is 1.00')
     assert 'mm too long' in result.findings[0] and 'it would be 0.0460' in result.findings[0]
     assert not any('does not explain' in text for text in result.warnings)  # the cause does
@@ -462,9 +462,9 @@ def test_a_wrong_length_is_suspected(shipped):
 
 @pytest.mark.stress
 def test_wrong_data_are_fitted_by_force(shipped):
-    wrong = {**shipped[0].values, 'cup.length': 0.047, 'fit.method': 'prediction_error'}
+    wrong = {**shipped[0].values, 'cup.length': 0.047, 'fit.method': 'output_error'}
     result = identify(wrong, force=True)
-    assert result.fit.method == 'prediction_error' and result.refusals
+    assert result.fit.method == 'output_error' and result.refusals
 
 
 def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):

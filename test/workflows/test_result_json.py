@@ -47,7 +47,7 @@ def settings(root):
 
 @pytest.mark.parametrize(('method', 'unit'), [
     ('least_squares', ['N'] * 3 + ['N m'] * 3),
-    pytest.param('prediction_error', ['m'] * 3 + ['rad'] * 3, marks=pytest.mark.skipif(
+    pytest.param('output_error', ['m'] * 3 + ['rad'] * 3, marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes'))])
 def test_every_number_has_its_unit(settings, method, unit):
     asked = {**settings, 'fit.method': method,

@@ -1,10 +1,9 @@
 """
 The Fisher information of a motion on K and P, before or after it is recorded.
 
-It is that of the prediction-error method, by its own code: of the equations of motion in units of
-what noise of both bodies makes of them along the motion (see `identification.minimum`). The method
-weights them with derivatives along a smoothed motion; information across these is lost on it. For
-small motions it follows from the linear response, which is what a search can afford.
+It is that of the output error, by its own code: of the poses in units of what noise of both bodies
+makes of their differences from the simulated ones (see `identification.whitening`). For small
+motions it follows from the linear response, which is what a search can afford.
 """
 
 from collections.abc import Callable
@@ -12,9 +11,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import covariance_of
-from bellows_ros.core.identification.minimum import Root
-from bellows_ros.core.identification.motion_equations import Segment
-from bellows_ros.core.identification.segments import Measured, MOST_POSES, PoseNoise
+from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -59,20 +56,13 @@ def motion_information(
     """
     body = simulate(cup, package, tool, gravity=gravity)
     density = np.sqrt(tracking.tool_period / tracking.package_period)
-    noise = (PoseNoise(np.repeat(tracking.package, 3)),
-             PoseNoise(density * np.repeat(tracking.tool, 3)))
-    basis = structure.upper
-    total: Array = np.zeros((basis.shape[1], basis.shape[1]))
-    for part in np.array_split(np.arange(len(body)), len(body) // MOST_POSES + 1):
-        none = np.zeros((len(part), 12))
-        measured = Measured(tool, body.select(part), package, gravity, *noise[::-1])
-        smoothed, true = (
-            Segment(measured, noisy).equations(cup, none, {}) for noisy in (True, False))
-        root = Root(smoothed, noise, none + 1.0)
-        weights_of_fit, _ = np.linalg.qr(root.whitened(smoothed.jacobian @ basis))
-        J = weights_of_fit.T @ root.whitened(true.jacobian @ basis)
-        total += J.T @ J
-    return total
+    of_tool, of_package = (BodyNoise(np.repeat(own, 3)) for own in (
+        density * np.array(tracking.tool), tracking.package))
+    measured = Measured(tool, body, package, gravity, of_tool, of_package)
+    search = Search([Segment(measured)], structure, cup, {})
+    (part,), _, _ = search.system(search.start, 0.0)
+    information: Array = part.jacobian.T @ part.jacobian / np.outer(search.units, search.units)
+    return information
 
 
 def standard_errors(information: Array) -> Array:

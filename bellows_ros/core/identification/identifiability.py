@@ -160,7 +160,7 @@ def _direction_warnings(
         yield (
             f'{title} is weakly excited: {share} least squares compensates a '
             f'bias of {abs(each.bias):.0%}, which is right where the noise is white. Use '
-            f'fit.method: prediction_error, or {advice}.'
+            f'fit.method: output_error, or {advice}.'
         )
 
 
@@ -195,7 +195,7 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
         yield (
             f'{DIRECTIONS[axis.name][0]} of up to {fastest:.1f} Hz is too fast for the filter, '
             f'which follows up to {end:.1f} Hz: least squares may get its stiffness and damping '
-            f'wrong by more than the standard errors. Use fit.method: prediction_error{shorter}.'
+            f'wrong by more than the standard errors. Use fit.method: output_error{shorter}.'
         )
 
 

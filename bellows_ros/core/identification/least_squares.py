@@ -338,8 +338,7 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
 
     """
     whole = [own for own in recordings if isinstance(own, Recording)]
-    if (values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings)
-            or values['fit.method'] == 'output_error'):  # whose recordings may be too slow for it
+    if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
         return list(recordings)
     simplest = next(iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
     found = relaxation_of(
@@ -348,7 +347,7 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
     found = found._replace(
         by=simplest.within(structure_named(values['fit.structure'])) @ found.by)
     if not any(found.strengths):
-        if values['fit.relaxation'] == 'on':
+        if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
             raise UndeterminedError(
                 'fit.relaxation: the recordings show no relaxation that exceeds its standard '
                 'error. Record a hold of a tilt for 5 to 10 s beside the motion, or set '

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares, R2_ASSUMED
 from bellows_ros.core.identification.quantities import KINDS
@@ -25,11 +25,14 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 
-TYPICAL_STEPS = 7
-"""Typical number of steps of a prediction-error fit."""
+TYPICAL_STEPS = 12
+"""Typical number of steps of a fit by simulation."""
 
 LEAST_NOISE = Noise(1e-5, 5e-5)
 """Noise (m, rad) below which its bias is negligible."""
+
+SURE = 0.25
+"""Standard error of the best known damping, in its size, with which a cup counts as moved."""
 
 LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
@@ -75,18 +78,9 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    values = with_method(values, recordings)
     parts = [reduced(own, values) for own in recordings]
     found = fitted(recordings, values, progress)
     excitation = excitation_of(parts, found.method, (found.parameters, found.covariance))
-    if found.converged and not any(
-            own.identifiable for own in excitation.parameters if own.label.startswith('P')):
-        raise BellowsError(
-            'The recordings contain too little motion: damping is not identifiable from them, '
-            'nor any stiffness that the weight does not load. Move the tool in all directions '
-            "at 1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
-            'static.bags.'
-        )
     unknown = [own.name for own in found.freed if not np.all(np.isfinite(own.std))]
     if found.converged and unknown:
         raise BellowsError(
@@ -94,9 +88,20 @@ def fit(
             'standard errors are too large. Leave out what you know best (mass and inertia are '
             'never identifiable together, nor com and cup.length along z with poses of the '
             'centre of mass), or record a richer motion.')
+    std = dict(zip(found.labels, np.sqrt(np.diag(found.covariance)), strict=True))
+    largest = SURE if found.method == 'output_error' else math.inf
+    if found.converged and not any(
+            own.identifiable and std[own.label] <= largest * abs(own.value)
+            for own in excitation.parameters if own.label.startswith('P')):
+        raise BellowsError(
+            'The recordings contain too little motion: damping is not identifiable from them, '
+            'nor any stiffness that the weight does not load. Move the tool in all directions '
+            "at 1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
+            'static.bags.'
+        )
     if found.method == 'least_squares':
-        found = replace(found, notes=(*found.notes, *_of_colour(recordings)))
-    found = _with_relaxation(found, recordings)
+        found = _with_relaxation(
+            replace(found, notes=(*found.notes, *_of_colour(recordings))), recordings)
     if values['fit.time_offset']:
         found = _with_offsets(found, [part.time_offset for part in parts])
     if standstills:
@@ -124,19 +129,17 @@ def _of_colour(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
         yield (
             f'The noise of {", ".join(coloured)} is correlated in time: motion capture smoothing? '
             'Least squares removes the bias of white noise only, so K and P may be too small by '
-            'more than the standard errors say. Use fit.method: prediction_error.')
+            'more than the standard errors say. Use fit.method: output_error.')
 
 
-def with_method(
-    values: Mapping[str, Any], parts: Sequence[Recording | Reduced]
-) -> Mapping[str, Any]:
-    """Return parameters with the method that fit.method: auto comes to for recordings."""
-    if values['fit.method'] != 'auto':
-        return values
+def are_differentiable(
+    parts: Sequence[Recording | Reduced], values: Mapping[str, Any]
+) -> bool:
+    """Return whether accelerations follow from the poses of recordings, with markers as given."""
     rates = [body.timing.rate_hz for part in parts if isinstance(part, Recording)
              for body in (part.report.tool, part.report.package)]
-    slow = 'package_marker' in values['fit.free'] or min(rates, default=LOW_RATE_HZ) < LOW_RATE_HZ
-    return {**values, 'fit.method': 'output_error' if slow else 'prediction_error'}
+    return 'package_marker' not in values['fit.free'] and (
+        min(rates, default=LOW_RATE_HZ) >= LOW_RATE_HZ)
 
 
 def fitted(
@@ -146,30 +149,7 @@ def fitted(
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
         return least_squares([reduced(own, values).statistics for own in recordings])
-    if values['fit.method'] == 'output_error':
-        return _by_output_error(_whole(recordings), values, progress)
-    from bellows_ros.core.identification.prediction_error import prediction_error
-    from bellows_ros.core.identification.segments import segments_of
-    from bellows_ros.core.identification.variations import LARGEST_OFFSET
-
-    structure = structure_named(values['fit.structure'])
-    margin = LARGEST_OFFSET if values['fit.time_offset'] else 0.0
-    free = tuple(dict.fromkeys([*(['time_offset'] if margin else []), *values['fit.free']]))
-    whole = _whole(recordings)
-    strengths, _, _, assumed = whole[0].relaxation
-    if any(strengths) and not assumed:
-        free += ('relaxation',)
-    start = start_cup([reduced(own, values).statistics for own in recordings],
-                      replace(cup_of(values), relaxation=strengths))
-    segments = []
-    for number, own in enumerate(whole):
-        lip = own.settings.package_frame == 'lip'
-        sideways = lip or own.settings.align_at_rest
-        segments += [
-            replace(segment, recording=number, moves_with_com=(sideways, sideways, lip),
-                    history=_history_at(own, segment.package.stamps_ns))
-            for segment in segments_of(own, margin)]
-    return prediction_error(segments, structure, start, _told(progress), free)
+    return _by_output_error(_whole(recordings), values, progress)
 
 
 def _told(progress: Progress | None) -> Callable[[Iteration], None]:
@@ -188,7 +168,9 @@ def _by_output_error(
     from bellows_ros.core.identification.output_error import output_error
     from bellows_ros.core.identification.search import measured_of, SLOW_HZ
 
-    structure, start = structure_named(values['fit.structure']), cup_of(values)
+    structure = structure_named(values['fit.structure'])
+    strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
+    start = replace(cup_of(values), relaxation=strengths)
     measured = [part for number, own in enumerate(recordings) for part in measured_of(own, number)]
     if all(own.report.package.timing.rate_hz >= SLOW_HZ for own in recordings):
         start = start_cup([reduced(own, values).statistics for own in recordings], start)
@@ -199,9 +181,10 @@ def _by_output_error(
         'package_world': any(own.package_world for own in reports),
         'package_marker': 'package_marker' in named}
     named |= dict.fromkeys(name for name, wanted in estimated.items() if wanted)
+    free = [*named, *(['relaxation'] if any(strengths) else [])]
     return output_error(
         measured, structure, start, _told(progress), {**given_std(values), **{
-            name: np.full(KINDS[name].size, KINDS[name].wide) for name in named}}, tuple(named),
+            name: np.full(KINDS[name].size, KINDS[name].wide) for name in free}}, tuple(named),
         values['fit.relaxation'])
 
 
@@ -223,28 +206,12 @@ def _with_relaxation(found: Fit, recordings: Sequence[Recording | Reduced]) -> F
     if relaxation is None or not any(relaxation.strengths):
         return found
     notes = (R2_ASSUMED,) if relaxation.assumed else ()
-    if found.freed:  # by the prediction error, beside those of least squares
-        (own,) = found.freed
-        r = np.maximum(np.add(relaxation.strengths, own.change), 0.0)
-        return replace(
-            found, freed=(), relaxation=(float(r[0]), float(r[1])),
-            relaxation_std=(own.std[0], own.std[1]), notes=(*found.notes, *notes))
     known = np.isfinite(np.diag(found.covariance))
     more = relaxation.by @ relaxation.covariance @ relaxation.by.T
     return replace(
         found, covariance=found.covariance + np.where(np.outer(known, known), more, 0.0),
         relaxation=relaxation.strengths, relaxation_std=relaxation.std,
         notes=(*found.notes, *notes))
-
-
-def _history_at(recording: Recording, stamps_ns: Stamps) -> Array | None:
-    """Return what the internal strains follow from at stamps (N, 2, 9), if the cup relaxes."""
-    if not any(recording.relaxation.strengths):
-        return None
-    samples = samples_of(recording)
-    columns = samples.histories.reshape(len(samples.tool), 18).T
-    return np.stack([np.interp(stamps_ns, samples.tool.stamps_ns, own) for own in columns],
-                    axis=1).reshape(-1, 2, 9)
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
@@ -272,35 +239,6 @@ def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any])
     return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 
-def first_guess(
-    recordings: Sequence[Recording], values: Mapping[str, Any]
-) -> tuple[Freed, ...]:
-    """
-    Return least-squares estimates of what fit.free names.
-
-    It is looked for as hypotheses are, on a raster first: where something is far off, so are K and
-    P, and the prediction error would start from there. What is not identifiable so is not changed.
-    The output error needs no guess.
-    """
-    names = [name for name in values['fit.free'] if name not in ('time_offset', 'package_world')]
-    if not names or values['fit.method'] == 'output_error':
-        return ()
-    from bellows_ros.core.identification.free import BLOCKS, refine
-    from bellows_ros.core.identification.objective import ensemble_of, Objective
-    from bellows_ros.core.identification.quantities import KINDS
-
-    ensemble = ensemble_of(recordings, values['cup.length'], structure_named(
-        values['fit.structure']))
-    found = refine(Objective.of(ensemble), ensemble, [BLOCKS[name] for name in names])
-    ends = np.cumsum([KINDS[name].size for name in names])[:-1]
-    guess = []
-    for name, change, std in zip(
-            names, np.split(found.theta, ends), np.split(found.std, ends), strict=True):
-        change = np.where(std < KINDS[name].known, change, 0.0)
-        guess.append(Freed(name, tuple(change.tolist()), tuple(std.tolist())))
-    return tuple(guess)
-
-
 def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, Any]:
     """Return parameters with the estimates of fit.free."""
     change = {own.name: own.change for own in freed}
@@ -315,7 +253,7 @@ def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, A
 
 def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:
     """
-    Return the cup that the prediction error starts from, by least squares of few parameters.
+    Return the cup that the output error starts from, by least squares of few parameters.
 
     What is not identifiable, or below zero, is that of a known cup.
     """

@@ -1,8 +1,11 @@
 """Output error: K and P by simulation, with their uncertainty and what would explain the rest."""
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
+from dataclasses import replace
 
 from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import causes
 from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.identifiability import DIRECTIONS
@@ -25,11 +28,26 @@ from bellows_ros.core.identification.result import (
     MEDIAN_OF_NORMAL,
     misfit,
 )
-from bellows_ros.core.identification.search import Found, Measured, Search, Segment, squares
+from bellows_ros.core.identification.search import (
+    accumulated,
+    BodyNoise,
+    Found,
+    Measured,
+    Search,
+    Segment,
+    squares,
+)
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
+
+LARGEST_SHARE = 0.25
+"""Share of noise in the information on what is identifiable."""
+
+SEED, DRAWS, SHAKEN = 0, 2, 3.0
+"""Of the noise with which that is looked at, its draws, and its size in that of the poses."""
 
 MOST_CHI2 = 1.2
 """Chi^2 per degree of freedom that is put down to noise."""
@@ -81,6 +99,14 @@ def output_error(
 
     """
     search = Search([Segment(own) for own in measured], structure, start, free or {})
+    return fit_of(search, named, progress, relaxation)
+
+
+def fit_of(
+    search: Search, named: Sequence[str], progress: Callable[[Iteration], None] | None = None,
+    relaxation: str = 'off',
+) -> Fit:
+    """Return the fit of a search; see `output_error`."""
     iterations: list[Iteration] = []
 
     def note(cup: Cup, chi2: float) -> None:
@@ -90,7 +116,8 @@ def output_error(
 
     found = search.found(note)
     if relaxation != 'off' and found.converged:
-        search, found = _with_relaxation(search, found, note)
+        if 'relaxation' not in search.places:
+            search, found = _with_relaxation(search, found, note)
         if relaxation == 'on' and 'relaxation' not in search.places:
             raise UndeterminedError(NO_RELAXATION)
     return _fit(search, found, iterations, named)
@@ -140,8 +167,9 @@ def _fit(
     largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name in named:
         largest[search.places[name]] = KINDS[name].known
-    known = (std <= largest) & found.converged
-    notes = [*_unknown(search, std / (largest / LARGEST_ERROR), known[:size])]
+    shares = noise_shares(search, found)
+    known = (std <= largest) & (shares <= LARGEST_SHARE) & found.converged
+    notes = [*_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size])]
     strengths = [(0.0, 0.0), (0.0, 0.0)]
     if 'relaxation' in search.places:
         (own,) = search.places['relaxation']
@@ -179,19 +207,55 @@ def _fit(
             Freed(name, tuple(x[own].tolist()), tuple(std[own].tolist()))
             for name, (own, *_) in search.places.items()
             if name in named and not KINDS[name].each),
-        causes=causes(search, found) if found.converged else (),
+        causes=causes(search, found),
         relaxation=strengths[0],
         relaxation_std=strengths[1],
     )
 
 
-def _unknown(search: Search, errors: Array, known: Mask) -> Iterator[str]:
+def noise_shares(search: Search, found: Found) -> Array:
+    """
+    Return which part of the information on each unknown (m,) is of noise, not of motion.
+
+    Noise in the path shakes the simulated package, too. With some more of it, information of
+    motion stays, and that of noise grows with the noise squared.
+    """
+    draw, noisier = np.random.default_rng(SEED), copy(search)
+    before, more = 1.0 / np.diag(np.linalg.inv(found.information)), np.zeros(len(found.theta))
+    for _ in range(DRAWS):
+        noisier.segments = []
+        for own in search.segments:
+            measured = own.measured
+            noise = BodyNoise(own.std, measured.package_noise.kept), measured.tool_noise
+            package, tool = (_shaken(body, seen, draw) for body, seen in zip(
+                (measured.package, measured.tool), noise, strict=True))
+            noisier.segments.append(Segment(replace(measured, tool=tool, package=package)))
+            noisier.segments[-1].first, noisier.segments[-1].std = own.first, own.std
+        noisier.take(noisier.system(found.theta, 0.0)[0])
+        more += 1.0 / np.diag(np.linalg.inv(noisier.system(found.theta, 0.0)[1])) - before
+    return np.asarray(more / before / (DRAWS * SHAKEN**2))
+
+
+def _shaken(body: Trajectory, noise: BodyNoise, draw: np.random.Generator) -> Trajectory:
+    """Return poses with noise."""
+    e = SHAKEN * noise.std * accumulated(
+        np.sqrt(1.0 - noise.kept**2) * draw.standard_normal((len(body), 6)), noise.kept)
+    return replace(body, position=body.position + e[:, :3],
+                   rotation=body.rotation @ exp_so3(e[:, 3:]))
+
+
+def _unknown(search: Search, errors: Array, shares: Array, known: Mask) -> Iterator[str]:
     """Yield a sentence about each number that is not identifiable, with what would make it so."""
-    for label, error, is_known in zip(
-            search.structure.labels, errors.tolist()[:len(known)], known.tolist(), strict=True):
+    size = len(known)
+    for label, error, share, is_known in zip(
+            search.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
+            known.tolist(), strict=True):
         less = LARGEST_ERROR / error
-        if error >= 1.0:  # the prior limits it
-            how = DIRECTIONS.get(label.split()[1], ('', 'move all axes at once'))[1]
+        how = DIRECTIONS.get(label.split()[1], ('', 'move all axes at once'))[1]
+        if error < 1.0 and share > LARGEST_SHARE:
+            yield (f'{label} is not identifiable: what moves there is {min(share, 1.0):.0%} '
+                   f'noise; {how}.')
+        elif error >= 1.0:  # the prior limits it
             yield (f'{label} is not identifiable: its standard error is as large as itself or '
                    f'larger; {how}, or measure with less noise.')
         elif not is_known:

@@ -35,6 +35,9 @@ COMPARED_HZ, OVER = 50.0, 15
 ALIKE = 0.3
 """Correlation of these turns at which two clocks are aligned: of others it is below 0.2."""
 
+TURNING = 0.01
+"""Standard deviation of these turns (rad) below which bodies hardly turn."""
+
 
 def rough_offset(tool: Trajectory, package: Trajectory) -> float:
     """
@@ -43,21 +46,26 @@ def rough_offset(tool: Trajectory, package: Trajectory) -> float:
     Raises
     ------
     BellowsError
-        If they do not turn alike at any offset.
+        If they do not turn alike at any offset; where they hardly turn they must overlap.
 
     """
-    turns = []
+    turns, spread = [], np.inf
     for body in (tool, package):
         count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * COMPARED_HZ)
         stamps = body.stamps_ns[0] + np.rint(
             np.arange(count) * (NS_PER_S / COMPARED_HZ)).astype(np.int64)
         R = resample(body, stamps).rotation
         turn = np.linalg.norm(log_so3(np.swapaxes(R[:-OVER], 1, 2) @ R[OVER:]), axis=1)
+        spread = min(spread, float(np.std(turn)))
         turns.append((turn - turn.mean()) / max(float(np.linalg.norm(turn)), 1e-12))
     product = np.correlate(turns[0], turns[1], 'full')
     best = int(np.argmax(product))
     size = float(product[best] / np.sqrt(np.prod([own @ own for own in turns])))
     if size < ALIKE:
+        overlap = min(tool.stamps_ns[-1], package.stamps_ns[-1]) - max(
+            tool.stamps_ns[0], package.stamps_ns[0])
+        if overlap > 0 and spread < TURNING:
+            return 0.0
         raise BellowsError(
             'The stamps of tool and package cannot be aligned: the two do not turn alike at any '
             f'offset (correlation {size:.2f}). Check the topics, or turn the tool more.')
@@ -112,28 +120,31 @@ def registered(
     recording: Recording, structure: Structure, start: Cup, names: Sequence[str]
 ) -> Registered:
     """
-    Find what is free beside K and P in one recording.
+    Find what is free beside K and P in one recording; leave out a clock that it does not tell.
 
     Raises
     ------
     BellowsError
-        If the search ends nowhere.
+        If the search ends nowhere, and not for the clock alone.
 
     """
     free = {name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}
     measured = measured_of(recording)
     search = Search([Segment(own) for own in measured], structure, start, free)
     found = search.found(lambda cup, chi2: None)
+    middle = np.asarray(measured[0].middle)
+    if not found.converged and list(names) == ['time_offset']:
+        return Registered({}, {}, middle)
     if not found.converged:
         raise BellowsError(
             f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '
             'and package.com, and tilt and turn the tool more.')
     x = search.units * found.theta
     std = search.units * np.sqrt(np.diag(np.linalg.inv(found.information)))
-    places = {name: own[0] for name, own in search.places.items()}
+    places = {name: own[0] for name, own in search.places.items()
+              if name != 'time_offset' or std[own[0, 0]] < KINDS[name].known}
     return Registered({name: x[own] for name, own in places.items()},
-                      {name: std[own] for name, own in places.items()},
-                      np.asarray(measured[0].middle))
+                      {name: std[own] for name, own in places.items()}, middle)
 
 
 def regripped(known: Alignment, theta: Array) -> Alignment:

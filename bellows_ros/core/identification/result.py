@@ -103,7 +103,7 @@ class Fit:
     converged : bool
         Whether the minimum was found; if not, all standard errors are infinite.
     chi2, robust_chi2 : float or None
-        Chi^2 per degree of freedom of the prediction errors, all of them, and from their median,
+        Chi^2 per degree of freedom of the whitened differences, and the same from their median,
         which outliers and heavy tails do not move; None for least squares.
     iterations : tuple of Iteration
         How the minimum was found; empty for least squares.

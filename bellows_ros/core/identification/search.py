@@ -28,6 +28,7 @@ from bellows_ros.core.identification.quantities import (
     pose_changes,
     poses_of,
 )
+from bellows_ros.core.identification.result import LARGEST_ERROR
 from bellows_ros.core.identification.whitening import (
     inner_states,
     likeliest,
@@ -320,15 +321,17 @@ class Search:
         units = structure.sizes(start.stiffness, start.damping)
         recordings = 1 + max(segment.measured.recording for segment in segments)
         self.count, self.places = len(units), dict[str, Places]()
-        wanted, stds = [units], [np.full(len(units), np.inf)]
+        wanted, stds, known = [units], [np.full(len(units), np.inf)], [0.0 * units + LARGEST_ERROR]
         for name, std in free.items():
             kind = KINDS[name]
             shape = (recordings if kind.each else 1, kind.size)
             first = sum(map(len, wanted))
             self.places[name] = first + np.arange(shape[0] * shape[1]).reshape(shape)
             wanted.append(np.full(shape[0] * shape[1], kind.unit))
+            known.append(np.full(shape[0] * shape[1], kind.known / kind.unit))
             stds.append(np.broadcast_to(np.asarray(std) / kind.unit, shape).ravel())
         self.units, self.weights = np.concatenate(wanted), np.concatenate(stds) ** -2
+        self.largest = np.concatenate(known)
         self.start = np.zeros(len(self.units))
         self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
 
@@ -348,11 +351,13 @@ class Search:
         there[self.count:len(theta)] = theta[self.count:]
         return there
 
-    def beside(self, found: 'Found', names: Sequence[str]) -> 'Search':
+    def beside(
+        self, found: 'Found', names: Sequence[str], structure: Structure | None = None
+    ) -> 'Search':
         """Return a search about a minimum in which more is free, whatever it may be."""
         known = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                  for name, rows in self.places.items()}
-        return Search(self.segments, self.structure, self.cup(found.theta), {
+        return Search(self.segments, structure or self.structure, self.cup(found.theta), {
             **known, **{name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}})
 
     def found(self, note: Callable[[Cup, float], None], near: Array | None = None) -> Found:
@@ -360,6 +365,11 @@ class Search:
         theta = self.start if near is None else near
         for forgets in STAGES if near is None else STAGES[-1:]:
             parts, H, g = self.system(theta, forgets)
+            if not np.all(np.isfinite(g)):
+                nothing = [own._replace(**{name: np.nan_to_num(getattr(own, name), posinf=0.0)
+                                           for name in ('innovations', 'jacobian', 'spread')})
+                           for own in parts]
+                return Found(theta, nothing, np.eye(len(theta)), False)
             damping, share, settled = 1e-2 if forgets else 0.0, 1.0, True
             last: Array = np.zeros(len(theta))
             end = NEAR if forgets else ENOUGH
@@ -372,7 +382,7 @@ class Search:
                     share = max(0.5 * share, LEAST_SHARE)
                 elif along > 0.5 or share < 1.0:
                     share = min(1.5 * share, LONGEST_SHARE)
-                there, way = self.moved(theta, step, share), float(g @ step)
+                there, way = self.moved(theta, step, share), self.length_of(step, H)
                 new = self.system(there, forgets)
                 expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
                 if not squares(new[0]) < RISES * max(squares(parts), expected):  # or nan
@@ -387,6 +397,18 @@ class Search:
                     break
             self.take_noise(parts)
         return Found(theta, parts, H, way < end and settled)
+
+    def length_of(self, step: Array, H: Array) -> float:
+        """
+        Return the squared length of a step in standard errors, at some information.
+
+        What is not identifiable may go on wandering: it does not decide over the others.
+        """
+        covariance = np.linalg.inv(H)
+        known = np.sqrt(np.diag(covariance)) < self.largest
+        if not known.any():
+            return float(step @ H @ step)
+        return float(step[known] @ np.linalg.solve(covariance[np.ix_(known, known)], step[known]))
 
     def moved(self, theta: Array, step: Array, share: float) -> Array:
         """Return unknowns after a share of a step, K and P along a geodesic."""
@@ -516,7 +538,7 @@ class Search:
         nearer = ahead - START[:inner] ** 2 * slope[:inner]
         return Part(
             out.ravel(), slopes.reshape(6 * size, -1), K[:, :, -1] ** -2, own,
-            _accumulated(change, kept), with_mean(first, nearer[:, None]))
+            accumulated(change, kept), with_mean(first, nearer[:, None]))
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
@@ -565,7 +587,7 @@ def _fresh(noise: Array, kept: float) -> Array:
     return np.vstack([noise[:1], noise[1:] - kept * noise[:-1]])
 
 
-def _accumulated(fresh: Array, kept: float) -> Array:
+def accumulated(fresh: Array, kept: float) -> Array:
     """Return noise (S, 6) from what is fresh in it."""
     if kept == 0.0:
         return fresh

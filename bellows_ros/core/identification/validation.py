@@ -12,14 +12,11 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.identification.segments import (
-    Measured,
-    measured_segments,
-    segments_of,
-)
+from bellows_ros.core.identification.search import Measured, measured_of, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import ENOUGH, Noise, Recording
 from bellows_ros.core.signals.residuals import (
@@ -62,13 +59,16 @@ SEED = 0
 ONE_STEP = 4_000
 """Samples whose innovations are looked at; each takes 27 kB of memory."""
 
+MOTION_ROUNDS = 2
+"""Rounds in which the path of the tool comes near to the likeliest."""
+
 LEAST_NOISE = 1e-7
 """Noise (m, rad) below which rounding dominates the innovations."""
 
 
 class OneStep(NamedTuple):
     """
-    The innovations of the prediction-error method along a recording, or its middle.
+    The whitened differences of the output error along a recording, or the middle of its parts.
 
     Chi2: their mean square, 1 where model and noise explain the motion; whiteness; and spectrum,
     scaled to the noise of the package's poses, m and rad.
@@ -143,16 +143,18 @@ class Validation(Comparison):
         """The innovations of each measured pose; None without noise, or without a long segment."""
         if np.min(self.recording.measured_noise) < LEAST_NOISE:
             return None
-        from .minimum import innovations  # late: not for the verdict on a fit
-
         try:
-            segments = _middle_segments(self.recording)
-            white = np.concatenate([innovations(self.cup, segment) for segment in segments])
+            segments = [Segment(_middle(own)) for own in measured_of(self.recording)]
         except BellowsError:
             return None
+        search = Search(segments, STRUCTURES['full'], self.cup, {})
+        for _ in range(MOTION_ROUNDS):
+            parts, _, _ = search.system(search.start, 0.0)
+            search.take(parts)
+        white = np.concatenate([own.innovations.reshape(-1, 6) for own in parts])
         scaled = white * np.repeat(self.recording.measured_noise[1], 3)
         return OneStep(float(np.mean(white**2)), portmanteau(white),
-                       spectrum(scaled, uniform_rate_hz(segments[0].package.stamps_ns)))
+                       spectrum(scaled, 1.0 / segments[0].period))
 
     @property
     def moves(self) -> Mask:
@@ -188,16 +190,14 @@ class Validation(Comparison):
         return f'All axes that move are predicted within {part}.'
 
 
-def _middle_segments(recording: Recording) -> list[Measured]:
-    """Return the segments of a recording, of a long one those of its middle."""
-    stamps = recording.aligned_package.stamps_ns
+def _middle(part: Measured) -> Measured:
+    """Return the middle of a part of a recording that is long."""
+    stamps = part.package.stamps_ns
     spare = max(len(stamps) - ONE_STEP, 0) // 2
-    if not spare:
-        return segments_of(recording)
-    tool, package = (
-        body.select(slice(*np.searchsorted(body.stamps_ns, stamps[[spare, -spare]]).tolist()))
-        for body in (recording.aligned_tool, recording.aligned_package))
-    return measured_segments(tool, package, recording.payload, recording.settings.gravity)
+    first, last = stamps[spare], stamps[len(stamps) - 1 - spare]
+    tool, package = (body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
+                     for body in (part.tool, part.package))
+    return replace(part, tool=tool, package=package)
 
 
 def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validation:

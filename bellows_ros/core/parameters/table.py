@@ -289,12 +289,11 @@ _TABLE = (
               'samples in the window; 0 for the number of samples in 1/12 s (30 at 360 Hz).'),
     Parameter('filter.package.order', 6, '', _IDENTIFIER, minimum=2, maximum=10,
               description="Polynomial order of the filter on the package's poses; at most 2 n."),
-    Parameter('fit.method', 'auto', '', _IDENTIFIER,
-              choices=('auto', 'prediction_error', 'output_error', 'least_squares'),
-              description='Method of the fit. prediction_error, on poses, is unbiased by noise. '
-              'output_error, by simulation from pose to pose, is too, and takes a camera of 10 to '
-              '60 Hz and a robot. auto is output_error where a topic has less than 100 Hz or '
-              'fit.free has package_marker, else prediction_error. '
+    Parameter('fit.method', 'output_error', '', _IDENTIFIER,
+              choices=('output_error', 'least_squares'),
+              description='Method of the fit. output_error, by simulation from pose to pose, is '
+              'unbiased by noise of both bodies, and takes any sensor: motion capture, or a robot '
+              'and a camera of 10 to 60 Hz. '
               'least_squares, on accelerations (section 4.3.2), is for a quick look and '
               'for very many recordings.'),
     Parameter('fit.structure', 'axisymmetric', '', _IDENTIFIER, choices=tuple(STRUCTURES),

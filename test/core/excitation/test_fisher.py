@@ -6,9 +6,7 @@ from bellows_ros.core.excitation.fisher import (
     Tracking,
 )
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.minimum import Root
-from bellows_ros.core.identification.motion_equations import Segment
-from bellows_ros.core.identification.segments import in_motion, Measured, PoseNoise
+from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
@@ -69,33 +67,20 @@ def estimates(mover, duration, draws):
     """Yield errors of estimates over their expected standard errors, one row per recording."""
     rng = np.random.default_rng(11)
     tool, at, body = recorded(mover, duration)
-    noises = [PoseNoise(np.repeat(noise, 3)) for noise in (TRACKING.package, TRACKING.tool)]
-    noises[1] = PoseNoise(noises[1].ripple * np.sqrt(360.0 / 500.0))
-    none, cup = np.zeros((len(body), 12)), cup_of(TRUTH)
-
-    def segment(tool, package, noisy=True):
-        return Segment(Measured(tool, package, PACKAGE, 9.81, *noises[::-1]), noisy)
-
-    equations = segment(at, body, False).equations(cup, none, {})
-    basis = np.kron(np.eye(2), [unit[np.triu_indices(6)] for unit in STRUCTURE.basis])
-    root = Root(equations, noises, none + 1.0)
-    J = root.whitened(equations.jacobian @ basis.T)
-    inverse, usual = np.linalg.pinv(J), expected(at)
+    usual, cup = expected(at), cup_of(TRUTH)
     for _ in range(draws):
-        own = segment(in_motion(noisy(tool, TRACKING.tool, rng)),
-                      noisy(body, TRACKING.package, rng))
-        noise = none
-        for _ in range(2):  # as a fit does: about the likeliest motion
-            c = own.errors(cup, noise, {}, equations.package, equations.tool)
-            r = root.innovations(c)
-            noise = root.noise(r)[0]
-        yield inverse @ r / usual
+        measured = Measured(
+            noisy(tool, TRACKING.tool, rng), noisy(body, TRACKING.package, rng), PACKAGE, 9.81,
+            *(BodyNoise(np.repeat(noise, 3)) for noise in (TRACKING.tool, TRACKING.package)))
+        search = Search([Segment(measured)], STRUCTURE, cup, {})
+        found = search.found(lambda cup, chi2: None, search.start)
+        yield (search.units * (found.theta - search.start)) / usual
 
 
 @pytest.mark.parametrize('draws, within', [
     (25, 0.15), pytest.param(100, 0.1, marks=pytest.mark.stress)])
 def test_estimates_scatter_as_expected(draws, within):
-    """Estimates by one step from the truth, of recordings with noise on both bodies."""
+    """Estimates from the truth on, of recordings with noise on both bodies."""
     scatter = np.array(list(estimates(motion(6.0), 6.0, draws)))
     # of 8 parameters together a root mean square of 25 draws is known to 5 %, of 100 to 2.5 %
     assert abs(np.sqrt(np.mean(scatter**2)) - 1.0) < within

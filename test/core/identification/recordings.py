@@ -1,11 +1,7 @@
 """Simulated recordings for the tests of identification, with the truth they hold."""
 
-from dataclasses import replace
-
 from bellows_ros.core.geometry.lie import dexp, exp_so3
-from bellows_ros.core.identification.segments import measured_segments
-from bellows_ros.core.model.cup_package import Cup, Package
-from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
@@ -50,31 +46,3 @@ def noisy(poses, position, rotation, rng):
     return Trajectory(
         poses.stamps_ns, poses.position + position * rng.standard_normal(shape),
         poses.rotation @ exp_so3(rotation * rng.standard_normal(shape)))
-
-
-def segments(
-    seed,
-    duration=12.0,
-    tool_noise=(0.0, 0.0),
-    package_noise=(1e-4, 5e-4),
-    cup=None,
-    payload=PLATE,
-    rate_hz=250.0,
-    recording=0,
-    later=0.0,
-    margin=0.0,
-    damage=None,
-    motion=Shake,
-):
-    """Return a simulated recording as the prediction-error method takes it."""
-    cup = cup or Cup.thesis()
-    motion = motion(seed)
-    tool = motion.trajectory(duration, rate_hz)
-    body = simulate(cup, payload, tool, gravity=GRAVITY)
-    rng = np.random.default_rng(1000 + seed)
-    seen = motion.trajectory(duration, rate_hz, later) if later else tool
-    seen, package = noisy(seen, *tool_noise, rng), noisy(body, *package_noise, rng)
-    if damage is not None:
-        seen, package = damage(seen, package)
-    return [replace(own, recording=recording) for own in measured_segments(
-        seen, package, payload, GRAVITY, margin)]

@@ -1,6 +1,11 @@
 """What the methods of fitting make of prepared recordings."""
 
-from bellows_ros.core.identification.methods import fit, given_std, start_cup, with_method
+from bellows_ros.core.identification.methods import (
+    are_differentiable,
+    fit,
+    given_std,
+    start_cup,
+)
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
@@ -14,7 +19,7 @@ from . import simulated
 ROUND = STRUCTURES['axisymmetric']
 
 
-def test_the_prediction_error_starts_from_a_known_damping_where_least_squares_finds_none():
+def test_the_output_error_starts_from_a_known_damping_where_least_squares_finds_none():
     """Start positive with a tool that is stamped 8 ms late, which turns damping negative."""
     recording = simulated.record(simulated.shake(seed=3), later=0.008)
     samples = [samples_of(recording)]
@@ -43,13 +48,8 @@ def test_what_is_given_of_half_a_package_is_nothing():
     assert given_std({'package.mass': 1.0, 'package.mass_std': 0.01}) == {}
 
 
-@pytest.mark.parametrize(('rate', 'free', 'method'), [
-    (120.0, (), 'prediction_error'), (60.0, (), 'output_error'),
-    (120.0, ('package_marker',), 'output_error')])
-def test_the_method_follows_from_the_recordings(rate, free, method):
-    """Take what slow poses, or a marker anywhere, need; what is set by name stays."""
+@pytest.mark.parametrize(('rate', 'free', 'differentiable'), [
+    (120.0, (), True), (60.0, (), False), (120.0, ('package_marker',), False)])
+def test_slow_poses_and_a_marker_anywhere_are_not_differentiated(rate, free, differentiable):
     recording = simulated.record(simulated.shake(seed=3), rate_hz=rate)
-    values = {'fit.method': 'auto', 'fit.free': free}
-    assert with_method(values, [recording])['fit.method'] == method
-    named = {**values, 'fit.method': 'least_squares'}
-    assert with_method(named, [recording]) == named
+    assert are_differentiable([recording], {'fit.free': free}) is differentiable

@@ -63,7 +63,7 @@ def test_a_motion_beyond_the_filter_is_warned_about_and_the_remedy_helps():
     samples, noise = recorded(9.37)
     (warning,) = warnings_of(samples, noise)
     assert warning.startswith('Axial motion of up to')
-    assert 'follows up to 6.0 Hz' in warning and 'fit.method: prediction_error' in warning
+    assert 'follows up to 6.0 Hz' in warning and 'fit.method: output_error' in warning
     assert warnings_of(samples) == [], 'said of a method that does not filter'
     found = simulated.least_squares([samples], L0, ROUND)
     off = simulated.CUP.stiffness[2, 2] - found.stiffness[2, 2]
@@ -85,7 +85,7 @@ def test_windows_are_advised_only_where_they_are_shorter():
     axis = Axis('z', 1e-3, 1e-3, 0.1, (1.0, 5.0), 0.0, 0.0)
     slow = PassBand(np.ones(1), np.full(1, 0.5), 6.0, (30, 30))
     (same,) = too_fast([axis], [slow])
-    assert 'half_window' not in same and same.endswith('Use fit.method: prediction_error.')
+    assert 'half_window' not in same and same.endswith('Use fit.method: output_error.')
 
 
 def test_noise_along_one_axis_is_no_motion():

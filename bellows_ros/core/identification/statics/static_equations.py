@@ -55,7 +55,7 @@ DISAGREEMENT = (
     'The static recordings and the motion disagree beyond their errors (chi^2 per degree of '
     'freedom {:.3g}, expected 1), so the static recordings get less weight. Check cup.length, the '
     'masses in static.files, package.com and the alignment. The noise bias of least squares may '
-    'also be the cause: use fit.method: prediction_error.')
+    'also be the cause: use fit.method: output_error.')
 
 
 def static_equations(
