@@ -67,7 +67,7 @@ def burst(partner: Partner, attacker: Attacker, heard: list, number: int) -> str
         partner.ros.spin_until(lambda: False, 0.002)
         if stamps_from(good, partner.poses):
             break
-    else:
+    if not partner.ros.spin_until(lambda: stamps_from(good, partner.poses), 5.0):
         raise Failed('good poses were not answered')
     if partner.predictor.failures:
         raise Failed(f'callbacks failed: {dict(partner.predictor.failures)}')
