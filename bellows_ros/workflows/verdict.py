@@ -72,7 +72,7 @@ class FitVerdict(NamedTuple):
     """
     Free simulations of recordings of the fit, and what was found to be otherwise.
 
-    Strict is whether a misfit beyond the noise refuses a cup: where fit and noise are of one kind.
+    Strict is whether a misfit beyond the noise refuses a cup, as for the output error.
     """
 
     simulated: tuple[Simulated, ...]
@@ -190,7 +190,7 @@ def verdict_of(
         return FitVerdict((), diagnosis, values)
     cup = Cup(fit.stiffness, fit.damping, length, fit.relaxation)
     return FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values,
-                      slow)
+                      fit.method == 'output_error')
 
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:

@@ -307,6 +307,9 @@ def relaxation_of(
 
     """
     products = _products(recordings, noises, cup_length, structure)
+    moved = np.diag(products.clusters.sum(axis=0) - products.noise)[:2 * structure.size]
+    if not moved.min() > 0.0:  # nothing but noise moves the cup
+        return NO_RELAXATION
     _, unexplained = _minimum(products, structure.size, ())
     for free in ((0, 1), (0,), (1,)):
         found, left = _minimum(products, structure.size, free)

@@ -536,8 +536,10 @@ class Search:
         change = np.zeros_like(segment.way)
         change[nodes.sampled] = found[nodes.samples]
         nearer = ahead - START[:inner] ** 2 * slope[:inner]
+        with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
+            variances = K[:, :, -1] ** -2
         return Part(
-            out.ravel(), slopes.reshape(6 * size, -1), K[:, :, -1] ** -2, own,
+            out.ravel(), slopes.reshape(6 * size, -1), variances, own,
             accumulated(change, kept), with_mean(first, nearer[:, None]))
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
