@@ -60,7 +60,7 @@ UNIT_OF: Mapping[str, Any] = {
         'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',
         'portmanteau', 'largest_autocorrelation', 'real_time_factor',
         'smallest_safety_factor', 'least_safety_factor', 'fastest_scale', 'time_scale',
-        'landing_rotation',
+        'landing_rotation', 'stiffness_after_moves', 'stiffness_of_a_step',
     ), '1'),
     **dict.fromkeys((
         'cup_length', 'length', 'lengths', 'peak_deflection', 'path_error', 'landing_position',

@@ -257,7 +257,7 @@ def without(name):
         ({**PARAMETERS, 'cup.stiffness': [1.0] * 35}, MOTION, 'got 35 of them'),
         ({**PARAMETERS, 'package.mass': 1e3}, MOTION, 'No static equilibrium'),
         (PARAMETERS, None, "'kind' is missing; it must be one of"),
-        (PARAMETERS, [1], 'A motion file must hold names and values'),
+        (PARAMETERS, [1], 'must hold names and values'),
         (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
         (PARAMETERS, motion(seed=-1), "'seed' must be an integer, at least 0"),
         (PARAMETERS, motion(world='y_up'), "'world' must be one of z_up, motive_y_up, got 'y_up'"),

@@ -115,7 +115,7 @@ def fit_of(
             progress(iterations[-1])
 
     found = search.found(note)
-    if relaxation != 'off' and found.converged:
+    if relaxation != 'off':  # rubber may be why a search without it does not converge
         if 'relaxation' not in search.places:
             search, found = _with_relaxation(search, found, note)
         if relaxation == 'on' and 'relaxation' not in search.places:
