@@ -68,7 +68,7 @@ LEAST_NOISE = 1e-7
 
 class OneStep(NamedTuple):
     """
-    The whitened differences of the output error along a recording, or the middle of its parts.
+    The whitened differences of the output error in the middle of a recording's longest part.
 
     Chi2: their mean square, 1 where model and noise explain the motion; whiteness; and spectrum,
     scaled to the noise of the package's poses, m and rad.
@@ -144,17 +144,18 @@ class Validation(Comparison):
         if np.min(self.recording.measured_noise) < LEAST_NOISE:
             return None
         try:
-            segments = [Segment(_middle(own)) for own in measured_of(self.recording)]
+            parts = measured_of(self.recording)
         except BellowsError:
             return None
-        search = Search(segments, STRUCTURES['full'], self.cup, {})
+        segment = Segment(_middle(max(parts, key=lambda own: len(own.package))))
+        search = Search([segment], STRUCTURES['full'], self.cup, {})
         for _ in range(MOTION_ROUNDS):
-            parts, _, _ = search.system(search.start, 0.0)
-            search.take(parts)
-        white = np.concatenate([own.innovations.reshape(-1, 6) for own in parts])
+            (part,), _, _ = search.system(search.start, 0.0)
+            search.take([part])
+        white = part.innovations.reshape(-1, 6)
         scaled = white * np.repeat(self.recording.measured_noise[1], 3)
         return OneStep(float(np.mean(white**2)), portmanteau(white),
-                       spectrum(scaled, 1.0 / segments[0].period))
+                       spectrum(scaled, 1.0 / segment.period))
 
     @property
     def moves(self) -> Mask:
