@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.files.bags import read_streams, topics
@@ -94,6 +95,7 @@ def test_the_static_recording_stands_still_in_six_poses(bags):
     assert moving.mean() < 0.5
 
 
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
 def test_the_rubber_that_relaxes_is_found(bags):
     """Identify the cup of `rubber`: its stiffness is the static one, and nothing is refused."""
     truth = read_parameters(bags / 'rubber_cup.yaml')

@@ -78,9 +78,14 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.require_outputs((cup_file, json_file, page), options.inputs_of(settings))
     if arguments.release:
         return _release(arguments, settings, console)
+    from bellows_ros.core.geometry.jit import COMPILED
     from bellows_ros.workflows.identification import save
     from bellows_ros.workflows.identify import identify
 
+    if not COMPILED and settings.get('fit.method', 'output_error') == 'output_error':
+        console.warn(
+            'numba is not installed, and without it the fit takes about half a minute for each '
+            'second recorded. Install numba, or set fit.method: least_squares.')
     with console.progress() as progress:
         result = identify(settings, progress, arguments.params, arguments.jobs, arguments.dask,
                           arguments.force)

@@ -45,6 +45,7 @@ from bellows_ros.workflows.recordings import (
     values_of_each,
 )
 from bellows_ros.workflows.verdict import FitVerdict, LOOKED_AT, verdict_of
+import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.core.identification.consistency import Consistency
@@ -449,6 +450,14 @@ def structures(
     tell, values = progress or (lambda what, part: None), resolved(settings)
     read: list[Recording] = read_all(values, True, tell)[0]
     recordings = with_relaxation(read, values)
+    relaxation = recordings[0].relaxation
+    if any(relaxation.strengths):  # least squares alone is biased by noise
+        better = fit(recordings, {
+            **values, 'fit.method': 'output_error', 'fit.structure': 'axisymmetric'}, tell).fit
+        if better.converged:
+            relaxation = relaxation._replace(
+                strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))
+            recordings = [replace(own, relaxation=relaxation) for own in recordings]
     advice = StructureAdvice(
         excitation_of([reduced(recording, values) for recording in recordings]),
         selection(recordings, values, tell), tuple(recordings), values)
