@@ -35,7 +35,7 @@ _ROW_UNITS = {
 }
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
-Found = tuple[str, Any, int]
+NamedValue = tuple[str, Any, int]
 Group = dict[str, Any]
 """Parameters and further groups whose names begin alike."""
 
@@ -176,7 +176,7 @@ def _ros_sections(content: Mapping[str, Any], keys: tuple[str, ...]) -> Iterator
 
 def _flattened(
     part: Mapping[str, Any], keys: tuple[str, ...], lines: safe_yaml.Lines, prefix: str = ''
-) -> Iterator[Found]:
+) -> Iterator[NamedValue]:
     """Yield the dotted names, values and lines of nested mappings."""
     for key, value in part.items():
         where = (*keys, str(key))

@@ -62,8 +62,8 @@ NO_GRIP = (
     'cup.lip_radius and vacuum.holding.')
 
 NO_HOLD = (
-    'Without a hold, as no tilt is within the limits: a fit cannot tell how far the rubber '
-    'relaxes. Raise bending or lower safety_factor.')
+    'The motion has no hold, as no tilt is within the limits: a fit cannot tell how far the '
+    'rubber relaxes. Raise bending, or lower safety_factor.')
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,15 +205,15 @@ def excite(
         return standard_errors(motion_information(
             cup, package, gravity, tool, tracking, structure))
 
-    period = tracking.package_period
-    others = {}
-    for path in beside:
-        tool = read_plan(path, values, urdf).tool
-        count = int(min(duration, float(tool.seconds[-1])) / period)
-        at = np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
-        others[os.fspath(path)] = errors_of(resample(tool, tool.stamps_ns[0] + at))
+    plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
     found = design(
         cup, package, gravity, grip, structure, bounds, tracking, duration, seed, tell, hold)
+    period = tracking.package_period
+    others = {}
+    for path, tool in plans.items():
+        count = int(min(found.motion.duration, float(tool.seconds[-1])) / period)
+        at = np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
+        others[path] = errors_of(resample(tool, tool.stamps_ns[0] + at))
     guess = structure.parameters(cup.stiffness, cup.damping)
     more: dict[str, Motion] = {
         STANDSTILLS: standstills(bounds, models, grip), EXCITATION: found.motion,

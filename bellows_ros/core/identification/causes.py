@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.hypotheses import DISTINCT, Finding, SIGNIFICANT
-from bellows_ros.core.identification.search import Found, Search
+from bellows_ros.core.identification.search import Minimum, Search
 from bellows_ros.core.model.structure import Structure
 import numpy as np
 
@@ -20,7 +20,7 @@ MOVES = 0.02
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker')
 
 
-def causes(search: Search, found: Found) -> tuple[Finding, ...]:
+def causes(search: Search, found: Minimum) -> tuple[Finding, ...]:
     """Return the likeliest cause of what a fit leaves, none where all is as it should be."""
     scored = sorted(_scores(search, found), reverse=True)
     if not scored or scored[0][0] < SIGNIFICANT**2:
@@ -46,7 +46,7 @@ def causes(search: Search, found: Found) -> tuple[Finding, ...]:
     return (Finding(name, '', theta, std, left, moved, True, certain),)
 
 
-def _scores(search: Search, found: Found) -> Iterator[tuple[float, str]]:
+def _scores(search: Search, found: Minimum) -> Iterator[tuple[float, str]]:
     """Yield by how much the squares would fall with each quantity free."""
     names = tuple(name for name in CANDIDATES if name not in search.places)
     wide = search.beside(found, names)
@@ -60,7 +60,7 @@ def _scores(search: Search, found: Found) -> Iterator[tuple[float, str]]:
         yield float(slope @ np.linalg.solve(S, slope)), name
 
 
-def _rest(found: Found) -> float:
+def _rest(found: Minimum) -> float:
     """Return the mean square of the differences, 1 mm as much as 10 mrad."""
     left = np.concatenate([own.innovations.reshape(-1, 6) ** 2 * own.spread
                            for own in found.parts])

@@ -30,7 +30,7 @@ CLUSTER_WINDOWS = 4
 """Residuals this many filter windows apart count as independent for standard errors."""
 
 
-class Rows(NamedTuple):
+class SampleEquations(NamedTuple):
     """Equations A x = b of N samples: A (N, 6, p), b (N, 6), and which of the N are a cluster."""
 
     A: Array
@@ -42,9 +42,9 @@ class Rows(NamedTuple):
         """Rows [A b] (6 N, p + 1)."""
         return np.dstack([self.A, self.b]).reshape(-1, self.A.shape[2] + 1)
 
-    def whitened(self, whitening: Array) -> 'Rows':
+    def whitened(self, whitening: Array) -> 'SampleEquations':
         """Return the same equations with their errors whitened."""
-        return Rows(whitening @ self.A, self.b @ whitening.T, self.clusters)
+        return SampleEquations(whitening @ self.A, self.b @ whitening.T, self.clusters)
 
 
 NO_HISTORY: Array = np.empty((0, 2, 9))
@@ -145,7 +145,7 @@ class LipMotion:
 
     def equations(
         self, cup_length: float, structure: Structure, keep: bool = True
-    ) -> Iterator[Rows]:
+    ) -> Iterator[SampleEquations]:
         """
         Yield L and c of (4.67), (4.68), block by block.
 
@@ -172,7 +172,7 @@ class LipMotion:
                 self.twist[block], self.relaxation, None if strains is None else strains[block])
             if L is not None:
                 L[block] = own
-            yield Rows(own, self.wrench[block], self.clusters(block))
+            yield SampleEquations(own, self.wrench[block], self.clusters(block))
         if L is not None:
             self._kept[key] = L
 

@@ -213,7 +213,7 @@ SCALE = Block('inertia', variations.inertia, (1e-3,), furthest=1000.0)
 """A common factor of all moments of inertia; with K and P free, equivalent to the mass."""
 
 
-class Found(NamedTuple):
+class RefinedPreparation(NamedTuple):
     """
     Estimates for one recording, None if not wanted or not identifiable.
 
@@ -231,7 +231,7 @@ class Found(NamedTuple):
 def refined_preparation(
     recording: Recording, length: float, structure: Structure, world: bool, offset: bool,
     rough: bool = False,
-) -> Found:
+) -> RefinedPreparation:
     """
     Find the package's world and the time offset of a recording, together with K and P.
 
@@ -259,7 +259,7 @@ def refined_preparation(
              *(['grip'] if world and recording.settings.align_at_rest else [])]
     ensemble = ensemble_of([recording], length, structure, 0 if rough else DRAWS)
     if ensemble.seconds < FEWEST_SECONDS:
-        return Found(None, np.zeros(6), np.zeros(3), None, None)
+        return RefinedPreparation(None, np.zeros(6), np.zeros(3), None, None)
     body = recording.package
     middle = body.position[body.valid].mean(axis=0)
     objective = Objective.of(ensemble)
@@ -271,7 +271,7 @@ def refined_preparation(
         taken = _offset(float(theta[0]), float(std[0]), fallen)
         theta, std = theta[1:], std[1:]
     if not world:
-        return Found(None, np.zeros(6), middle, None, taken)
+        return RefinedPreparation(None, np.zeros(6), middle, None, taken)
     if not (rough or np.all(std[:6] < WORLD_ERROR)):
         raise BellowsError(
             'recording.package_world is not identifiable from this recording: the standard '
@@ -280,7 +280,7 @@ def refined_preparation(
             'set its seven numbers.'
         )
     alignment = _gripped(recording, theta[6:11]) if 'grip' in names else recording.alignment
-    return Found(theta[:6], std[:6], middle, alignment, taken)
+    return RefinedPreparation(theta[:6], std[:6], middle, alignment, taken)
 
 
 def _offset(value: float, std: float, fallen: bool) -> TimeOffset | None:

@@ -25,7 +25,7 @@ from bellows_ros.core.identification.equations import (
     MOST_KEPT,
     r_factor,
     regular,
-    Rows,
+    SampleEquations,
     Solution,
     solution,
     whitening_of,
@@ -164,7 +164,7 @@ def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None
             np.sum(known, axis=0) if len(known) == len(parts) else None)
 
 
-def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[Rows]:
+def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[SampleEquations]:
     """Return the whitened rows of all parts."""
     return (own.whitened(whitening) for part in parts for own in part.rows())
 

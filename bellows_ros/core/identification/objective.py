@@ -59,7 +59,7 @@ SMALLEST = 1e-7
 """Singular values below this fraction of the largest count as zero."""
 
 
-class Rows(NamedTuple):
+class StackedEquations(NamedTuple):
     """Whitened equations A x = b of all recordings (N, p), (N,), and those of their noise."""
 
     A: Array
@@ -259,7 +259,7 @@ class Objective:
             noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noisier)
         return cls(1.0 / np.sqrt(noise + FLOOR**2 * spread))
 
-    def rows(self, given: Sequence[Given]) -> Rows:
+    def rows(self, given: Sequence[Given]) -> StackedEquations:
         """Return the weighted equations of recordings."""
         A, b, clusters, count = [], [], [], 0
         for own in given:
@@ -269,7 +269,7 @@ class Objective:
             count += 6 * len(rows)
             A.append(rows[:, :, :-1].reshape(-1, rows.shape[2] - 1))
             b.append(rows[:, :, -1].ravel())
-        return Rows(np.concatenate(A), np.concatenate(b), clusters)
+        return StackedEquations(np.concatenate(A), np.concatenate(b), clusters)
 
     def solved(self, ensemble: Ensemble) -> 'Solved':
         """Return the compensated least-squares solution, and its residual."""
@@ -298,7 +298,7 @@ class Objective:
 class Solved(NamedTuple):
     """The rows, the cup x (p,), mean squared residual beyond noise, its count, a basis of A."""
 
-    rows: Rows
+    rows: StackedEquations
     x: Array
     excess: float
     residuals: int

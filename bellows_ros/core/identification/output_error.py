@@ -31,8 +31,8 @@ from bellows_ros.core.identification.result import (
 from bellows_ros.core.identification.search import (
     accumulated,
     BodyNoise,
-    Found,
     Measured,
+    Minimum,
     Search,
     Segment,
     squares,
@@ -124,8 +124,8 @@ def fit_of(
 
 
 def _with_relaxation(
-    search: Search, found: Found, note: Callable[[Cup, float], None]
-) -> tuple[Search, Found]:
+    search: Search, found: Minimum, note: Callable[[Cup, float], None]
+) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else as it is."""
     more = search.beside(found, ('relaxation',))
     (own,), theta = more.places['relaxation'], more.at(found.theta)
@@ -146,7 +146,7 @@ def _with_relaxation(
     return search, found
 
 
-def covariance_of(search: Search, found: Found) -> Array:
+def covariance_of(search: Search, found: Minimum) -> Array:
     """Return the covariance (m, m) of the unknowns, SI units; by the jackknife."""
     directions = np.linalg.inv(np.linalg.cholesky(found.information)).T
     scatter = excess(np.array([
@@ -157,7 +157,7 @@ def covariance_of(search: Search, found: Found) -> Array:
 
 
 def _fit(
-    search: Search, found: Found, iterations: list[Iteration], named: Sequence[str]
+    search: Search, found: Minimum, iterations: list[Iteration], named: Sequence[str]
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
     size, x = search.count, search.units * found.theta
@@ -213,7 +213,7 @@ def _fit(
     )
 
 
-def noise_shares(search: Search, found: Found) -> Array:
+def noise_shares(search: Search, found: Minimum) -> Array:
     """
     Return which part of the information on each unknown (m,) is of noise, not of motion.
 

@@ -15,7 +15,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.equations import LipMotion, Moments, MOST_KEPT, Rows
+from bellows_ros.core.identification.equations import (
+    LipMotion,
+    Moments,
+    MOST_KEPT,
+    SampleEquations,
+)
 from bellows_ros.core.identification.samples import (
     envelope,
     filtered_samples,
@@ -130,7 +135,7 @@ class Statistics:
     lip: LipMotion | None
     noise: Array | None
 
-    def rows(self) -> Iterator[Rows]:
+    def rows(self) -> Iterator[SampleEquations]:
         """Yield rows [L c], or others with the same inner products, cluster by cluster."""
         if self.lip is not None:
             yield from self.lip.equations(self.cup_length, self.structure)
@@ -138,7 +143,7 @@ class Statistics:
             count, _, size, _ = self.r_factors.shape
             rows = self.r_factors.transpose(0, 2, 1, 3).reshape(count * size, 6, size)
             clusters = [slice(k * size, (k + 1) * size) for k in range(count)]
-            yield Rows(rows[..., :-1], rows[..., -1], clusters)
+            yield SampleEquations(rows[..., :-1], rows[..., -1], clusters)
 
 
 def statistics(

@@ -280,7 +280,7 @@ class Part(NamedTuple):
     first: State
 
 
-class Found(NamedTuple):
+class Minimum(NamedTuple):
     """Where the search ended: unknowns, segments, information, and whether it is a minimum."""
 
     theta: Array
@@ -352,7 +352,7 @@ class Search:
         return there
 
     def beside(
-        self, found: 'Found', names: Sequence[str], structure: Structure | None = None
+        self, found: 'Minimum', names: Sequence[str], structure: Structure | None = None
     ) -> 'Search':
         """Return a search about a minimum in which more is free, whatever it may be."""
         known = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
@@ -360,7 +360,7 @@ class Search:
         return Search(self.segments, structure or self.structure, self.cup(found.theta), {
             **known, **{name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}})
 
-    def found(self, note: Callable[[Cup, float], None], near: Array | None = None) -> Found:
+    def found(self, note: Callable[[Cup, float], None], near: Array | None = None) -> Minimum:
         """Go to the root, from unknowns that are near to it where they are given."""
         theta = self.start if near is None else near
         for forgets in STAGES if near is None else STAGES[-1:]:
@@ -369,7 +369,7 @@ class Search:
                 nothing = [own._replace(**{name: np.nan_to_num(getattr(own, name), posinf=0.0)
                                            for name in ('innovations', 'jacobian', 'spread')})
                            for own in parts]
-                return Found(theta, nothing, np.eye(len(theta)), False)
+                return Minimum(theta, nothing, np.eye(len(theta)), False)
             damping, share, settled = 1e-2 if forgets else 0.0, 1.0, True
             last: Array = np.zeros(len(theta))
             end = NEAR if forgets else ENOUGH
@@ -396,7 +396,7 @@ class Search:
                 if way < end and settled:
                     break
             self.take_noise(parts)
-        return Found(theta, parts, H, way < end and settled)
+        return Minimum(theta, parts, H, way < end and settled)
 
     def length_of(self, step: Array, H: Array) -> float:
         """

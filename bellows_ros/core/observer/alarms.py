@@ -192,7 +192,7 @@ class Alarm(NamedTuple):
     message: str
 
 
-class Found(NamedTuple):
+class DetectedFault(NamedTuple):
     """An alarm, and what the fault makes of the error: likeliest value (n,) and spread (n, k)."""
 
     alarm: Alarm
@@ -240,7 +240,7 @@ class Alarms:
 
     def step(
         self, known: Evidence, stamp_ns: int, outcome: tuple[float, float, tuple[int, ...], int]
-    ) -> tuple[Evidence, Found | None]:
+    ) -> tuple[Evidence, DetectedFault | None]:
         """Return the evidence after a measurement, of `processed`, and a fault if one is found."""
         total, lead, best, second = outcome
         half_way = (*known.half_way, stamp_ns) if total > 0.5 * self._threshold else ()
@@ -254,7 +254,7 @@ class Alarms:
     def _found(
         self, known: Evidence, stamp_ns: int, best: tuple[int, ...], second: Cause,
         lead: float,
-    ) -> Found:
+    ) -> DetectedFault:
         """Return what is known of the likeliest fault."""
         onset, which, components = best
         cause, odds = HYPOTHESES[which], math.exp(min(lead, 14.0))
@@ -276,7 +276,7 @@ class Alarms:
         message += f' Second likeliest: {second.name}, odds {max(odds, 1.0):.0f} to 1.'
         if (cause.name, second.name) in AMBIGUOUS and odds < UNSURE:
             message += ' Weigh the package to decide between them.'
-        return Found(
+        return DetectedFault(
             Alarm(stamp_ns, cause.name, *sizes[0], second.name, odds, message), E @ size,
             E * usual)
 
