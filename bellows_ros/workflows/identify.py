@@ -24,6 +24,7 @@ from bellows_ros.core.identification.methods import (
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import is_gripper
+from bellows_ros.core.model.structure import given_structure, structure_of_gripper
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
@@ -115,11 +116,12 @@ def identify(
     """
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
-    if is_gripper(values):
+    if is_gripper(values) and not given_structure(values).places:
         raise BellowsError(
-            'cup.layout describes a gripper of several cups, whose cup.stiffness is of one; '
-            'identify fits one cup. Identify one cup alone and compose it with cup.layout, or '
-            'leave cup.layout out to fit the gripper as one cup (fit.structure: full).')
+            'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
+            f'fit.structure: {values["fit.structure"]} fits a single cup. Set fit.structure: '
+            'layout to find the numbers of one cup from the gripper, or leave cup.layout out to '
+            'fit the gripper as one cup (fit.structure: full).')
     of_files = _origins(parameter_files)
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
@@ -151,6 +153,7 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     values: dict[str, Any] = resolve(settings, required)
     if values['fit.free']:
         values = _with_free(values)
+    given_structure(values)
     if values['output.report']:
         from bellows_ros.extras import require_pictures
 
@@ -365,7 +368,8 @@ def selection(
     tell('comparing structures', FIT_ENDS)
     found = select_structure(
         [samples_of(recording) for recording in recordings], values['cup.length'],
-        [recording.noise for recording in recordings])
+        [recording.noise for recording in recordings],
+        structure_of_gripper(values) if is_gripper(values) else None)
     if verdict and values['fit.structure'] == found.advised:
         return found.judged(verdict.diagnosis, ())
     own = verdict_of(None, recordings, values['cup.length'],
@@ -453,7 +457,8 @@ def structures(
     relaxation = recordings[0].relaxation
     if any(relaxation.strengths):  # least squares alone is biased by noise
         better = fit(recordings, {
-            **values, 'fit.method': 'output_error', 'fit.structure': 'axisymmetric'}, tell).fit
+            **values, 'fit.method': 'output_error',
+            'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}, tell).fit
         if better.converged:
             relaxation = relaxation._replace(
                 strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))

@@ -7,8 +7,8 @@ import os
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Mask, Stamps
-from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.model.cup_package import one_cup_of, package_of
+from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters.checks import (
     ESTIMATE,
     PACKAGE_PARAMETERS,
@@ -191,7 +191,7 @@ def _prepared(
     from bellows_ros.core.identification.free import refined_preparation
     from bellows_ros.core.recording.package_world import in_tool_world, shifted_pose
 
-    wanted = (values['cup.length'], structure_named(values['fit.structure']), world == ESTIMATE,
+    wanted = (values['cup.length'], given_structure(values), world == ESTIMATE,
               values['fit.time_offset'])
     changes = dict[str, Any]()
     for rough in (True, False) if world == ESTIMATE else (False,):
@@ -244,8 +244,8 @@ def _registered(
     if pose is not None:
         package = in_tool_world(recorded, pose, tool.frame_id)
     filtered = filter_streams(tool, package, settings, twist, alignment)
-    found = registered(filtered.joined(), structure_named(values['fit.structure']),
-                       cup_of(values), [name for name, own in wanted.items() if own])
+    found = registered(filtered.joined(), given_structure(values),
+                       one_cup_of(values), [name for name, own in wanted.items() if own])
     changes = dict[str, Any]()
     if 'package_world' in found.values and pose is not None:
         pose = shifted_pose(pose, settings.R_world_recorded, found.middle,

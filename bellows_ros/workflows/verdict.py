@@ -13,8 +13,8 @@ from bellows_ros.core.identification.hypotheses import (
 )
 from bellows_ros.core.identification.methods import are_differentiable
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
-from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.model.cup_package import Cup, gripper_of
+from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -185,10 +185,11 @@ def verdict_of(
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
             *(wrong for own in some for wrong in absurd(own)), *fit.causes))
     else:
-        diagnosis = diagnose(some, length, structure_named(values['fit.structure']), known)
+        diagnosis = diagnose(some, length, given_structure(values), known)
     if fit is None or not fit.usable:
         return FitVerdict((), diagnosis, values)
-    cup = Cup(fit.stiffness, fit.damping, length, fit.relaxation)
+    cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
+                     given_structure(values).places)
     return FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values,
                       fit.method == 'output_error')
 

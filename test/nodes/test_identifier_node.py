@@ -7,6 +7,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import read_result
+from bellows_ros.files.safe_yaml import load
 from bellows_ros.nodes.predictor_node import PredictorNode
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
@@ -93,6 +94,29 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(
     assert not [name for name, value in read_parameters(written).items()
                 if name not in ('cup.stiffness', 'cup.damping', 'cup.length')
                 and value == PARAMETERS[name].default]
+
+
+def test_one_cup_of_a_gripper_is_found_and_set_with_its_layout(
+        ros: Any, root: Path, tmp_path: Path) -> None:
+    """The predictor composes it: what it has of one cup is what was found."""
+    layout = [0.06, 0.05, 0.0, -0.06, 0.03, 0.0, 0.01, -0.07, 0.0]
+    cup = read_parameters(root / 'bags/cup.yaml')
+    motion = {**load(root / 'bags/validation.yaml'), 'package': {
+        'rate_hz': 360.0, 'frame': 'com', 'noise': {'position': 2e-5, 'rotation': 1e-4}}}
+    simulate_recording({**cup, 'cup.layout': layout}, motion, str(tmp_path / 'bag'))
+    predictor = PredictorNode(context=ros.context, parameter_overrides=[
+        Parameter(name, value=value) for name, value in PACKAGE.items()])
+    ros.executor.add_node(predictor)
+    node = make(
+        ros, bags=[str(tmp_path / 'bag')], cup__layout=layout, fit__structure='layout',
+        topics__tool_pose='/tool_arm/pose', topics__package_pose='/package/pose',
+        package__mass=1.8, package__inertia=list(cup['package.inertia']),
+        cup__length=cup['cup.length'], predictor='/predictor', exit_when_done=True)
+    assert ros.spin_until(node.finished.done, LONGEST)
+    assert node.finished.result() is None
+    assert list(predictor.values['cup.layout']) == layout
+    found = np.diag(np.reshape(predictor.values['cup.stiffness'], (6, 6)))
+    assert_allclose(found[:3], np.diag(np.reshape(cup['cup.stiffness'], (6, 6)))[:3], rtol=0.05)
 
 
 def test_absent_predictor_is_said(

@@ -159,7 +159,7 @@ class LipMotion:
             Whether somebody will ask for the same again.
 
         """
-        key = (cup_length, structure.name, self.relaxation)
+        key = (cup_length, structure, self.relaxation)
         strains = internal_strains(self.history, cup_length) if any(self.relaxation) else None
         size = 2 * structure.size
         keep &= len(self.index) <= MOST_KEPT
@@ -168,7 +168,7 @@ class LipMotion:
         for start in range(0, max(len(self.index), 1), BLOCK):
             block = slice(start, min(start + BLOCK, len(self.index)))
             own = kept[block] if kept is not None else regressor(
-                cup_length, structure.basis, self.position[block], self.rotation[block],
+                cup_length, structure.model_basis, self.position[block], self.rotation[block],
                 self.twist[block], self.relaxation, None if strains is None else strains[block])
             if L is not None:
                 L[block] = own

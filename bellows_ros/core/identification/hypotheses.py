@@ -171,7 +171,7 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
                      value='com' if given.lip_recorded else 'lip')
     own = given.structure
     for other in STRUCTURES.values():
-        if other.size > own.size and set(own.labels) <= set(other.labels):
+        if other.size > own.size and other.contains(own):
             yield Hypothesis('structure', variations.structure(other), 2 * (other.size - own.size),
                              other.name, datum=False)
     yield from _OTHERWISE
@@ -223,7 +223,7 @@ def diagnose(
         if wrong := absurd(own):
             return Diagnosis(np.inf, wrong)
     before, tried = recordings[0].once(
-        ('trials', *(own.name for own in recordings), length, structure.name),
+        ('trials', *(own.name for own in recordings), length, structure),
         lambda: _trials(recordings, length, structure))
     findings = [_finding(trial, tried, before, structure, known or structure.labels)
                 for trial in tried[:SHOWN]]

@@ -32,6 +32,18 @@ DIRECTIONS = {
 }
 """The motion in each direction, and how to excite it."""
 
+OF_ONE_CUP = (
+    'in a gripper the other cups, which shear and stretch, bear most of it: identify one cup '
+    'alone, or give its value')
+"""How a gripper's cup is to be known about the axes that its other cups support."""
+
+
+def remedy_for(axis: str, structure: Structure) -> str:
+    """Return how a direction becomes identifiable."""
+    if structure.places and axis.startswith('r'):
+        return OF_ONE_CUP
+    return DIRECTIONS.get(axis, ('', 'move all axes at once'))[1]
+
 
 @dataclass(frozen=True, eq=False)
 class Axis:
@@ -120,7 +132,8 @@ def advice(
     for number, entries in enumerate(structure.entries):
         own = (parameters[number], parameters[size + number])
         if entries[0][0] == entries[0][1]:
-            yield from _direction_warnings([AXES[row] for row, _, _ in entries], own, source)
+            yield from _direction_warnings(
+                [AXES[row] for row, _, _ in entries], own, source, structure)
         else:
             coupled += [each.label for each in own if not each.identifiable]
     if coupled:
@@ -138,12 +151,13 @@ def advice(
 
 
 def _direction_warnings(
-    axes: list[str], own: tuple[Identifiability, Identifiability], source: str
+    axes: list[str], own: tuple[Identifiability, Identifiability], source: str,
+    structure: Structure,
 ) -> Iterator[str]:
     """Yield warnings about a direction's stiffness and damping."""
     both = list(zip(('stiffness', 'damping'), own, strict=True))
     unknown = [name for name, each in both if not each.identifiable]
-    title, advice = DIRECTIONS[axes[0]]
+    title, advice = DIRECTIONS[axes[0]][0], remedy_for(axes[0], structure)
     if len(axes) > 1:
         title += f' and {axes[1][-1]}'
     if unknown:

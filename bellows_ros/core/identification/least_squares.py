@@ -38,7 +38,7 @@ from bellows_ros.core.identification.result import (
     WRENCH_UNITS,
 )
 from bellows_ros.core.identification.samples import Samples, samples_of
-from bellows_ros.core.model.structure import Structure, structure_named, STRUCTURES
+from bellows_ros.core.model.structure import given_structure, Structure, STRUCTURES
 from bellows_ros.core.recording.recording import (
     ENOUGH,
     FilterNoise,
@@ -343,12 +343,14 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
     whole = [own for own in recordings if isinstance(own, Recording)]
     if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
         return list(recordings)
-    simplest = next(iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
+    structure = given_structure(values)
+    simplest = structure if structure.places else next(
+        iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
     found = relaxation_of(
         [samples_of(own).thinned(MOST_KEPT) for own in whole], [own.noise for own in whole],
         values['cup.length'], simplest)
-    found = found._replace(
-        by=simplest.within(structure_named(values['fit.structure'])) @ found.by)
+    if simplest is not structure:
+        found = found._replace(by=simplest.within(structure) @ found.by)
     if not any(found.strengths):
         if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
             raise UndeterminedError(

@@ -12,8 +12,8 @@ from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.model.cup_package import Cup, cup_of, package_of, varied
-from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
+from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.preparation import LOW_RATE_HZ
 from bellows_ros.core.recording.recording import Noise, Recording, TimeOffset
@@ -115,7 +115,8 @@ def fit(
             jacobian = _length_jacobian(_whole(recordings), values)
         length = Length(values['cup.length'], length_std, jacobian)
         found = joined_with_standstills(
-            found, standstills, length, values['gravity.magnitude'], cup_of(values).stiffness)
+            found, standstills, length, values['gravity.magnitude'], one_cup_of(values).stiffness,
+            given_structure(values).places)
     return Result(found, excitation)
 
 
@@ -168,9 +169,9 @@ def _by_output_error(
     from bellows_ros.core.identification.output_error import output_error
     from bellows_ros.core.identification.search import measured_of, SLOW_HZ
 
-    structure = structure_named(values['fit.structure'])
+    structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
-    start = replace(cup_of(values), relaxation=strengths)
+    start = replace(one_cup_of(values), relaxation=strengths)
     measured = [part for number, own in enumerate(recordings) for part in measured_of(own, number)]
     if all(own.report.package.timing.rate_hz >= SLOW_HZ for own in recordings):
         start = start_cup([reduced(own, values).statistics for own in recordings], start)
@@ -231,7 +232,7 @@ def _with_offsets(found: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
 
 def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any]) -> Array:
     """Return the derivatives (2 n,) of the parameters that least squares finds by cup.length."""
-    structure = structure_named(values['fit.structure'])
+    structure = given_structure(values)
     ends = []
     for length in (values['cup.length'] + LENGTH_STEP, values['cup.length'] - LENGTH_STEP):
         ends.append(least_squares([statistics(samples_of(recording), length, structure)

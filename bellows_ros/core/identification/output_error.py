@@ -8,7 +8,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import causes
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.identifiability import DIRECTIONS
+from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import (
     DEFAULT_RATIO,
     MOST_LEFT,
@@ -118,6 +118,9 @@ def fit_of(
     if relaxation != 'off':  # rubber may be why a search without it does not converge
         if 'relaxation' not in search.places:
             search, found = _with_relaxation(search, found, note)
+        elif not _relaxes(search, found):  # as least squares, which noise disturbs, has it
+            search, near = search.without_relaxation(found)
+            found = search.found(note, near)
         if relaxation == 'on' and 'relaxation' not in search.places:
             raise UndeterminedError(NO_RELAXATION)
     return _fit(search, found, iterations, named)
@@ -135,15 +138,20 @@ def _with_relaxation(
     S = H[np.ix_(own, own)] - H_own @ np.linalg.solve(H[np.ix_(base, base)], H_own.T)
     if slope @ np.linalg.solve(S, slope) > SIGNIFICANT:
         again = more.found(note, theta)
-        covariance = covariance_of(more, again)[np.ix_(own, own)]
-        r = again.theta[own] * more.units[own]
         noise = MOST_CHI2 * sum(len(part.innovations) for part in again.parts)
         left, before = squares(again.parts) - noise, squares(found.parts) - noise
-        if again.converged and left <= max(MOST_LEFT * before, 0.0) and (
-                r @ np.linalg.solve(covariance, r) > SIGNIFICANT):
+        if again.converged and left <= max(MOST_LEFT * before, 0.0) and _relaxes(more, again):
             return more, again
         search.take(found.parts)
     return search, found
+
+
+def _relaxes(search: Search, found: Minimum) -> bool:
+    """Return whether strengths of relaxation are significant."""
+    (own,) = search.places['relaxation']
+    r = np.add(search.given.relaxation, found.theta[own] * search.units[own])
+    return bool(r @ np.linalg.solve(
+        covariance_of(search, found)[np.ix_(own, own)], r) > SIGNIFICANT)
 
 
 def covariance_of(search: Search, found: Minimum) -> Array:
@@ -251,7 +259,7 @@ def _unknown(search: Search, errors: Array, shares: Array, known: Mask) -> Itera
             search.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
             known.tolist(), strict=True):
         less = LARGEST_ERROR / error
-        how = DIRECTIONS.get(label.split()[1], ('', 'move all axes at once'))[1]
+        how = remedy_for(label.split()[1], search.structure)
         if error < 1.0 and share > LARGEST_SHARE:
             yield (f'{label} is not identifiable: what moves there is {min(share, 1.0):.0%} '
                    f'noise; {how}.')
@@ -262,4 +270,5 @@ def _unknown(search: Search, errors: Array, shares: Array, known: Mask) -> Itera
             yield (
                 f'{label} is not identifiable from this motion with this noise: its standard '
                 f'error is {100.0 * error:.2g} % of its size. {1e2 * less:.0f} % of the noise '
-                f'would do, or {less**-2:.2g} times as long a recording.')
+                f'would do, or {less**-2:.2g} times as long a recording'
+                f'{", or one of one cup alone" if search.structure.places else ""}.')

@@ -29,7 +29,7 @@ from bellows_ros.core.identification.samples import (
     samples_of,
 )
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.structure import Structure, structure_named
+from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.recording import (
     ENOUGH,
@@ -306,9 +306,9 @@ def reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduce
     """
     if isinstance(recording, Reduced):
         return recording
-    length, structure = values['cup.length'], structure_named(values['fit.structure'])
+    length, structure = values['cup.length'], given_structure(values)
     return recording.once(
-        ('reduced', length, structure.name), lambda: _reduced(recording, length, structure))
+        ('reduced', length, structure), lambda: _reduced(recording, length, structure))
 
 
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:

@@ -36,7 +36,7 @@ from bellows_ros.core.identification.whitening import (
     whiten,
     with_mean,
 )
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
 from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -336,7 +336,7 @@ class Search:
         self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
 
     def cup(self, theta: Array) -> Cup:
-        """Return the cup of the unknowns."""
+        """Return the cup of the unknowns, one of those of a gripper."""
         K, P = self._matrices(theta)
         return replace(self.given, stiffness=K, damping=P)
 
@@ -360,6 +360,17 @@ class Search:
         return Search(self.segments, structure or self.structure, self.cup(found.theta), {
             **known, **{name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}})
 
+    def without_relaxation(self, found: 'Minimum') -> 'tuple[Search, Array]':
+        """Return a search about a minimum, of a cup that does not relax, and its unknowns."""
+        free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
+                for name, rows in self.places.items() if name != 'relaxation'}
+        fewer = Search(self.segments, self.structure, replace(
+            self.cup(found.theta), relaxation=(0.0, 0.0)), free)
+        near = fewer.start.copy()
+        for name, rows in fewer.places.items():
+            near[rows] = found.theta[self.places[name]]
+        return fewer, near
+
     def found(self, note: Callable[[Cup, float], None], near: Array | None = None) -> Minimum:
         """Go to the root, from unknowns that are near to it where they are given."""
         theta = self.start if near is None else near
@@ -374,8 +385,9 @@ class Search:
             last: Array = np.zeros(len(theta))
             end = NEAR if forgets else ENOUGH
             for _ in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
-                step = np.asarray(
-                    np.linalg.solve(H + damping * np.diag(np.diag(H)), g), dtype=np.float64)
+                step, free = np.zeros(len(theta)), self.unbounded(theta, g)
+                step[free] = np.linalg.solve(
+                    (H + damping * np.diag(np.diag(H)))[np.ix_(free, free)], g[free])
                 size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
                 along = float(step @ H @ last) / max(size, 1e-99)
                 if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
@@ -397,6 +409,15 @@ class Search:
                     break
             self.take_noise(parts)
         return Minimum(theta, parts, H, way < end and settled)
+
+    def unbounded(self, theta: Array, slope: Array) -> Mask:
+        """Return which unknowns may move: no strength of relaxation from zero to below."""
+        free = np.ones(len(theta), dtype=bool)
+        if 'relaxation' in self.places:
+            (own,) = self.places['relaxation']
+            r = np.array(self.given.relaxation) + (self.units * theta)[own]
+            free[own] = (r > LEAST_STRENGTH) | (slope[own] > 0.0)
+        return free
 
     def length_of(self, step: Array, H: Array) -> float:
         """
@@ -485,7 +506,7 @@ class Search:
         """Return the model of a segment, and what is free in it, SI units."""
         values = self.units * theta
         free = {name: values[places] for name, places in self.own_places(segment).items()}
-        cup, measured = self.cup(theta), segment.measured
+        cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
         if 'relaxation' in free:

@@ -27,7 +27,7 @@ from bellows_ros.core.identification.least_squares import least_squares, noise_b
 from bellows_ros.core.identification.reduction import noise_products, SEED, statistics
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import Samples
-from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import FilterNoise
@@ -145,7 +145,8 @@ class StructureSelection:
 
 
 def select_structure(
-    recordings: Sequence[Samples], cup_length: float, noises: Sequence[FilterNoise] = ()
+    recordings: Sequence[Samples], cup_length: float, noises: Sequence[FilterNoise] = (),
+    of_gripper: Structure | None = None,
 ) -> StructureSelection:
     """
     Compare structures of K and P.
@@ -158,6 +159,8 @@ def select_structure(
         Nominal length l0, m.
     noises : sequence of FilterNoise, optional
         Of each recording; without them nothing is corrected for noise.
+    of_gripper : Structure, optional
+        That of one cup of the gripper that was recorded.
 
     Raises
     ------
@@ -165,7 +168,7 @@ def select_structure(
         If no structure can be fitted.
 
     """
-    structures = list(STRUCTURES.values())
+    structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
     fits = [_fit(recordings, cup_length, structure) for structure in structures]
     fitted = [(s, fit) for s, (fit, _) in zip(structures, fits, strict=True) if fit is not None]
     if not fitted:
@@ -292,7 +295,8 @@ def _candidate(
             part_of_it = (1.0 - counts[number] / problem.used) * noise
             x = x - noise_bias(part_of_it, problem.whitening, x, inverse)[0]
         simulated.append(_simulated_errors(
-            Cup(*structure.matrices(x), problem.cup_length, problem.recordings[0].relaxation),
+            gripper_of(Cup(*structure.matrices(x), problem.cup_length,
+                           problem.recordings[0].relaxation), structure.places),
             [run for samples, part in fold for run in _runs(samples.select(part))]))
     part = problem.effective / problem.used
     squares = part * float(r_factor(parts, size + 1)[-1, -1] ** 2)

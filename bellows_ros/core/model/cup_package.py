@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -182,13 +182,27 @@ def is_gripper(values: Mapping[str, Any]) -> bool:
 
 def cup_of(values: Mapping[str, Any]) -> Cup:
     """Return the cup that parameter values describe (see `parameters`), composed of several."""
-    K, P = (matrix(values[f'cup.{name}']) for name in ('stiffness', 'damping'))
-    if is_gripper(values):
-        from bellows_ros.core.model.layout import composed, places_of
+    if not is_gripper(values):
+        return one_cup_of(values)
+    from bellows_ros.core.model.layout import places_of
 
-        K, P = (composed(each, places_of(values)) for each in (K, P))
+    return gripper_of(one_cup_of(values), places_of(values))
+
+
+def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
+    """Return the cup that moves a package as equal ones at places (n, 4) do; without, the one."""
+    if not len(places):
+        return one
+    from bellows_ros.core.model.layout import composed
+
+    K, P = (composed(each, np.asarray(places)) for each in (one.stiffness, one.damping))
+    return replace(one, stiffness=K, damping=P)
+
+
+def one_cup_of(values: Mapping[str, Any]) -> Cup:
+    """Return the cup that parameter values describe, whatever cup.layout is."""
     return Cup(
-        K, P,
+        matrix(values['cup.stiffness']), matrix(values['cup.damping']),
         length=values['cup.length'],
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
         relaxation_times=values.get('cup.relaxation_times', RELAXATION_TIMES),

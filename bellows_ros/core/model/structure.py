@@ -4,9 +4,11 @@ Structures of K and P: which entries are free, and which are tied by symmetry.
 A new structure is one entry in `STRUCTURES`: whatever depends on the structure follows from it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.errors import BellowsError
@@ -40,12 +42,15 @@ class Structure:
         Blocks of coupled axes; those joined by '=' hold the same numbers, and a minus turns an
         axis round: with 'x ry = y -rx' K[x,x] = K[y,y], K[ry,ry] = K[rx,rx], K[x,ry] = -K[y,rx].
         Axes of different blocks are not coupled.
+    places : tuple of (x, y, z, index)
+        Of the cups of a gripper (m, in E), each of which has these K and P; empty for one cup.
 
     """
 
     name: str
     meaning: str
     groups: tuple[str, ...]
+    places: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def blocks(self) -> tuple[tuple[CoupledAxes, ...], ...]:
@@ -109,9 +114,19 @@ class Structure:
         return tuple(f'{matrix} {name}' for matrix in 'KP' for name in names)
 
     @cached_property
+    def model_basis(self) -> list[Array]:
+        """What the model has of each unit (6, 6): the gripper's matrix where there is one."""
+        if not self.places:
+            return self.basis
+        from bellows_ros.core.model.layout import composed  # late: grippers alone need it
+
+        return [composed(unit, np.array(self.places)) for unit in self.basis]
+
+    @cached_property
     def upper(self) -> Array:
-        """The upper triangles (42, 2 n) of K and P, row by row, by the parameters."""
-        return np.kron(np.eye(2), np.transpose([unit[np.triu_indices(6)] for unit in self.basis]))
+        """The model's upper triangles (42, 2 n) of K and P, row by row, by the parameters."""
+        return np.kron(
+            np.eye(2), np.transpose([unit[np.triu_indices(6)] for unit in self.model_basis]))
 
     def matrices(self, x: Array) -> tuple[Array, Array]:
         """Return K and P (6, 6) of the parameters x (2 n,)."""
@@ -141,9 +156,9 @@ class Structure:
         )
 
     def within(self, other: 'Structure') -> Array:
-        """Return T (2 m, 2 n) with which parameters x of this structure are T x of another."""
-        return np.column_stack([
-            other.parameters(*self.matrices(unit)) for unit in np.eye(2 * self.size)])
+        """Return T (2 m, 2 n) with which the model of x is that of parameters T x of another."""
+        T = [other.parameters(unit, unit)[:other.size] for unit in self.model_basis]
+        return np.asarray(np.kron(np.eye(2), np.column_stack(T)), dtype=np.float64)
 
     def sizes(self, stiffness: Array, damping: Array) -> Array:
         """Return the scale of each parameter (2 n,): the root of its two diagonal entries."""
@@ -152,10 +167,10 @@ class Structure:
             np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
 
     def contains(self, other: 'Structure') -> bool:
-        """Return whether every matrix of another structure also has this structure."""
+        """Return whether every model of another structure also has this structure."""
         return all(
-            np.array_equal(self.matrices(self.parameters(unit, unit))[0], unit)
-            for unit in other.basis)
+            np.allclose(self.matrices(self.parameters(unit, unit))[0], unit, rtol=0.0, atol=1e-12)
+            for unit in other.model_basis)
 
     def covariance(self, count: int, mean: Array, scatter: Array) -> Array:
         """
@@ -205,12 +220,46 @@ STRUCTURES = {structure.name: structure for structure in (
 """From the simplest to the most general."""
 
 
+OF_LAYOUT = Structure('layout', 'each cup of cup.layout axisymmetric',
+                      STRUCTURES['axisymmetric'].groups)
+"""Of one cup of a gripper; its places are those that are given."""
+
+STRUCTURE_NAMES = (*STRUCTURES, OF_LAYOUT.name)
+
+
 def structure_named(name: str) -> Structure:
     """Return the structure of a name, or raise BellowsError listing those there are."""
-    if name not in STRUCTURES:
+    if name not in STRUCTURE_NAMES:
         raise BellowsError(
-            f"fit.structure is '{str(name)[:40]}'; expected one of {', '.join(STRUCTURES)}.")
-    return STRUCTURES[name]
+            f"fit.structure is '{str(name)[:40]}'; expected one of {', '.join(STRUCTURE_NAMES)}.")
+    return STRUCTURES.get(name, OF_LAYOUT)
+
+
+def given_structure(values: Mapping[str, Any]) -> Structure:
+    """
+    Return the structure of parameter values, with the places of the cups where they are needed.
+
+    Raises
+    ------
+    BellowsError
+        If fit.structure is none, or is layout without several cups in cup.layout.
+
+    """
+    structure = structure_named(values['fit.structure'])
+    return structure_of_gripper(values) if structure is OF_LAYOUT else structure
+
+
+def structure_of_gripper(values: Mapping[str, Any]) -> Structure:
+    """Return the structure of one cup of a gripper; BellowsError without cup.layout."""
+    from bellows_ros.core.model.layout import is_single, places_of  # late: grippers alone need it
+
+    places = places_of(values)
+    if is_single(places):
+        raise BellowsError(
+            'fit.structure: layout fits one cup of a gripper, but cup.layout is that of a single '
+            'cup. Give x, y and z of each cup in the tool, in m, one cup after the other: '
+            'cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
+    return replace(OF_LAYOUT, places=tuple(map(tuple, places.tolist())))
 
 
 def common_structure(one: Structure, other: Structure) -> Structure:

@@ -11,7 +11,11 @@ import re
 from types import MappingProxyType
 from typing import Literal
 
-from bellows_ros.core.model.structure import RELAXATION_TIMES, STRUCTURES
+from bellows_ros.core.model.structure import (
+    RELAXATION_TIMES,
+    structure_named,
+    STRUCTURE_NAMES,
+)
 from bellows_ros.errors import BellowsError
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
@@ -296,10 +300,10 @@ _TABLE = (
               'and a camera of 10 to 60 Hz. '
               'least_squares, on accelerations (section 4.3.2), is for a quick look and '
               'for very many recordings.'),
-    Parameter('fit.structure', 'axisymmetric', '', _IDENTIFIER, choices=tuple(STRUCTURES),
+    Parameter('fit.structure', 'axisymmetric', '', _IDENTIFIER, choices=STRUCTURE_NAMES,
               description='Form of K and P: ' + '; '.join(
                   f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
-                  for s in STRUCTURES.values()) + '.'),
+                  for s in map(structure_named, STRUCTURE_NAMES)) + '.'),
     Parameter('fit.relaxation', 'auto', '', _IDENTIFIER, choices=('auto', 'off', 'on'),
               description='Whether to estimate cup.relaxation together with K and P. auto: where '
               'it is significant; on: else refuse the recordings.'),

@@ -26,7 +26,7 @@ from bellows_ros.core.geometry.lie import (
 )
 from bellows_ros.core.identification.equations import covariance_of, information_of
 from bellows_ros.core.identification.result import Fit, StandstillPart
-from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import displaced, linearise
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import body_acceleration
@@ -111,7 +111,8 @@ class Length(NamedTuple):
 
 
 def joined_with_standstills(
-    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, typical: Array
+    fit: Fit, standstills: Sequence[Standstill], length: Length, gravity: float, typical: Array,
+    places: tuple[tuple[float, ...], ...] = (),
 ) -> Fit:
     """
     Return a fit of motions combined with standstills, each by its own covariance.
@@ -133,9 +134,11 @@ def joined_with_standstills(
         m/s^2 along -z of the world.
     typical : ndarray (6, 6)
         Stiffness that stands for entries that are not identifiable, in weights only.
+    places : tuple of (x, y, z, index)
+        Of the cups of a gripper (m, in E), of which the fit is of one.
 
     """
-    structure = structure_named(fit.structure)
+    structure = replace(structure_named(fit.structure), places=places)
     x0 = fit.parameters
     moving = np.hstack([np.eye(len(x0)), -length.std * length.jacobian[:, None]])
     J = information_of(fit.covariance)
@@ -179,7 +182,8 @@ def _equations(
 ) -> tuple[Array, Array, Array]:
     """Return A (6, n) and b (6,) in coordinates of the lip, and the effect of the length (6,)."""
     x = structure.parameters(stiffness, stiffness)
-    cup = Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length)
+    cup = gripper_of(
+        Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
     model = model_tuple(cup, still.payload, gravity)
     tool, body = (
         state_row(own.position[0], rotation_to_quaternion(own.rotation[0]))

@@ -1,0 +1,68 @@
+"""A gripper of three cups as a user identifies one of its cups: files in, a cup file out."""
+
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.model.cup_package import cup_of
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.safe_yaml import load
+from bellows_ros.workflows.identification import save
+from bellows_ros.workflows.identify import identify, structures
+from bellows_ros.workflows.replay import replay
+from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+LAYOUT = (0.06, 0.05, 0.0, -0.06, 0.03, 0.0, 0.01, -0.07, 0.0)
+
+
+@pytest.fixture(scope='module')
+def gripper(root, tmp_path_factory):
+    """Return the true parameters, and those that are known of a recording of the gripper."""
+    motion = load(root / 'bags/validation.yaml')
+    motion['package'] = {
+        'rate_hz': 360.0, 'frame': 'com', 'noise': {'position': 2e-5, 'rotation': 1e-4}}
+    truth = {**read_parameters(root / 'bags/cup.yaml'), 'cup.layout': LAYOUT}
+    bag = tmp_path_factory.mktemp('gripper') / 'bag'
+    simulate_recording(truth, motion, bag)
+    known = read_parameters(root / 'bags/package.yaml')
+    return resolve(truth), {
+        **known, 'bags': [str(bag)], 'cup.layout': LAYOUT, 'fit.structure': 'layout'}
+
+
+@pytest.mark.parametrize('method', ['least_squares', pytest.param(
+    'output_error', marks=pytest.mark.skipif(
+        not COMPILED, reason='numba is not installed: the fit takes minutes'))])
+def test_the_cup_file_holds_one_cup_and_the_layout(gripper, method, tmp_path):
+    truth, known = gripper
+    result = identify({**known, 'fit.method': method})
+    assert not result.refusals
+    save(result, tmp_path / 'cup.yaml', None)
+    written = read_parameters(tmp_path / 'cup.yaml')
+    assert tuple(written['cup.layout']) == LAYOUT
+    for name, largest in (('stiffness', 0.05), ('damping', 0.5)):
+        one, error = (np.diag(np.reshape(written[f'cup.{name}{end}'], (6, 6)))
+                      for end in ('', '_std'))
+        true = np.diag(np.reshape(truth[f'cup.{name}'], (6, 6)))
+        sure = error < largest * true
+        assert sure[:2].all()
+        assert np.all(np.abs(one - true)[sure] < 4.5 * error[sure])
+    assert_allclose(np.diag(cup_of(resolve(written)).stiffness), np.diag(cup_of(truth).stiffness),
+                    rtol=0.03)
+    found = replay(known['bags'][0], written).validation.scores
+    assert np.all(found.rms < 1.5 * np.repeat([2e-5, 1e-4], 3))
+
+
+def test_a_layout_and_another_structure_are_refused_with_a_remedy(gripper):
+    with pytest.raises(BellowsError, match='fit.structure: layout'):
+        identify({**gripper[1], 'fit.structure': 'diagonal'})
+    with pytest.raises(BellowsError, match=r'cup\.layout: \['):
+        identify({**gripper[1], 'cup.layout': (0.0, 0.0, 0.0)})
+
+
+def test_structures_compares_one_cup_composed_with_the_gripper_as_one(gripper):
+    found = structures({**gripper[1], 'fit.relaxation': 'off'}).selection
+    errors = {own.structure: own.held_out for own in found.candidates}
+    assert found.advised == 'layout' == found.candidates[0].structure
+    assert errors['axisymmetric'] > 2.0 * errors['layout']
