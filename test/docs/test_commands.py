@@ -33,8 +33,8 @@ def runnable() -> list[str]:
     return [name for name, page in ALL.items() if with_mode(page, 'run', 'fails')]
 
 
-LONG = ('choosing', 'exciting', 'filter', 'formats', 'many_recordings', 'recording', 'several_cups',
-        'static_recordings', 'toss', 'tutorial', 'validation', 'with_a_camera')
+LONG = ('choosing', 'exciting', 'filter', 'formats', 'many_recordings', 'recording',
+        'several_cups', 'static_recordings', 'toss', 'tutorial', 'validation', 'with_a_camera')
 """Pages of which `make test-long` runs the commands."""
 
 

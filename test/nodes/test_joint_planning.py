@@ -6,7 +6,8 @@ from typing import Any
 from bellows_ros.core.geometry.lie import log_se3, rotation_to_quaternion, transform
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.planning.arm import read_arm
-from bellows_ros.core.planning.points import plan_of_joints
+from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.points import plan_of, plan_of_joints
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.files.plan_messages import decode_multi_dof
 import numpy as np
@@ -97,7 +98,7 @@ def test_a_plan_of_joints_is_answered_and_steered_in_them(planner: JointPlanner)
 
 def test_joints_lead_to_a_flange_with_the_tip_beside_it(
         make_partner: Callable[..., Partner]) -> None:
-    """The package along a plan of joints hangs where the tip is, not where the link is."""
+    """The package hangs where the tip is, not where the link is, and steering moves the tip."""
     planner = JointPlanner(make_partner({
         **VALUES, 'tool_link': 'tool', 'tool_pose.offset': '0.01 -0.02 -0.05 0 0 0 1'}), UR5E)
     planner.plan_out.publish(message())
@@ -108,6 +109,22 @@ def test_joints_lead_to_a_flange_with_the_tip_beside_it(
     still = (tuple(tool[:3, 3]), tuple(rotation_to_quaternion(tool[:3, :3])), ORIGIN, ORIGIN)
     np.testing.assert_allclose(
         planner.plans[0].poses[0, :3], static_equilibrium(MODEL, still)[0], atol=1e-5)
+
+    planner.steer_out.publish(message())
+    planner.wait(lambda: planner.steered)
+    points = planner.steered[0].points
+    seconds = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
+    flange, _ = ARM.tool(np.array([p.positions for p in points]))
+    ends = ARM.tool(POSITION[[0, -1]])[0]
+    np.testing.assert_allclose(flange[[0, -1]], ends, atol=1e-4)
+
+    def swing_left(T_world_E: Any) -> float:
+        poses = plan_of(np.round(1e9 * np.array(seconds)).astype(np.int64), T_world_E[:, :3, 3],
+                        rotation_to_quaternion(T_world_E[:, :3, :3]))
+        return float(np.degrees(predict(MODEL, None, poses).figures()['swing_left']))
+
+    assert swing_left(flange @ tip) < 0.05
+    assert swing_left(flange) > 3.0 * swing_left(flange @ tip)
 
 
 @pytest.mark.parametrize(('change', 'named'), [
