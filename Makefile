@@ -20,6 +20,8 @@ unexport LD_LIBRARY_PATH
 endif
 unexport AMENT_PREFIX_PATH PYTHONHOME PYTHONPATH RMW_IMPLEMENTATION VIRTUAL_ENV
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Nor is Python kept from storing its bytecode: each of the many starts would take 1 s longer.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help
 help:  ## show this list

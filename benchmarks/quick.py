@@ -14,17 +14,11 @@ import tempfile
 from typing import Any
 
 from .offline import IDENTIFY, make_recording, PLAIN_LOOP, REPLAY
-from .startup import READY
+from .startup import IMPORTS, READY
 from .timing import in_process
 
 DURATION = 60.0
 """Of the recording, s."""
-
-IMPORTS = """
-import json, time
-import numba, numpy, rclpy
-print(json.dumps({'processor': time.process_time()}))
-"""
 
 MEBI = 2.0**20
 

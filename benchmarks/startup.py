@@ -24,19 +24,28 @@ print(json.dumps({'done': time.monotonic(), 'processor': time.process_time(), 'p
 """
 
 
+IMPORTS = """
+import json, time
+import numba, numpy, rclpy
+print(json.dumps({'done': time.monotonic(), 'processor': time.process_time()}))
+"""
+
+
 def run(short: bool) -> dict[str, Any]:
     """Return seconds: of starts with nothing compiled, and of some after each of them."""
-    helped, cold, warm = [], [], []
+    helped, imports, cold, warm = [], [], [], []
     repeats = 1 if short else 3
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as folder:
             cache = {'NUMBA_CACHE_DIR': folder}
-            cold.append(_ready(cache))
+            cold.append(_ready(READY, cache))
             for _ in range(repeats):
-                warm.append(_ready(cache))
+                warm.append(_ready(READY, cache))
+                imports.append(_ready(IMPORTS, cache))
                 helped.append(_help())
     return {
         'help': figures(helped),
+        'imports': figures(imports),
         'predictor_warm': figures(warm),
         'predictor_cold': figures(cold),
     }
@@ -51,7 +60,7 @@ def _help() -> float:
     return time.perf_counter() - start
 
 
-def _ready(environment: dict[str, str]) -> float:
-    """Return the time until the predictor's code could predict."""
+def _ready(code: str, environment: dict[str, str]) -> float:
+    """Return the time from the start of an interpreter until its code is done."""
     start = time.monotonic()
-    return float(in_process(READY, environment=environment)['done']) - start
+    return float(in_process(code, environment=environment)['done']) - start

@@ -131,6 +131,7 @@ def _startup(section: Mapping[str, Any]) -> Table:
     return [
         ('start', 'median'),
         ('bellows --help', _time(section['help']['median'])),
+        ('numba, numpy and rclpy imported', _time(section['imports']['median'])),
         ('predictor ready with ROS, compiled before', _time(section['predictor_warm']['median'])),
         ('predictor ready with ROS, nothing compiled', _time(section['predictor_cold']['median'])),
     ]

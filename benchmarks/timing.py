@@ -90,6 +90,11 @@ def in_process(
 
 
 def same_package() -> dict[str, str]:
-    """Return an environment with this very package, and with the ROS that the shell has."""
+    """
+    Return an environment with this very package, and with the ROS that the shell has.
+
+    Python keeps its bytecode there, as it does for users: without, a start takes 1 s longer.
+    """
     paths = [str(Path(__file__).resolve().parents[1]), os.environ.get('PYTHONPATH', '')]
-    return {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, paths))}
+    kept = {key: value for key, value in os.environ.items() if key != 'PYTHONDONTWRITEBYTECODE'}
+    return {**kept, 'PYTHONPATH': os.pathsep.join(filter(None, paths))}

@@ -56,7 +56,7 @@ REST_S = 0.3
 SEED = 0
 """Seed of the added noise: the same recording gives the same numbers."""
 
-ONE_STEP = 4_000
+ONE_STEP = 3_000
 """Samples whose innovations are looked at; each takes 27 kB of memory."""
 
 MOTION_ROUNDS = 2

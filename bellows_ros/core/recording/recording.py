@@ -115,7 +115,7 @@ def pose_noise(poses: Trajectory, kept: float) -> Array:
 
     Of first-order noise that keeps a part of itself from pose to pose. Errors as of `ripple`.
     """
-    left, rotation = ripple(poses)
+    left, rotation = ripple(poses, ENOUGH)
     left[:, :3] = apply(np.swapaxes(rotation, 1, 2), left[:, :3])
     typical = MAD_TO_STD * np.median(np.abs(left), axis=0)
     squares = np.mean(np.minimum(left**2, (CUT_AT * typical) ** 2), axis=0)
