@@ -46,8 +46,8 @@ import numpy as np
 LARGEST_SHARE = 0.25
 """Share of noise in the information on what is identifiable."""
 
-SEED, DRAWS, SHAKEN = 0, 2, 3.0
-"""Of the noise with which that is looked at, its draws, and its size in that of the poses."""
+SEED, DRAWS, SHAKEN, LEAST_SHAKEN = 0, 2, 3.0, 0.1
+"""Of the noise with which that is looked at, its draws, and its sizes in that of the poses."""
 
 MOST_CHI2 = 1.2
 """Chi^2 per degree of freedom that is put down to noise."""
@@ -229,24 +229,35 @@ def noise_shares(search: Search, found: Minimum) -> Array:
     motion stays, and that of noise grows with the noise squared.
     """
     draw, noisier = np.random.default_rng(SEED), copy(search)
-    before, more = 1.0 / np.diag(np.linalg.inv(found.information)), np.zeros(len(found.theta))
-    for _ in range(DRAWS):
+    before, size = 1.0 / np.diag(np.linalg.inv(found.information)), SHAKEN
+    shares = list[Array]()
+    while len(shares) < DRAWS:
         noisier.segments = []
         for own in search.segments:
             measured = own.measured
             noise = BodyNoise(own.std, measured.package_noise.kept), measured.tool_noise
-            package, tool = (_shaken(body, seen, draw) for body, seen in zip(
+            package, tool = (_shaken(body, seen, size, draw) for body, seen in zip(
                 (measured.package, measured.tool), noise, strict=True))
             noisier.segments.append(Segment(replace(measured, tool=tool, package=package)))
             noisier.segments[-1].first, noisier.segments[-1].std = own.first, own.std
-        noisier.take(noisier.system(found.theta, 0.0)[0])
-        more += 1.0 / np.diag(np.linalg.inv(noisier.system(found.theta, 0.0)[1])) - before
-    return np.asarray(more / before / (DRAWS * SHAKEN**2))
+        parts, H, g = noisier.system(found.theta, 0.0)
+        if np.all(np.isfinite(g)):
+            noisier.take(parts)
+            H, g = noisier.system(found.theta, 0.0)[1:]
+        if np.all(np.isfinite(g)):
+            shares.append((1.0 / np.diag(np.linalg.inv(H)) / before - 1.0) / size**2)
+        elif size < LEAST_SHAKEN:
+            return np.full(len(before), np.inf)
+        else:  # so much noise turns the package over
+            size *= 0.5
+    return np.asarray(np.mean(shares, axis=0))
 
 
-def _shaken(body: Trajectory, noise: BodyNoise, draw: np.random.Generator) -> Trajectory:
-    """Return poses with noise."""
-    e = SHAKEN * noise.std * accumulated(
+def _shaken(
+    body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
+) -> Trajectory:
+    """Return poses with noise of a size in their own."""
+    e = size * noise.std * accumulated(
         np.sqrt(1.0 - noise.kept**2) * draw.standard_normal((len(body), 6)), noise.kept)
     return replace(body, position=body.position + e[:, :3],
                    rotation=body.rotation @ exp_so3(e[:, 3:]))

@@ -6,10 +6,12 @@ more measurement. See `whitening` for what the differences are weighted by. The 
 Gauss and Newton, with derivatives along the likeliest path of the tool: so their mean is zero at
 the truth, which the slope of the squares along the measured path, or with their weights'
 likelihood, is not. K and P move along geodesics of the definite matrices, with a wide prior on the
-logarithm of their size, which no number that the recordings determine feels.
+logarithm of their size, K about the start, P about that of ordinary rubber, which no number that
+the recordings determine feels.
 
-A start that is far off is brought near first: with an unknown acceleration of the package, which
-is taken away in stages, all that lies further back than a moment is forgotten.
+A start that is far off is brought near first, its damping hardly changed: with an unknown
+acceleration of the package, which is taken away in stages, all that lies further back than a
+moment is forgotten.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +20,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import apply, exp_so3, hat, log_so3, rotation_to_quaternion
 from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
 from bellows_ros.core.identification.quantities import (
     Free,
@@ -78,8 +80,14 @@ LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
 STAGES = (30.0, 10.0, 3.0, 0.0)
 """What the unknown acceleration forgets per second, stage by stage; nothing in the last."""
 
-WIDE = 2.0
-"""Standard deviation of the logarithm of the size of K and of P about the start."""
+WIDE = 2.0, 1.0
+"""Standard deviation of the logarithm of the size of K, about the start, and of P."""
+
+HELD = 0.3
+"""That of P while the start is brought near."""
+
+LOSS_FACTOR = 0.25
+"""Of the ordinary cup that P is compared with. Without damping a fit to noise would ring."""
 
 LONGEST_WAY = 1.0
 """Largest change of the logarithm of K or P in a step."""
@@ -451,20 +459,33 @@ class Search:
         """Return K and P of unknowns, SI units."""
         return self.structure.matrices((self.units * theta)[:self.count])
 
-    def _prior(self, theta: Array) -> tuple[Array, Array]:
+    def ordinary_damping(self, stiffness: Array) -> Array:
+        """Return the damping (6, 6) with which each mode of the package has one loss factor."""
+        held = self.segments[0].measured.payload
+        of_lip = np.eye(6)
+        of_lip[:3, 3:] = -hat(held.com)
+        inertia = np.zeros((6, 6))
+        inertia[:3, :3], inertia[3:, 3:] = held.mass * np.eye(3), held.inertia
+        root, inverse = _roots(of_lip.T @ inertia @ of_lip)
+        P = LOSS_FACTOR * root @ _roots(inverse @ stiffness @ inverse)[0] @ root
+        return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
+
+    def _prior(self, theta: Array, forgets: float) -> tuple[Array, Array]:
         """Return information (m, m) and slope (m,) of what was known before."""
         H, g = np.diag(self.weights), self.weights * (self.start - theta)
         size = self.count // 2
-        ends = zip(self._matrices(theta), self._matrices(self.start), strict=True)
+        K, P = self._matrices(theta)
+        ends = (K, self._matrices(self.start)[0]), (P, self.ordinary_damping(K))
         for half, (M, first) in enumerate(ends):
+            wide = HELD if forgets and half else WIDE[half]
             index = slice(half * size, (half + 1) * size)
             unit = np.array(self.structure.basis) * self.units[index, None, None]
             root, inverse = _roots(M)
             turned = inverse @ unit @ inverse
             values, vectors = np.linalg.eigh(inverse @ first @ inverse)
             back = (vectors * np.log(values)) @ vectors.T
-            H[index, index] += np.einsum('aij,bji->ab', turned, turned) / WIDE**2
-            g[index] = np.einsum('aij,ji->a', turned, back) / WIDE**2
+            H[index, index] += np.einsum('aij,bji->ab', turned, turned) / wide**2
+            g[index] = np.einsum('aij,ji->a', turned, back) / wide**2
         if 'relaxation' in self.places:  # rubbers differ in the ratio of r2 to r1
             (own,) = self.places['relaxation']
             r = np.array(self.given.relaxation) + (self.units * theta)[own]
@@ -477,7 +498,7 @@ class Search:
     def system(self, theta: Array, forgets: float) -> tuple[list[Part], Array, Array]:
         """Return the whitened segments, and information and slope of the whole."""
         parts = [self.part(theta, segment, forgets) for segment in self.segments]
-        H, g = self._prior(theta)
+        H, g = self._prior(theta, forgets)
         for own in parts:
             H = H + own.jacobian.T @ own.jacobian
             g = g + own.jacobian.T @ own.innovations
