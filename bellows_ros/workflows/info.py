@@ -19,7 +19,7 @@ from bellows_ros.core.recording.alignment import (
 )
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
-from bellows_ros.core.signals.timing import timing
+from bellows_ros.core.signals.timing import at_sampling, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.files.messages import BOOL
@@ -213,7 +213,8 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
         'gaps': tuple(((gap.start_ns - start_ns) / NS_PER_S, gap.duration_s) for gap in time.gaps),
     }
     if isinstance(stream, PoseStream):
-        poses = stream.trajectory()
+        stream, arrivals = at_sampling(stream)
+        time, poses = timing(stream.stamps_ns), stream.trajectory()
         outliers = find_outliers(poses, time.longest_step_ns)
         moved, turned = (part[outliers.good] for part in (poses.position, poses.rotation))
         quality |= {
@@ -222,7 +223,7 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
             'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},
-            'warnings': tuple(stream_warnings(stream, time, outliers)),
+            'warnings': tuple(stream_warnings(stream, time, outliers, arrivals)),
         }
     return quality
 

@@ -36,7 +36,7 @@ from bellows_ros.core.recording.recording import (
 )
 from bellows_ros.core.signals.resampling import on_grid, resample
 from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.timing import Timing, timing
+from bellows_ros.core.signals.timing import Arrivals, at_sampling, JITTER_WARNED, Timing, timing
 from bellows_ros.core.signals.trajectory import (
     Filtered,
     frozen,
@@ -53,12 +53,11 @@ import numpy as np
 # K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.
 AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
-# poses repeated in motion, stamps that jitter by so much (parts of the sample or period), fewer
-# poses a second, ways (m) that are no cell's, but millimetres.
+# poses repeated in motion (part of them), fewer poses a second, ways (m) that are no cell's, but
+# millimetres.
 LATERAL_WARNED = 5e-3
 LATERAL_COM_WARNED = 1e-6
 REPEATS_WARNED = 0.05
-JITTER_WARNED = 0.1
 LOW_RATE_HZ = 100.0
 LARGE_WAY = 20.0
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
@@ -166,7 +165,11 @@ def filter_streams(
         where they should.
 
     """
-    turn = settings.R_world_recorded
+    turn, of_tool_ns = settings.R_world_recorded, tool.stamps_ns
+    (tool, tool_arrivals), (package, package_arrivals) = at_sampling(tool), at_sampling(package)
+    if tool_twist is not None and tool_arrivals:
+        tool_twist = replace(tool_twist, stamps_ns=_as_moved(
+            tool_twist.stamps_ns, of_tool_ns, tool.stamps_ns))
     (of_tool, tool_poses), (of_package, package_poses) = _clean(tool, turn), _clean(package, turn)
     _common(tool_poses.stamps_ns, package_poses.stamps_ns, (tool, package))
     alignment = alignment or _alignment(tool_poses, package_poses, settings)
@@ -176,12 +179,13 @@ def filter_streams(
         _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name),
     )
     of_tool, of_package = (
-        replace(report, overlapping_gap=int(np.count_nonzero(
+        replace(report, arrivals=arrivals, overlapping_gap=int(np.count_nonzero(
             _at(poses, kept.stamps_ns).valid & ~kept.valid)))
-        for report, poses, kept in zip(
-            (of_tool, of_package), (tool_poses, package_poses), filtered, strict=True))
-    warnings = [warning for own in (of_tool, of_package)
-                for warning in stream_warnings(own.recorded, own.timing, own.outliers)]
+        for report, poses, kept, arrivals in zip(
+            (of_tool, of_package), (tool_poses, package_poses), filtered,
+            (tool_arrivals, package_arrivals), strict=True))
+    warnings = [warning for own in (of_tool, of_package) for warning in stream_warnings(
+        own.recorded, own.timing, own.outliers, own.arrivals)]
     if not settings.align_at_rest:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
@@ -279,6 +283,13 @@ def _with_twist(
     return replace(tool, twist=frozen(twist).reshape(-1, 6), valid=tool.valid & known)
 
 
+def _as_moved(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:
+    """Return stamps moved as others were."""
+    moved = np.interp(stamps_ns - before_ns[0], before_ns - before_ns[0], after_ns - before_ns)
+    return np.maximum.accumulate(stamps_ns + np.rint(moved).astype(np.int64) - np.arange(
+        len(stamps_ns))) + np.arange(len(stamps_ns))
+
+
 def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list[str]:
     """Return what the user should know of how the package was picked up."""
     found = []
@@ -298,7 +309,9 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
     return found
 
 
-def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> list[str]:
+def stream_warnings(
+    recorded: PoseStream, time: Timing, outliers: Outliers, arrivals: Arrivals | None = None
+) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
     name = recorded.name
     found = [
@@ -312,6 +325,8 @@ def stream_warnings(recorded: PoseStream, time: Timing, outliers: Outliers) -> l
     good = recorded.position[outliers.good]
     way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
+    if arrivals:
+        found.append(arrivals.sentence(name))
     return found + [text for noticed, text in (
         (way > LARGE_WAY,
          f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "

@@ -18,7 +18,7 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals.savgol import first_order, weights
-from bellows_ros.core.signals.timing import MAD_TO_STD, Timing
+from bellows_ros.core.signals.timing import Arrivals, MAD_TO_STD, Timing
 from bellows_ros.core.signals.trajectory import (
     any_within,
     NS_PER_S,
@@ -295,6 +295,8 @@ class StreamReport:
         Excursions, frozen poses and steps, by sample, and the noise.
     overlapping_gap : int
         Filtered samples left out because their windows touch invalid ones.
+    arrivals : Arrivals or None
+        What the recorded stamps were, if they were replaced by those of the sampling.
 
     """
 
@@ -302,6 +304,7 @@ class StreamReport:
     timing: Timing
     outliers: Outliers
     overlapping_gap: int = 0
+    arrivals: Arrivals | None = None
 
     @property
     def marked(self) -> int:
@@ -316,6 +319,7 @@ class StreamReport:
             'rate_hz': self.timing.rate_hz,
             'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
+            'arrival_stamps_replaced': self.arrivals.replaced if self.arrivals else 0,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
             'filtered_samples_left_out': self.overlapping_gap,

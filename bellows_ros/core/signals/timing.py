@@ -1,9 +1,17 @@
-"""Rate, jitter and gaps of the stamps of a stream."""
+"""
+Rate, jitter and gaps of the stamps of a stream, and stamps that are times of arrival.
 
-from dataclasses import dataclass
+Poses that come over a network in bursts are late by some time each, so that a moving body seems to
+go to and fro. Where a sensor samples uniformly, how late each pose came follows from all stamps.
+Whether it does, the poses tell: at the times of sampling their motion is smoother.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.signals.trajectory import NS_PER_S, UNIFORM_WITHIN
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, UNIFORM_WITHIN
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -20,6 +28,18 @@ STEPS_TOGETHER = 20
 MEAN_WITHIN = (0.8, 2.5)
 # Standard deviation of a normal distribution per median absolute deviation.
 MAD_TO_STD = 1.4826
+
+JITTER_WARNED = 0.1
+"""Jitter in parts of the period that is worth a look."""
+
+NEAR, MOST_GAPS, SURELY_LOST = 30, 200, 0.65
+"""Samples compared on both sides of a gap, most gaps, and periods that tell that one is lost."""
+
+WINDOW_S, FEWEST, ORDER = 1 / 12, 8, 5
+"""Length of the polynomials that a motion follows (s; samples) and their order."""
+
+SMOOTHER = 0.8
+"""Product of the squared deviations of position and rotation below which stamps are replaced."""
 
 
 @dataclass(frozen=True)
@@ -152,3 +172,114 @@ def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
     step = np.append(np.repeat(np.arange(len(parts)), parts), last)
     number = np.arange(len(step)) - (np.cumsum(parts) - parts)[step]
     return np.asarray(stamps_ns[step] + number * np.diff(stamps_ns)[step] // parts[step])
+
+
+class Arrivals(NamedTuple):
+    """
+    Stamps that were times of arrival.
+
+    Parameters
+    ----------
+    replaced : int
+        Stamps that were replaced.
+    jitter_s, latest_s : float
+        Standard deviation and range of how late the poses came, s.
+    rougher : (float, float)
+        Deviation (m, rad) of the poses from smooth motion at the recorded stamps.
+    smoother : (float, float)
+        The same at the times of sampling.
+
+    """
+
+    replaced: int
+    jitter_s: float
+    latest_s: float
+    rougher: tuple[float, float]
+    smoother: tuple[float, float]
+
+    def sentence(self, name: str) -> str:
+        """Return what the user should know."""
+        return (
+            f"The stamps of topic '{name}' are times of arrival, which jitter by "
+            f'{self.jitter_s * 1e3:.2g} ms (range {self.latest_s * 1e3:.2g} ms). All '
+            f'{self.replaced} were replaced by uniform times of sampling, at which the poses '
+            'deviate from smooth '
+            f'motion by {self.smoother[0] * 1e3:.2g} mm and {self.smoother[1] * 1e3:.2g} mrad '
+            f'instead of {self.rougher[0] * 1e3:.2g} and {self.rougher[1] * 1e3:.2g}. What all '
+            'were late by at least is not known: stamp the poses when they are measured, or set '
+            'fit.time_offset.')
+
+
+def at_sampling(stream: PoseStream) -> tuple[PoseStream, Arrivals | None]:
+    """Return poses with the stamps of their sampling, where theirs are times of arrival."""
+    if len(stream) < 4 * NEAR:
+        return stream, None
+    found = timing(stream.stamps_ns)
+    if found.jitter_s * found.rate_hz < JITTER_WARNED:
+        return stream, None
+    sampled = sampling_stamps(stream.stamps_ns)
+    if sampled is None:
+        return stream, None
+    size = max(round(WINDOW_S * found.rate_hz), FEWEST)
+    before, after = (
+        _deviation(stream.position, stream.rotation, stamps, size)
+        for stamps in (stream.stamps_ns, sampled))
+    if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < SMOOTHER:
+        return stream, None
+    late = (stream.stamps_ns - sampled) / NS_PER_S
+    return replace(stream, stamps_ns=sampled), Arrivals(
+        len(late), float(np.std(late)), float(np.ptp(late)),
+        (float(before[0]), float(before[1])), (float(after[0]), float(after[1])))
+
+
+def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
+    """
+    Return when samples were taken that arrived at some stamps, at the latest; None if unknown.
+
+    No sample arrives before it is taken, so the uniform stamps are the earliest that touch one.
+    After a gap all samples seem late, by whole periods. Samples lost every few periods, or
+    jitter of many periods, leave it unknown.
+    """
+    since, number = (stamps_ns - stamps_ns[0]).astype(np.float64), np.arange(len(stamps_ns))
+    period = float(np.quantile(since[2 * NEAR:] - since[:-2 * NEAR], 0.25)) / (2 * NEAR)
+    for _ in range(MOST_GAPS):
+        late = since - period * number
+        least = np.min(np.lib.stride_tricks.sliding_window_view(late, NEAR), axis=1)
+        steps = least[NEAR:] - least[:-NEAR]
+        drift = float(np.median(steps))
+        period += drift / NEAR
+        i = int(np.argmax(steps))
+        lost = int((steps[i] - drift) / period + 1.0 - SURELY_LOST)
+        if lost < 1:
+            sampled = _line_below(number, since)
+            return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
+        before = np.flatnonzero(late[i:i + 3 * NEAR] < least[i] + (lost - 0.1) * period)
+        number[i + before[-1] + 1:] += lost
+    return None
+
+
+def _line_below(x: Array | Stamps, y: Array) -> Array:
+    """Return the line (N,) below all points that is nearest to them in the mean."""
+    middle, slope = int(np.searchsorted(x, np.mean(x))), (y[-1] - y[0]) / (x[-1] - x[0])
+    ends = -1, -1
+    while True:  # Newton's steps: through the lowest points of both halves above that slope
+        above = y - slope * x
+        new = int(np.argmin(above[:middle])), middle + int(np.argmin(above[middle:]))
+        if new == ends:
+            return np.asarray(slope * x + above[new[0]])
+        ends = new
+        slope = (y[new[1]] - y[new[0]]) / (x[new[1]] - x[new[0]])
+
+
+def _deviation(position: Array, rotation: Array, stamps_ns: Stamps, size: int) -> Array:
+    """Return how far poses are from polynomials (m, rad), in the median over short windows."""
+    count = len(stamps_ns) // size
+    t, o, R = (own[:count * size].reshape(count, size, *own.shape[1:])
+               for own in (stamps_ns, position, rotation))
+    t = (t - t[:, :1]) / (t[:, -1:] - t[:, :1])
+    Q, _ = np.linalg.qr((2.0 * t - 1.0)[:, :, None] ** np.arange(ORDER + 1))
+    squares = []
+    for own in (o - o[:, :1], log_so3(np.swapaxes(R[:, :1], 2, 3) @ R)):
+        left = own - Q @ (np.swapaxes(Q, 1, 2) @ own)
+        squares.append(np.median(np.sum(left**2, axis=(1, 2))) / (3 * (size - ORDER - 1)))
+    return np.sqrt(squares)

@@ -215,7 +215,7 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     jittered = Trajectory(late, tool.position, tool.rotation)
     (jitters,) = prepare(
         stream(jittered), stream(package, '/package'), PLAIN).report.warnings
-    assert "stamps of topic '/tool' jitter" in jitters
+    assert "stamps of topic '/tool' are times of arrival" in jitters
 
 
 def test_poses_that_are_all_left_out_have_no_way_to_warn_about():
