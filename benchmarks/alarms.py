@@ -21,7 +21,7 @@ EXACTLY = {**EXACT, 'payload__estimate': False}
 NAMED = {'turn': 'slip', 'drop': 'lost', 'peel': 'lost'}
 """The cause of an alarm by the kind of the fault, where it has another name."""
 FROM_START = ('wear', 'payload')
-KINDS = ('slip', 'turn', 'leak', 'camera', *FROM_START)
+KINDS = ('slip', 'turn', 'leak', 'camera', *FROM_START, 'cup')
 
 
 def false_alarms(
@@ -42,14 +42,18 @@ def false_alarms(
 
 
 def delays(
-    kind: str, runs: int, name: str, seconds: float = 5.0, rate_hz: float = 125 / 4
+    kind: str, runs: int, name: str, seconds: float = 5.0, rate_hz: float = 125 / 4, first: int = 0
 ) -> tuple[float, list[float]]:
     """Return the part of faults whose cause is right, and how long (s) each took, in order."""
     at, more = 0.0 if kind in FROM_START else 3.0, EXACTLY if name == 'white' else {}
-    firsts = [(Cell(seed, at + seconds, CONDITIONS[name], kind, at, rate_hz, **more).run()
-               or [('', np.inf)])[0] for seed in range(runs)]
-    right = np.mean([cause == NAMED.get(kind, kind) for cause, _ in firsts])
-    return float(right), sorted(after for _, after in firsts)
+    right, after = 0, []
+    for seed in range(first, first + runs):
+        cup = {'lost': seed % 4} if kind == 'cup' else {}
+        cell = Cell(seed, at + seconds, CONDITIONS[name], kind, at, rate_hz, **cup, **more)
+        cause, delay = (cell.run() or [('', np.inf)])[0]
+        right += cause == (f'cup {seed % 4}' if cup else NAMED.get(kind, kind))
+        after.append(delay)
+    return right / runs, sorted(after)
 
 
 def main() -> None:
@@ -60,8 +64,9 @@ def main() -> None:
     parser.add_argument('--hours', type=float, default=0.0, help='in each condition')
     parser.add_argument('--faults', type=int, default=0, help='of each kind')
     parser.add_argument('--drops', type=int, default=0, help='at once and peeling off, each')
+    parser.add_argument('--kind', choices=KINDS, help='of faults; default: all')
     parser.add_argument('--condition', choices=CONDITIONS, help='default: white for faults, all')
-    parser.add_argument('--seed', type=int, default=0, help='of the first run without a fault')
+    parser.add_argument('--seed', type=int, default=0, help='of the first run')
     given = parser.parse_args()
     runs = round(given.hours * 3600.0 / SECONDS)
     for name in (given.condition,) if given.condition else CONDITIONS:
@@ -70,8 +75,8 @@ def main() -> None:
             print(f'| {name} | {"on" if estimate else "off"} | {runs * SECONDS / 3600:.2g} | '
                   f'{causes.total()} {dict(causes)} | {nees:.1f} |', flush=True)
     name = given.condition or 'white'
-    for kind in KINDS if given.faults else ():
-        right, after = delays(kind, given.faults, name)
+    for kind in ((given.kind,) if given.kind else KINDS) if given.faults else ():
+        right, after = delays(kind, given.faults, name, first=given.seed)
         print(f'| {name} | {kind} | {100 * right:.0f} % | {after[len(after) // 2]:.2f} | '
               f'{after[int(0.9 * len(after))]:.2f} |', flush=True)
     for kind, ends in (('drop', 0.0), ('peel', 0.15)) if given.drops else ():

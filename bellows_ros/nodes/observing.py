@@ -38,6 +38,11 @@ class Observing:
     kind : str
         Of `KINDS`.
 
+    Attributes
+    ----------
+    lost_cups : set of int
+        Cups of cup.layout that were found to be lost since the package was attached.
+
     """
 
     def __init__(self, node: Any, kind: str) -> None:
@@ -45,6 +50,7 @@ class Observing:
         self._with_covariance = kind != 'pose'
         self._live: LivePredictor | None = None
         self._node, self._is_warm, self._said = node, False, 0
+        self.lost_cups: set[int] = set()
         self._heard = SensorInput(
             node, KINDS[kind], 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(node, InertiaStamped, 'package/estimated')
@@ -52,11 +58,12 @@ class Observing:
     def set_values(
         self, live: LivePredictor, outputs: Outputs, values: Mapping[str, Any]
     ) -> None:
-        """Use another predictor and other values; the estimate starts again."""
+        """Use another predictor and other values; the estimate starts again, alarms stay."""
         self._live, self._outputs, self._values = live, outputs, values
         if live.observer is not None:
+            alarms = live.observer.alarms
             live.observe(Observer(values))
-            self._said = 0
+            live.observer.alarms = alarms
 
     def _on_publishers(self, count: int) -> None:
         """Compile once a possible publisher appears."""
@@ -98,11 +105,14 @@ class Observing:
             self._estimated.publish(message)
 
     def _log_alarms(self) -> None:
-        """Log the alarms since the last call."""
+        """Log the alarms since the last call, and go on without the cups that are lost."""
         alarms = self._live.observer.alarms if self._live and self._live.observer else []
-        for alarm in alarms[self._said:]:
+        fresh, self._said = alarms[self._said:], len(alarms)
+        for alarm in fresh:
             self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
-        self._said = len(alarms)
+        if lost := {alarm.cup for alarm in fresh if alarm.cup >= 0}:
+            self.lost_cups |= lost
+            self._node.use_values()
 
     @property
     def alarm(self) -> Alarm | None:

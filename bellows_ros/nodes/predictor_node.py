@@ -345,6 +345,9 @@ class PredictorNode(ManagedNode):
         if not held and self._tossing.flight.state:  # the vacuum falls, as the valve has it
             return True
         self._publish(self._live.set_attached, held)
+        if held and self._observing.lost_cups:  # they may hold the next package
+            self._observing.lost_cups.clear()
+            self.use_values()
         self._last, self._outputs.model = None, self._live.model
         self.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
         self._publish_state()
@@ -404,19 +407,20 @@ class PredictorNode(ManagedNode):
         self.get_logger().info(f"Set while running: {', '.join(names)}.")
         if self._live is None:
             return
-        self._use_values()
+        self.use_values()
 
     def _on_open_cups(self) -> None:
         """Go on without the cups of a gripper that have no vacuum."""
         cups = ', '.join(map(str, self._attachment.open_cups))
         self.get_logger().warning(
             f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
-        self._use_values()
+        self.use_values()
 
-    def _use_values(self) -> None:
+    def use_values(self) -> None:
         """Pass on the parameters, with the cups that are open; the package keeps its motion."""
         values = with_chosen_cup(self.values)
-        opened = {*values['cup.open'], *map(float, self._attachment.open_cups)}
+        opened = {*values['cup.open'], *map(
+            float, {*self._attachment.open_cups, *self._observing.lost_cups})}
         if len(opened - {-1.0}) < len(values['cup.layout']) // 3:  # else none holds: see detached
             values = {**values, 'cup.open': tuple(opened)}
         cup, package = cup_of(values), package_of(values)

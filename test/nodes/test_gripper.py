@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from .conftest import ORIGIN, PACKAGE, UPRIGHT
+from ..core.observer.cases import truth
 
 START = 1_700_000_000_000_000_000
 GRIPPER = {
@@ -17,11 +18,18 @@ GRIPPER = {
     'cup.lip_radius': 0.02, 'vacuum.signal': 'pressure'}
 
 
+STILL = (ORIGIN, UPRIGHT, ORIGIN, ORIGIN)
+
+
+def model_without(opened: list[int]) -> Any:
+    """Return the model without some cups."""
+    values = resolve({**GRIPPER, 'cup.open': opened})
+    return model_tuple(cup_of(values), package_of(values), gravity_of(values))
+
+
 def rest(opened: list[int]) -> Any:
     """Return the package at rest under an upright tool in the origin, without some cups."""
-    values = resolve({**GRIPPER, 'cup.open': opened})
-    model = model_tuple(cup_of(values), package_of(values), gravity_of(values))
-    return static_equilibrium(model, (ORIGIN, UPRIGHT, ORIGIN, ORIGIN))
+    return static_equilibrium(model_without(opened), STILL)
 
 
 def test_cup_of_a_gripper_without_vacuum_is_left_out(
@@ -71,3 +79,43 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(
     for cup in range(3):
         breathe(cup, 0.0)
     assert partner.ros.spin_until(lambda: node._live.attached is False)
+
+
+def test_cup_that_a_camera_finds_lost_is_left_out(
+        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+    """Name it by its index and place, and let the package hang from the others until the next."""
+    from geometry_msgs.msg import PoseStamped
+    from std_srvs.srv import Trigger
+
+    partner = make_partner(
+        {**GRIPPER, 'vacuum.signal': 'none', 'measured.noise': [1e-3, 5e-3]})
+    node = partner.predictor
+    camera = partner.node.create_publisher(PoseStamped, 'package/measured', 10)
+    assert partner.ros.spin_until(camera.get_subscription_count)
+    all_cups, others = model_without([-1]), model_without([2])
+    swing = truth([STILL] * 260, start=rest([-1]), period_ns=8_000_000, change=lambda k, body, _: (
+        body, all_cups if k < 160 else others))
+    for k, (position, q, *_) in enumerate(swing[1:], 1):
+        stamp_ns = START + k * 8_000_000
+        partner.send_pose(stamp_ns)
+        if k % 4 == 0:
+            message = PoseStamped()
+            message.header.frame_id = 'world'
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+                stamp_ns, 1_000_000_000)
+            o, r = message.pose.position, message.pose.orientation
+            (o.x, o.y, o.z), (r.x, r.y, r.z, r.w) = position, q
+            camera.publish(message)
+        partner.wait_for_poses(k)
+        assert k > 160 or not node._observing.lost_cups
+        if node._observing.lost_cups:
+            break
+    assert node._observing.lost_cups == {2}
+    assert (k - 160) * 8e-3 < 0.5
+    assert 'Alarm, cup 2: Cup 2 of cup.layout, at x -60 mm, y -50 mm' in capfd.readouterr().err
+    assert node._observing.alarm.cause == 'cup 2'
+    assert 'alarm: cup 2' in node._observing.status('measured package').values
+    np.testing.assert_allclose(node._live.model[0][2][0], others[0][2][0], rtol=1e-9)
+    assert node._attachment._answer(True, '', None, Trigger.Response()).success
+    assert node._observing.lost_cups == set()
+    np.testing.assert_allclose(node._live.model[0][2][0], all_cups[0][2][0], rtol=1e-9)

@@ -260,13 +260,20 @@ def accelerations(package: PackageTuple, A: Square) -> Square:
 
 
 @kernel
+def cup_accelerations(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
+    """Return the derivatives of what the cup's wrench accelerates, as of `body_jacobians`."""
+    package = model[1]
+    c = ends_of_spring(model, tool, body)[0]
+    by_pose, by_twist = wrench_jacobians(model, tool, body)
+    return (accelerations(package, shift_left(c, shift_right(by_pose, c))),
+            accelerations(package, shift_left(c, shift_right(by_twist, c))))
+
+
+@kernel
 def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
     """Return the derivatives of `body_acceleration` by shift and turn, and twist, of the body."""
     _, package, gravity = model
-    c = ends_of_spring(model, tool, body)[0]
-    by_pose, by_twist = wrench_jacobians(model, tool, body)
-    pose = accelerations(package, shift_left(c, shift_right(by_pose, c)))
-    twist = accelerations(package, shift_left(c, shift_right(by_twist, c)))
+    pose, twist = cup_accelerations(model, tool, body)
     g = t3.hat(t3.apply_transposed(t3.rotation_matrix(body[1]), gravity))
     v, w, inertia = body[2], body[3], package[2]
     gyro = t3.add_scaled_matrix(

@@ -14,7 +14,8 @@ taken off: the estimate changes by the signature times the likeliest size, and i
 that of the usual sizes.
 
 The error is extended by what falls: by the part of the cup's force that is gone, and speed and
-shift (m/s, m; world).
+shift (m/s, m; world). Of a gripper of several cups the loss of each is a fault, too: its columns
+are after those of the others, and its signature goes through a transition without that cup.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from bellows_ros.core.observer.filter import (
     LENGTHENING,
     MARKER,
     MASS,
+    ONSETS,
     predicted,
     product,
     SHIFT,
@@ -99,6 +101,13 @@ CAUSES = (
 )
 """The faults that are tested."""
 
+CUP_USUAL, CUP_SHARE = 0.15, 0.1
+"""Prior standard deviation of the part of a cup's wrench that is lost, whose mean is 1; share."""
+
+CUP_MESSAGE = (
+    'Cup {:.0f} of cup.layout, at x {:.0f} mm, y {:.0f} mm, holds no more (lost: {} % of its '
+    'wrench): check its lip and its vacuum, and add it to cup.open.')
+
 LOST = 4
 AMBIGUOUS = {
     ('wear', 'payload'), ('payload', 'wear'),
@@ -123,10 +132,10 @@ MEAN = tuple(1.0 if rows == (GONE,) else 0.0 for rows in STEPS)
 ONSET_NS = 30_000_000
 """Spacing (ns) of the onsets tested."""
 
-ONSETS, DENSE_NS, OLDEST_NS = 12, 240_000_000, 10_000_000_000
+DENSE_NS, OLDEST_NS = 240_000_000, 10_000_000_000
 """
-So many of them, beside the beginning: all of a time (ns), what is older farther apart, and nothing
-that is older than this (ns): all that falls for long has fallen out of any number's range.
+All onsets of a time (ns) are tested, what is older farther apart, and nothing that is older than
+this (ns): all that falls for long has fallen out of any number's range.
 """
 
 EVERY = tuple(cause.every for cause in HYPOTHESES)
@@ -190,6 +199,8 @@ class Alarm(NamedTuple):
     odds: float
     """Of the cause to the second, at most a million."""
     message: str
+    cup: int = -1
+    """Index in cup.layout of a cup that is lost."""
 
 
 class DetectedFault(NamedTuple):
@@ -198,6 +209,8 @@ class DetectedFault(NamedTuple):
     alarm: Alarm
     error: Array
     spread: Array
+    cup: int = -1
+    """Which cup of a gripper is lost, by its place among those that held; -1 if none."""
 
 
 class Alarms:
@@ -212,6 +225,8 @@ class Alarms:
         Of the error.
     of_lip : bool
         Whether the lip is measured: a package that slips moves, a marker on it is no longer there.
+    places : ndarray (cups, 4)
+        Of the cups of a gripper that hold, as of `places_of`.
 
     Attributes
     ----------
@@ -220,8 +235,9 @@ class Alarms:
 
     """
 
-    def __init__(self, false_per_hour: float, rows: int, of_lip: bool) -> None:
+    def __init__(self, false_per_hour: float, rows: int, of_lip: bool, places: Array) -> None:
         """Know the signatures at the onset."""
+        self._places = places
         self._threshold = math.log(3.6e12 / ONSET_NS / false_per_hour) + MARGIN
         self.steps: Array = np.zeros((rows + FALLEN, len(STEPS)))
         for component, step in enumerate(STEPS):
@@ -230,34 +246,65 @@ class Alarms:
                 if of_lip and COM <= row < COM + 3:
                     self.steps[MARKER + row - COM, component] = 1.0
 
-    def start(self, stamp_ns: int, is_first: bool = True) -> Evidence:
+    def start(self, stamp_ns: int, cups: int, is_first: bool = True) -> Evidence:
         """Return that there is none; faults from the start begin at a stamp."""
         none = Evidence(
-            np.zeros((len(self.steps), COLUMNS[-1]), np.float32), np.zeros(INFORMATION[-1]),
+            np.zeros((len(self.steps), COLUMNS[-1] + cups * ONSETS), np.float32),
+            np.zeros(INFORMATION[-1] + 2 * cups * ONSETS),
             np.repeat([[0], [-1]], 1 + ONSETS, axis=1), (), is_first)
         _set_in(*none[:3], self.steps, stamp_ns, 0)
         return none
 
     def step(
-        self, known: Evidence, stamp_ns: int, outcome: tuple[float, float, tuple[int, ...], int]
+        self, known: Evidence, stamp_ns: int, outcome: tuple[float, float, tuple[int, ...], int],
+        opened: tuple[int, ...],
     ) -> tuple[Evidence, DetectedFault | None]:
-        """Return the evidence after a measurement, of `processed`, and a fault if one is found."""
+        """
+        Return the evidence after a measurement, of `processed`, and a fault if one is found.
+
+        Those cups of a gripper that are opened have been found to be lost before.
+        """
         total, lead, best, second = outcome
         half_way = (*known.half_way, stamp_ns) if total > 0.5 * self._threshold else ()
         known = known._replace(half_way=half_way)
         if total < self._threshold or len(half_way) <= CONFIRMED or (
                 lead < SURE and stamp_ns - half_way[0] < DECIDE_NS):
             return known, None
-        return self.start(stamp_ns, is_first=False), self._found(
-            known, stamp_ns, best, CAUSES[second], lead)
+        holding = [k for k in range(len(self._places)) if k not in opened]
+        names = [*(cause.name for cause in CAUSES), *(self._cup(k) for k in holding)]
+        odds = math.exp(min(lead, 14.0))
+        if best[1] >= len(HYPOTHESES):
+            return known, self._cup_found(known, stamp_ns, best, holding, names[second], odds)
+        return known, self._found(known, stamp_ns, best, names[second], odds)
+
+    def _cup(self, k: int) -> str:
+        """Return the name of a cup."""
+        return f'cup {self._places[k, 3]:.0f}'
+
+    def _cup_found(
+        self, known: Evidence, stamp_ns: int, best: tuple[int, ...], holding: list[int],
+        second: str, odds: float,
+    ) -> DetectedFault:
+        """Return what is known of a cup that is lost."""
+        which, slot = best[1] - len(HYPOTHESES), best[0] - 1
+        at, number = which * ONSETS + slot, holding[which]
+        d, J = known.numbers[INFORMATION[-1]:].reshape(2, -1)[:, at].tolist()
+        variance = 1.0 / (J + CUP_USUAL**-2.0)
+        size, std = 1.0 + variance * (d - J), math.sqrt(variance)
+        x, y, _, index = self._places[number].tolist()
+        message = CUP_MESSAGE.format(index, 1e3 * x, 1e3 * y, _with_std(100.0, size, std))
+        E: Array = known.signatures[:-FALLEN, COLUMNS[-1] + at].astype(np.float64)
+        return DetectedFault(
+            Alarm(stamp_ns, self._cup(number), size, std, second, odds,
+                  message + _runner_up(second, odds), round(index)),
+            E, E.reshape(-1, 1) * CUP_USUAL, number)
 
     def _found(
-        self, known: Evidence, stamp_ns: int, best: tuple[int, ...], second: Cause,
-        lead: float,
+        self, known: Evidence, stamp_ns: int, best: tuple[int, ...], second: str, odds: float,
     ) -> DetectedFault:
         """Return what is known of the likeliest fault."""
         onset, which, components = best
-        cause, odds = HYPOTHESES[which], math.exp(min(lead, 14.0))
+        cause = HYPOTHESES[which]
         first, end = FIRSTS[which], FIRSTS[which] + components
         slot = max(onset - 1, 0) // EVERY[which]
         usual, mean = np.array(cause.usual[:components]), np.array(MEAN[first:end])
@@ -271,18 +318,24 @@ class Alarms:
         E: Array = known.signatures[:-FALLEN, columns]
         sizes = [_length(size[a:b], P[a:b, a:b]) for a, b, _ in cause.parts]
         message = cause.message.format(*(
-            f'{unit * value:.1f} ± {unit * std:.1f}'
-            for (value, std), (_, _, unit) in zip(sizes, cause.parts, strict=True)))
-        message += f' Second likeliest: {second.name}, odds {max(odds, 1.0):.0f} to 1.'
-        if (cause.name, second.name) in AMBIGUOUS and odds < UNSURE:
+            _with_std(unit, *each) for each, (_, _, unit) in zip(sizes, cause.parts, strict=True)))
+        message += _runner_up(second, odds)
+        if (cause.name, second) in AMBIGUOUS and odds < UNSURE:
             message += ' Weigh the package to decide between them.'
         return DetectedFault(
-            Alarm(stamp_ns, cause.name, *sizes[0], second.name, odds, message), E @ size,
-            E * usual)
+            Alarm(stamp_ns, cause.name, *sizes[0], second, odds, message), E @ size, E * usual)
 
     def lost(self, stamp_ns: int) -> Alarm:
         """Return that the package is lost."""
         return Alarm(stamp_ns, CAUSES[LOST].name, 1.0, 0.0, '', math.inf, CAUSES[LOST].message)
+
+
+def _with_std(unit: float, value: float, std: float) -> str:
+    return f'{unit * value:.1f} ± {unit * std:.1f}'
+
+
+def _runner_up(second: str, odds: float) -> str:
+    return f' Second likeliest: {second}, odds {max(odds, 1.0):.0f} to 1.'
 
 
 def _length(size: Array, P: Array) -> tuple[float, float]:
@@ -296,21 +349,22 @@ def processed(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
     until_ns: int, longest: float, drive: Array, walk: Array, E: Any, numbers: Array,
-    onsets: Stamps, is_first: bool, steps: Array, is_seen: bool, position: Vector,
+    onsets: Stamps, is_first: bool, steps: Array, cups: Array, is_seen: bool, position: Vector,
     quaternion_xyzw: Quaternion, noise: Array, marker: Marker, reach: float, gate: float,
 ) -> Any:
     """
     Carry an estimate to a later stamp, correct it with what is seen there, and look for faults.
 
     Takes what `predicted` and `updated` take, the evidence, and the steps (n + 7, components): the
-    error that each component of a fault makes. All in one, as each call from Python unpacks a
-    whole model. Returns a verdict, tool, body, theta, covariance and memory as `updated`, the
-    evidence, what `_step` returns, and the model as it is estimated.
+    error that each component of a fault makes; cups are those of a gripper that hold. All in one,
+    as each call from Python unpacks a whole model. Returns a verdict, tool, body, theta,
+    covariance and memory as `updated`, the evidence, what `_step` returns, and the model as it is
+    estimated.
     """
     seconds, verdict, outcome = (until_ns - now_ns) * 1e-9, USED, (-math.inf, 0.0, (0, 0, 0), 0)
     tool, body, theta, P, E = predicted(
         model, theta, tool, body, P, memory, stamps, starts, ends, bodies, is_known, k, now_ns,
-        until_ns, longest, drive, walk, E)
+        until_ns, longest, drive, walk, E, cups)
     if is_seen:
         verdict, found, body, theta, P, memory = updated(
             model, tool, body, theta, P, memory, seconds, position, quaternion_xyzw, noise, marker,
@@ -340,7 +394,7 @@ def _step(
     best : tuple of int
         Of the likeliest cause: slot of its onset, place in `HYPOTHESES`, number of components.
     second : int
-        The next, its place in `CAUSES`.
+        The next, its place in `CAUSES`; cups of a gripper are after all others in both.
 
     """
     y, H, root, distance, gain, _ = found
@@ -356,6 +410,13 @@ def _step(
             counts[k] += 1
     for what in range(len(SLOTS) if counts[0] > SETTLING else 0):
         _compare(seen, z, what, numbers)
+    for k in range(E.shape[1] - COLUMNS[-1] if counts[0] > SETTLING else 0):
+        made_k, d, J = COLUMNS[-1] + k, 0.0, 0.0
+        for i in range(6):
+            d += seen[i, made_k] * z[i, 0]
+            J += seen[i, made_k] ** 2
+        numbers[INFORMATION[-1] + k] += d
+        numbers[INFORMATION[-1] + E.shape[1] - COLUMNS[-1] + k] += J
     if used:
         add_product(-gain.astype(np.float32), made, E[:n])
     outcome = _judged(numbers, onsets, stamp_ns, is_first)
@@ -406,6 +467,9 @@ def _set_in(
             numbers[COLUMNS[a] + slot] = 0.0
             E[:, COLUMNS[a] + slot] = steps[:, a]
         numbers[INFORMATION[what] + slot:INFORMATION[what + 1]:SLOTS[what]] = 0.0
+    if k > 0:
+        E[:, COLUMNS[-1] + k - 1::ONSETS] = 0.0
+        numbers[INFORMATION[-1] + k - 1::ONSETS] = 0.0
 
 
 @kernel
@@ -433,8 +497,9 @@ def _judged(
     numbers: Array, onsets: Stamps, stamp_ns: int, is_first: bool
 ) -> tuple[float, float, tuple[int, int, int], int]:
     """Return what `_step` does."""
-    top, sums = np.full(len(SHARES), -math.inf), np.zeros(len(SHARES))
-    best = np.zeros((len(SHARES), 3), np.int64)
+    cups = (len(numbers) - INFORMATION[-1]) // (2 * ONSETS)
+    causes = len(SHARES) + cups
+    top, sums, best = np.full(causes, -math.inf), np.zeros(causes), np.zeros((causes, 3), np.int64)
     A, z = np.empty((LARGEST, LARGEST, ONSETS)), np.empty((LARGEST, ONSETS))
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
     for what in range(0 if is_first else AT_START, len(SLOTS)):
@@ -444,32 +509,60 @@ def _judged(
             _explain(numbers, what, i, A, z, explained, determinant)
             for slot in range(SLOTS[what] if IS_END[first + i] else 0):
                 k = slot * EVERY[what] + later
-                count = onsets[0, k]
-                usual = 6.0 * count + 4.0 * math.sqrt(12.0 * count)
-                unexplained = numbers[DISTANCES + k] - explained[slot]
-                if (count < FEWEST or stamp_ns < onsets[1, k] + AFTER_NS[what]
-                        or unexplained > usual + UNEXPLAINED * explained[slot]):
-                    continue
-                ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
-                ratio += math.log(EVERY[what] if later else START_WEIGHS)
-                if ratio > top[c]:
-                    sums[c] = 1.0 + sums[c] * math.exp(top[c] - ratio)
-                    top[c], best[c, 0], best[c, 1], best[c, 2] = ratio, k, what, i + 1
-                else:
-                    sums[c] += math.exp(ratio - top[c])
-    for c in range(len(SHARES)):
-        top[c] += math.log(max(sums[c], 1.0)) + SHARES[c]
+                if stamp_ns >= onsets[1, k] + AFTER_NS[what] and _explains(
+                        numbers[DISTANCES + k], explained[slot], onsets[0, k]):
+                    ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
+                    ratio += math.log(EVERY[what] if later else START_WEIGHS)
+                    _add_ratio(ratio, c, (k, what, i + 1), top, sums, best)
+    _judge_cups(numbers, onsets, cups, top, sums, best)
+    for c in range(causes):
+        top[c] += math.log(max(sums[c], 1.0)) + (
+            SHARES[c] if c < len(SHARES) else math.log(CUP_SHARE / cups))
     likeliest = top.argmax()
     if top[likeliest] == -math.inf:
         return -math.inf, 0.0, (0, 0, 0), 0
     total, second = 0.0, 1 if likeliest == 0 else 0
-    for c in range(len(SHARES)):
+    for c in range(causes):
         total += math.exp(top[c] - top[likeliest])
         if c != likeliest and top[c] > top[second]:
             second = c
     onset, which, components = best[likeliest]
     return (top[likeliest] + math.log(total), top[likeliest] - top[second],
             (onset, which, components), second)
+
+
+@kernel
+def _judge_cups(
+    numbers: Array, onsets: Stamps, cups: int, top: Array, sums: Array, best: Array
+) -> None:
+    """Add the likelihood ratios of lost cups, whose only number is the part that is lost."""
+    first = INFORMATION[-1]
+    for at in range(cups * ONSETS):
+        cup, k, J = at // ONSETS, at % ONSETS + 1, numbers[first + cups * ONSETS + at]
+        d, freedom = numbers[first + at], 1.0 + CUP_USUAL**2 * J
+        explained = 2.0 * d - J + (CUP_USUAL * (d - J)) ** 2 / freedom
+        if _explains(numbers[DISTANCES + k], explained, onsets[0, k]):
+            _add_ratio(0.5 * (explained - math.log(freedom)), len(SHARES) + cup,
+                       (k, len(SLOTS) + cup, 1), top, sums, best)
+
+
+@kernel
+def _explains(distance: float, explained: float, count: int) -> bool:
+    """Return whether a fault leaves of the squared distances since its onset what is usual."""
+    usual = 6.0 * count + 4.0 * math.sqrt(12.0 * count)
+    return count >= FEWEST and distance - explained <= usual + UNEXPLAINED * explained
+
+
+@kernel
+def _add_ratio(
+    ratio: float, c: int, found: tuple[int, int, int], top: Array, sums: Array, best: Array
+) -> None:
+    """Add a likelihood ratio, by its logarithm, to the sum of a cause, relative to the largest."""
+    if ratio > top[c]:
+        sums[c] = 1.0 + sums[c] * math.exp(top[c] - ratio)
+        top[c], best[c, 0], best[c, 1], best[c, 2] = ratio, found[0], found[1], found[2]
+    else:
+        sums[c] += math.exp(ratio - top[c])
 
 
 @kernel

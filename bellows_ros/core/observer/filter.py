@@ -53,6 +53,7 @@ from bellows_ros.core.model.kernels import (
     Wrench,
 )
 from bellows_ros.core.model.simulation import body_row, row_state, write_row
+from bellows_ros.core.observer.lost_cup import write_losses
 import numpy as np
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
@@ -76,6 +77,9 @@ DAMPING, INERTIA, ALL_ROWS = 49, 55, 58
 STATE = 12
 SECONDS, FALL_SPEED, FALL = 0, 1, 4
 """In row `STATE` of a transition: its time, and speed and shift (m/s, m; world) of what falls."""
+
+ONSETS = 12
+"""So many onsets of each fault are tested."""
 
 FALLEN = 7
 """Rows of what falls, after those of the error: see `alarms`."""
@@ -213,6 +217,8 @@ class Estimate(NamedTuple):
     """With the numbers as they were estimated last."""
     evidence: Evidence = NO_EVIDENCE
     """Of faults."""
+    opened: tuple[int, ...] = ()
+    """Cups of a gripper that are lost, by their place among those that held."""
     refused: int = 0
     """Consecutive measurements outside the gate."""
     away: int = 0
@@ -234,6 +240,20 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
         inverse = add_scaled_matrix(inverse, -1.0, multiply(inverse, multiply(more, inverse)))
     return (cup[0] + 0.5 * longer, cup[1] + longer, K, P, *cup[4:]), (
         k * mass, add(com, (theta[1], theta[2], theta[3])), inertia, inverse), gravity
+
+
+@kernel
+def scaled_cups(cups: Array, theta: Array) -> Array:
+    """Return K and P (n, 54) of cups with the changes that `with_theta` makes to their sum."""
+    out = cups.copy()
+    for c in range(len(cups)):
+        for first in range(0, 54 if len(theta) > DAMPING - STATE else 27, 27):
+            s = theta[(STIFFNESS if first == 0 else DAMPING) - STATE:]
+            for block in range(3):
+                for i in range(9):
+                    row, column = 3 * (block > 1) + i // 3, 3 * (block > 0) + i % 3
+                    out[c, first + 9 * block + i] *= 1.0 + 0.5 * (s[row] + s[column])
+    return out
 
 
 @kernel
@@ -363,7 +383,8 @@ def _by_axes(columns: Array, M: Blocks, out: Array) -> None:
 
 @array_kernel
 def accumulate(
-    A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, falling: Vector
+    A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, falling: Vector,
+    losses: Array, lost: Array,
 ) -> None:
     """
     Carry a transition (13, m) and the noise's covariance (12, 12) through a step, in place.
@@ -383,6 +404,8 @@ def accumulate(
         What is changed.
     falling : tuple
         How what falls is accelerated against the model, which holds it (m/s^2, world).
+    losses, lost : ndarray (cups, 6, 13), (cups, 12, 13)
+        What `write_losses` writes, and the transitions without each cup, which are changed, too.
 
     """
     X, F, n = np.empty((12, 12)), np.empty((12, 12)), T.shape[1]
@@ -397,6 +420,14 @@ def accumulate(
     for i in range(12):
         for j in range(6):
             by_twist[i, j] = h * G[i, 6 + j]
+    for c in range(len(lost)):
+        without = lost[c].copy()
+        for _ in range(2):  # with the loss of the step's beginning, then of its mean
+            taken = product(losses[c], 0.5 * (lost[c] + without), np.empty((6, 13)))
+            taken[:, 12] += losses[c, :, 12]
+            product(F, lost[c], without)
+            add_product(-by_twist, taken, without)
+        lost[c] = without
     moved = add_product(by_twist, B, product(F, T[:STATE], np.empty((12, n))))
     for i in range(12):
         for j in range(n):
@@ -502,7 +533,7 @@ def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
 def propagated(
     model: ModelTuple, theta: Array, tool: State, body: State, T: Array, Q: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, drive: Array,
+    until_ns: int, longest: float, drive: Array, cups: Array, lost: Array,
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, and carry transition and noise there in place.
@@ -530,22 +561,29 @@ def propagated(
         Longest step of the state, s.
     drive : ndarray (12, 12)
         Of `driving`.
+    cups : ndarray (cups, 54)
+        Of a gripper, see `lost_cup`.
+    lost : ndarray (cups, 12, 13)
+        Transitions without each of them, carried along in place.
 
     """
     push, follows, fresh, h, held = wrench_of(theta), T.shape[0] > 0, True, 0.0, 0.0
     nominal, model = model[0], with_theta(model, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
+    losses0, losses1 = np.zeros((len(lost), 6, 13)), np.zeros((len(lost), 6, 13))
+    scaled = scaled_cups(cups[:len(lost)], theta)
     while True:
         if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or is_coarse(
                 now_ns, stamps[k], longest)):
             force = slopes(
                 model, nominal, push, 1.0 + theta[0], tool, body, A1, B1)
+            write_losses(model, scaled, tool, body, losses1)
             if not fresh:
                 accumulate(
                     0.5 * (A0 + A1), 0.5 * (B0 + B1), h, 0.5 * held * drive, T, Q,
-                    scale(-1.0 / model[1][0], force))
-            A0, B0, A1, B1 = A1, B1, A0, B0
+                    scale(-1.0 / model[1][0], force), 0.5 * (losses0 + losses1), lost)
+            A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
             fresh, h, held = False, 0.0, 0.0
         if now_ns == until_ns:
             return tool, body
@@ -572,29 +610,45 @@ def propagated(
 def predicted(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, drive: Array, walk: Array, signatures: Any,
+    until_ns: int, longest: float, drive: Array, walk: Array, signatures: Any, cups: Array,
 ) -> tuple[State, State, Array, Array, Any]:
     """Return tool, body, theta and covariance of an estimate at a later stamp, and signatures."""
     T, Q, theta = identity_transition(len(P)), np.zeros((STATE, STATE)), theta.copy()
+    lost = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
+    for i in range(STATE):
+        lost[:, i, i] = 1.0
     tool, body = propagated(
         model, theta, tool, body, T, Q, stamps, starts, ends, bodies, is_known, k, now_ns,
-        until_ns, longest, drive)
+        until_ns, longest, drive, cups, lost)
     P = propagated_covariance(P, T, Q, walk, memory)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], memory)
     if len(signatures) > 0:
-        signatures = propagated_signatures(signatures, T, memory)
+        signatures = propagated_signatures(signatures, T, memory, lost)
     return tool, body, theta, P, signatures
 
 
 @array_kernel
-def propagated_signatures(E: Any, T: Array, memory: Array) -> Any:
-    """Return the signatures of faults (n + 7, columns) after a transition (13, m)."""
+def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
+    """
+    Return the signatures of faults (n + 7, columns) after a transition (13, m).
+
+    The last columns are those of lost cups, as many for each transition (12, 13) without a cup.
+    """
     n, last, out = len(E) - FALLEN, T[STATE], E.copy()
     times_transition(T.astype(np.float32), E[:n], out[:STATE])
     carry_theta(out[STATE:n], last[SECONDS], memory)
     for i in range(3):
         out[n + 4 + i] += last[SECONDS] * E[n + 1 + i] + last[FALL + i] * E[n]
         out[n + 1 + i] += last[FALL_SPEED + i] * E[n]
+    first = E.shape[1] - len(lost) * ONSETS
+    for c in range(len(lost)):
+        other = (lost[c, :, :STATE] - T[:STATE, :STATE]).astype(np.float32)
+        columns = slice(first + c * ONSETS, first + (c + 1) * ONSETS)
+        for i in range(STATE):
+            row = out[i, columns]
+            row += np.float32(lost[c, i, STATE])
+            for j in range(STATE):
+                row += other[i, j] * E[j, columns]
     return out
 
 

@@ -18,6 +18,7 @@ from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.layout import composition, places_of, UPPER
 from bellows_ros.core.observer.alarms import Alarm, Alarms, processed
 from bellows_ros.core.observer.filter import (
     ALL_ROWS,
@@ -45,6 +46,7 @@ from bellows_ros.core.observer.filter import (
     WRENCH,
     wrench_of,
 )
+from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NO_LOSSES, without
 from bellows_ros.core.observer.measurement import (
     changed_by,
     FIRST_MEMORY,
@@ -205,9 +207,13 @@ class Observer:
         weight = model[1][0] * math.hypot(*model[2])
         self._walk = np.square(BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3))
         allowed, of_lip = self._values['alarm.false_per_hour'], self.sensor.marker[2]
-        self._alarms = Alarms(allowed, len(self._prior), of_lip) if allowed > 0.0 else None
+        places = places_of(self._values)
+        self._cups = cups_of(model, places)
+        self._alarms = Alarms(
+            allowed, len(self._prior), of_lip, places) if allowed > 0.0 else None
         self._steps = self._alarms.steps if self._alarms else NOT_FOLLOWED
         self._known.clear()
+        self._opened: tuple[int, ...] = ()
         self._memory = self._first_memory = first_memory(
             self._values['measured.memory'])
         self._kept = np.zeros(len(self._prior) - STATE), np.diag(np.square(self._prior))
@@ -222,11 +228,20 @@ class Observer:
             P[rows], P[:, rows] = 0.0, 0.0
             P[rows, rows] = np.square(self._prior[rows])
             theta[[row - STATE for row in rows if row >= STATE]] = 0.0
-            self._kept = theta, P
+            self._kept, self._opened = (theta, P), () if is_another else known.opened
         self._known.clear()
         self._seen.clear()
         self._ahead.clear()
-        self._use(self._kept[0], with_theta(self._nominal, self._kept[0]))
+        self._use(self._kept[0], with_theta(self._gripper(self._opened), self._kept[0]))
+
+    def _gripper(self, opened: tuple[int, ...]) -> ModelTuple:
+        """Return the nominal model without those cups that are lost."""
+        return without(self._nominal, self._cups[list(opened)]) if opened else self._nominal
+
+    def _holding(self, opened: tuple[int, ...]) -> Array:
+        """Return the cups, see `cups_of`, that hold; none where the last would be."""
+        cups = np.delete(self._cups, list(opened), axis=0) if opened else self._cups
+        return cups if len(cups) > 1 else NO_CUPS
 
     def _use(self, theta: Array, model: ModelTuple) -> None:
         """Go on with the estimated numbers, and the model with them."""
@@ -281,12 +296,16 @@ class Observer:
         self._track.begin(stamp_ns)
         self._seen.clear()
         self._known = [Estimate(
-            stamp_ns, tool, body, theta, P, self._memory, self.model, self._evidence(stamp_ns))]
+            stamp_ns, tool, body, theta, P, self._memory, self.model,
+            self._evidence(stamp_ns, self._opened), self._opened)]
         self.body = body
 
-    def _evidence(self, stamp_ns: int, is_first: bool = True) -> Evidence:
+    def _evidence(
+        self, stamp_ns: int, opened: tuple[int, ...], is_first: bool = True
+    ) -> Evidence:
         """Return that of no fault yet."""
-        return self._alarms.start(stamp_ns, is_first) if self._alarms else NO_EVIDENCE
+        return NO_EVIDENCE if self._alarms is None else self._alarms.start(
+            stamp_ns, len(self._holding(opened)), is_first)
 
     def follow(self, stamp_ns: int, start: State, end: State) -> State:
         """Carry the package along with the tool, from the newest sample to this one."""
@@ -347,17 +366,19 @@ class Observer:
         and its verdict.
         """
         before, others = known.evidence, (known.refused, known.away)
+        opened = known.opened
         verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome, model = processed(
-            self._nominal, known.theta, known.tool, known.body, known.covariance, known.memory,
-            *self._track.rows, is_known, self._track.after(known.stamp_ns), known.stamp_ns,
-            stamp_ns, self._longest, self._drive, self._walk, *before[:3], before.is_first,
-            self._steps, seen is not None, *(seen or NOTHING_SEEN)[1:], self.sensor.marker,
-            self._reach, gate)
+            self._gripper(opened), known.theta, known.tool, known.body, known.covariance,
+            known.memory, *self._track.rows, is_known, self._track.after(known.stamp_ns),
+            known.stamp_ns, stamp_ns, self._longest, self._drive, self._walk, *before[:3],
+            before.is_first, self._steps, self._holding(opened), seen is not None,
+            *(seen or NOTHING_SEEN)[1:], self.sensor.marker, self._reach, gate)
         if seen is not None:
             others = (known.refused + 1, known.away) if verdict else (0, 0)
         after = Evidence(E, numbers, onsets, before.half_way, before.is_first)
         return Estimate(
-            stamp_ns, tool, body, theta, P, memory, model, after, *others), outcome, verdict
+            stamp_ns, tool, body, theta, P, memory, model, after, opened, *others
+        ), outcome, verdict
 
     def _carried(self, known: Estimate, stamp_ns: int) -> Estimate:
         """Return an estimate carried along with the tool, where the package has been before."""
@@ -405,9 +426,9 @@ class Observer:
         self.body = known.body
         if known.stamp_ns < newest_ns:
             self.body = propagated(
-                self._nominal, known.theta, known.tool, known.body, NOT_FOLLOWED, NOT_FOLLOWED,
-                *self._track.rows, False, self._track.after(known.stamp_ns), known.stamp_ns,
-                newest_ns, self._longest, self._drive)[1]
+                self._gripper(known.opened), known.theta, known.tool, known.body, NOT_FOLLOWED,
+                NOT_FOLLOWED, *self._track.rows, False, self._track.after(known.stamp_ns),
+                known.stamp_ns, newest_ns, self._longest, self._drive, NO_CUPS, NO_LOSSES)[1]
 
     def _updated(self, before: Estimate, seen: Measurement, is_new: bool) -> Estimate:
         """Return the estimate after a measurement: the one before it where that is no package."""
@@ -421,23 +442,26 @@ class Observer:
         if verdict == OUT_OF_REACH:
             return self._away(before, stamp_ns)
         if self._alarms is not None:
-            evidence, fault = self._alarms.step(after.evidence, stamp_ns, outcome)
+            evidence, fault = self._alarms.step(
+                after.evidence, stamp_ns, outcome, after.opened)
             after = after._replace(evidence=evidence)
             if fault is not None:
                 self._raise(fault.alarm)
+                opened = after.opened + ((fault.cup,) if fault.cup >= 0 else ())
                 body, theta = changed_by(after.body, after.theta, fault.error)
                 return after._replace(  # the fault was taken for noise, too
-                    body=body, theta=theta, memory=self._first_memory, refused=0,
-                    model=with_theta(self._nominal, theta),
-                    covariance=self._opened(after) + fault.spread @ fault.spread.T)
+                    body=body, theta=theta, memory=self._first_memory, refused=0, opened=opened,
+                    model=with_theta(self._gripper(opened), theta),
+                    evidence=self._evidence(stamp_ns, opened, False),
+                    covariance=self._uncertain(after) + fault.spread @ fault.spread.T)
         if name == 'recovered':
-            opened = after._replace(
-                covariance=self._opened(after), memory=before.memory, evidence=NO_EVIDENCE)
-            return self._processed(opened, stamp_ns, True, seen, math.inf)[0]._replace(
-                memory=before.memory, evidence=self._evidence(stamp_ns, False))
+            restarted = after._replace(
+                covariance=self._uncertain(after), memory=before.memory, evidence=NO_EVIDENCE)
+            return self._processed(restarted, stamp_ns, True, seen, math.inf)[0]._replace(
+                memory=before.memory, evidence=self._evidence(stamp_ns, after.opened, False))
         return after
 
-    def _opened(self, known: Estimate) -> Array:
+    def _uncertain(self, known: Estimate) -> Array:
         """Return the covariance of an estimate whose motion is as uncertain as at the start."""
         P: Array = known.covariance.copy()
         rows = np.r_[:STATE, WRENCH:WRENCH + 6]
@@ -480,9 +504,10 @@ def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
     """Return the standard deviations (n,) of the error at the start."""
     (_, _, *blocks), (mass, *_), gravity = (model[0][:4], *model[1:])
     weight = mass * math.hypot(*gravity)
+    C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
     K, P = (
-        np.minimum(np.diag(np.reshape(values[f'cup.{name}_std'], (6, 6))) / np.r_[
-            matrix[0][::4], matrix[2][::4]], 1.0)
+        np.minimum(np.sqrt(C @ np.square(np.reshape(values[f'cup.{name}_std'], (6, 6))[UPPER]))
+                   / np.r_[matrix[0][::4], matrix[2][::4]], 1.0)
         for name, matrix in zip(('stiffness', 'damping'), blocks, strict=True))
     inertia = np.array(values['package.inertia_std'][:3])
     std: Array = np.zeros(ALL_ROWS if P.any() or inertia.any() else LEAST_ROWS)

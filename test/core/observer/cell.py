@@ -8,6 +8,7 @@ memory, stamps are late, K, P, mass, centre of mass, inertia and the camera's po
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.layout import composed
 from bellows_ros.core.observer.filter import changed
 import numpy as np
 
@@ -23,14 +24,30 @@ ORDINARY = {'measured__offset_std': [1e-3, 2e-3], 'measured__latency_std': 5e-3,
 EXACT = {'measured__offset_std': [0.0, 0.0], 'measured__latency_std': 0.0}
 
 
-def stated(stiffness=0.0, damping=0.0, mass=0.0, com=0.0, inertia=0.0):
+def stated(package, stiffness=0.0, damping=0.0, mass=0.0, com=0.0, inertia=0.0):
     """Give parameters that state relative standard deviations, and that of com (m)."""
     return {
         'cup__stiffness_std': (stiffness * CUP.stiffness.ravel() * DIAGONAL).tolist(),
         'cup__damping_std': (damping * CUP.damping.ravel() * DIAGONAL).tolist(),
-        'package__mass_std': mass * PACKAGE.mass, 'package__com_std': [com] * 3,
-        'package__inertia_std': [*(inertia * np.diag(PACKAGE.inertia)), 0.0, 0.0, 0.0],
+        'package__mass_std': mass * package.mass, 'package__com_std': [com] * 3,
+        'package__inertia_std': [*(inertia * np.diag(package.inertia)), 0.0, 0.0, 0.0],
     }
+
+
+LAYOUT = np.array([[0.06, 0.04, 0.0], [0.06, -0.04, 0.0], [-0.06, 0.04, 0.0], [-0.06, -0.04, 0.0]])
+"""A gripper of four cups, ..."""
+HEAVY = Package(4 * PACKAGE.mass, np.diag([0.06, 0.09, 0.12]), np.array([0.0, 0.0, -0.06]))
+"""... each of which bears as much as the single cup does."""
+OF_GRIPPER = {
+    'cup__layout': LAYOUT.ravel().tolist(), 'package__mass': HEAVY.mass,
+    'package__com': HEAVY.com.tolist(),
+    'package__inertia': [*np.diag(HEAVY.inertia).tolist(), 0.0, 0.0, 0.0],
+}
+
+
+def gripper_of(cup, layout=LAYOUT):
+    """Give the cup that a gripper of several is."""
+    return Cup(composed(cup.stiffness, layout), composed(cup.damping, layout), cup.length)
 
 
 CONDITIONS = {
@@ -66,24 +83,33 @@ class Cell:
         When it sets in, s.
     rate_hz : float
         Of the camera.
+    size : float
+        Of the fault, relative to what is usual.
+    lost : int
+        The cup of `LAYOUT` that is lost in a fault 'cup'; a gripper holds the package if not None.
     more : parameters of the observer
 
     """
 
-    def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0, **more):
+    def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0,
+                 lost=None, **more):
         """Simulate the package and its measured poses."""
         self.rng = rng = np.random.default_rng(seed)
-        self.at, self.fault, self.size = at, fault, size
+        self.at, self.fault, self.size, self.lost = at, fault, size, lost
+        self.nominal = PACKAGE if lost is None else HEAVY
         self.wrong = wrong = {'memory': 0.0, 'late': 0.0, 'offset': (0.0, 0.0), **wrong}
         self.stamps, self.tool = tool_motion(rng, seconds, period_ns=PERIOD_NS)
         self.tool = [(tuple(np.add(o, WORKPLACE).tolist()), *rest) for o, *rest in self.tool]
-        self.package, self.cup = self._true()
+        self.package, self.one_cup = self._true()
+        self.cup = self.one_cup if lost is None else gripper_of(self.one_cup)
         self.first = round(at * 1e9 / PERIOD_NS)
         self.body = truth(self.tool, self.package, self.cup, change=self._change(),
                           period_ns=PERIOD_NS)
-        self.made = observer(**{**ORDINARY, **stated(**{
+        given = {**ORDINARY, **stated(self.nominal, **{
             name: value for name, value in wrong.items()
-            if name not in ('memory', 'late', 'offset')}), **more})
+            if name not in ('memory', 'late', 'offset')}), **more}
+        self.made = observer(**given) if lost is None else observer(
+            HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))
 
     def _sign(self):
@@ -109,8 +135,8 @@ class Cell:
         if self.fault == 'mass':
             off['mass'] += 0.1 * self.size
         mass, inertia = 1.0 + off['mass'], 1.0 + off['inertia']
-        return Package(
-            mass * PACKAGE.mass, mass * inertia * PACKAGE.inertia, PACKAGE.com + com), Cup(
+        given = self.nominal
+        return Package(mass * given.mass, mass * inertia * given.inertia, given.com + com), Cup(
                 (1.0 + off['stiffness']) * CUP.stiffness, (1.0 + off['damping']) * CUP.damping,
                 CUP.length)
 
@@ -133,6 +159,9 @@ class Cell:
                 return body, model(self.package.com + by)
             if self.fault == 'leak':
                 return body, model(longer=rate * since)
+            if self.fault == 'cup':
+                left = gripper_of(self.one_cup, np.delete(LAYOUT, self.lost, axis=0))
+                return body, model_tuple(left, self.package, 9.81)
             part = max(1.0 - since / 0.15, 1e-9) if self.fault == 'peel' else 1e-9
             return body, model(part=part)
 
@@ -173,7 +202,9 @@ class Cell:
         """Let the observer follow; give its alarms (cause, s since the fault)."""
         made, rng = self.made, self.rng
         noisy = [with_noise(rng, state, TOOL_NOISE) for state in self.tool]
-        made.start(int(self.stamps[0]), noisy[0], truth(noisy[:1])[0])
+        start = truth(noisy[:1])[0] if self.lost is None else truth(
+            noisy[:1], HEAVY, gripper_of(CUP))[0]
+        made.start(int(self.stamps[0]), noisy[0], start)
         for k in range(1, len(noisy)):
             made.follow(int(self.stamps[k]), noisy[k - 1], noisy[k])
             for stamp_ns, pose in self.seen.get(k, []):

@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+from bellows_ros.core.model.layout import SINGLE
 from bellows_ros.core.observer import observer as module
 from bellows_ros.core.observer.alarms import (
     _place,
@@ -32,12 +33,14 @@ from bellows_ros.core.observer.filter import (
     predicted,
     propagated,
 )
+from bellows_ros.core.observer.lost_cup import NO_CUPS, NO_LOSSES
 from bellows_ros.core.observer.measurement import OUT_OF_REACH, updated, USED
 import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from .cell import Cell, CONDITIONS, EXACT
+from .cases import CUP
+from .cell import Cell, CONDITIONS, EXACT, gripper_of, LAYOUT
 
 EXACTLY = {**EXACT, 'payload__estimate': False}
 SLOW = 0.0  # s, when what is wrong from the start is
@@ -68,6 +71,36 @@ def test_cause_of_a_fault_is_named(kind, named, within):
         assert first.odds > 1.0
 
 
+@pytest.mark.parametrize('lost', range(4))
+def test_lost_cup_of_a_gripper_is_named(lost):
+    """Say which cup is lost, once, and go on without it: the error is what it was before."""
+    errors = []
+
+    def after(k):
+        errors.append(np.subtract(cell.made.body[0], cell.body[k][0]))
+
+    cell = Cell(lost, 6.0, {}, 'cup', at=3.0, lost=lost, **EXACTLY)
+    ((cause, seconds),) = cell.run(after)
+    assert cause == f'cup {lost}'
+    assert 0.0 < seconds < 0.45
+    (alarm,) = cell.made.alarms
+    assert alarm.cup == lost
+    assert f'Cup {lost} of cup.layout, at x {1e3 * LAYOUT[lost, 0]:.0f} mm' in alarm.message
+    assert alarm.size == pytest.approx(1.0, abs=4 * alarm.size_std)
+    rms = [np.sqrt(np.mean(np.square(errors[part]))) for part in (
+        slice(250, 375), slice(-125, None))]
+    assert rms[1] < 1.5 * rms[0] + 1e-4
+    left = np.delete(LAYOUT, lost, axis=0)
+    np.testing.assert_allclose(
+        cell.made.estimate.model[0][2][0][::4], np.diag(gripper_of(CUP, left).stiffness)[:3])
+
+
+def test_gripper_whose_cups_hold_raises_no_alarm():
+    """Say nothing of a gripper in an ordinary cell."""
+    for name in ('all, small', 'memory 100 ms'):
+        assert Cell(1, 10.0, CONDITIONS[name], lost=0).run() == []
+
+
 @pytest.mark.parametrize('name', CONDITIONS)
 def test_ordinary_cell_raises_no_alarm(name):
     """Say nothing of what is as uncertain as it was said to be, for 20 s."""
@@ -91,7 +124,8 @@ def test_drop_is_always_noticed(kind, rate_hz, within):
 def _dense_transition(model, theta, tool, body, P, memory, *track):
     """Give the transition (n + 7, n + 7) of the error with what falls, and the tool at the end."""
     n, T = len(P), identity_transition(len(P))
-    end, _ = propagated(model, theta, tool, body, T, np.zeros((12, 12)), *track)
+    end, _ = propagated(
+        model, theta, tool, body, T, np.zeros((12, 12)), *track, NO_CUPS, NO_LOSSES)
     F, h = np.eye(n + 7), T[12, 0]
     F[:12, [*range(MARKER), *range(DAMPING, n)]], F[LENGTH, LENGTHENING] = T[:12], h
     for i in range(6):
@@ -152,11 +186,11 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 
     def processing(model, theta, tool, body, P, memory, *more):
         result = processed(model, theta, tool, body, P, memory, *more)
-        if more[16]:  # something is seen
-            track, seen = more[:10], more[17:]
+        if more[17]:  # something is seen
+            track, seen = more[:10], more[18:]
             F, end = _dense_transition(model, theta, tool, body, P, memory, *track)
             after = predicted(model, theta, tool, body, P, memory, *track, more[10],
-                              np.zeros((0, 0), np.float32))
+                              np.zeros((0, 0), np.float32), NO_CUPS)
             verdict, found, *_ = updated(
                 model, end, *after[1:4], memory, (more[7] - more[6]) * 1e-9, *seen)
             if verdict != OUT_OF_REACH:
@@ -175,8 +209,8 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 def test_onset_that_is_named_keeps_its_slot():
     """Put a new onset elsewhere than the likeliest one, from whose slot an alarm has its size."""
     rng = np.random.default_rng(1)
-    made = Alarms(1.0, 49, False)
-    E, numbers, onsets, *_ = made.start(1)
+    made = Alarms(1.0, 49, False, SINGLE)
+    E, numbers, onsets, *_ = made.start(1, 0)
     for k in range(ONSETS):
         _set_in(E, numbers, onsets, made.steps, 1_000_000_000 + k * ONSET_NS, 0)
     numbers[:] = rng.normal(size=len(numbers))
@@ -221,12 +255,12 @@ def test_camera_that_moved_is_not_followed():
     assert np.abs(cell.made._known[-1].theta[CAMERA - 12:CAMERA - 9]).max() > 3e-3
 
 
-@pytest.mark.parametrize('kind', ['slip', 'camera', 'leak'])
+@pytest.mark.parametrize('kind', ['slip', 'camera', 'leak', 'cup'])
 def test_late_and_shuffled_equals_in_order_with_an_alarm(kind):
     """End with the same estimate and alarms where every second pose comes 100 ms later."""
     ends = []
     for shuffled in (False, True):
-        cell = Cell(6, 6.0, {}, kind, at=3.0, **EXACTLY)
+        cell = Cell(6, 6.0, {}, kind, at=3.0, lost=2 if kind == 'cup' else None, **EXACTLY)
         if shuffled:
             came = {}
             for n, (k, poses) in enumerate(cell.seen.items()):
@@ -291,4 +325,4 @@ def test_every_cause_has_an_onset_or_is_there_from_the_start():
     for cause in CAUSES:
         assert cause.at_start or cause.sets_in
         assert len(cause.usual) == len(cause.steps) == cause.ends[-1]
-    assert Alarms(1.0, 49, False)._threshold > Alarms(10.0, 49, False)._threshold
+    assert Alarms(1.0, 49, False, SINGLE)._threshold > Alarms(10.0, 49, False, SINGLE)._threshold

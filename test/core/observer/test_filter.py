@@ -3,6 +3,7 @@
 from bellows_ros.core.geometry.tuples import exp_quaternion, quaternion_product
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, pose_error, static_equilibrium
+from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.observer.filter import (
     ALL_ROWS,
     CAMERA,
@@ -23,13 +24,15 @@ from bellows_ros.core.observer.filter import (
     with_theta,
     WRENCH,
 )
+from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NO_LOSSES, without
 from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE
 from bellows_ros.core.observer.observer import first_memory
 import numpy as np
 import pytest
 
-from .cases import CUP, later, PACKAGE, tool_motion, with_noise
+from .cases import CUP, later, PACKAGE, tool_motion, truth, with_noise
 from .cases import NOISE as NOISE_STD
+from .cell import gripper_of, HEAVY, LAYOUT
 
 SIZES = np.repeat(
     [0.003, 0.02, 0.05, 0.2, 0.05, 0.004, 0.3, 0.01, 0.002, 0.01, 0.1, 0.002, 0.02, 0.002, 0.02,
@@ -66,7 +69,7 @@ def test_transition_is_that_by_differences(is_off):
     T, Q = identity_transition(ALL_ROWS), np.zeros((12, 12))
     _, found = propagated(
         model, theta, start, body, T, Q, stamps[250:252], *rows, False, 1,
-        stamps[250], stamps[251], largest_step(model), drive)
+        stamps[250], stamps[251], largest_step(model), drive, NO_CUPS, NO_LOSSES)
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(difference(middle, found), 0.0, atol=2e-6)
     F, memory, step = np.eye(ALL_ROWS), MEMORY, 1e-4
@@ -94,6 +97,36 @@ def test_transition_is_that_by_differences(is_off):
     own = propagated_covariance(P, T, Q, walk, memory)
     np.testing.assert_allclose(
         own / np.outer(SIZES, SIZES), dense / np.outer(SIZES, SIZES), atol=1e-3)
+
+
+def test_transition_without_a_cup_is_that_of_the_others():
+    """Carry an error for 10 ms as a package goes on that one cup of a gripper lets go."""
+    rng = np.random.default_rng(3)
+    stamps, tool = tool_motion(rng, 0.3, period_ns=1_000_000)
+    places = np.column_stack([LAYOUT, range(4)])
+    model = model_tuple(gripper_of(CUP), HEAVY, 9.81)
+    cups, first, last = cups_of(model, places), 230, 240
+    start = truth(tool[:first + 1], HEAVY, gripper_of(CUP), period_ns=1_000_000)[-1]
+    e = rng.normal(size=12) * SIZES[:12] * 0.02
+    rows = [np.array([[*o, *q, *v, *w] for o, q, v, w in tool[a:b]])
+            for a, b in ((first - 1, last), (first, last + 1))]
+    losses = np.tile(np.eye(12, 13), (4, 1, 1))
+    _, found = propagated(
+        model, np.zeros(ALL_ROWS - 12), tool[first], start, identity_transition(ALL_ROWS),
+        np.zeros((12, 12)), stamps[first:last + 1], *rows, rows[0].copy(), False, 1,
+        stamps[first], stamps[last], largest_step(model), np.zeros((12, 12)), cups, losses)
+    for lost in range(4):
+        others = model_tuple(gripper_of(CUP, np.delete(LAYOUT, lost, axis=0)), HEAVY, 9.81)
+        body = changed(start, e)
+        for k in range(first, last):
+            body = advance(others, body, tool[k], tool[k + 1], 1e-3, 8)
+        made = difference(found, body)
+        made_here = losses[lost, :, :12] @ e + losses[lost, :, 12]
+        np.testing.assert_allclose(
+            made_here / SIZES[:12], made / SIZES[:12], atol=0.01 * np.abs(made / SIZES[:12]).max())
+        np.testing.assert_allclose(
+            np.hstack([np.ravel(block) for block in without(model, cups[[lost]])[0][2]]),
+            np.hstack([np.ravel(block) for block in others[0][2]]), atol=1e-9)
 
 
 @pytest.mark.parametrize('of_lip', [False, True])
@@ -148,7 +181,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
     propagated(
         model, theta, tool, body, T, Q, np.array([0, 1_000_000]), *rows, False, 1, 0, 1_000_000,
-        1.0, np.zeros((12, 12)))
+        1.0, np.zeros((12, 12)), NO_CUPS, NO_LOSSES)
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     for k in range(updates):
