@@ -21,6 +21,7 @@ from __future__ import annotations
 from typing import Any
 
 from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.products import add_product, product
 from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled_matrix,
@@ -54,7 +55,6 @@ from bellows_ros.core.model.jacobians import (
 )
 from bellows_ros.core.model.kernels import advance, ModelTuple, State, with_strains
 from bellows_ros.core.model.simulation import row_state
-from bellows_ros.core.observer.filter import add_product, product
 import numpy as np
 
 CLIPPED = 3.0

@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.products import add_product, product
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer.filter import (
-    add_product,
     CAMERA,
     COM,
     Evidence,
@@ -38,7 +38,6 @@ from bellows_ros.core.observer.filter import (
     MASS,
     ONSETS,
     predicted,
-    product,
     SHIFT,
     STIFFNESS,
     with_theta,

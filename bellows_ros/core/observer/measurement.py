@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import array_kernel, kernel
+from bellows_ros.core.geometry.products import add_product, product, subtract_square, transpose
 from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
@@ -31,16 +32,12 @@ from bellows_ros.core.model.equilibrium import moved, pose_error
 from bellows_ros.core.model.jacobians import acceleration_at
 from bellows_ros.core.model.kernels import body_acceleration, ModelTuple, State
 from bellows_ros.core.observer.filter import (
-    add_product,
     CAMERA,
     COM,
     LATENCY,
     MARKER,
     NOISE,
-    product,
     STATE,
-    subtract_square,
-    transpose,
     with_theta,
     wrench_of,
 )
