@@ -66,7 +66,7 @@ UNIT_OF: Mapping[str, Any] = {
         'cup_length', 'length', 'lengths', 'peak_deflection', 'path_error', 'landing_position',
     ), 'm'),
     **dict.fromkeys((
-        'time_offsets', 'duration', 'late', 'took', 'smallest_safety_time', 'settled_after',
+        'time_offsets', 'duration', 'own_delay', 'took', 'smallest_safety_time', 'settled_after',
         'added_time', 'smoothed', 'valve_time', 'release_time', 'landing_time',
     ), 's'),
     **dict.fromkeys(('load', 'loads', 'linear_load', 'peak_force'), 'N'),

@@ -185,8 +185,8 @@ class Pairing:
         self.interpolated += 1
         s = (stamp_ns - before.stamp_ns) / span
         return TwistSample(
-            stamp_ns, between(s, before.linear, behind.linear),
-            between(s, before.angular, behind.angular),
+            stamp_ns, interpolated(s, before.linear, behind.linear),
+            interpolated(s, before.angular, behind.angular),
         )
 
     def _set_before(self, twist: TwistSample, served: bool = False) -> None:
@@ -217,6 +217,6 @@ def smoothed(mean: float, value: float) -> float:
     return mean + SMOOTHING * (value - mean) if mean else value
 
 
-def between(s: float, a: Vector, b: Vector) -> Vector:
+def interpolated(s: float, a: Vector, b: Vector) -> Vector:
     """Return (1 - s) a + s b."""
     return add(scale(1.0 - s, a), scale(s, b))

@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike
 MOST_SUBSTEPS = 10_000
 """Most substeps of one advance; more means a cup too stiff or a time too long: diverged."""
 
-CUP_LENGTHS = SAGS = 3.0
+REACH_LENGTHS = REACH_SAGS = 3.0
 """No lip is further from where it is without load than so many lengths of the cup, and so many
 times what the package's weight shifts it by in the softest direction."""
 
@@ -102,7 +102,7 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
             modes = modes_of(nominal_system_matrix((model[0][:4], *model[1:])))
             softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
             sag = package.mass * math.hypot(*model[2]) / softest
-            reach = CUP_LENGTHS * cup.length + SAGS * sag
+            reach = REACH_LENGTHS * cup.length + REACH_SAGS * sag
             return Prepared(model, largest_step(model, A), reach, modes)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(

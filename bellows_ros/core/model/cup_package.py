@@ -219,12 +219,12 @@ def varied(
     its way a search may go a little beyond what a body can have.
     """
     root = np.exp(0.5 * np.broadcast_to(inertia, 3))
-    there = object.__new__(Package)
+    made = object.__new__(Package)
     for name, value in (('mass', held.mass * float(np.exp(mass).item())),
                         ('inertia', held.inertia * np.outer(root, root)),
                         ('com', held.com + np.asarray(com))):
-        object.__setattr__(there, name, value)
-    return there
+        object.__setattr__(made, name, value)
+    return made
 
 
 def package_of(values: Mapping[str, Any]) -> Package:

@@ -71,9 +71,10 @@ def moved(
     body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
 ) -> State:
     """Return a state displaced in its own axes, with its twist changed."""
-    there = displaced(body, shift, turn)
-    there = with_rotation(there, t3.normalised(there[1]))
-    return with_twist(there, t3.add(there[2], linear), t3.add(there[3], angular))
+    perturbed = displaced(body, shift, turn)
+    perturbed = with_rotation(perturbed, t3.normalised(perturbed[1]))
+    return with_twist(
+        perturbed, t3.add(perturbed[2], linear), t3.add(perturbed[3], angular))
 
 
 @kernel

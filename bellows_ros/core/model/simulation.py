@@ -108,7 +108,7 @@ def steady_start(
     rates = np.array([v, w, dv, t3.scale(2.0 / duration**2, turn_bend)]).reshape(2, 6)
     T_world_tool = transform(quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
 
-    def carried(offset: Array) -> tuple[State, Array]:
+    def with_offset(offset: Array) -> tuple[State, Array]:
         x, y, z, rx, ry, rz = offset.tolist()
         state = moved(hanging, (x, y, z), (rx, ry, rz), still, still)
         T_world_package = transform(quaternion_to_rotation(np.array(state[1])), state[0])
@@ -116,7 +116,7 @@ def steady_start(
         return state_row(state[0], state[1], at_package[0]), at_package[1]
 
     def unbalance(offset: Array) -> Array:
-        state, needed = carried(offset)
+        state, needed = with_offset(offset)
         return np.ravel(body_acceleration(model, first, state)) - needed
 
     still = (0.0, 0.0, 0.0)
@@ -129,7 +129,7 @@ def steady_start(
         step = np.linalg.solve(J, unbalance(offset))
         offset -= step * min(1.0, LARGEST_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
         if np.abs(step).max() < 1e-10:
-            return adapted(model, first, carried(offset)[0])
+            return adapted(model, first, with_offset(offset)[0])
     raise UnstableError(
         'The plan begins in motion, and the cup cannot hold the package in steady motion at '
         f'the first acceleration, {math.hypot(*dv):.3g} m/s^2. Give the plan from rest.')

@@ -195,7 +195,7 @@ class Explained:
     """kg."""
     released: float
     """From the valve to letting go, with the drop's own instant, s; NaN where it does not."""
-    late: float
+    own_delay: float
     """The drop's own instant, from that of all, s."""
     position: float
     """Root mean square, m, along the gravity."""
@@ -263,7 +263,7 @@ class ReleaseFit:
     @property
     def explains(self) -> bool:
         """Whether the law explains the drops."""
-        latest = max(abs(drop.late) for drop in self.drops)
+        latest = max(abs(drop.own_delay) for drop in self.drops)
         return latest <= 5.0 * SCATTER[0] and (self.position <= EXPLAINED or (
             self.chi2 <= CHI2_EXPLAINED
             and (self.lack <= LACKING or self.common <= EXPLAINED)))
@@ -382,7 +382,7 @@ def _squares(fit: ReleaseFit) -> float:
 def _fall(drop: Drop) -> float:
     """Return when a package begins to fall for good, s since the first stamp."""
     position, seconds = drop.package.position, drop.package.seconds
-    return float(seconds[falls(position, seconds, drop.model[2])[0]])
+    return float(seconds[free_fall_samples(position, seconds, drop.model[2])[0]])
 
 
 def half_window(step: float) -> int:
@@ -390,7 +390,7 @@ def half_window(step: float) -> int:
     return max(2, round(WINDOW / step))
 
 
-def falls(position: Array, seconds: Array, gravity: Any) -> tuple[int, int]:
+def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[int, int]:
     """
     Return the first and the last sample of the last fall before an impact.
 
@@ -682,7 +682,7 @@ def _drop(
     if not stands:  # the tool is known at the common stamps
         package = _tracked(recording.measured_package, valve_ns, until_ns)
     after = int(np.searchsorted(package.stamps_ns, valve_ns))
-    first, last = falls(package.position[after:], package.seconds[after:], model[2])
+    first, last = free_fall_samples(package.position[after:], package.seconds[after:], model[2])
     fallen = package.seconds[after + first] + AFTER
     package = package.select(slice(0, min(
         after + last + 1, int(np.searchsorted(package.seconds, fallen, 'right')))))

@@ -73,7 +73,7 @@ class NominalLength:
     ----------
     length, length_std : float
         l0 and its standard error, m; that is infinite where no degree of freedom is left.
-    chi2, freedom : float, int
+    chi2, degrees_of_freedom : float, int
         Chi^2 of the fit, and its degrees of freedom.
     stiffness : float
         Axial stiffness at no load, N/m.
@@ -94,7 +94,7 @@ class NominalLength:
     length: float
     length_std: float
     chi2: float
-    freedom: int
+    degrees_of_freedom: int
     stiffness: float
     linear_load: float
     loads: Array
@@ -221,7 +221,7 @@ class PoseCheck:
         The lip in the tool: deflection from nominal, m and rad; predicted is nan where the cup
         cannot carry the package.
     verdict : str
-        'within noise', 'good', 'off' or 'falls'.
+        'within noise', 'good', 'off' or 'no equilibrium'.
     sentence : str
         The verdict in words.
 
@@ -272,7 +272,7 @@ def check_spring(
 
     """
     poses = tuple(_check(cup, still, gravity) for still in standstills)
-    off = [pose for pose in poses if pose.verdict in ('off', 'falls')]
+    off = [pose for pose in poses if pose.verdict in ('off', 'no equilibrium')]
     if not off:
         sentence = f'The spring holds in all {len(poses)} poses.'
     else:
@@ -284,11 +284,11 @@ def check_spring(
 def _cause(poses: Sequence[PoseCheck]) -> str:
     """Return the likeliest cause of a spring that is off."""
     mass = poses[0].standstill.payload.mass
-    if all(pose.verdict == 'falls' for pose in poses):
+    if all(pose.verdict == 'no equilibrium' for pose in poses):
         return f'It carries {mass:g} kg in none of them: package.mass is likely in another unit.'
     upright = [pose for pose in poses if pose.standstill.tilt <= UPRIGHT_WITHIN]
     measured, predicted = (
-        np.array([getattr(pose, name)[2] for pose in upright if pose.verdict != 'falls'])
+        np.array([getattr(pose, name)[2] for pose in upright if pose.verdict != 'no equilibrium'])
         for name in ('measured', 'predicted'))
     factor = float(measured @ predicted / max(predicted @ predicted, 1e-18))
     left = np.linalg.norm(measured - factor * predicted)
@@ -375,7 +375,7 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     try:
         position, q = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)[:2]
     except UnstableError as error:
-        return PoseCheck(still, measured, np.full(6, np.nan), 'falls', str(error))
+        return PoseCheck(still, measured, np.full(6, np.nan), 'no equilibrium', str(error))
     there = Trajectory(
         still.package.stamps_ns, np.array([position]), quaternion_to_rotation(np.array([q]))
     )
