@@ -35,6 +35,9 @@ REST_USED = 0.9  # of the standstill that was found
 
 SHORTEST_HOLD, LEAST_TILT = 4.0, 0.1
 """A tilt beyond this (rad) that is held so long (s) shows how rubber creeps."""
+NO_CUP, MOST_CHANGE = (0.3, 10.0), 0.05
+"""Distances (m) of the package from the tool at the start that are no cup's, if they change by
+more (m)."""
 MOST_FRAMES = 20
 """Frames of transforms that are named."""
 HOLD_STEP, HELD = 0.25, (0.01, 0.04)
@@ -252,27 +255,40 @@ def _assigned(
             'An identification needs the poses of tool and package; the tool alone is enough '
             'only for a simulation or a prediction.')
     rest_s = None
-    frames = [short(poses[guess.topic].frame_id) for guess in (tool, package) if guess]
-    apart = all(frames) and len(set(frames)) == 2
-    if apart:
+    why_apart = _why_apart(pair, *(poses[guess.topic] for guess in (tool, package))) if (
+        tool and package) else ''
+    if why_apart:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
             'fit.time_offset': True, 'fit.free': ('package_marker',)}
         notes.append(
-            f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'. "
-            f'recording.package_world: {ESTIMATE} finds how the second lies in the first, best '
-            'with standstills tilted to several sides at the end; if you know it, give its seven '
-            'numbers. The time offset and the marker are estimated, too: leave out what you know.')
+            f'{why_apart} recording.package_world: {ESTIMATE} finds how the world of the package '
+            'lies in that of the tool, best with standstills tilted to several sides at the end; '
+            'if you know it, give its seven numbers. The time offset and the marker are '
+            'estimated, too: leave out what you know.')
     if any(timing(poses[guess.topic].stamps_ns).rate_hz < LOW_RATE_HZ
            for guess in (tool, package) if guess):
         settings['fit.method'] = 'output_error'
     if pair:
-        rest_s, at_rest, more = _at_rest(poses, pair, apart)
-        settings |= at_rest if apart else {'recording.world': pair.world, **at_rest}
+        rest_s, at_rest, more = _at_rest(poses, pair, bool(why_apart))
+        settings |= at_rest if why_apart else {'recording.world': pair.world, **at_rest}
         notes += more
     return Info(
         str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
     )
+
+
+def _why_apart(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
+    """Return why two topics are of two worlds or two clocks, '' where they are not."""
+    frames = short(tool.frame_id), short(package.frame_id)
+    if all(frames) and frames[0] != frames[1]:
+        return f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'."
+    if tool.stamps_ns[-1] < package.stamps_ns[0] or package.stamps_ns[-1] < tool.stamps_ns[0]:
+        return 'The stamps of tool and package do not overlap: they are of two clocks.'
+    if pair and NO_CUP[0] < pair.distance < NO_CUP[1] and pair.change > MOST_CHANGE:
+        return (f'The package is {pair.distance * 1e3:.0f} mm from the tool, which changes by '
+                f'{pair.change * 1e3:.0f} mm: no cup. Their poses are of two worlds.')
+    return ''
 
 
 def _at_rest(

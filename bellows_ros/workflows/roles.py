@@ -64,6 +64,8 @@ class Pair:
         shows it.
     distance : float
         Between the two at the start, m.
+    change : float
+        Of the distance, from its lowest to its highest percent, m.
     score : float
         The more, the likelier.
 
@@ -73,6 +75,7 @@ class Pair:
     package: Guess
     world: str
     distance: float
+    change: float
     score: float
 
 
@@ -84,11 +87,16 @@ def likely_pair(poses: Mapping[str, PoseStream]) -> Pair | None:
 
 
 def likely_alone(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
-    """Return tool and package judged by name alone, None if no name says so."""
+    """Return tool and package judged by names alone, None if no name says so."""
     guesses = []
     for words, others in ((TOOL_WORDS, PACKAGE_WORDS), (PACKAGE_WORDS, TOOL_WORDS)):
         named = [name for name in poses if _said(name, words) and not _said(name, others)]
         guesses.append(Guess(named[0], (_by_name(named[0], words),)) if named else None)
+    for i in (0, 1):
+        other = guesses[1 - i]
+        if guesses[i] is None and other and len(poses) == 2:
+            rest = next(name for name in poses if name != other.topic)
+            guesses[i] = Guess(rest, ('it is the other',))
     return guesses[0], guesses[1]
 
 
@@ -115,13 +123,13 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
     score = 0.0
     spread = float(np.subtract(*np.percentile(distances, (75, 25))))
     distance = float(np.linalg.norm(start))
+    low, high = np.percentile(distances, (1, 99))  # jumps of tracking do not count
     if below:
         axis = '-z' if world == 'z_up' else '-y'
         why_package.append(f"it starts {distance * 1e3:.0f} mm from '{tool.name}', along {axis}")
         score += 3.0
     if distance < LONGEST_DISTANCE and spread < LARGEST_CHANGE * distance:
-        low, high = 1e3 * np.percentile(distances, (1, 99))  # jumps of tracking do not count
-        why_package.append(f'it stays {low:.1f} to {high:.1f} mm from it')
+        why_package.append(f'it stays {1e3 * low:.1f} to {1e3 * high:.1f} mm from it')
         score += 2.0
     for name, words, why in ((tool.name, TOOL_WORDS, why_tool),
                              (package.name, PACKAGE_WORDS, why_package)):
@@ -132,7 +140,7 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
         why_tool.append(f"'{package.name}' hangs below it")
     return Pair(
         Guess(tool.name, tuple(why_tool)), Guess(package.name, tuple(why_package)), world,
-        distance, score,
+        distance, float(high - low), score,
     )
 
 

@@ -195,3 +195,24 @@ def test_a_stamp_years_away_takes_no_memory():
     stamps = [0, 10_000_000, 3 * 10**17]
     tool = Trajectory(stamps, np.zeros((3, 3)), np.broadcast_to(np.eye(3), (3, 3, 3)))
     assert longest_hold(tool) == 0.0
+
+
+@pytest.mark.parametrize(('frame', 'late_s', 'aside', 'reason'), [
+    ('camera', 0.0, 0.0, "in frame 'base', the package in 'camera'"),
+    ('base', 100.0, 0.0, 'do not overlap'), ('base', 0.0, 1.0, 'no cup'), ('base', 0.0, 0.0, '')])
+def test_two_worlds_or_clocks_are_all_set_free(
+        tmp_path: Path, frame: str, late_s: float, aside: float, reason: str) -> None:
+    """Free world, clock and marker where frames, stamps or distances are not of one world."""
+    m = motion()
+    R_world = exp_so3(np.array([0.4, 1.0, -0.7]) * aside)
+    write_bag(tmp_path / 'bag', [
+        replace(poses('/tcp', m['t'], m['o'], m['R']), frame_id='base'),
+        replace(poses('/gripper_load', m['t'] + late_s, apply(R_world, m['o_p'] + aside),
+                      R_world @ m['R_p']), frame_id=frame)])
+    found = info(tmp_path / 'bag')
+    free = {name: found.settings.get(name) for name in (
+        'recording.package_world', 'fit.time_offset', 'fit.free', 'fit.method')}
+    assert any(reason in note for note in found.notes) if reason else not free['fit.free']
+    if reason:
+        assert free == {'recording.package_world': 'estimate', 'fit.time_offset': True,
+                        'fit.free': ('package_marker',), 'fit.method': 'output_error'}

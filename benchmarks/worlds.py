@@ -1,0 +1,141 @@
+"""
+How well a cup is found with a camera that has a world and a clock of its own.
+
+    python -m benchmarks.worlds --runs 40
+
+Each recording is simulated: a robot (500 Hz, 0.02 mm, 0.05 mrad) and a camera (30 Hz, 0.5 mm,
+2.5 mrad) that is late, in a frame of its own, and sees a marker in any pose some 30 mm from the
+centre of mass. Every second one ends with three tilts of 2 s, and of every four two have noise
+that is correlated over 50 ms. World, clock and marker are free; the search starts from the default
+cup.
+"""
+
+import argparse
+import time
+from typing import Any
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
+from bellows_ros.core.identification.methods import fit
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.errors import BellowsError
+from bellows_ros.workflows.recordings import _prepared, prepare_settings
+from bellows_ros.workflows.verdict import verdict_of
+import numpy as np
+
+START, RATE = 10**18, 1000.0
+PLATE = Package(1.6, np.diag([0.006, 0.005, 0.009]), (0.0, 0.0, -0.025))
+VALUES: dict[str, Any] = {
+    'bags': ('simulated',), 'fit.method': 'output_error', 'fit.time_offset': True,
+    'recording.package_world': 'estimate', 'fit.free': ('package_marker',),
+    'recording.package_frame': 'com', 'recording.world': 'z_up', 'recording.align_at_rest': False,
+    'package.mass': PLATE.mass, 'package.com': tuple(PLATE.com), 'cup.length': 0.0481,
+    'package.inertia': (*np.diag(PLATE.inertia), 0.0, 0.0, 0.0),
+    'topics.tool_pose': '/tool', 'topics.package_pose': '/camera'}
+
+
+def tool_motion(rng: np.random.Generator, duration: float, tilts: bool) -> Trajectory:
+    """Return a motion of the tool: sines of all axes, then tilts that are held."""
+    end = duration + (9.0 if tilts else 0.0)
+    t = np.arange(int(end * RATE)) / RATE
+    fade = np.clip(np.minimum(t - 1.0, duration - t), 0.0, 1.0)
+    fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
+    way = np.zeros((len(t), 6))
+    for axis in range(6):
+        for size, low, high in ((0.02, 0.3, 0.7), (0.01, 1.0, 1.6), (0.003, 2.4, 4.5)):
+            way[:, axis] += (1.0 if axis < 3 else 4.0) * size * np.sin(
+                2.0 * np.pi * (rng.uniform(low, high) * t + rng.random()))
+    way *= fade[:, None]
+    for number, (x, y) in enumerate(((0.3, 0.0), (0.0, 0.3), (-0.2, -0.2)) if tilts else ()):
+        since = t - duration - 3.0 * number
+        s = np.clip(np.minimum(since / 0.5, (3.0 - since) / 0.5), 0.0, 1.0)
+        way[:, 3:5] += (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None] * [x, y]
+    R = exp_so3(way[:, 3:])
+    ends = np.clip(np.arange(len(t))[:, None] + [-1, 1], 0, len(t) - 1)
+    rate = RATE / np.diff(ends, axis=1)
+    turn = log_so3(np.swapaxes(R[ends[:, 0]], 1, 2) @ R[ends[:, 1]]) * rate
+    slope = (way[ends[:, 1], :3] - way[ends[:, 0], :3]) * rate
+    return Trajectory(START + np.rint(t * 1e9).astype(np.int64), way[:, :3], R, np.hstack([
+        apply(np.swapaxes(R, 1, 2), slope), turn]))
+
+
+def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream]:
+    """Return a cup, and what robot and camera record of it."""
+    rng, standard = np.random.default_rng(seed), Cup.thesis()
+    scale = np.sqrt(np.exp(rng.uniform(-0.5, 0.5, (2, 4)))[:, [0, 0, 1, 2, 2, 3]])
+    cup = Cup(*(s[:, None] * M * s for s, M in zip(
+        scale, (standard.stiffness, standard.damping), strict=True)), standard.length)
+    tool = tool_motion(rng, duration, bool(seed % 2))
+    body = simulate(cup, PLATE, tool, gravity=9.81)
+
+    def seen(
+        poses: Trajectory, rate: float, std: tuple[float, float], memory: float
+    ) -> Trajectory:
+        stamps = poses.stamps_ns[::round(RATE / rate)]
+        there, e = resample(poses, stamps), rng.standard_normal((len(stamps), 6))
+        kept = np.exp(-1.0 / (rate * memory)) if memory else 0.0
+        for k in range(1, len(e)):
+            e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
+        e *= np.repeat(std, 3)
+        return Trajectory(stamps, there.position + e[:, :3], there.rotation @ exp_so3(e[:, 3:]))
+
+    tool = seen(tool, 500.0, (2e-5, 5e-5), 0.0)
+    body = seen(body, 30.0, (5e-4, 2.5e-3), 0.05 if seed % 4 > 1 else 0.0)
+    way = 0.03 * log_so3(exp_so3(rng.standard_normal(3)))
+    R_marker, R_world = (exp_so3(rng.uniform(-2.0, 2.0, 3)) for _ in range(2))
+    o_world = rng.uniform(-1.0, 1.0, 3)
+    late_ns = int(rng.uniform(15e6, 60e6))
+    return cup, PoseStream('/tool', 'base', tool.stamps_ns, tool.position, tool.rotation), (
+        PoseStream('/camera', 'camera', body.stamps_ns + late_ns,
+                   (body.position + apply(body.rotation, way) - o_world) @ R_world,
+                   R_world.T @ body.rotation @ R_marker))
+
+
+def line(seed: int, duration: float) -> tuple[str, Array]:
+    """Return the line of a recording, and how many standard errors K is off; inf is refused."""
+    values, began = resolve(VALUES), time.process_time()
+    cup, tool, package = recorded(seed, duration)
+    about = f'| {seed} | {"yes" if seed % 2 else "no"} | {"50 ms" if seed % 4 > 1 else "none"} | '
+    try:
+        recording = _prepared(tool, package, None, prepare_settings(values), values)
+        found = fit([recording], values).fit
+    except BellowsError as error:
+        return f'{about} refused: {str(error)[:60]} | | |', np.empty(0)
+    z = np.diag((found.stiffness - cup.stiffness) / np.where(
+        found.stiffness_std > 0.0, found.stiffness_std, np.inf))[[0, 2, 3, 5]]
+    verdict = verdict_of(found, [recording], values['cup.length'], values)
+    refused = verdict is not None and bool(verdict.refusals)
+    sizes = np.diag(100.0 * found.stiffness_std / cup.stiffness.max(axis=1))[[0, 2, 3, 5]]
+    return (f'{about}{" ".join(f"{x:.1f}" for x in z)} | '
+            f'{" ".join(f"{x:.2g}" for x in sizes)} | '
+            f'{"refused" if refused or not found.usable else "accepted"} | '
+            f'{time.process_time() - began:.0f} |'), z
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--runs', type=int, default=40, help='recordings')
+    parser.add_argument('--first', type=int, default=0, help='seed of the first')
+    parser.add_argument('--duration', type=float, default=26.0, help='of the motion, s')
+    arguments = parser.parse_args()
+    print('| recording | tilts | noise over | K x, z, rx, rz off by (standard errors) | '
+          'standard errors % | verdict | CPU s |\n|---|---|---|---|---|---|---|')
+    rows = []
+    for seed in range(arguments.first, arguments.first + arguments.runs):
+        text, z = line(seed, arguments.duration)
+        print(text, flush=True)
+        rows.append(z)
+    all_z = np.concatenate(rows)
+    print(f'{len(rows)} recordings: K within 4 standard errors in '
+          f'{100.0 * np.mean(np.abs(all_z) < 4.0):.0f} %, within 1.96 in '
+          f'{100.0 * np.mean(np.abs(all_z) < 1.96):.0f} % of the entries; the largest '
+          f'{np.abs(all_z).max():.1f}.')
+
+
+if __name__ == '__main__':
+    main()
