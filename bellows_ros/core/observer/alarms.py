@@ -21,6 +21,7 @@ are after those of the others, and its signature goes through a transition witho
 from __future__ import annotations
 
 import math
+import re
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -65,7 +66,7 @@ class Cause(NamedTuple):
     sets_in: bool
     """Whether it may be present from the start, and whether it may have an onset."""
     message: str
-    """The finding, by the sizes of its parts, and what to do."""
+    """The finding, by the sizes of its parts, and what to do; [] holds what it may lack."""
     parts: tuple[tuple[int, int, float], ...] = ((0, 1, 1e3),)
     """Components from first to before last make a size, shown in this unit."""
     every: int = 1
@@ -77,7 +78,7 @@ class Cause(NamedTuple):
 CAUSES = (
     Cause('slip', ((COM, SHIFT), (COM + 1, SHIFT + 1), *((MARKER + 3 + i,) for i in range(3))),
           (3e-3, 3e-3, 0.1, 0.1, 0.1), (2, 5), 0.4, False, True,
-          'The grip has slipped by {} mm and turned by {} degrees: move slower, or raise '
+          'The grip has slipped by {} mm[ and turned by {} degrees]: move slower, or raise '
           'the vacuum.', ((0, 2, 1e3), (2, 5, 180.0 / math.pi))),
     Cause('leak', ((LENGTHENING,),), (5e-3,), (1,), 0.1, False, True,
           'The cup yields by {} mm/s, as with a leak: check its lip and the vacuum.',
@@ -89,13 +90,13 @@ CAUSES = (
           ((0, 1, 100.0), (1, 2, 100.0))),
     Cause('payload', tuple((row,) for row in range(MASS, MASS + 4)), (0.2, 0.01, 0.01, 0.01),
           (1, 4), 0.1, True, False,
-          'The mass is off by {} % and the centre of mass by {} mm: correct package.*, or '
+          'The mass is off by {} %[ and the centre of mass by {} mm]: correct package.*, or '
           'set payload.estimate.', ((0, 1, 100.0), (1, 4, 1e3))),
     Cause('lost', ((GONE,),), (0.3,), (1,), 0.1, False, True,
           'The package is lost: stop the arm.', ((0, 1, 1.0),), 2),
     Cause('camera', tuple((row,) for row in range(CAMERA, CAMERA + 6)), (6e-3,) * 6, (3, 6), 0.2,
           True, True,
-          'The frame of the camera has moved by {} mm and {} mrad: calibrate it.',
+          'The frame of the camera has moved by {} mm[ and {} mrad]: calibrate it.',
           ((0, 3, 1e3), (3, 6, 1e3))),
 )
 """The faults that are tested."""
@@ -182,7 +183,9 @@ UNEXPLAINED = 0.2
 """Largest fraction of the misfit that a named cause may leave unexplained."""
 
 UNSURE = 100.0
-"""Below these odds of two ambiguous causes the message says what would decide."""
+"""Below these odds of two ambiguous causes the message has both, and says what would decide."""
+
+DECIDES = 'Weigh the package to decide between them.'
 
 
 class Alarm(NamedTuple):
@@ -304,29 +307,45 @@ class Alarms:
         """Return what is known of the likeliest fault."""
         onset, which, components = best
         cause = HYPOTHESES[which]
+        size, P, columns = self._size(known, onset, which, components)
+        message = _sentence(cause, size, P) + _runner_up(second, odds)
+        if (cause.name, second) in AMBIGUOUS and odds < UNSURE:
+            other = next(k for k in range(AT_START) if HYPOTHESES[k].name == second)
+            found = self._size(known, 0, other, HYPOTHESES[other].ends[0])
+            message += f' Then: {_sentence(HYPOTHESES[other], *found[:2])} ' + DECIDES
+        E: Array = known.signatures[:-FALLEN, columns]
+        (first, end, _), *_ = cause.parts
+        alarm = Alarm(stamp_ns, cause.name, *_length(size[first:end], P[first:end, first:end]),
+                      second, odds, message)
+        return DetectedFault(alarm, E @ size, E * np.array(cause.usual[:components]))
+
+    def _size(
+        self, known: Evidence, onset: int, which: int, components: int
+    ) -> tuple[Array, Array, list[int]]:
+        """Return the likeliest size of a fault, its covariance, and its columns."""
         first, end = FIRSTS[which], FIRSTS[which] + components
         slot = max(onset - 1, 0) // EVERY[which]
-        usual, mean = np.array(cause.usual[:components]), np.array(MEAN[first:end])
+        usual, mean = np.array(USUAL[first:end]), np.array(MEAN[first:end])
         of_slot = known.numbers[INFORMATION[which] + slot:INFORMATION[which + 1]:SLOTS[which]]
         J = np.zeros((components, components))
         J[np.tril_indices(components)] = of_slot[:components * (components + 1) // 2]
         J += np.tril(J, -1).T
         columns = [column + slot for column in COLUMNS[first:end]]
         P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
-        size = mean + P @ (known.numbers[columns] - J @ mean)
-        E: Array = known.signatures[:-FALLEN, columns]
-        sizes = [_length(size[a:b], P[a:b, a:b]) for a, b, _ in cause.parts]
-        message = cause.message.format(*(
-            _with_std(unit, *each) for each, (_, _, unit) in zip(sizes, cause.parts, strict=True)))
-        message += _runner_up(second, odds)
-        if (cause.name, second) in AMBIGUOUS and odds < UNSURE:
-            message += ' Weigh the package to decide between them.'
-        return DetectedFault(
-            Alarm(stamp_ns, cause.name, *sizes[0], second, odds, message), E @ size, E * usual)
+        return mean + P @ (known.numbers[columns] - J @ mean), P, columns
 
     def lost(self, stamp_ns: int) -> Alarm:
         """Return that the package is lost."""
         return Alarm(stamp_ns, CAUSES[LOST].name, 1.0, 0.0, '', math.inf, CAUSES[LOST].message)
+
+
+def _sentence(cause: Cause, size: Array, P: Array) -> str:
+    """Return a finding with the sizes of its parts."""
+    sizes = [_with_std(unit, *_length(size[a:b], P[a:b, a:b]))
+             for a, b, unit in cause.parts if a < len(size)]
+    lacks = len(sizes) < len(cause.parts)
+    message = re.sub(r'\[(.*?)\]', '' if lacks else r'\1', cause.message)
+    return message.format(*sizes)
 
 
 def _with_std(unit: float, value: float, std: float) -> str:

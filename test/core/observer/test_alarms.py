@@ -1,6 +1,7 @@
 """Name what is wrong, and nothing where nothing is."""
 
 from collections import Counter
+import re
 
 from bellows_ros.core.model.layout import SINGLE
 from bellows_ros.core.observer import observer as module
@@ -11,6 +12,7 @@ from bellows_ros.core.observer.alarms import (
     AT_START,
     CAUSES,
     COLUMNS,
+    DECIDES,
     FEWEST,
     FIRSTS,
     HYPOTHESES,
@@ -69,6 +71,19 @@ def test_cause_of_a_fault_is_named(kind, named, within):
         first = cell.made.alarms[0]
         assert first.second != first.cause
         assert first.odds > 1.0
+
+
+def test_mass_that_is_off_may_be_wear_and_the_alarm_says_both():
+    """Give both sizes, near those that are true, and what would decide."""
+    for seed in (0, 4):
+        _, cell = first_of(seed, 'mass')
+        alarm = cell.made.alarms[0]
+        assert {alarm.cause, alarm.second} == {'wear', 'payload'}
+        found = re.search(r'The mass is off by ([0-9.]+) ± ([0-9.]+) %', alarm.message)
+        assert float(found[1]) == pytest.approx(10.0, abs=3 * float(found[2]))
+        found = re.search(r'and ([0-9.]+) ± ([0-9.]+) % in rotation', alarm.message)
+        assert float(found[1]) == pytest.approx(10.0, abs=3 * float(found[2]))
+        assert alarm.message.endswith(DECIDES)
 
 
 @pytest.mark.parametrize('lost', range(4))
