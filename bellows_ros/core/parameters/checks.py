@@ -266,6 +266,7 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
     'cup.layout': lambda p, value: _require_layout(value),
     'gravity.direction': lambda p, value: require_direction(value),
     'release.correlation': lambda p, value: require_correlation(value),
+    'release.mass_range': lambda p, value: _require_mass_range(value),
 }
 
 
@@ -285,6 +286,16 @@ def require_correlation(numbers: Sequence[float]) -> None:
         raise BellowsError(
             'release.correlation must be a symmetric and positive definite 8x8 matrix with 1 on '
             'the diagonal, row-major. Take it from bellows identify --release, or leave it out.')
+
+
+def _require_mass_range(masses: Sequence[float]) -> None:
+    """Raise BellowsError for masses (kg) that are no range, but for two zeros."""
+    lightest, heaviest = masses
+    if any(masses) and not 1e-6 <= lightest <= heaviest:
+        raise BellowsError(
+            f'release.mass_range is {lightest:g} to {heaviest:g} kg; expected the lightest '
+            'package of the drops, at least 1e-06 kg, and then the heaviest. Take both from '
+            'bellows identify --release, or leave them out.')
 
 
 def require_direction(direction: ArrayLike) -> None:
