@@ -26,9 +26,14 @@ from bellows_ros.core.excitation.motion_design import (
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
-from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.cup_package import (
+    gripper_of,
+    model_tuple,
+    one_cup_of,
+    package_of,
+)
 from bellows_ros.core.model.grip import grip_of
-from bellows_ros.core.model.structure import Structure, structure_named
+from bellows_ros.core.model.structure import fitted_structure, Structure
 from bellows_ros.core.parameters.checks import gravity_of, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.recording.recording import Noise
@@ -196,10 +201,11 @@ def excite(
     arm = arm_of(urdf, values['tool_link']) if urdf else None
     bounds, block = limits_from(limits, float(values['safety.least']), arm)
     tracking = tracking_from(block)
-    structure = structure_named(values['fit.structure'])
-    cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
+    structure = fitted_structure(values)
+    cup, package, gravity = one_cup_of(values), package_of(values), gravity_of(values)
     grip, models = grip_of(values), [
-        model_tuple(each, package, gravity) for each in cups_near(cup)]
+        model_tuple(gripper_of(each, structure.places), package, gravity)
+        for each in cups_near(cup)]
 
     def errors_of(tool: Trajectory) -> Array:
         return standard_errors(motion_information(

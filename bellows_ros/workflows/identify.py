@@ -24,7 +24,11 @@ from bellows_ros.core.identification.methods import (
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import is_gripper
-from bellows_ros.core.model.structure import given_structure, structure_of_gripper
+from bellows_ros.core.model.structure import (
+    fitted_structure,
+    given_structure,
+    structure_of_gripper,
+)
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
@@ -116,12 +120,7 @@ def identify(
     """
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
-    if is_gripper(values) and not given_structure(values).places:
-        raise BellowsError(
-            'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
-            f'fit.structure: {values["fit.structure"]} fits a single cup. Set fit.structure: '
-            'layout to find the numbers of one cup from the gripper, or leave cup.layout out to '
-            'fit the gripper as one cup (fit.structure: full).')
+    fitted_structure(values)
     of_files = _origins(parameter_files)
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values

@@ -65,7 +65,8 @@ class SteeredMotion(NamedTuple):
 
 
 OF_EXCITE = (
-    'start', 'joints', 'rotation', 'bending', 'torsion', 'highest_frequency', 'tracking')
+    'start', 'joints', 'rotation', 'excitation', 'bending', 'torsion', 'highest_frequency',
+    'tracking')
 """Settings in a limits file that only `bellows excite` reads."""
 
 

@@ -86,7 +86,7 @@ def test_a_series_is_three_plans_in_order(
     found = json.loads((tmp_path / 'm.json').read_text())['series']
     assert [*found] == ['1_standstills', '2_excitation', '3_validation']
     assert all(name in done.stdout for name in found)
-    low, high = (np.array(LIMITS['workspace'][name]) for name in ('lower', 'upper'))
+    low, high = (np.array(LIMITS['excitation'][name]) for name in ('lower', 'upper'))
     for name in found:
         (_, plan), = plans_in(tmp_path / 'series' / name)
         o = plan.poses[:, :3]

@@ -1,9 +1,12 @@
 """Limits of motions as a file gives them."""
 
-from bellows_ros.core.planning.limits import NONE, RATES
+from bellows_ros.core.planning.limits import demands, NONE, RATES
+from bellows_ros.core.planning.points import timed
+from bellows_ros.core.planning.steering import steer
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from bellows_ros.workflows.steer import read_limits
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.steer import read_limits, steer_plan
 import numpy as np
 import pytest
 
@@ -27,4 +30,18 @@ def test_one_file_serves_excite_too(root):
     """Read the file that explains every limit, and leave the rest of it alone."""
     limits = read_limits(safe_yaml.load(root / 'config/limits_example.yaml'))
     assert limits.rates['speed'] == 1.5 and limits.rates['angular_jerk'] == 2000.0
-    assert limits.high.tolist() == [0.57, 0.02, 0.72] and limits.safety_factor == 1.5
+    assert limits.high.tolist() == [1.3, 0.5, 1.2] and limits.safety_factor == 1.5
+
+
+@pytest.mark.parametrize('plan', ['transport', 'throw'])
+def test_the_sample_plans_are_steered_within_the_sample_limits(root, plan):
+    """As a user tries both files first; the time is the shortest, to a percent."""
+    file = root / 'config/limits_example.yaml'
+    found = steer_plan(root / f'bags/{plan}.yaml', read_parameters(root / 'bags/tossing.yaml'),
+                       'zvd', file)
+    limits = read_limits(safe_yaml.load(file))
+    assert found.limit == 'speed'
+    asked = demands(found.steered.tool)
+    assert all(asked[name] <= limits.rates[name] * (1.0 + 1e-6) for name in RATES)
+    quicker = steer(found.source.model, timed(found.source.tool, 0.99 * found.time_scale), 'zvd')
+    assert demands(quicker.tool)['speed'] > limits.rates['speed']

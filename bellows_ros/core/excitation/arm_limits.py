@@ -161,13 +161,15 @@ def limits_from(
         T = arm.tool(joints[None])[0][0]
         start = Pose(T[:3, 3], T[:3, :3])
     space = settings.block('workspace')
-    lower, upper, turn = (space.vector(name, 3, unit=unit) for name, unit in (
-        ('lower', 'm'), ('upper', 'm'), ('rotation', 'rad')))
+    turn, box = space.vector('rotation', 3, unit='rad'), settings.block('excitation')
+    lower, upper = (
+        box.vector(name, 3, tuple(space.vector(name, 3, unit='m')), 'm')
+        for name in ('lower', 'upper'))
     if not ((lower < start.position) & (start.position < upper)).all() or turn.min() <= 0.0:
         raise settings.error(
-            'workspace', f"The start {start.position.tolist()} m is not inside of 'workspace' "
-            f"({lower.tolist()} to {upper.tolist()} m), or 'workspace.rotation' is not above 0. "
-            'Move the start or widen the workspace.')
+            'workspace', f"The start {start.position.tolist()} m is not inside of 'workspace' or "
+            f"'excitation' ({lower.tolist()} to {upper.tolist()} m), or 'workspace.rotation' is "
+            'not above 0. Move the start or widen the box.')
     found = ArmLimits(
         start, lower, upper, turn, read_rates(settings),
         settings.number('bending', BENDING, 'rad', above=0.0, most=0.5 * math.pi),

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import covariance_of
 from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import simulate
@@ -54,7 +54,7 @@ def motion_information(
         Of K and P.
 
     """
-    body = simulate(cup, package, tool, gravity=gravity)
+    body = simulate(gripper_of(cup, structure.places), package, tool, gravity=gravity)
     density = np.sqrt(tracking.tool_period / tracking.package_period)
     of_tool, of_package = (BodyNoise(np.repeat(own, 3)) for own in (
         density * np.array(tracking.tool), tracking.package))

@@ -23,7 +23,7 @@ from bellows_ros.core.excitation.fisher import (
 )
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import hat, rotation_to_quaternion
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import state_row
@@ -328,12 +328,13 @@ def design(
     minimise: Any = optimize.minimize
     period = duration - REST
     cups = cups_near(cup)
-    models = [model_tuple(each, package, gravity) for each in cups]
+    models = [model_tuple(gripper_of(each, structure.places), package, gravity) for each in cups]
     at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation))
 
     def responses_at(omega: Array) -> list[Response]:
         return [response(
-            lambda x: model_tuple(Cup(*structure.matrices(x), cup.length), package, gravity),
+            lambda x: model_tuple(gripper_of(
+                Cup(*structure.matrices(x), cup.length), structure.places), package, gravity),
             structure.parameters(each.stiffness, each.damping),
             structure.sizes(each.stiffness, each.damping), at, omega, tracking) for each in cups]
 

@@ -249,6 +249,20 @@ def given_structure(values: Mapping[str, Any]) -> Structure:
     return structure_of_gripper(values) if structure is OF_LAYOUT else structure
 
 
+def fitted_structure(values: Mapping[str, Any]) -> Structure:
+    """Return the structure of a fit; BellowsError for that of a single cup with cup.layout."""
+    from bellows_ros.core.model.cup_package import is_gripper  # late: it imports this module
+
+    structure = given_structure(values)
+    if is_gripper(values) and not structure.places:
+        raise BellowsError(
+            'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
+            f'fit.structure: {structure.name} is of a single cup. Set fit.structure: layout to '
+            'find the numbers of one cup from the gripper, or leave cup.layout out to fit the '
+            'gripper as one cup (fit.structure: full).')
+    return structure
+
+
 def structure_of_gripper(values: Mapping[str, Any]) -> Structure:
     """Return the structure of one cup of a gripper; BellowsError without cup.layout."""
     from bellows_ros.core.model.layout import is_single, places_of  # late: grippers alone need it
