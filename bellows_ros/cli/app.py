@@ -56,7 +56,7 @@ DESCRIPTION = (
 )
 TRY = """try it:
   bellows identify bags/identification --params bags/package.yaml --out cup.yaml
-  bellows replay bags/validation --params cup.yaml
+  bellows replay bags/validation --params bags/package.yaml --params cup.yaml
 """
 WIDTH = 79
 

@@ -109,7 +109,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     elif cup_file:
         console.wrote(cup_file, then=(
             'Next, check how well it predicts another recording:',
-            f'  bellows replay BAG --params {cup_file}'))
+            '  bellows replay BAG ' + ' '.join(
+                f'--params {file}' for file in (*arguments.params, cup_file))))
     else:
         console.say('The cup was not written to a file; give --out cup.yaml to keep it.')
     return OK if usable else NOT_USABLE

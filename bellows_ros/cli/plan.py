@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 EXAMPLES = (
     ('bellows plan bags/transport.yaml --params bags/tossing.yaml --fastest',
      'the effect of a motion for bellows simulate, and its shortest safe time'),
-    ('bellows plan plan_bag --params cup.yaml --json plan.json --plot plan.png --out predicted',
+    ('bellows plan plan_bag --params bags/cup.yaml --json plan.json --plot plan.png \\\n'
+     '    --out predicted',
      'a recorded plan, with all figures, a picture, and a recording of tool and package'),
-    ('bellows plan moveit_bag --params cup.yaml --urdf arm.urdf --tool-link tool0',
+    ('bellows plan moveit_bag --params bags/cup.yaml --urdf arm.urdf --tool-link tool0',
      "a plan of an arm's joints"),
 )
 

@@ -18,11 +18,13 @@ from .console import Console, OK, Progress
 EXAMPLES = (
     ('bellows plot motion bags/identification --params bags/package.yaml --out motion.png',
      'tool and package on all axes against time'),
-    ('bellows plot deflection bags/identification --params cup.yaml --out deflection.svg',
+    ('bellows plot deflection bags/identification --params bags/cup.yaml --out deflection.svg',
      "load against deflection, and the cup's stiffness"),
-    ('bellows plot prediction bags/validation --params cup.yaml --out prediction.png --theme dark',
+    ('bellows plot prediction bags/validation --params bags/cup.yaml --out prediction.png \\\n'
+     '    --theme dark',
      'measured and predicted pose of the package'),
-    ('bellows plot animation bags/validation --params cup.yaml --out replay.gif --from 3 --to 6',
+    ('bellows plot animation bags/validation --params bags/cup.yaml --out replay.gif \\\n'
+     '    --from 3 --to 6',
      'tool, cup and package moving'),
     ('bellows plot spectra recording --out spectra.svg --json spectra.json',
      'with the numbers, for pictures of your own'),
@@ -89,6 +91,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     require_picture(arguments.out, FILMS if arguments.what == 'animation' else PICTURES)
     if arguments.what == 'spectra' and (arguments.first, arguments.last) != FULL_RANGE:
         raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
+    if arguments.last <= max(arguments.first, 0.0):
+        raise BellowsError(
+            f'--to must be above {max(arguments.first, 0.0):g} s, got {arguments.last:g}.')
     if not 0.0 < arguments.speed <= FASTEST:
         raise BellowsError(
             f'--speed must be above 0 and at most {FASTEST:g}, got {arguments.speed:g}.')

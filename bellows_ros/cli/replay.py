@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.replay import Replay
 
 EXAMPLES = (
-    ('bellows replay bags/validation --params cup.yaml',
+    ('bellows replay bags/validation --params bags/cup.yaml',
      'check the cup identified before'),
-    ('bellows replay bags/validation --params cup.yaml --report replay.html',
+    ('bellows replay bags/validation --params bags/cup.yaml --report replay.html',
      'also write a page with plots, which needs no network'),
-    ('bellows replay bags/validation --params cup.yaml \\\n'
+    ('bellows replay bags/validation --params bags/cup.yaml \\\n'
      '      --set topics.tool_twist= --json replay.json',
      'without twists, with all figures in a file'),
-    ('bellows replay bags/validation --params cup.yaml --observe camera/box \\\n'
+    ('bellows replay bags/validation --params bags/cup.yaml --observe camera/box \\\n'
      '      --set measured.noise="[0.002, 0.01]"',
      'with a camera: prediction alone, camera alone, and both'),
-    ('bellows replay bags/validation --params cup.yaml --observe camera/box \\\n'
+    ('bellows replay bags/validation --params bags/cup.yaml --observe camera/box \\\n'
      '      --set measured.calibrate=true --out camera.yaml',
      'find where the camera is, and keep it for the node'),
-    ('bellows replay sound_work --params cup.yaml --observe camera/box \\\n'
+    ('bellows replay sound_work --params bags/cup.yaml --observe camera/box \\\n'
      '      --calibrate-alarms --out alarms.yaml',
      'find what alarms must allow for, and the false alarms to expect'),
-    ('bellows replay second --params cup.yaml --limit 5',
+    ('bellows replay second --params bags/cup.yaml --limit 5',
      'in a script: exit code 1 unless every axis that moves is within 5 %'),
 )
 PERCENT, MILLI = 100.0, 1e3

@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         result = static_check(bags, settings, progress)
     with options.naming_written() as written:
         if arguments.out:
-            save_length(result, arguments.out, settings)
+            save_length(result, arguments.out)
             written += [arguments.out]
         options.put_json(
             arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})

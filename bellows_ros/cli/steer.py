@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 EXAMPLES = (
     ('bellows steer bags/transport.yaml --method inverse --params bags/tossing.yaml --out steered',
      'the tool motion with which the package moves as planned'),
-    ('bellows steer plan_bag --method zvd --params cup.yaml --limits limits.yaml \\\n'
+    ('bellows steer plan_bag --method zvd --params bags/cup.yaml --limits limits.yaml \\\n'
      '    --out steered --json steer.json', 'a shaped motion within limits, with all figures'),
-    ('bellows steer plan_bag --method inverse --params cup.yaml --plot steer.gif',
+    ('bellows steer plan_bag --method inverse --params bags/cup.yaml --plot steer.gif',
      'planned and steered motion side by side, at a quarter of the speed'),
 )
 

@@ -11,8 +11,8 @@ from . import options
 from .console import Console, OK
 
 EXAMPLES = (
-    ('bellows view bags/validation --params cup.yaml', 'open the viewer'),
-    ('bellows view bags/validation --params cup.yaml --out replay.rrd',
+    ('bellows view bags/validation --params bags/cup.yaml', 'open the viewer'),
+    ('bellows view bags/validation --params bags/cup.yaml --out replay.rrd',
      "write a file; 'rerun replay.rrd' opens it on any machine"),
 )
 

@@ -86,7 +86,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
     console.say(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
     with console.progress() as progress:
-        exchange = _predict_live(bag, settings, out, progress)
+        exchange = _predict_live(bag, settings, [out / 'cup.yaml', bags / KNOWN], out, progress)
     console.say('3. Compare its poses with the measured ones', 'bold')
     comparison = compare_recorded(
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
@@ -104,7 +104,8 @@ def run(bags: Path, out: Path, console: Console) -> int:
 
 
 def _predict_live(
-    bag: Path, settings: Mapping[str, Any], out: Path, progress: Progress
+    bag: Path, settings: Mapping[str, Any], parameters: Sequence[Path], out: Path,
+    progress: Progress,
 ) -> 'Exchange':
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.
@@ -117,7 +118,7 @@ def _predict_live(
 
         names = {settings['topics.tool_pose']: POSES, settings['topics.tool_twist']: TWISTS}
         messages, _ = read_messages(bag, names)
-        with predictor(out / 'cup.yaml', out / 'predictor.log') as require_alive:
+        with predictor(parameters, out / 'predictor.log') as require_alive:
             return converse(messages, names, require_alive, progress)
 
 
@@ -149,14 +150,14 @@ LAST_LINES = 15
 
 
 @contextmanager
-def predictor(parameters: Path, log: Path) -> Iterator[Callable[[], None]]:
+def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], None]]:
     """
     Run the node while the context lasts.
 
     Parameters
     ----------
-    parameters : Path
-        For --params-file.
+    parameters : sequence of Path
+        Each for --params-file.
     log : Path
         Gets all that the node says.
 
@@ -167,7 +168,7 @@ def predictor(parameters: Path, log: Path) -> Iterator[Callable[[], None]]:
 
     """
     command = [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args',
-               '--params-file', str(parameters)]
+               *(word for file in parameters for word in ('--params-file', str(file)))]
     with log.open('wb') as output:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT

@@ -31,14 +31,11 @@ if TYPE_CHECKING:  # what a plain identification does without
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
 
-NOT_OF_THE_CUP = (
-    'bags', 'package.files', 'static.bags', 'static.files', 'static.length', 'validation.bags',
-    'output.parameters', 'output.json', 'output.report', 'predictor', 'exit_when_done',
-)
-"""Parameters of one run, which do not belong in the cup file."""
-
 OF_THE_CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
-"""Parameters that are always in it; others only where they are not the default."""
+"""Parameters that are always in the cup file ..."""
+
+WITH_THE_CUP = ('cup.relaxation', 'cup.relaxation_times', 'cup.layout')
+"""... and those that are where they are not the default: K and P are found with them."""
 
 NO_CUP = 'This cup cannot hold a package: see the warnings.'
 """Reason for refusing a fit that no predictor can use."""
@@ -149,11 +146,17 @@ class Identification:
         }
 
     def parameters(self) -> dict[str, Any]:
-        """Return the parameters of the cup file: what was found, and of the run what is set."""
+        """
+        Return the parameters of the cup file: what was found, and what it was found with.
+
+        Whatever else was set, such as the package, is of the recordings, and of no use to others.
+        """
+        wanted = {*OF_THE_CUP, *(FREED[name][0] for name, *_ in self.fit.freed), *(
+            ['recording.package_world'] if any(part.package_world for part in self.parts) else [])}
         kept = {
             name: value for name, value in self.cup_values().items()
-            if name in OF_THE_CUP or not (name in NOT_OF_THE_CUP or (
-                name in PARAMETERS and value == PARAMETERS[name].default))}
+            if name in wanted or (
+                name in WITH_THE_CUP and value != PARAMETERS[name].default)}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')

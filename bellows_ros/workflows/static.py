@@ -285,10 +285,10 @@ def _same(one: Recording, other: Recording) -> bool:
 
 
 def save_length(
-    result: StaticResult, path: str | os.PathLike[str], given: Mapping[str, object]
+    result: StaticResult, path: str | os.PathLike[str]
 ) -> None:
     """
-    Write the given parameters with the estimated nominal length.
+    Write the estimated nominal length as a parameter file.
 
     Raises
     ------
@@ -303,4 +303,4 @@ def save_length(
         f'Nominal length found by bellows_ros {__version__} from {bags}:',
         f'{result.length.text}.',
     ]
-    write_parameters(path, {**given, 'cup.length': result.length.length}, header)
+    write_parameters(path, {'cup.length': result.length.length}, header)

@@ -62,7 +62,8 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(
         '#recording.package_frame', 'recording.package_frame'))
     done = bellows('identify', '--params', file, '--out', tmp_path / 'cup.yaml', cwd=workshop)
     assert done.returncode == 0, done.stderr
-    assert read_parameters(tmp_path / 'cup.yaml')['topics.tool_pose'] == '/tool_arm/pose'
+    assert read_parameters(tmp_path / 'cup.yaml')['cup.length'] == 0.046
+    assert read_parameters(file)['topics.tool_pose'] == '/tool_arm/pose'
 
 
 def test_bad_input_ends_with_2_and_writes_nothing(

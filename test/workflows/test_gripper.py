@@ -50,7 +50,7 @@ def test_the_cup_file_holds_one_cup_and_the_layout(gripper, method, tmp_path):
         assert np.all(np.abs(one - true)[sure] < 4.5 * error[sure])
     assert_allclose(np.diag(cup_of(resolve(written)).stiffness), np.diag(cup_of(truth).stiffness),
                     rtol=0.03)
-    found = replay(known['bags'][0], written).validation.scores
+    found = replay(known['bags'][0], {**known, **written}).validation.scores
     assert np.all(found.rms < 1.5 * np.repeat([2e-5, 1e-4], 3))
 
 

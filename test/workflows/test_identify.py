@@ -126,12 +126,11 @@ def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_p
     (recording,) = written['recordings']
     assert recording['package_pose']['outliers'] > 0
     assert len(recording['package_pose']['gaps']) == 3
-    values = resolve(read_parameters(tmp_path / 'cup.yaml'))
+    kept = read_parameters(tmp_path / 'cup.yaml')
+    values = resolve(kept)
     assert_allclose(values['cup.stiffness'], fit.stiffness.ravel(), rtol=0, atol=0)
     assert_allclose(values['cup.damping'], fit.damping.ravel(), rtol=0, atol=0)
-    assert values['package.mass'] == 1.8
-    assert values['topics.tool_pose'] == '/tool_arm/pose'
-    assert 'bags' not in read_parameters(tmp_path / 'cup.yaml')
+    assert all(name.startswith(('cup.', 'envelope.')) for name in kept)  # only what was found
 
 
 @pytest.mark.parametrize('method', ['least_squares', pytest.param(

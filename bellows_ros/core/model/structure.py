@@ -251,10 +251,8 @@ def given_structure(values: Mapping[str, Any]) -> Structure:
 
 def fitted_structure(values: Mapping[str, Any]) -> Structure:
     """Return the structure of a fit; BellowsError for that of a single cup with cup.layout."""
-    from bellows_ros.core.model.cup_package import is_gripper  # late: it imports this module
-
     structure = given_structure(values)
-    if is_gripper(values) and not structure.places:
+    if any(values.get('cup.layout', ())) and not structure.places:
         raise BellowsError(
             'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
             f'fit.structure: {structure.name} is of a single cup. Set fit.structure: layout to '
