@@ -183,10 +183,10 @@ class LivePayload:
 
     def observe(self, observer: Observer) -> None:
         """Let an observer correct the package from now on."""
-        self.observer = observer
         observer.set_model(self._model, self._longest_step, self._reach)
         if self.sample is not None:
             observer.start(*self.sample)
+        self.observer = observer  # last: other threads ask it for its model
 
     def see(self, seen: Measurement) -> None:
         """Correct the package with a measured pose."""

@@ -118,8 +118,12 @@ class Uncertainty:
             self._measured_ns = prediction.stamp_ns
         observed = prediction.covariance and prediction.covariance()
         if observed is not None:
-            self.known = True
-            return np.asarray(np.linalg.cholesky(observed))
+            try:
+                root = np.asarray(np.linalg.cholesky(observed))
+                self.known = True
+            except np.linalg.LinAlgError:  # of numbers that differ by as much as doubles can
+                root, self.known = UNKNOWN_ROOT, False
+            return root
         if not self.known and abs(prediction.stamp_ns - self._tried_ns) < RETRY_NS:
             return UNKNOWN_ROOT
         try:

@@ -223,3 +223,16 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
 def norms(six):
     """Return the lengths of the two parts of a six-vector."""
     return np.linalg.norm(six[:3]), np.linalg.norm(six[3:])
+
+
+def test_covariance_of_an_observer_that_rounding_has_spoilt_is_unknown():
+    live, out = predict()
+    uncertainty = Uncertainty(live.model, values())
+    sound = np.diag([1e-6] * 6 + [1e-3] * 6)
+    assert_allclose(uncertainty.covariance(out[0]._replace(covariance=lambda: sound)), sound)
+    spoilt = sound - 2.0 * np.diag([0.0] * 11 + [1e-3])
+    found = uncertainty.covariance(out[1]._replace(covariance=lambda: spoilt))
+    assert_allclose(found, UNKNOWN)
+    assert not uncertainty.known
+    assert_allclose(uncertainty.covariance(out[2]._replace(covariance=lambda: sound)), sound)
+    assert uncertainty.known
