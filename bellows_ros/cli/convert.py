@@ -30,6 +30,8 @@ EXAMPLES = (
      'joint states to tool poses; the URDF defaults to /robot_description, else /tf is used'),
     ('bellows convert tf_bag --tool-frame tool0 --package-frame box --out with_poses',
      'transforms to poses of tool and package'),
+    ('bellows convert raw --unit mm --quaternion wxyz --out in_metres',
+     'a recording in millimetres, with w first, to what ROS means by a pose'),
 )
 
 
@@ -65,6 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--world-frame', metavar='FRAME', default='',
         help='frame of the poses to write (default: the farthest frame above the tool)')
+    parser.add_argument(
+        '--unit', choices=('m', 'mm'), default='m',
+        help='unit of the positions in a recording, of --topic or of all poses (default: m)')
+    parser.add_argument(
+        '--quaternion', choices=('xyzw', 'wxyz'), default='xyzw',
+        help='order of the quaternions there (default: xyzw, as in ROS)')
     options.add_json_option(parser, 'what was converted')
 
 
@@ -87,6 +95,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
                 bodies = convert.bodies_in_transforms(
                     source, arguments.tool_frame, arguments.package_frame, arguments.world_frame,
                     topics)
+            elif _is_of_units(arguments):
+                bodies = convert.bodies_in_recording(
+                    source, topics, arguments.unit == 'mm', arguments.quaternion == 'wxyz')
             elif arguments.tool_link:
                 bodies = convert.tool_of_joints(
                     source, arguments.tool_link, str(arguments.urdf or ''), topic)
@@ -102,9 +113,20 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
+def _is_of_units(arguments: argparse.Namespace) -> bool:
+    """Return whether poses are to be converted to m, and to quaternions with w last."""
+    return arguments.unit != 'm' or arguments.quaternion != 'xyzw'
+
+
 def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -> None:
     """Refuse what cannot be made of the sources: a text, poses of two frames, or a recording."""
     alone = bool(text or arguments.tool_link) and not frames
+    if _is_of_units(arguments):
+        if frames or alone or len(arguments.sources) > 1:
+            raise BellowsError(
+                '--unit and --quaternion convert one recording to another. Leave out --tool-link '
+                'and frames, and give --out a name that does not end in .tum.')
+        return
     if frames and not (arguments.tool_frame and arguments.package_frame):
         raise BellowsError(
             '--tool-frame and --package-frame go together. Give both; for the tool alone, use '

@@ -11,6 +11,7 @@ from typing import Any
 from bellows_ros import __version__
 from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
@@ -177,11 +178,8 @@ def tool_of_joints(
     found = [Body(
         Recorded(name, POSE, read.stamp_ns + read.times_ns, read.poses, read.frame_id),
         f"{tool_link} in '{read.frame_id}' of {bag}")]
-    for (there, kind), messages in others.items():
-        times, contents = zip(*messages, strict=True)
-        found.append(Body(
-            Encoded(there, kind, np.array(times, dtype=np.int64), contents), os.fspath(bag)))
-    return found
+    return found + [_copied(there, kind, messages, bag)
+                    for (there, kind), messages in others.items()]
 
 
 def bodies_in_transforms(
@@ -222,6 +220,58 @@ def bodies_in_transforms(
             Recorded(f'/{topic.lstrip("/")}', POSE, stamps, rows, world_frame),
             f"{frame} in '{world_frame}' of {bag}", {'transforms that are no poses': bad}))
     return found
+
+
+def bodies_in_recording(
+    bag: str | os.PathLike[str], names: Sequence[str] = (), millimetres: bool = False,
+    w_first: bool = False,
+) -> list[Body]:
+    """
+    Return poses of a recording converted to m and to quaternions with w last, the rest copied.
+
+    Parameters
+    ----------
+    bag : path
+        rosbag2 folder, or a bare .mcap or .db3 file.
+    names : sequence of str
+        Topics to convert; all with poses where left out.
+    millimetres, w_first : bool
+        Of what the recorded ones are.
+
+    Raises
+    ------
+    BellowsError
+        If the recording cannot be read, or a topic has no poses.
+
+    """
+    there, types = topics(bag), accepted_types('pose')
+    chosen = [f'/{name.lstrip("/")}' for name in names] or [
+        own.name for own in there if own.type_name in types and own.messages]
+    found = list[Body]()
+    for name, stream in read_streams(bag, {name: name for name in chosen}).items():
+        if not isinstance(stream, PoseStream):
+            raise BellowsError(f"Topic '{name}' has no poses.")
+        values = np.hstack([
+            stream.position * (1e-3 if millimetres else 1.0),
+            rotation_to_quaternion(reordered(stream.rotation) if w_first else stream.rotation)])
+        found.append(Body(
+            Recorded(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
+            {reason: len(where) for reason, where in stream.refused.items()}))
+    others: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
+    for name, kind, log_ns, data in messages_of(bag, {own.type_name for own in there}):
+        if name not in chosen:
+            others.setdefault((name, kind), []).append((log_ns, data))
+    return found + [_copied(name, kind, messages, bag)
+                    for (name, kind), messages in others.items()]
+
+
+def _copied(
+    topic: str, kind: str, messages: Sequence[tuple[int, bytes]], bag: str | os.PathLike[str]
+) -> Body:
+    """Return messages of a recording as they are."""
+    times, contents = zip(*messages, strict=True)
+    return Body(
+        Encoded(topic, kind, np.array(times, dtype=np.int64), contents), os.fspath(bag))
 
 
 def to_bag(

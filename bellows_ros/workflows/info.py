@@ -17,6 +17,7 @@ from bellows_ros.core.recording.alignment import (
     SHORTEST_REST,
     world_rotation,
 )
+from bellows_ros.core.recording.conventions import convention_sentence
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
 from bellows_ros.core.signals.timing import at_sampling, timing
@@ -255,8 +256,12 @@ def _assigned(
             'An identification needs the poses of tool and package; the tool alone is enough '
             'only for a simulation or a prediction.')
     rest_s = None
-    why_apart = _why_apart(pair, *(poses[guess.topic] for guess in (tool, package))) if (
-        tool and package) else ''
+    wrong = why_apart = ''
+    if tool and package:
+        both = poses[tool.topic], poses[package.topic]
+        if len({own.frame_id for own in both if own.frame_id}) < 2:
+            wrong = convention_sentence(*both, path)
+        why_apart = '' if wrong else _why_apart(pair, *both)
     if why_apart:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
@@ -272,7 +277,7 @@ def _assigned(
     if pair:
         rest_s, at_rest, more = _at_rest(poses, pair, bool(why_apart))
         settings |= at_rest if why_apart else {'recording.world': pair.world, **at_rest}
-        notes += more
+        notes = [wrong, *notes] if wrong else notes + more  # before that, nothing else is known
     return Info(
         str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
     )

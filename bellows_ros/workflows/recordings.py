@@ -221,9 +221,9 @@ def _registered(
         hand_eye,
         registered,
         regripped,
-        rough_offset,
     )
     from bellows_ros.core.recording.package_world import in_tool_world, pose_of, shifted_pose
+    from bellows_ros.core.signals.clocks import rough_offset
 
     world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
     wanted = {'time_offset': values['fit.time_offset'], 'package_world': world == ESTIMATE,

@@ -9,6 +9,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.identification.reduction import envelope_of
+from bellows_ros.core.identification.samples import require_hanging
 from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
@@ -238,6 +239,7 @@ def replay(
     tell = progress or (lambda what, part: None)
     tell(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)
+    require_hanging(recording)
     tell('simulating', 0.3)
     free = validated(values, recording)
     live = predicted_live(recording, values, lambda what, part: tell(what, 0.6 + 0.4 * part))
@@ -274,13 +276,6 @@ def _causes(values: Mapping[str, Any], found: Validation) -> Iterator[str]:
     stretched, expected = (  # of the lip in the tool
         float(np.nanmean(-rows[:, 2] + (exp_so3(rows[:, 3:]) @ com)[:, 2])) - length
         for rows in (found.measured, found.predicted))
-    height = float(np.nanmean(found.measured[:, 2]))
-    if height > 0.0:
-        yield (
-            f'On average the package is {1e3 * height:.0f} mm above the tool tip. The topics '
-            'are likely exchanged: check topics.tool_pose and topics.package_pose, or the frames '
-            'of tool and package.')
-        return
     factor = stretched / expected if expected > 0.0 else 0.0
     if factor > 0.0 and not OFF[0] < factor < OFF[1]:
         mass = values['package.mass']

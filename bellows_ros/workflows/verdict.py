@@ -4,14 +4,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.hypotheses import (
-    absurd,
-    diagnose,
-    Diagnosis,
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
+from bellows_ros.core.identification.methods import are_differentiable
+from bellows_ros.core.identification.plausibility import (
     DOUBTED,
     Finding,
+    implausible_inputs,
+    LEAST_OFFSET,
 )
-from bellows_ros.core.identification.methods import are_differentiable
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import given_structure
@@ -142,14 +143,34 @@ class FitVerdict(NamedTuple):
 
 UNITS: dict[str, Any] = {
     'time_offset': 's', 'com': 'm', 'length': 'm', 'package_world': POSE_UNITS,
-    'package_marker': POSE_UNITS}
+    'package_marker': ['m', 'm', 'rad', 'rad', 'rad'], 'slip': ['m', 'm', 's'],
+    'gravity.direction': 'rad'}
 
 SETTINGS = {
     'time_offset': 'fit.time_offset', 'com': 'package.com', 'length': 'cup.length',
     'inertia': 'package.inertia', 'mass': 'package.mass', 'structure': 'fit.structure',
-    'package_world': 'recording.package_world', 'package_marker': 'fit.free',
+    'package_world': 'recording.package_world', 'package_marker': 'recording.align_at_rest',
+    'slip': 'recording.start or recording.end', 'low-pass': 'the tracking system',
     'tool': 'the axes of topics.tool_pose', 'package': 'the axes of topics.package_pose',
 }
+
+
+SETTING_SENTENCES = {
+    'tool_twist.frame': ("The tool's twists match its poses only in axes of the {}",
+                         'Set tool_twist.frame: {}.'),
+    'topics.tool_twist': ("The tool's angular twists are in {}, not in rad/s",
+                          "Correct the driver, or set topics.tool_twist: '' to leave them out."),
+    'recording.package_frame': ('The package poses are those of the {}',
+                                'Set recording.package_frame: {}.'),
+    'package.files': ('The packages of the two recordings are {}',
+                      'Exchange the two names in package.files.'),
+    'structure': ('The structure of the cup is not the given one, but {}',
+                  'Set fit.structure: {}.'),
+    'low-pass': ('The poses of {} went through a low-pass: above 25 Hz their noise falls more '
+                 'steeply than noise does', 'It takes a part of the motion, and biases K and P: '
+                 'record unfiltered poses.'),
+}
+"""What is said of a setting that is otherwise, and what to do."""
 
 
 def verdict_of(
@@ -183,7 +204,7 @@ def verdict_of(
         not are_differentiable(some, values))
     if fit is not None and slow:
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
-            *(wrong for own in some for wrong in absurd(own)), *fit.causes))
+            *(wrong for own in some for wrong in implausible_inputs(own)), *fit.causes))
     else:
         diagnosis = diagnose(some, length, given_structure(values), known)
     if fit is None or not fit.usable:
@@ -235,6 +256,9 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     name, theta, std = found.name, found.theta, found.std
     if name == 'time_offset':
         side = 'behind' if theta[0] > 0.0 else 'ahead of'
+        if abs(theta[0]) > LEAST_OFFSET:
+            return (f'The stamps of the tool are about {abs(theta[0]):.2f} s {side} those of the '
+                    'package', 'Stamp both by one clock, or set fit.time_offset: true.')
         return (f'The stamps of the tool are {_size(theta[0], std[0])} ms {side} those of the '
                 'package', 'Stamp both by one clock, or set fit.time_offset: true.')
     if name == 'com':
@@ -254,16 +278,33 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
         return (f'cup.length is {_size(theta[0], std[0])} mm too {side}',
                 'Measure it under vacuum, or with bellows static: it would be '
                 f'{given["cup.length"] + theta[0]:.5f}.')
-    if name == 'package_marker':
-        shift, turn = (float(np.linalg.norm(part)) for part in np.split(theta, 2))
-        return (f'The marker on the package is {1e3 * shift:.1f} mm and '
-                f'{np.rad2deg(turn):.1f} degrees from where it was supposed',
-                'Correct its frame, or set fit.free: [package_marker].')
     if name == 'package_world':
         from bellows_ros.core.recording.package_world import motion_sentence  # late: rare
 
         return motion_sentence(theta, std), 'Set recording.package_world: estimate.'
-    return _setting_words(found, given)
+    return _frame_words(found) or _setting_words(found, given)
+
+
+def _frame_words(found: Finding) -> tuple[str, str] | None:
+    """Return the same where a frame is turned or slipped, else nothing."""
+    name, theta = found.name, found.theta
+    if name == 'package_marker':
+        shift, turn = (float(np.linalg.norm(part)) for part in np.split(theta, [len(theta) - 3]))
+        return (f'The marker frame of tool or package is turned by {np.rad2deg(turn):.1f} '
+                f'degrees, and {1e3 * shift:.1f} mm aside',
+                'Correct it, set recording.align_at_rest: true if the recording begins at rest, '
+                'or else fit.free: [package_marker].')
+    if name == 'slip':
+        way = float(np.hypot(*theta[:2]))
+        return (f'The package slipped on the lip by {1e3 * way:.1f} mm, {theta[2]:.1f} s after '
+                'its first sample', 'Fit what is before or after: set recording.end or '
+                'recording.start, and check the vacuum.')
+    if name == 'gravity.direction':
+        down = exp_so3(np.append(-theta, 0.0)) @ [0.0, 0.0, -1.0]
+        return (f'Gravity is {np.rad2deg(np.hypot(*theta)):.1f} degrees off -z of the world',
+                'Level the world, or set gravity.direction: '
+                f'[{", ".join(f"{x:.4f}" for x in down + 0.0)}].')
+    return None
 
 
 def _length_or_com(way: float) -> tuple[str, str]:
@@ -291,11 +332,9 @@ def _setting_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
             return ('Gravity is not along -z of the world',
                     f'Set gravity.direction: {value.removeprefix("gravity ")}.')
         return (f'The world of the recording is {value}', f'Set recording.world: {value}.')
-    if name == 'tool_twist.frame':
-        return (f"The tool's twists match its poses only in axes of the {value}",
-                f'Set {name}: {value}.')
-    if name == 'recording.package_frame':
-        return (f'The package poses are those of the {value}', f'Set {name}: {value}.')
+    if name in SETTING_SENTENCES:
+        what, remedy = SETTING_SENTENCES[name]
+        return what.format(value), remedy.format(value)
     if name == 'yaw':
         turns = [f"the {body}'s frame is turned by {degrees} degrees about z"
                  for body, degrees in (text.split() for text in (value, found.instead) if text)]
@@ -310,9 +349,6 @@ def _setting_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 def _cup_words(found: Finding) -> tuple[str, str]:
     """Return the same where the cup is otherwise."""
     name, value = found.name, found.value
-    if name == 'structure':
-        return (f'The structure of the cup is not the given one, but {value}',
-                f'Set fit.structure: {value}.')
     part = f'{100.0 * abs(found.theta[0]):.2g} ± {100.0 * found.std[0]:.1g} %'
     if name == 'drift':
         side = 'falls' if found.theta[0] < 0.0 else 'rises'

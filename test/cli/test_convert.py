@@ -2,8 +2,14 @@
 
 import json
 from pathlib import Path
+import re
+import shlex
 from typing import Any
 
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bags import read_streams
+import numpy as np
 import pytest
 
 Run = Any
@@ -23,6 +29,29 @@ def test_a_recording_goes_out_as_text_and_comes_back(
         'identify', 'bag', '--params', workshop / 'package.yaml', '--set',
         'topics.tool_pose=/tool/pose', '--set', 'topics.package_pose=/box/pose', '--set',
         'topics.tool_twist=', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_millimetres_and_w_first_are_named_and_converted_as_the_sentence_says(
+    bellows: Run, workshop: Path, tmp_path: Path
+) -> None:
+    """Follow the command that `info`, `identify` and `replay` print; then the cup predicts."""
+    topics = {'tool': '/tool_arm/pose', 'package': '/package/pose'}
+    write_bag(tmp_path / 'raw', [
+        Recorded(own.name, 'geometry_msgs/msg/PoseStamped', own.stamps_ns, np.hstack([
+            1e3 * own.position, np.roll(rotation_to_quaternion(own.rotation), 1, axis=1)]),
+            own.frame_id) for own in read_streams(workshop / 'recording', topics).values()])
+    given = ('--params', workshop / 'package.yaml', '--set', 'topics.tool_twist=')
+    with_cup = (*given, '--params', workshop / 'cup.yaml')
+    said = [bellows(*command, cwd=tmp_path) for command in (
+        ('info', 'raw'), ('identify', 'raw', *given), ('replay', 'raw', *with_cup))]
+    assert [done.returncode for done in said] == [0, 2, 2]
+    assert "'bellows convert raw" in ' '.join(said[0].stdout.split())
+    for done in said[1:]:
+        assert 'in millimetres and of quaternions with w first' in ' '.join(done.stderr.split())
+    command = re.search(r"'bellows (convert [^']*)'", ' '.join(said[1].stderr.split()))
+    assert command and bellows(*shlex.split(command[1]), cwd=tmp_path).returncode == 0
+    done = bellows('replay', 'raw_converted', *with_cup, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
 
 

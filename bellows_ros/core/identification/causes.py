@@ -9,7 +9,7 @@ again: a cause is a number that moves by many of its standard deviations.
 from collections.abc import Iterator
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.hypotheses import DISTINCT, Finding, SIGNIFICANT
+from bellows_ros.core.identification.plausibility import DISTINCT, Finding, SIGNIFICANT
 from bellows_ros.core.identification.search import Minimum, Search
 from bellows_ros.core.model.structure import Structure
 import numpy as np

@@ -21,6 +21,7 @@ from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment
 from bellows_ros.core.recording.package_world import closed_form, motion_of
 from bellows_ros.core.recording.recording import Recording, TimeOffset
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -176,13 +177,16 @@ LARGEST_ERROR = 3e-4
 WORLD_ERROR = 5e-3
 """Largest standard error (m, rad) of an identifiable transform between two worlds."""
 
-FALLS = 0.9
+BEYOND_RANGE = 0.9
 """If residuals at the largest offset fall below this fraction, the true offset is larger."""
 
 FEWEST_SECONDS = 3.0
 """Shortest duration of valid samples (s) for an estimate."""
 
-HEIGHTS = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
+SLIPS_TRIED, LEAST_SLIP = 12, 2e-3
+"""Times at which slips are tried, and their size, m."""
+
+STARTS_ALONG_Z = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
 """The same of lengths, m."""
 
 
@@ -191,7 +195,7 @@ def _worlds(given: Given) -> list[Array]:
     tool, package = given.samples.tool, given.samples.package
     pose = closed_form(tool, package, given.length, -given.samples.payload.com, False)
     rigid = motion_of(pose, package.position[package.valid].mean(axis=0))
-    along = np.outer([0.0, *HEIGHTS], np.eye(6)[2])
+    along = np.outer([0.0, *STARTS_ALONG_Z], np.eye(6)[2])
     return [*along[1:], *(rigid + along)]
 
 
@@ -199,8 +203,9 @@ BLOCKS = {
     'time_offset': Block('time_offset', variations.time_offset, (1e-4,), lambda given:
                          RASTER * np.arange(-10, 11)[:, None], 100.0, True),
     'com': Block('com', variations.com, (1e-5,) * 3, lambda given:
-                 np.outer(HEIGHTS, np.eye(3)[2]), 1000.0),
-    'length': Block('length', variations.length, (1e-5,), lambda given: HEIGHTS[:, None], 500.0),
+                 np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
+    'length': Block('length', variations.length, (1e-5,), lambda given:
+                    STARTS_ALONG_Z[:, None], 500.0),
     'inertia': Block('inertia', variations.inertia, (1e-3,) * 3, furthest=1000.0),
     'mass': Block('mass', variations.mass, (1e-3,), furthest=1000.0),
     'package_world': Block(
@@ -209,8 +214,21 @@ BLOCKS = {
 }
 """Blocks by their names in fit.free; package_world includes the grip and the alignment."""
 
+TILT = Block('gravity.direction', variations.tilt, (1e-4,) * 2, furthest=1000.0)
+"""Of the world's z against gravity."""
+
 SCALE = Block('inertia', variations.inertia, (1e-3,), furthest=1000.0)
 """A common factor of all moments of inertia; with K and P free, equivalent to the mass."""
+
+
+def slip(given: Given) -> Block:
+    """Return a slip of the package in one recording, tried at times and to sides all over it."""
+    stamps = given.samples.package.stamps_ns
+    times = np.linspace(0.0, float(stamps[-1] - stamps[0]) / NS_PER_S, SLIPS_TRIED + 2)[1:-1]
+    starts = [np.array([*way, when]) for when in times
+              for way in LEAST_SLIP * np.concatenate([np.eye(2), -np.eye(2)])]
+    return Block('slip', variations.slip(int(stamps[0])), (1e-5, 1e-5, 1e-2),
+                 lambda own: starts, 200.0)
 
 
 class RefinedPreparation(NamedTuple):
@@ -267,7 +285,7 @@ def refined_preparation(
     theta, std = found.theta, found.std
     taken = None
     if offset:
-        fallen = found.solved.excess < FALLS * objective.solved(ensemble).excess
+        fallen = found.solved.excess < BEYOND_RANGE * objective.solved(ensemble).excess
         taken = _offset(float(theta[0]), float(std[0]), fallen)
         theta, std = theta[1:], std[1:]
     if not world:

@@ -1,5 +1,5 @@
 """
-What may be wrong with what was given, or else with the cup: one list, tried one by one.
+Hypotheses on wrong inputs, or else on the cup: one list, tried one by one.
 
 Each hypothesis frees a block of numbers, or changes one setting, and everything else is fitted
 again. Which of them explains most is said first; it is certain only where nothing else explains
@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification import variations
 from bellows_ros.core.identification.objective import (
     covariance_of,
@@ -21,8 +20,19 @@ from bellows_ros.core.identification.objective import (
     SLIPS,
     Solved,
 )
+from bellows_ros.core.identification.plausibility import (
+    DISTINCT,
+    DOUBTED,
+    Finding,
+    GYRATION,
+    implausible_inputs,
+    INERTIA_UNITS,
+    MATERIAL,
+    NONE,
+    radius_of_gyration,
+    SIGNIFICANT,
+)
 from bellows_ros.core.identification.variations import Given, Variation
-from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.recording.recording import Recording
@@ -34,30 +44,11 @@ if TYPE_CHECKING:
 CHANCE = 2.5
 """Noise floor of a mean of squares, in standard deviations of what chance makes of it."""
 
-SIGNIFICANT = 6.0
-"""Standard errors that a significant change is away from nothing."""
-
-MATERIAL = 0.05
-"""Part by which a material change moves an entry of K, or a twist."""
-
-DISTINCT = 0.5
-"""A distinct hypothesis leaves less than this part of the squares that another leaves. The square
-of it is asked where it must explain nearly all, and of what the cup may be beside wrong data."""
-
-DOUBTED = 1.0
-"""Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
-
 COST = 0.1
 """Part by which squares must fall for each number that is freed."""
 
-QUICK_ROUNDS, AGAIN, SHOWN = 3, 6, 2
+QUICK_ROUNDS, MOST_RETRIED, MOST_FINDINGS = 3, 6, 2
 """Rounds of a first look without regard to noise; how many are tried again, and returned."""
-
-HEAVIEST = 50.0
-"""No suction cup of this kind holds more, kg: beyond it the mass has the wrong unit."""
-
-GYRATION = (0.01, 0.3, 1.0)
-"""Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
 
 NOT_KNOWN = 1e200
 """Variance of what is not identifiable: finite, as 0 times infinity is no number."""
@@ -65,10 +56,8 @@ NOT_KNOWN = 1e200
 TENFOLD = float(np.log(10.0))
 """No inertia is off by more, but by its unit."""
 
-UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
-"""What moments of inertia may be in, and how many of each are 1 kg m^2."""
-
-NONE = np.empty(0)
+MOST_TURNED = float(np.radians(30.0))
+"""Frames and worlds that are turned further are in other axes."""
 
 
 class Hypothesis(NamedTuple):
@@ -100,67 +89,25 @@ class Hypothesis(NamedTuple):
     datum: bool = True
 
 
-class Finding(NamedTuple):
-    """
-    A hypothesis tried.
-
-    Parameters
-    ----------
-    name, value : str
-        See `Hypothesis`.
-    theta, std : ndarray (n,)
-        The numbers freed, and their standard errors.
-    left : float
-        RMS of the residuals beyond noise over what it was.
-    moved : float
-        Largest part by which it moves an entry of the diagonal of K that is identifiable.
-    datum, certain : bool
-        Whether it is of what was given, and whether nothing else explains the recordings so well.
-    instead : str
-        Name or value of another datum that these recordings cannot tell from it; '' for none.
-
-    """
-
-    name: str
-    value: str
-    theta: Array = NONE
-    std: Array = NONE
-    left: float = 0.0
-    moved: float = 0.0
-    datum: bool = True
-    certain: bool = True
-    instead: str = ''
-
-    @property
-    def material(self) -> bool:
-        """Whether a cup is wrong without it: whatever is certain halves errors, or moves K."""
-        return self.certain and self.datum
-
-    @property
-    def likely(self) -> bool:
-        """Whether it is worth a word: it explains most, whatever else does."""
-        return self.certain or self.left**2 < DISTINCT
-
-
-def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
+def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
     """
     Yield all that may be otherwise with recordings that were given so, in a recording.world.
 
     K and P scaled with mass and inertia make the same motion. So another mass is the same as
     another inertia, and only that is tried.
     """
-    from bellows_ros.core.identification.free import BLOCKS, FEWEST_SECONDS, SCALE
+    from bellows_ros.core.identification.free import BLOCKS, FEWEST_SECONDS, SCALE, slip, TILT
 
+    given = recordings[0]
     enough = Ensemble((given,), ()).seconds > FEWEST_SECONDS
     for name in (*(('time_offset',) if enough else ()), 'com', 'length', 'package_world'):
         block = BLOCKS[name]._replace(each=False)
         yield Hypothesis(name, block.vary, len(block.steps), block=block)
-    yield Hypothesis('inertia', SCALE.vary, 1, block=SCALE)
-    gyration = radius_of_gyration(given.samples.payload)
-    for unit, factor in UNITS:
-        if gyration > GYRATION[0] * np.sqrt(factor):
-            yield Hypothesis(
-                'inertia', variations.scaled(variations.inertia, 1.0 / factor), value=unit)
+    for name, block in (('inertia', SCALE), ('gravity.direction', TILT),
+                        ('package_marker', BLOCKS['grip']._replace(each=False)),
+                        *(('slip', slip(own)) for own in recordings)):
+        yield Hypothesis(name, block.vary, len(block.steps), block=block)
+    yield from _packages(recordings)
     for value, R in _worlds(world):
         yield Hypothesis('recording.world', variations.gravity(R), value=value)
     for body in ('tool', 'package'):
@@ -180,6 +127,19 @@ def hypotheses(given: Given, world: str) -> Iterator[Hypothesis]:
 _OTHERWISE = tuple(Hypothesis(name, variations.extra(name), 6, datum=False)
                    for name in ('drift', 'cubic', 'friction'))
 """What the cup may be, whatever was given."""
+
+
+def _packages(recordings: Sequence[Given]) -> Iterator[Hypothesis]:
+    """Yield packages whose inertia is in another unit, or that are exchanged between two files."""
+    gyration = radius_of_gyration(recordings[0].samples.payload)
+    for unit, factor in INERTIA_UNITS:
+        if gyration > GYRATION[0] * np.sqrt(factor):
+            yield Hypothesis(
+                'inertia', variations.scaled(variations.inertia, 1.0 / factor), value=unit)
+    packages = {own.samples.payload.mass: own.samples.payload for own in recordings}
+    if len(packages) == 2:
+        yield Hypothesis('package.files', variations.exchanged(*packages.values()),
+                         value='exchanged')
 
 
 def _worlds(world: str) -> Iterator[tuple[str, Array]]:
@@ -220,22 +180,16 @@ def diagnose(
 
     """
     for own in recordings:
-        if wrong := absurd(own):
+        if wrong := implausible_inputs(own):
             return Diagnosis(np.inf, wrong)
     before, tried = recordings[0].once(
         ('trials', *(own.name for own in recordings), length, structure),
         lambda: _trials(recordings, length, structure))
     findings = [_finding(trial, tried, before, structure, known or structure.labels)
-                for trial in tried[:SHOWN]]
+                for trial in tried[:MOST_FINDINGS]]
     if before.excess < _chance(before):
         findings = [own for own in findings if own.certain]
     return Diagnosis(before.excess, tuple(findings))
-
-
-def absurd(own: Recording) -> tuple[Finding, ...]:
-    """Return the unit or the axes that something given for a recording has, if not as it says."""
-    wrong = _absurd(own.payload) or _in_other_axes(own)
-    return (wrong,) if wrong else ()
 
 
 def _trials(
@@ -250,56 +204,13 @@ def _trials(
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
     tried = _in_order(_tried(h, objective, quiet, rounds=QUICK_ROUNDS, level=level)
-                      for h in hypotheses(ensemble.given[0], recordings[0].settings.world))
+                      for h in hypotheses(ensemble.given, recordings[0].settings.world))
     # With weights as they are where the best of them is true.
     objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
     return objective.solved(ensemble), _in_order(
         _tried(trial.hypothesis, objective, ensemble, trial.theta)
-        for number, trial in enumerate(tried[:AGAIN])
-        if number < SHOWN or DISTINCT**3 * _mark(trial) < _mark(tried[0]))
-
-
-def radius_of_gyration(held: Package) -> float:
-    """Return the root of the sum of a package's moments of inertia over its mass, m."""
-    return float(np.sqrt(np.trace(held.inertia) / held.mass))
-
-
-def _absurd(held: Package) -> Finding | None:
-    """Return the unit of a mass or an inertia that no package has, None where it may have it."""
-    gyration, (_, usual, largest) = radius_of_gyration(held), GYRATION
-    if held.mass > HEAVIEST:
-        return Finding('mass', 'g')
-    if gyration < largest:
-        return None
-    return Finding('inertia', next(
-        (unit for unit, many in UNITS if gyration < usual * np.sqrt(many)), UNITS[-1][0]))
-
-
-def _in_other_axes(own: Recording) -> Finding | None:
-    """Return in which axes the tool's recorded twists are, None where it is as given."""
-    tool, measured = own.tool, own.measured_tool
-    if measured.twist is None or tool.twist is None:
-        return None
-    _, i, j = np.intersect1d(measured.stamps_ns, tool.stamps_ns, return_indices=True)
-    known = measured.valid[i] & tool.valid[j]
-    given, true = measured.twist[i][known], tool.twist[j][known]
-    if not len(given):
-        return None
-    R_E_A = np.swapaxes(measured.rotation[i][known], 1, 2)
-    turn = own.settings.R_world_recorded.T @ np.swapaxes(R_E_A, 1, 2)  # from E to as recorded
-    other = 'tool'
-    if own.settings.tool_twist_frame == 'tool':
-        turn = R_E_A @ own.settings.R_world_recorded
-        other = 'world'
-    markers = own.alignment.R_tool_markers_tool
-    turn = turn @ markers if other == 'world' else markers.T @ turn
-    before, after = (sum(
-        float(np.mean((twist[:, part] - true[:, part]) ** 2) / np.mean(true[:, part] ** 2 + 1e-12))
-        for part in (slice(0, 3), slice(3, 6)))
-        for twist in (given, np.hstack([apply(turn, given[:, :3]), apply(turn, given[:, 3:])])))
-    if before < MATERIAL**2 or after > DISTINCT**4 * before:
-        return None
-    return Finding('tool_twist.frame', other, left=float(np.sqrt(after / before)))
+        for number, trial in enumerate(tried[:MOST_RETRIED])
+        if number < MOST_FINDINGS or DISTINCT**3 * _score(trial) < _score(tried[0]))
 
 
 class _Trial(NamedTuple):
@@ -335,7 +246,7 @@ def _tried(
         theta = std = NONE
         solved = objective.solved(ensemble.varied(
             lambda given: [hypothesis.vary(own, NONE) for own in given]))
-    can_be = True
+    is_physical = True
     if hypothesis in _OTHERWISE:
         # Parts by which K changes, or friction as a part of the largest force.
         own = ensemble.given[0].structure
@@ -348,18 +259,28 @@ def _tried(
         theta, std = T @ solved.x[n:], np.sqrt(np.diag(covariance))
         size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
         row, column = own.leads[entries[best]]
-        can_be = bool(K[best] > 0.0 or row != column) and bool(
-            theta[best] > 0.0 if hypothesis.name == 'friction'
+        is_physical = bool(K[best] > 0.0 or row != column) and bool(
+            0.0 < theta[best] < 1.0 if hypothesis.name == 'friction'
             else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
-    elif hypothesis.name == 'inertia' and len(theta):
-        can_be = abs(theta[0]) < TENFOLD
-    excess = solved.excess - level if can_be else np.inf
+    elif hypothesis.block is not None:
+        is_physical = _is_within(hypothesis.name, theta, ensemble.given[0])
+    excess = solved.excess - level if is_physical else np.inf
     return _Trial(hypothesis, theta, std, solved._replace(excess=excess))
+
+
+def _is_within(name: str, theta: Array, given: Given) -> bool:
+    """Return whether numbers are no larger than what they are of: cup, package, lip."""
+    held = radius_of_gyration(given.samples.payload)
+    largest = {
+        'length': 0.5 * given.length, 'com': held, 'inertia': TENFOLD, 'slip': given.length,
+        'gravity.direction': MOST_TURNED, 'package_marker': MOST_TURNED}
+    numbers = theta[:2] if name == 'slip' else theta
+    return float(np.linalg.norm(numbers)) < largest.get(name, np.inf)
 
 
 def _in_order(trials: Iterable[_Trial]) -> list[_Trial]:
     """Return trials, the best first, without cups and packages that cannot be."""
-    return sorted((own for own in trials if np.isfinite(own.solved.excess)), key=_mark)
+    return sorted((own for own in trials if np.isfinite(own.solved.excess)), key=_score)
 
 
 def _chance(solved: Solved) -> float:
@@ -372,7 +293,7 @@ def _left(solved: Solved) -> float:
     return max(solved.excess, 0.0) + _chance(solved)
 
 
-def _mark(trial: _Trial) -> float:
+def _score(trial: _Trial) -> float:
     """Return what hypotheses are ordered by: squares, more for each number freed."""
     return _left(trial.solved) * (1.0 + COST * trial.hypothesis.freed)
 
@@ -390,7 +311,7 @@ def _finding(
         {t.hypothesis.name, own.name} == {'length', 'com'} or (
             t.hypothesis.name == own.name == 'yaw' and t is not trial))]
 
-    def beaten(other: _Trial) -> bool:
+    def dominated(other: _Trial) -> bool:
         """Return whether another explains clearly less, or not all where this one does."""
         rival, most = other.hypothesis, _left(other.solved)
         if rival.freed > own.freed:
@@ -404,7 +325,7 @@ def _finding(
         certain = others - trial.solved.excess > least
     else:
         certain = left < DISTINCT**2 * first + _chance(before) and left < DISTINCT * first and all(
-            beaten(t) for t in tried
+            dominated(t) for t in tried
             if t.hypothesis.name != own.name and not any(t is i for i in instead))
     if len(theta):
         certain = certain and bool(np.any(np.abs(theta) > SIGNIFICANT * std))

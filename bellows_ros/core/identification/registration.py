@@ -13,7 +13,6 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
-    log_so3,
     mean_rotation,
     rotation_to_quaternion,
 )
@@ -24,53 +23,9 @@ from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment
 from bellows_ros.core.recording.package_world import slow_poses, turn_of
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
-
-COMPARED_HZ, OVER = 50.0, 15
-"""Rate at which turns of the bodies are compared, and over how many samples they go."""
-
-ALIKE = 0.3
-"""Correlation of these turns at which two clocks are aligned: of others it is below 0.2."""
-
-TURNING = 0.01
-"""Standard deviation of these turns (rad) below which bodies hardly turn."""
-
-
-def rough_offset(tool: Trajectory, package: Trajectory) -> float:
-    """
-    Return about how much the tool's stamps are behind the package's (s): where both turn alike.
-
-    Raises
-    ------
-    BellowsError
-        If they do not turn alike at any offset; where they hardly turn they must overlap.
-
-    """
-    turns, spread = [], np.inf
-    for body in (tool, package):
-        count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * COMPARED_HZ)
-        stamps = body.stamps_ns[0] + np.rint(
-            np.arange(count) * (NS_PER_S / COMPARED_HZ)).astype(np.int64)
-        R = resample(body, stamps).rotation
-        turn = np.linalg.norm(log_so3(np.swapaxes(R[:-OVER], 1, 2) @ R[OVER:]), axis=1)
-        spread = min(spread, float(np.std(turn)))
-        turns.append((turn - turn.mean()) / max(float(np.linalg.norm(turn)), 1e-12))
-    product = np.correlate(turns[0], turns[1], 'full')
-    best = int(np.argmax(product))
-    size = float(product[best] / np.sqrt(np.prod([own @ own for own in turns])))
-    if size < ALIKE:
-        overlap = min(tool.stamps_ns[-1], package.stamps_ns[-1]) - max(
-            tool.stamps_ns[0], package.stamps_ns[0])
-        if overlap > 0 and spread < TURNING:
-            return 0.0
-        raise BellowsError(
-            'The stamps of tool and package cannot be aligned: the two do not turn alike at any '
-            f'offset (correlation {size:.2f}). Check the topics, or turn the tool more.')
-    lag = (best - len(turns[1]) + 1) / COMPARED_HZ
-    return lag + float(tool.stamps_ns[0] - package.stamps_ns[0]) / NS_PER_S
 
 
 def hand_eye(

@@ -19,15 +19,13 @@ from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import THESIS_LENGTH
+from bellows_ros.core.recording.conventions import convention_sentence, FARTHEST
 from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
-
-FARTHEST = 2.0
-"""Distance (m) of the lip from the tool tip that no cup reaches: its length is at most 1 m."""
 
 HELD = 0.3
 """In its own world the lip moves by at most this part of what it does in another."""
@@ -154,7 +152,7 @@ def samples_of(recording: Recording) -> Samples:
 
     """
     def checked() -> Samples:
-        _require_below(recording)
+        require_hanging(recording)
         return filtered_samples(recording)
 
     return recording.once('samples', checked)
@@ -168,8 +166,8 @@ def filtered_samples(recording: Recording) -> Samples:
         recording.relaxation.strengths))
 
 
-def _require_below(recording: Recording) -> None:
-    """Refuse a recording whose package is mostly not below the tool, along its z axis."""
+def require_hanging(recording: Recording) -> None:
+    """Refuse a recording whose package is mostly not below the tool, by what is the cause."""
     some = np.flatnonzero(recording.valid)[::LOOKED_AT_EVERY]
     if not len(some):
         return
@@ -177,12 +175,17 @@ def _require_below(recording: Recording) -> None:
     way = package.position - apply(package.rotation, recording.payload.com) - tool.position
     lip = apply(np.swapaxes(tool.rotation, 1, 2), way)
     away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
+    if wrong := convention_sentence(recording.tool_pose, recording.package_pose, recording.name):
+        raise BellowsError(wrong)
     if away <= FARTHEST and above <= 0.0:
         return
     if wrong := _in_two_worlds(recording, tool, package, lip):
         raise BellowsError(wrong)
     if away > FARTHEST:
-        raise BellowsError(_millimetres(recording, away))
+        raise BellowsError(
+            f"The poses of '{recording.tool_pose.name}' and '{recording.package_pose.name}' use "
+            f'different worlds: the lip of the cup is {away:.3g} m from the tool tip. Set '
+            'recording.package_world.')
     centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
     below = -float(np.median(centre[:, 2]))
     if recording.settings.package_frame == 'com' and below > 0.0:
@@ -229,21 +232,6 @@ def _in_two_worlds(
     return (f'{motion_sentence(motion_of(pose, middle))}: seen from the tool, the lip of the cup '
             f'moves by {1e3 * wandering(lip):.0f} mm, and by {1e3 * left:.0f} mm without that. '
             f'Set recording.package_world: {ESTIMATE}, or give its seven numbers.')
-
-
-def _millimetres(recording: Recording, away: float) -> str:
-    """Return a remark on poses this far apart (m)."""
-    names = [f"'{stream.name}'" for stream in (recording.tool_pose, recording.package_pose)]
-    tool, package = (np.median(stream.position, axis=0)
-                     for stream in (recording.tool_pose, recording.package_pose))
-    scaled = [float(np.linalg.norm(p * package - t * tool))
-              for t, p in ((1e-3, 1.0), (1.0, 1e-3), (1e-3, 1e-3))]
-    which = (names[0], names[1], f'{names[0]} and {names[1]}')[int(np.argmin(scaled))]
-    if min(scaled) > FARTHEST:
-        return (f'The poses of {names[0]} and {names[1]} use different worlds: the lip of the cup '
-                f'is {away:.3g} m from the tool tip. Set recording.package_world.')
-    return (f'The poses of {which} are in millimetres: the lip of the cup would be {away:.3g} m '
-            'from the tool tip. They must be in m: change the driver, or convert the recording.')
 
 
 def lip_relative(

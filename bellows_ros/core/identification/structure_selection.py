@@ -22,8 +22,9 @@ from bellows_ros.core.identification.equations import (
     solution,
     whitening_of,
 )
-from bellows_ros.core.identification.hypotheses import Diagnosis, DOUBTED
+from bellows_ros.core.identification.hypotheses import Diagnosis
 from bellows_ros.core.identification.least_squares import least_squares, noise_bias
+from bellows_ros.core.identification.plausibility import DOUBTED
 from bellows_ros.core.identification.reduction import noise_products, SEED, statistics
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import Samples

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, apply, exp_so3, inverse_transform, transform
 from bellows_ros.core.identification.samples import Samples
-from bellows_ros.core.model.cup_package import varied
+from bellows_ros.core.model.cup_package import Package, varied
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -15,6 +15,9 @@ import numpy as np
 
 LARGEST_OFFSET = 0.1
 """Largest time offset considered, s ..."""
+
+SLIPPING = 0.3
+"""Time (s) over which a slip is looked for."""
 
 SLACK = 0.01
 """... and the margin beyond it for derivatives, s."""
@@ -107,6 +110,36 @@ def package_world(given: Given, theta: Array) -> Given:
 def grip(given: Given, theta: Array) -> Given:
     """Return it with the package's frame in the recorded one moved by x, y (m), and turned."""
     return _body_moved(given, theta[2:5], np.array([theta[0], theta[1], 0.0]))
+
+
+def slip(first_ns: int) -> Variation:
+    """
+    Return a variation in which a package slips on the lip: x, y (m) and the time since then (s).
+
+    Of the recording whose package begins with that stamp. A slip takes some time, so that this has
+    a derivative.
+    """
+    def slipped(given: Given, theta: Array) -> Given:
+        """Return it with the package where it was before it slipped."""
+        body = given.samples.package
+        if int(body.stamps_ns[0]) != first_ns:
+            return given
+        since = (body.stamps_ns - first_ns) / NS_PER_S - theta[2]
+        part = np.clip(since / SLIPPING + 0.5, 0.0, 1.0)[:, None]
+        way = apply(body.rotation, part * [theta[0], theta[1], 0.0])
+        return _with(given, package=replace(body, position=body.position - way))
+    return slipped
+
+
+def tilt(given: Given, theta: Array) -> Given:
+    """Return it with the world of both bodies turned by theta (2,) about x and y, rad."""
+    return gravity(exp_so3(np.append(theta, 0.0)))(given, theta)
+
+
+def exchanged(first: Package, second: Package) -> Variation:
+    """Return a variation in which two recordings have each other's package."""
+    return lambda given, theta: _with(
+        given, payload=second if given.samples.payload.mass == first.mass else first)
 
 
 def gravity(R: Array) -> Variation:

@@ -272,7 +272,7 @@ def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int
         if b in used or (late and other.strength < 1.0):
             continue
         summed = _sum(total, other.forms)
-        if _cancels(edges[k], summed, CANCELS_LATE_WITHIN if late else CANCELS_WITHIN):
+        if _cancels(edges[k], other, summed, CANCELS_LATE_WITHIN if late else CANCELS_WITHIN):
             yield k, b
             return
         if other.strength >= 1.0:
@@ -285,7 +285,8 @@ def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[in
         other = edges[b]
         if b in used or edges[k].before - other.before > CANCELS_LATE_SAMPLES:
             return
-        if other.strength < 1.0 and _cancels(edges[k], _sum(other.forms, edges[k].forms)):
+        if other.strength < 1.0 and _cancels(
+                edges[k], other, _sum(other.forms, edges[k].forms)):
             yield b, k
             return
 
@@ -297,12 +298,14 @@ def _sum(first: Array, second: Array) -> Array:
     return np.asarray(total)
 
 
-def _cancels(edge: Edge, summed: Array, within: float = CANCELS_WITHIN) -> bool:
-    """Return whether a jump and others cancel when summed, in the most suitable form."""
+def _cancels(edge: Edge, last: Edge, summed: Array, within: float = CANCELS_WITHIN) -> bool:
+    """Return whether a jump and others to a last one cancel when summed, in the best form."""
     sizes, left = _sizes(edge.forms), np.linalg.norm(summed, axis=2).min(axis=1)
+    nothing = np.maximum(edge.thresholds, last.thresholds) if last.lasting is None else (
+        edge.thresholds)  # over a gap less is known
     allowed = np.where(
         sizes >= edge.thresholds, within * sizes + NOISE_WITHIN * edge.thresholds,
-        NOTHING_WITHIN * edge.thresholds)
+        NOTHING_WITHIN * nothing)
     return bool(np.all(left < allowed))
 
 

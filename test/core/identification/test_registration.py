@@ -1,8 +1,8 @@
 """A camera in a world of its own, late, with a marker anywhere, is found with the cup."""
 
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.registration import rough_offset
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.clocks import rough_offset
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import _prepared, prepare_settings

@@ -1,8 +1,11 @@
 """Recordings of a laboratory in which one thing is not as said, or the cup is no ideal one."""
 
+from dataclasses import replace
+
 from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
+    log_so3,
     quaternion_to_rotation,
     rotation_to_quaternion,
 )
@@ -12,9 +15,10 @@ from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.model.simulation import row_state, tool_rows, write_row
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.core.synthetic.motion import sample_stamps
 import numpy as np
+from scipy.signal import butter, lfilter
 
 from ..simulated import GRAVITY, shake
 
@@ -95,6 +99,8 @@ class Laboratory:
         self.said_frame, self.said_world, self.world = self.frame, 'z_up', np.eye(3)
         self.late, self.turn, self.scale, self.swapped = 0.0, {}, {}, False
         self.apart, self.friction = np.zeros(6), 0.0
+        self.slipped, self.level, self.low_pass_hz = np.zeros(3), np.eye(3), 0.0
+        self.twist_unit, self.w_first, self.occluded, self.exchanged = 0.0, (), False, False
         self.motion = shake(duration=20.0, seed=int(rng.integers(1 << 30)))
         self.soften(soft)
 
@@ -109,16 +115,34 @@ class Laboratory:
         own = self.package
         self.said = Package(mass * own.mass, inertia * own.inertia, own.com + com)
 
+    def recordings(self):
+        """Return the recording, or two of them whose packages are exchanged."""
+        if not self.exchanged:
+            return [self.recording()]
+        heavy = Package(1.6 * self.package.mass, 1.6 * self.package.inertia, self.package.com)
+        both = []
+        for number, said in enumerate((heavy, self.package)):
+            self.said = said
+            both.append(replace(self.recording(), name=f'recording {number}'))
+            self.package = heavy
+        return both
+
     def recording(self):
         """Return the recording, prepared by what is said."""
         tool = self.motion.trajectory(sample_stamps(RATE_HZ, self.motion.duration, 0), 0)
         cup = Cup(np.diag(self.K), self.P, self.length)
+        tool = _turned(self.level, tool)
         body = moved(cup, self.package, tool, self.law, self.friction)
+        tool, body = (_turned(self.level.T, own) for own in (tool, body))
         streams = [self._seen('package', body, self.noise[0]),
                    self._seen('tool', tool, self.noise[1])]
+        twist = TwistStream(
+            'twist', 'world', streams[1].stamps_ns,
+            *(apply(tool.rotation, part) for part in (
+                tool.twist[:, :3], self.twist_unit * tool.twist[:, 3:])))
         return prepare(*streams[::1 if self.swapped else -1], PrepareSettings(
             world=self.said_world, package_frame=self.said_frame, payload=self.said,
-            gravity=GRAVITY))
+            gravity=GRAVITY), twist if self.twist_unit else None)
 
     def _seen(self, name, body, noise):
         """Return a body's poses as they are recorded."""
@@ -129,12 +153,31 @@ class Laboratory:
                 drawn[:, i] = decay * drawn[:, i - 1] + np.sqrt(1 - decay**2) * drawn[:, i]
         if name == 'package':
             p = p - apply(R, self.package.com) if self.frame == 'lip' else p
+            part = np.clip(np.linspace(-150.0, 90.0, len(p)), 0.0, 1.0)  # within 0.08 s
+            p = p + apply(R, part[:, None] * self.slipped)
             turn, middle = exp_so3(self.apart[3:]), p.mean(axis=0)
             p, R = middle + self.apart[:3] + apply(turn, p - middle), turn @ R
         R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
         p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
-        late = round(1e9 * self.late) if name == 'tool' else 0
-        return PoseStream(name, 'world', body.stamps_ns + late, p, self.world @ R)
+        if self.low_pass_hz:
+            b, a = butter(2, self.low_pass_hz / (RATE_HZ / 2))
+            turn = log_so3(R[0].T @ R)
+            p, turn = (own[0] + lfilter(b, a, own - own[0], axis=0) for own in (p, turn))
+            R = R[0] @ exp_so3(turn)
+        late, R = round(1e9 * self.late) if name == 'tool' else 0, self.world @ R
+        if name in self.w_first:
+            R = quaternion_to_rotation(np.roll(rotation_to_quaternion(R), 1, axis=1))
+        seen = np.ones(len(p), dtype=bool)
+        if self.occluded and name == 'package':  # a jump of 30 mm that ends with a dropout
+            at = len(p) // 3
+            p[at:at + 40] += [0.03, 0.0, 0.0]
+            seen[at + 40:at + 55] = False
+        return PoseStream(name, 'world', (body.stamps_ns + late)[seen], p[seen], R[seen])
+
+
+def _turned(R, body):
+    """Return a motion in a world that is turned by R."""
+    return replace(body, position=apply(R, body.position), rotation=R @ body.rotation)
 
 
 def either(rng, low, high):
@@ -209,6 +252,25 @@ def _millimetres(own):
     own.scale = dict.fromkeys(bodies, 1e3)
 
 
+def _marker(own):
+    turn = own.rng.normal(size=3)
+    turn *= np.radians(own.rng.choice([2.0, 5.0])) / np.linalg.norm(turn)
+    own.turn[str(own.rng.choice(['tool', 'package']))] = exp_so3(turn)
+
+
+def _aside(own, size):
+    angle = own.rng.uniform(0.0, 2.0 * np.pi)
+    return size * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def _far_clocks(own):
+    own.late = either(own.rng, *((0.13, 1.0) if own.rng.random() < 0.5 else (1.0, 8.0)))
+
+
+def _quaternions(own):
+    own.w_first = (('tool',), ('package',), ('tool', 'package'))[own.rng.integers(3)]
+
+
 FAULTS = {
     'time offset': (_time_offset, 'time_offset'),
     'centre of mass along z': (_com_along, 'com'),
@@ -228,5 +290,17 @@ FAULTS = {
     'exchanged topics': (lambda own: setattr(own, 'swapped', True), 'are exchanged'),
     'millimetres': (_millimetres, 'in millimetres'),
     'two worlds far apart': (_far_worlds, 'package_world'),
+    'marker frame turned': (_marker, 'package_marker'),
+    'package slipped': (lambda own: setattr(own, 'slipped', _aside(own, 3e-3)), 'slip'),
+    'gravity tilted': (lambda own: setattr(own, 'level', exp_so3(_aside(own, np.radians(10.0)))),
+                       'gravity.direction'),
+    'clocks far apart': (_far_clocks, 'time_offset'),
+    'mass 10 %': (lambda own: own.say(mass=float(own.rng.choice([0.9, 1.1]))), 'inertia'),
+    'low-pass of 10 Hz': (lambda own: setattr(own, 'low_pass_hz', 10.0), 'low-pass'),
+    'packages exchanged': (lambda own: setattr(own, 'exchanged', True), 'package.files'),
+    'twists in degrees': (lambda own: setattr(own, 'twist_unit', np.degrees(1.0)),
+                          'topics.tool_twist'),
+    'quaternions w first': (_quaternions, 'w first'),
+    'occlusion beside a dropout': (lambda own: setattr(own, 'occluded', True), 'sound'),
 }
 """What makes a laboratory faulty, and the name of the cause, or words of the error."""

@@ -1,0 +1,126 @@
+"""Units and quaternion orders in which poses of tool and package fit together."""
+
+from itertools import product
+import os
+from typing import NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import (
+    apply,
+    log_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.parameters.table import short
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+import numpy as np
+
+SAMPLES = 300
+"""Poses that are compared."""
+
+FARTHEST = 2.0
+"""Distance (m) of the package from the tool that no cup reaches."""
+
+BETTER = 0.4
+"""Part of the motion of the package in the tool that is left with another order, at most ..."""
+
+HANGING = 0.5
+"""... or how far from hanging a package is at most that hangs (see `_motion`)."""
+
+
+class Convention(NamedTuple):
+    """How poses were recorded: positions in mm, quaternions with w first."""
+
+    millimetres: bool = False
+    w_first: bool = False
+
+    @property
+    def words(self) -> str:
+        """What is wrong, as in 'The poses of x are ...'."""
+        return ' and '.join([*['in millimetres'] * self.millimetres,
+                             *['of quaternions with w first'] * self.w_first])
+
+
+def reordered(rotation: Array) -> Array:
+    """Return rotations (N, 3, 3) whose quaternions were read as if w came last."""
+    return quaternion_to_rotation(np.roll(rotation_to_quaternion(rotation), -1, axis=-1))
+
+
+def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
+    """Return the conventions of two streams of one world; as they should be where they may be."""
+    first = max(tool.stamps_ns[0], package.stamps_ns[0])
+    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
+    as_given = Convention(), Convention()
+    if last <= first:
+        return as_given
+    stamps = np.linspace(0, last - first, SAMPLES).astype(np.int64) + first
+    bodies = [resample(own.trajectory(), np.unique(stamps)) for own in (tool, package)]
+    units = as_given
+    if _distance(bodies, units)[0] > FARTHEST:
+        both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
+        near = [own for own in both if _distance(bodies, own)[0] <= FARTHEST]
+        if not near:
+            return as_given
+        units = min(near, key=lambda own: _distance(bodies, own)[1])
+    orders = [(units[0]._replace(w_first=a), units[1]._replace(w_first=b))
+              for a, b in product((False, True), repeat=2)]
+    seen = [_motion(bodies, own) for own in orders]
+    best = int(np.argmin([sum(own) for own in seen]))
+    (moves, hangs), (before, hung) = seen[best], seen[0]
+    upright = moves < before and hangs < HANGING < hung
+    return orders[best] if moves < BETTER * before or upright else units
+
+
+def _distance(
+    bodies: list[Trajectory], units: tuple[Convention, Convention]
+) -> tuple[float, float]:
+    """Return the median distance of the bodies, m, and by which part it varies."""
+    tool, package = (own.position * (1e-3 if unit.millimetres else 1.0)
+                     for own, unit in zip(bodies, units, strict=True))
+    distance = np.linalg.norm(package - tool, axis=1)
+    low, middle, high = np.percentile(distance, (25, 50, 75))
+    return float(middle), float((high - low) / max(middle, 1e-12))
+
+
+def _motion(
+    bodies: list[Trajectory], given: tuple[Convention, Convention]
+) -> tuple[float, float]:
+    """
+    Return how the package moves in the tool, and how far it is from hanging along its z axis.
+
+    The first is a turn (rad) and a way in parts of the distance, the second of two cosines.
+    """
+    (p, R), (q, Q) = ((own.position * (1e-3 if unit.millimetres else 1.0),
+                       reordered(own.rotation) if unit.w_first else own.rotation)
+                      for own, unit in zip(bodies, given, strict=True))
+    back = np.swapaxes(R, 1, 2)
+    way, turned = apply(back, q - p), back @ Q
+    way = way / np.median(np.linalg.norm(way, axis=1))
+    turn = log_so3(turned[len(turned) // 2].T @ turned)
+    spread = sum(float(np.linalg.norm(np.subtract(*np.percentile(x, (75, 25), axis=0))))
+                 for x in (way, turn))
+    return spread, 2.0 + float(np.mean(way[:, 2]) - np.mean(turned[:, 2, 2]))
+
+
+def convention_sentence(
+    tool: PoseStream, package: PoseStream, bag: str | os.PathLike[str] = ''
+) -> str:
+    """Return what is said of two streams that fit in other conventions, with commands, or ''."""
+    names: dict[Convention, list[str]] = {}
+    for own, stream in zip(conventions_of(tool, package), (tool, package), strict=True):
+        names.setdefault(own, []).append(stream.name)
+    wrong = {own: topics for own, topics in names.items() if own.words}
+    if not wrong:
+        return ''
+    source = first = short(os.fspath(bag)) or 'RECORDING'
+    commands = []
+    for number, (own, topics) in enumerate(wrong.items(), 1):
+        out = f"{first.rstrip('/')}_converted{number if number > 1 else ''}"
+        options = [f'--topic {topic}' for topic in topics]
+        options += ['--unit mm'] * own.millimetres + ['--quaternion wxyz'] * own.w_first
+        commands.append(f"bellows convert {source} {' '.join(options)} --out {out}")
+        source = out
+    what = '; '.join(f"The poses of {' and '.join(map(repr, topics))} are {own.words}"
+                     for own, topics in wrong.items())
+    return f"{what}. Correct the driver, or convert the recording: '{' && '.join(commands)}'."

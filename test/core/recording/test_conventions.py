@@ -1,0 +1,45 @@
+"""Units and orders of quaternions are found from how two bodies move."""
+
+from itertools import product
+
+from bellows_ros.core.recording.conventions import Convention, convention_sentence, conventions_of
+from bellows_ros.core.signals.trajectory import PoseStream
+import numpy as np
+import pytest
+
+from ..identification import simulated
+
+ALL = [Convention(*own) for own in product((False, True), repeat=2)]
+
+
+def w_first(R):
+    """Return rotations as they are read if quaternions had w first."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)).as_matrix()
+
+
+def streams(tool, package):
+    """Return both bodies of a held package, recorded by such conventions."""
+    held = simulated.record(simulated.shake(duration=6.0, seed=3))
+    bodies = (held.aligned_tool, held.aligned_package)
+    return [PoseStream(
+        f'/{name}', 'world', body.stamps_ns, body.position * (1e3 if own.millimetres else 1.0),
+        w_first(body.rotation) if own.w_first else body.rotation)
+        for name, body, own in zip(('tool', 'package'), bodies, (tool, package), strict=True)]
+
+
+@pytest.mark.parametrize(('tool', 'package'), list(product(ALL, repeat=2)))
+def test_each_stream_has_its_own(tool, package):
+    both = streams(tool, package)
+    assert conventions_of(*both) == (tool, package)
+    said = convention_sentence(*both, 'bag')
+    assert said.count('bellows convert') == len({own for own in (tool, package) if own.words})
+    assert ('--unit mm' in said) == (tool.millimetres or package.millimetres)
+
+
+def test_streams_that_do_not_overlap_say_nothing():
+    one, other = streams(*ALL[:1] * 2)
+    later = PoseStream('/package', 'world', other.stamps_ns + 10**12, other.position,
+                       other.rotation)
+    assert convention_sentence(one, later) == ''
