@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _is_of_units(arguments: argparse.Namespace) -> bool:
     """Return whether poses are to be converted to m, and to quaternions with w last."""
-    return arguments.unit != 'm' or arguments.quaternion != 'xyzw'
+    return bool(arguments.unit != 'm' or arguments.quaternion != 'xyzw')
 
 
 def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -> None:
