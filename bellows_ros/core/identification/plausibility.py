@@ -34,7 +34,7 @@ INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 
 NONE = np.empty(0)
 
-LEAST_OFFSET = 0.1
+LEAST_OFFSET = 0.2
 """Smallest offset of clocks (s) that shows without a fit; smaller ones are fitted."""
 
 ROUGH = 0.05

@@ -22,6 +22,10 @@ SAMPLES = 300
 FARTHEST = 2.0
 """Distance (m) of the package from the tool that no cup reaches."""
 
+LONGEST_REACH, MOST_CHANGE = 0.5, 0.25
+"""Distance (m) of a held package in other units, and by which part it varies, at most: two worlds
+are no units."""
+
 BETTER = 0.4
 """Part of the motion of the package in the tool that is left with another order, at most ..."""
 
@@ -59,7 +63,8 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     units = as_given
     if _distance(bodies, units)[0] > FARTHEST:
         both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
-        near = [own for own in both if _distance(bodies, own)[0] <= FARTHEST]
+        near = [own for own in both
+                if np.all(np.less(_distance(bodies, own), (LONGEST_REACH, MOST_CHANGE)))]
         if not near:
             return as_given
         units = min(near, key=lambda own: _distance(bodies, own)[1])
