@@ -16,6 +16,7 @@ from bellows_ros.core.identification.plausibility import (
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import given_structure
+from bellows_ros.core.recording.alignment import DOWN, levelling
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -282,10 +283,10 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
         from bellows_ros.core.recording.package_world import motion_sentence  # late: rare
 
         return motion_sentence(theta, std), 'Set recording.package_world: estimate.'
-    return _frame_words(found) or _setting_words(found, given)
+    return _frame_words(found, given) or _setting_words(found, given)
 
 
-def _frame_words(found: Finding) -> tuple[str, str] | None:
+def _frame_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str] | None:
     """Return the same where a frame is turned or slipped, else nothing."""
     name, theta = found.name, found.theta
     if name == 'package_marker':
@@ -300,8 +301,9 @@ def _frame_words(found: Finding) -> tuple[str, str] | None:
                 'its first sample', 'Fit what is before or after: set recording.end or '
                 'recording.start, and check the vacuum.')
     if name == 'gravity.direction':
-        down = exp_so3(np.append(-theta, 0.0)) @ [0.0, 0.0, -1.0]
-        return (f'Gravity is {np.rad2deg(np.hypot(*theta)):.1f} degrees off -z of the world',
+        down = levelling(given.get('gravity.direction', DOWN)).T @ (
+            exp_so3(np.append(-theta, 0.0)) @ DOWN)
+        return (f'Gravity is {np.rad2deg(np.hypot(*theta)):.1f} degrees off gravity.direction',
                 'Level the world, or set gravity.direction: '
                 f'[{", ".join(f"{x:.4f}" for x in down + 0.0)}].')
     return None

@@ -126,6 +126,17 @@ def test_a_slip_and_a_tilt_are_sized():
     assert np.linalg.norm([float(x) for x in said.split(',')] - down) < 5e-3
 
 
+def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
+    """It is what the given direction, turned by the finding, is there."""
+    given = {'gravity.direction': (np.sin(0.2), 0.0, -np.cos(0.2))}
+    found = Finding('gravity.direction', '', np.array([0.0, -0.2]), np.full(2, 1e-3))
+    back = Finding('gravity.direction', '', np.array([0.0, 0.2]), np.full(2, 1e-3))
+    said = [re.search(r'direction: \[(.*)\]', finding_sentence(own, given))[1]
+            for own in (found, back)]
+    x = [float(text.split(',')[0]) for text in said]
+    assert min(abs(own) for own in x) < 1e-4 and max(abs(own) for own in x) > 0.3
+
+
 def test_a_pose_that_an_occlusion_took_beside_a_dropout_is_left_out_and_no_step():
     laboratory = Laboratory(100)
     FAULTS['occlusion beside a dropout'][0](laboratory)
