@@ -29,7 +29,6 @@ from bellows_ros.core.identification.result import (
     misfit,
 )
 from bellows_ros.core.identification.search import (
-    accumulated,
     BodyNoise,
     Measured,
     Minimum,
@@ -39,6 +38,7 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
@@ -257,7 +257,7 @@ def _shaken(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
     """Return poses with noise of a size in their own."""
-    e = size * noise.std * accumulated(
+    e = size * noise.std * first_order(
         np.sqrt(1.0 - noise.kept**2) * draw.standard_normal((len(body), 6)), noise.kept)
     return replace(body, position=body.position + e[:, :3],
                    rotation=body.rotation @ exp_so3(e[:, 3:]))

@@ -46,7 +46,7 @@ from bellows_ros.core.model.simulation import row_state, state_row, tool_rows
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import pose_noise, Recording
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.savgol import bridged, savgol
+from bellows_ros.core.signals.savgol import bridged, first_order, savgol
 from bellows_ros.core.signals.timing import MAD_TO_STD, subdivided
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -582,7 +582,7 @@ class Search:
             variances = K[:, :, -1] ** -2
         return Part(
             out.ravel(), slopes.reshape(6 * size, -1), variances, own,
-            accumulated(change, kept), with_mean(first, nearer[:, None]))
+            first_order(change, kept), with_mean(first, nearer[:, None]))
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
@@ -629,12 +629,3 @@ def _away(body: State, other: State) -> Array:
 def _fresh(noise: Array, kept: float) -> Array:
     """Return what is fresh in noise (S, 6)."""
     return np.vstack([noise[:1], noise[1:] - kept * noise[:-1]])
-
-
-def accumulated(fresh: Array, kept: float) -> Array:
-    """Return noise (S, 6) from what is fresh in it."""
-    if kept == 0.0:
-        return fresh
-    from scipy.signal import lfilter  # late: it takes 0.4 s and 25 MB
-
-    return np.asarray(lfilter([1.0], [1.0, -kept], fresh, axis=0))

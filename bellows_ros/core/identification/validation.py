@@ -18,7 +18,7 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.alignment import rest_of
-from bellows_ros.core.recording.recording import ENOUGH, Noise, Recording
+from bellows_ros.core.recording.recording import ENOUGH, Recording
 from bellows_ros.core.signals.residuals import (
     AXES,
     compare,
@@ -58,6 +58,9 @@ SEED = 0
 
 ONE_STEP = 3_000
 """Samples whose innovations are looked at; each takes 27 kB of memory."""
+
+LEAST_KEPT = 0.01
+"""Part of the noise kept from sample to sample below which it counts as white."""
 
 MOTION_ROUNDS = 2
 """Rounds in which the path of the tool comes near to the likeliest."""
@@ -229,7 +232,7 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
 
 def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
     """Return the comparison."""
-    noises = recording.measured_noise
+    noises = _noises(recording)
     package, gravity = recording.payload, recording.settings.gravity
     model = model_tuple(cup, package, gravity)
     half_window = half_window_of(recording.measured_tool)
@@ -321,20 +324,39 @@ def _start(
     return state, int(np.searchsorted(tool.stamps_ns, package.stamps_ns[first])), 'measured'
 
 
+def _noises(recording: Recording) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """
+    Return the noise of tool and package at the common stamps, in position and rotation.
+
+    Standard deviations (2,), m and rad, and the parts (2,) kept from sample to sample.
+    """
+    period_s = 1.0 / uniform_rate_hz(recording.measured_tool.stamps_ns)
+    found = []
+    for body, white, colours in zip(
+            (recording.aligned_tool, recording.aligned_package), recording.measured_noise,
+            recording.colours, strict=True):
+        steps = period_s * uniform_rate_hz(body.stamps_ns)
+        kept = np.array([own.correlation for own in colours]) ** steps
+        coloured = kept > LEAST_KEPT
+        sizes = [own.size for own in colours]
+        found.append((np.where(coloured, sizes, white), np.where(coloured, kept, 0.0)))
+    return found[0], found[1]
+
+
 def _noise_of_errors(
     payload: tuple[Cup, Package, float],
     tool: Trajectory,
     body: Trajectory,
     start: State,
-    noises: tuple[Noise, Noise],
+    noises: tuple[tuple[Array, Array], tuple[Array, Array]],
 ) -> Array:
     """Return the RMS error (6,) due to noise of the package and of the tool."""
     cup, package, gravity = payload
     rate_hz, rng = uniform_rate_hz(tool.stamps_ns), np.random.default_rng(SEED)
     W, squares = weights(half_window_of(tool), LIGHT_ORDER, rate_hz), []
     for _ in range(NOISE_RUNS):
-        noisy = with_filtered_noise(tool, noises[0], W, 1.0 / rate_hz, rng)
+        noisy = with_filtered_noise(tool, *noises[0], W, 1.0 / rate_hz, rng)
         moved = (relative_coordinates(tool, simulate(cup, package, noisy, start, gravity))
                  - relative_coordinates(tool, body))
         squares.append(np.mean(moved**2, axis=0))
-    return np.asarray(np.sqrt(np.mean(squares, axis=0) + np.repeat(noises[1], 3) ** 2))
+    return np.asarray(np.sqrt(np.mean(squares, axis=0) + np.repeat(noises[1][0], 3) ** 2))

@@ -251,10 +251,11 @@ def filtered(values: Array, weights: Array, index: Stamps) -> Array:
 
 
 def with_filtered_noise(
-    motion: Trajectory, noise: ArrayLike, weights: Array, period: float, draw: np.random.Generator
+    motion: Trajectory, noise: ArrayLike, kept: Array, weights: Array, period: float,
+    draw: np.random.Generator,
 ) -> Trajectory:
     """
-    Return a filtered motion as it would be with white noise of its poses once more.
+    Return a filtered motion as it would be with the noise of its poses once more.
 
     Parameters
     ----------
@@ -262,6 +263,9 @@ def with_filtered_noise(
         Of a body, with twists.
     noise : array_like (2,)
         Standard deviation of the poses that were filtered, m and rad per axis.
+    kept : ndarray (2,)
+        Of first-order noise of positions and of rotations, the part kept over a period; 0 where
+        it is white.
     weights : ndarray (3, 2n+1)
         Of the filter.
     period : float
@@ -271,11 +275,15 @@ def with_filtered_noise(
 
     """
     at = period * np.arange(int(motion.seconds[-1] / period) + 2)
-    white = draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
-    white *= np.repeat(np.asarray(noise), 3)
+    drawn = draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
+    drawn *= np.repeat(np.asarray(noise), 3)
+    for part, own in zip((slice(0, 3), slice(3, 6)), kept.tolist(), strict=True):
+        if own > 0.0:
+            drawn[1:, part] *= np.sqrt(1.0 - own**2)
+            drawn[:, part] = first_order(drawn[:, part], own)
     filtered = np.array([
         np.column_stack([np.interp(motion.seconds, at, np.correlate(column, row))
-                         for column in white.T]) for row in weights])
+                         for column in drawn.T]) for row in weights])
     return displaced(motion, filtered[..., :3], filtered[..., 3:])
 
 

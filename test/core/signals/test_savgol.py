@@ -5,7 +5,7 @@ from math import factorial, pi
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.signals import savgol as module
-from bellows_ros.core.signals.savgol import savgol, weights
+from bellows_ros.core.signals.savgol import savgol, weights, with_filtered_noise
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -370,6 +370,24 @@ def test_weights_tell_the_noise_of_the_result():
     assert_allclose(result.twist[:, :3].std(), expected[1], rtol=0.05)
     assert_allclose(result.twist[:, 3:].std(), expected[1], rtol=0.05)
     assert_allclose(result.acceleration[:, 3:].std(), expected[2], rtol=0.05)
+
+
+@pytest.mark.parametrize('kept', [(0.0, 0.0), (0.9, 0.0), (0.5, 0.97)])
+def test_noise_that_a_filter_lets_through(kept):
+    count, noise, rate_hz = 40_000, np.array([2e-3, 5e-3]), 360.0
+    still = Trajectory(
+        np.rint(np.arange(count) * 1e9 / rate_hz).astype(np.int64), np.zeros((count, 3)),
+        np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 6)))
+    W = weights(6, 4, rate_hz)
+    noisy = with_filtered_noise(
+        still, noise, np.array(kept), W, 1.0 / rate_hz, np.random.default_rng(3))
+    lags = np.abs(np.subtract.outer(np.arange(13), np.arange(13)))
+    seen = ((noisy.position, noisy.twist[:, :3]),
+            (Rotation.from_matrix(noisy.rotation).as_rotvec(), noisy.twist[:, 3:]))
+    for std, part, own in zip(noise, kept, seen, strict=True):
+        for row, values in zip(W[:2], own, strict=True):
+            expected = std * np.sqrt(row @ np.power(part, lags) @ row)
+            assert_allclose(np.std(values, axis=0), expected, rtol=0.06)
 
 
 @pytest.mark.parametrize(
