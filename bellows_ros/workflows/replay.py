@@ -21,9 +21,15 @@ from bellows_ros.core.model.validity_range import beyond, known_envelope
 from bellows_ros.core.parameters.checks import implausible, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
-from bellows_ros.core.signals.residuals import AXES, Comparison, Spectrum, Whiteness
+from bellows_ros.core.signals.residuals import (
+    AXES,
+    Comparison,
+    relative_coordinates,
+    Spectrum,
+    Whiteness,
+)
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files.results import provenance, with_units
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
@@ -252,7 +258,11 @@ def replay(
 
 def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
     """Simulate a prepared recording with the cup of the parameters, and compare."""
-    found, outside = validate(cup_of(values), recording), tuple[str, ...]()
+    outside = tuple[str, ...]()
+    try:
+        found = validate(cup_of(values), recording)
+    except UnstableError as error:
+        raise UnstableError(f'{_why_unstable(values, recording)}{error}') from None
     known = known_envelope(values)
     phrases = beyond(known, envelope_of(recording, values['cup.length'])) if known else []
     if phrases:
@@ -272,10 +282,7 @@ OFF = (0.7, 1.4)
 
 def _causes(values: Mapping[str, Any], found: Validation) -> Iterator[str]:
     """Yield the likeliest cause of a bad prediction, where the data show it."""
-    com, length = np.array(values['package.com']), values['cup.length']
-    stretched, expected = (  # of the lip in the tool
-        float(np.nanmean(-rows[:, 2] + (exp_so3(rows[:, 3:]) @ com)[:, 2])) - length
-        for rows in (found.measured, found.predicted))
+    stretched, expected = (_stretch(values, rows) for rows in (found.measured, found.predicted))
     factor = stretched / expected if expected > 0.0 else 0.0
     if factor > 0.0 and not OFF[0] < factor < OFF[1]:
         mass = values['package.mass']
@@ -283,6 +290,26 @@ def _causes(values: Mapping[str, Any], found: Validation) -> Iterator[str]:
             f'On average the cup is stretched {factor:.2g} times as far as predicted: '
             f'package.mass is likely {factor * mass:.2g} kg instead of {mass:g}, or package.com '
             'or cup.length is wrong.')
+
+
+def _stretch(values: Mapping[str, Any], relative: Array) -> float:
+    """Return the mean stretch (m) of the cup in tool-relative coordinates (N, 6)."""
+    com = np.array(values['package.com'])
+    lip = relative[:, :3] - exp_so3(relative[:, 3:]) @ com
+    return float(np.nanmean(-lip[:, 2])) - float(values['cup.length'])
+
+
+def _why_unstable(values: Mapping[str, Any], recording: Recording) -> str:
+    """Return the mass that the recorded stretch stands for, where it is another; else ''."""
+    seen = relative_coordinates(recording.measured_tool, recording.measured_package)
+    stretch = _stretch(values, seen[recording.measured])
+    stiffness = cup_of(values).stiffness[2, 2]
+    mass, given = stiffness * stretch / values['gravity.magnitude'], values['package.mass']
+    if not mass > 0.0 or OFF[0] < mass / given < OFF[1]:
+        return ''
+    return (
+        f'On average the cup is stretched by {1e3 * stretch:.2g} mm, as by {mass:.2g} kg: '
+        f'package.mass is likely that instead of {given:g} kg. ')
 
 
 def predicted_live(

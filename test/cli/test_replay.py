@@ -88,6 +88,7 @@ def test_a_time_offset_is_said(bellows: Run, root: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize(('changes', 'words', 'code'), [
     (('package.mass=3.6',), r'package.mass is likely 1\.[789] kg', 1),
+    (('package.mass=180.0',), r'as by 1\.[789] kg: package.mass is likely', 2),
     (('topics.tool_pose=/package/pose', 'topics.package_pose=/tool_arm/pose',
       'topics.tool_twist='), '^bellows: topics.tool_pose and .* are exchanged', 2),
 ])
