@@ -184,7 +184,7 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     lines = np.abs(motion.coefficients)
     hertz = np.arange(1, len(lines) + 1) / motion.period
     with picture('Motion for identifying stiffness and damping', note, theme) as (figure, colours):
-        grid = figure.add_gridspec(3, 2, **BELOW_HEAD, hspace=0.42, wspace=0.2)
+        grid = figure.add_gridspec(3, 2, **BELOW_HEAD, hspace=0.6, wspace=0.2)
         for line, (part, factor, unit) in enumerate(PARTS):
             of_time, of_frequency = (figure.add_subplot(grid[line, i]) for i in (0, 1))
             for i, colour in enumerate(colours.three):
@@ -194,8 +194,9 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
                 of_frequency.semilogy(
                     hertz, factor * lines[:, axis], color=colour, linewidth=0.8, label=name)
             name_panel(of_time, f'{("shift", "turn")[line]} of the tool ({unit})')
-            name_panel(of_frequency, f'amplitude of each line ({unit})')
-            of_frequency.legend(fontsize=8, ncols=3, loc='upper right')
+            name_panel(of_frequency, f'amplitude ({unit})')
+            of_frequency.legend(fontsize=8, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 1.0),
+                                borderaxespad=0.2)
             of_time.set_xlabel('time (s)')
             of_frequency.set_xlabel('frequency (Hz)')
         panel = figure.add_subplot(grid[2, :])
@@ -314,7 +315,6 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
             for o, marker, name in ((valve, 'v', 'valve'), (path[0], 'o', 'lets go')):
                 panel.plot([o[i]], [o[j]], marker, color=colours.text, markersize=6.0,
                            zorder=5, label=name)
-            panel.set_aspect('equal', adjustable='box')
         if result.target is not None:
             side.plot(result.target[0], result.case.release.height, '+', color=colours.text,
                       markersize=12, markeredgewidth=1.6)
@@ -323,6 +323,12 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
         above.set_ylabel('y (m), from above')
         above.set_xlabel('x (m)')
         _draw_landing(above, close, result, colours)
+        width = max(np.ptp(side.get_xlim()), *(  # the same scale for all three axes
+            np.ptp(panel.get_ylim()) * panel.bbox.width / panel.bbox.height
+            for panel in (side, above)))
+        side.set_xlim(np.mean(side.get_xlim()) + width * np.array([-0.5, 0.5]))
+        for panel in (side, above):
+            panel.set_aspect('equal', adjustable='datalim')
         handles, labels = above.get_legend_handles_labels()
         figure.legend(handles, labels, loc='upper right', bbox_to_anchor=(0.99, 0.985), ncols=3,
                       fontsize=8.5)

@@ -5,7 +5,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.residuals import MILLI_UNITS, Spectrum
+from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS, Spectrum
 from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
@@ -204,12 +204,15 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
                         ('stiffness of the cup', colours.predicted, 1.4)))
         for axis, panel in enumerate(six(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
-            panel.plot(MILLI * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
+            kind, scale, unit = (
+                ('force', MILLI, 'mm') if axis < 3 else ('moment', np.rad2deg(1.0), 'degrees'))
+            panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
-            panel.plot(MILLI * ends, loads.stiffness[axis] * ends, color=colours.predicted,
+            panel.plot(scale * ends, loads.stiffness[axis] * ends, color=colours.predicted,
                        linewidth=1.3)
-            panel.set_xlabel(f'deflection ({MILLI_UNITS[axis]})', labelpad=1.0)
+            panel.set_xlabel(f'deflection {AXES[axis]} ({unit})', labelpad=1.0)
+            panel.set_ylabel(f'{kind} {AXES[axis]} ({UNITS[axis]})')
     return figure
 
 

@@ -114,10 +114,11 @@ def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> Non
     figure = draw_all(motion, loads, 'light')['deflection']
     axes = {name: i for i, name in enumerate(('x', 'y', 'z', 'rx', 'ry', 'rz'))}
     for panel in figure.axes:
-        axis = axes[panel.get_ylabel().split()[0]]
+        axis = axes[panel.get_ylabel().split()[1]]
         line = panel.get_lines()[1]
         (x0, x1), (y0, y1) = line.get_xdata(), line.get_ydata()
-        assert (y1 - y0) / (x1 - x0) == pytest.approx(1e-3 * loads.stiffness[axis])
+        unit = 1e-3 if axis < 3 else np.deg2rad(1.0)
+        assert (y1 - y0) / (x1 - x0) == pytest.approx(unit * loads.stiffness[axis])
 
 
 def test_margins_are_drawn_with_two_standard_deviations(motion: Any, loads: Any) -> None:

@@ -104,6 +104,9 @@ MOST_NEAR_STEPS, MOST_STEPS = 10, 30
 NEAR, ENOUGH = 3.0, 3e-3
 """Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
 
+STILL_ENOUGH = 0.1
+"""The same of the last step that may be: what noise makes barely identifiable goes to and fro."""
+
 RISES = 1.2
 """Factor by which the sum of squares may rise in a step: their weights change, too."""
 
@@ -416,7 +419,7 @@ class Search:
                 if way < end and settled:
                     break
             self.take_noise(parts)
-        return Minimum(theta, parts, H, way < end and settled)
+        return Minimum(theta, parts, H, way < STILL_ENOUGH and settled)
 
     def unbounded(self, theta: Array, slope: Array) -> Mask:
         """Return which unknowns may move: no strength of relaxation from zero to below."""

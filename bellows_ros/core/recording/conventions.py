@@ -22,9 +22,9 @@ SAMPLES = 300
 FARTHEST = 2.0
 """Distance (m) of the package from the tool that no cup reaches."""
 
-LONGEST_REACH, MOST_CHANGE = 0.5, 0.25
-"""Distance (m) of a held package in other units, and by which part it varies, at most: two worlds
-are no units."""
+REACH, MOST_CHANGE = (0.01, 0.5), 0.25
+"""Distances (m) of a held package, and by which part they vary at most: two worlds are no other
+convention."""
 
 BETTER = 0.4
 """Part of the motion of the package in the tool that is left with another order, at most ..."""
@@ -63,11 +63,12 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     units = as_given
     if _distance(bodies, units)[0] > FARTHEST:
         both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
-        near = [own for own in both
-                if np.all(np.less(_distance(bodies, own), (LONGEST_REACH, MOST_CHANGE)))]
+        near = [own for own in both if _is_held(bodies, own)]
         if not near:
             return as_given
         units = min(near, key=lambda own: _distance(bodies, own)[1])
+    if not _is_held(bodies, units):
+        return units
     orders = [(units[0]._replace(w_first=a), units[1]._replace(w_first=b))
               for a, b in product((False, True), repeat=2)]
     seen = [_motion(bodies, own) for own in orders]
@@ -75,6 +76,12 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     (moves, hangs), (before, hung) = seen[best], seen[0]
     upright = moves < before and hangs < HANGING < hung
     return orders[best] if moves < BETTER * before or upright else units
+
+
+def _is_held(bodies: list[Trajectory], units: tuple[Convention, Convention]) -> bool:
+    """Return whether the bodies are apart as tool and package, in some units."""
+    distance, change = _distance(bodies, units)
+    return REACH[0] < distance < REACH[1] and change < MOST_CHANGE
 
 
 def _distance(

@@ -172,6 +172,7 @@ def filter_streams(
             tool_twist.stamps_ns, of_tool_ns, tool.stamps_ns))
     (of_tool, tool_poses), (of_package, package_poses) = _clean(tool, turn), _clean(package, turn)
     _common(tool_poses.stamps_ns, package_poses.stamps_ns, (tool, package))
+    as_they_are = not settings.align_at_rest and alignment is None
     alignment = alignment or _alignment(tool_poses, package_poses, settings)
     aligned = alignment.tool(tool_poses), alignment.package(package_poses)
     filtered = (
@@ -186,7 +187,7 @@ def filter_streams(
             (tool_arrivals, package_arrivals), strict=True))
     warnings = [warning for own in (of_tool, of_package) for warning in stream_warnings(
         own.recorded, own.timing, own.outliers, own.arrivals)]
-    if not settings.align_at_rest:
+    if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
     return FilteredStreams(
