@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import options
-from .console import Console, with_error
+from .console import column, Console, with_error
 from .planned import run_plan_command
 
 if TYPE_CHECKING:
@@ -99,13 +99,15 @@ def _say(found: 'DesignedMotion', console: Console) -> None:
                 + (f'; at the end {motion.hold:g} s at a tilt of {held:.0f} degrees)'
                    if motion.hold else ')'), 'dim')
     rows = [['entry', 'expected', '', *(f'{Path(name).stem}' for name in found.beside)]]
-    for i, (label, unit, value, error) in enumerate(zip(
+    parts = column([100.0 * error / abs(value) if value else 0.0
+                    for value, error in zip(found.guess, found.errors, strict=True)])
+    ratios = [column((errors / found.errors).tolist()) for errors in found.beside.values()]
+    for label, unit, value, error, part, *beside in zip(
             found.structure.labels, parameter_units(found.structure), found.guess.tolist(),
-            found.errors.tolist(), strict=True)):
-        part = f'{100.0 * error / abs(value):.2g} %' if value else ''
+            found.errors.tolist(), parts, *ratios, strict=True):
         known = error if error <= LARGEST_ERROR * abs(value) or not value else math.inf
-        rows.append([label, with_error(value, known, unit), part, *(
-            f'{errors[i] / error:.3g} times' for errors in found.beside.values())])
+        rows.append([label, with_error(value, known, unit), f'{part} %' if value else '',
+                     *(f'{ratio} times' for ratio in beside)])
     console.table(rows)
     if found.beside:
         console.paragraph(

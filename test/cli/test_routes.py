@@ -57,6 +57,7 @@ def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
 def test_a_search_that_does_not_end_gives_no_cup(call, tmp_path, capsys, monkeypatch):
     """End with 1, without standard errors and without a cup file."""
     monkeypatch.setattr(search, 'MOST_STEPS', 1)
+    monkeypatch.setattr(search, 'STILL_ENOUGH', 0.0)
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     assert call('identify', 'bags/validation', '--params', 'bags/package.yaml', '--out', cup,
                 '--json', fit) == 1
