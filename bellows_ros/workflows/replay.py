@@ -334,7 +334,7 @@ def predicted_live(
     predicted = predictions(live, messages, tell)
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
-    del messages  # a tenth of the memory that long recordings take here
+    del messages  # of a long recording, tens of megabytes
     compared = compare_recorded(predicted, recording.measured_tool, recording.measured_package)
     return Live(
         **vars(compared), counts=_counts(live, recording),

@@ -36,7 +36,13 @@ from bellows_ros.core.recording.recording import (
 )
 from bellows_ros.core.signals.resampling import on_grid, resample
 from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.timing import Arrivals, at_sampling, JITTER_WARNED, Timing, timing
+from bellows_ros.core.signals.timing import (
+    ArrivalStamps,
+    at_sampling,
+    JITTER_WARNED,
+    Timing,
+    timing,
+)
 from bellows_ros.core.signals.trajectory import (
     Filtered,
     frozen,
@@ -311,7 +317,7 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
 
 
 def stream_warnings(
-    recorded: PoseStream, time: Timing, outliers: Outliers, arrivals: Arrivals | None = None
+    recorded: PoseStream, time: Timing, outliers: Outliers, arrivals: ArrivalStamps | None = None
 ) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
     name = recorded.name

@@ -18,7 +18,7 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals.savgol import first_order, weights
-from bellows_ros.core.signals.timing import Arrivals, MAD_TO_STD, Timing
+from bellows_ros.core.signals.timing import ArrivalStamps, MAD_TO_STD, Timing
 from bellows_ros.core.signals.trajectory import (
     any_within,
     NS_PER_S,
@@ -295,7 +295,7 @@ class StreamReport:
         Excursions, frozen poses and steps, by sample, and the noise.
     overlapping_gap : int
         Filtered samples left out because their windows touch invalid ones.
-    arrivals : Arrivals or None
+    arrivals : ArrivalStamps or None
         What the recorded stamps were, if they were replaced by those of the sampling.
 
     """
@@ -304,7 +304,7 @@ class StreamReport:
     timing: Timing
     outliers: Outliers
     overlapping_gap: int = 0
-    arrivals: Arrivals | None = None
+    arrivals: ArrivalStamps | None = None
 
     @property
     def marked(self) -> int:

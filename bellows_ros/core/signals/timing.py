@@ -174,7 +174,7 @@ def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
     return np.asarray(stamps_ns[step] + number * np.diff(stamps_ns)[step] // parts[step])
 
 
-class Arrivals(NamedTuple):
+class ArrivalStamps(NamedTuple):
     """
     Stamps that were times of arrival.
 
@@ -210,7 +210,7 @@ class Arrivals(NamedTuple):
             'fit.time_offset.')
 
 
-def at_sampling(stream: PoseStream) -> tuple[PoseStream, Arrivals | None]:
+def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
     """Return poses with the stamps of their sampling, where theirs are times of arrival."""
     if len(stream) < 4 * NEAR:
         return stream, None
@@ -227,7 +227,7 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, Arrivals | None]:
     if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < SMOOTHER:
         return stream, None
     late = (stream.stamps_ns - sampled) / NS_PER_S
-    return replace(stream, stamps_ns=sampled), Arrivals(
+    return replace(stream, stamps_ns=sampled), ArrivalStamps(
         len(late), float(np.std(late)), float(np.ptp(late)),
         (float(before[0]), float(before[1])), (float(after[0]), float(after[1])))
 
