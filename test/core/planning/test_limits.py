@@ -3,14 +3,16 @@
 from dataclasses import replace
 import math
 
+from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.planning.limits import demands, Limits, NONE, RATES, stretched, TooFastError
 from bellows_ros.core.planning.points import timed
+from bellows_ros.core.planning.steering import steer
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..plans import Move
+from ..plans import CUP, Move, PACKAGE
 
 FREE = Limits(dict.fromkeys(RATES, NONE), np.full(3, -NONE), np.full(3, NONE), 0.0)
 PLAN = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.9], 0.8).plan()
@@ -80,3 +82,20 @@ def test_a_step_of_one_millisecond_counts():
     rows[:, 0] += 0.01 * np.exp(-((at - 0.4) / 7e-4) ** 2)
     jolted = replace(PLAN, twist=rows)
     assert demands(jolted)['acceleration'] > 1.5 * demands(PLAN)['acceleration']
+
+
+@pytest.mark.parametrize(('name', 'limit'), [
+    ('acceleration', 8.0), ('angular_acceleration', 60.0), ('angular_jerk', 2000.0)])
+def test_an_inverse_within_limits_takes_the_shortest_time(name, limit):
+    """Every shorter time, in steps of 2 %, exceeds the limit: also where demands are not even."""
+    limits = FREE._replace(rates={**FREE.rates, name: limit})
+    model = model_tuple(CUP, PACKAGE, 9.81)
+    plan = Move([0.6, 0.2, 0.0], [0.0, 0.0, 0.3], 0.45).plan(200)
+
+    def motion(scale):
+        return steer(model, timed(plan, scale), 'inverse').tool, math.inf
+
+    scale, reason = stretched(limits, motion)
+    assert reason == name and demands(motion(scale)[0])[name] <= limit
+    for shorter in np.arange(1.0, 0.99 * scale, 0.02):
+        assert demands(motion(shorter)[0])[name] > limit
