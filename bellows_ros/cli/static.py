@@ -7,7 +7,7 @@ the spring model predicts.
 """
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING
 from bellows_ros.errors import BellowsError
 
 from . import options
-from .console import Console, NOT_USABLE, OK
+from .console import column, Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
+    from bellows_ros.core.identification.statics.static import SpringCheck
     from bellows_ros.core.parameters.table import Value
+    from bellows_ros.core.recording.standstills import Standstill
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
 EXAMPLES = (
@@ -30,6 +32,9 @@ EXAMPLES = (
     ('bellows static bags/static --params bags/cup.yaml',
      'check the spring of a cup in several orientations of the tool'),
 )
+
+MILLIMETRES, DEGREES = (1e3, 'mm', 'position'), (math.degrees(1.0), 'deg', 'rotation')
+"""Factor from SI and name of a unit, and the standard error of a standstill in it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,10 +95,9 @@ def _say(result: 'StaticResult', console: Console) -> None:
         console.say()
     _say_length(result, console)
     if result.spring is not None:
-        console.say()
-        console.say(f'Spring, with a nominal length of {result.cup_length * 1e3:.2f} mm', 'bold')
-        for number, pose in enumerate(result.spring.poses, 1):
-            console.paragraph(f'  {number}: {pose.sentence}')
+        console.table(
+            _spring_rows(result.spring), right=True,
+            title=f'Spring, with a nominal length of {result.cup_length * 1e3:.2f} mm')
         console.paragraph(
             result.spring.sentence, style='' if result.spring.passed else 'red')
     console.warn(*result.warnings)
@@ -103,18 +107,44 @@ def _standstill_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
     """Return the standstills as rows of a table: the lip as seen from the tool."""
     from bellows_ros.workflows.static import standstills_in
 
-    rows: list[tuple[str, ...]] = [
-        ('pose', 'recording', 'mass', 'for', 'tilt', 'x', 'y', 'length', 'bending', 'turn')]
-    for recording in result.recordings:
-        for still in standstills_in(recording)[0]:
-            x, y, z, rx, ry, rz = still.lip.tolist()
-            rows.append((
-                str(len(rows)), Path(recording.name).name, f'{recording.payload.mass:.4g} kg',
-                f'{still.duration:.1f} s', f'{math.degrees(still.tilt):.1f} deg',
-                f'{x * 1e3:.2f} mm', f'{y * 1e3:.2f} mm', f'{-z * 1e3:.3f} mm',
-                f'{math.degrees(math.hypot(rx, ry)):.2f} deg', f'{math.degrees(rz):.2f} deg',
-            ))
-    return rows
+    names = [Path(recording.name).name for recording in result.recordings
+             for _ in standstills_in(recording)[0]]
+    stills = result.standstills
+    x, y, z, rx, ry, rz = zip(*(still.lip.tolist() for still in stills), strict=True)
+    columns = {
+        'pose': map(str, range(1, len(stills) + 1)), 'recording': names,
+        'mass': [f'{still.payload.mass:.4g} kg' for still in stills],
+        'for': [f'{still.duration:.1f} s' for still in stills],
+        'tilt': _column(DEGREES, [still.tilt for still in stills], stills),
+        'x': _column(MILLIMETRES, x, stills), 'y': _column(MILLIMETRES, y, stills),
+        'length': _column(MILLIMETRES, [-value for value in z], stills),
+        'bending': _column(DEGREES, map(math.hypot, rx, ry), stills),
+        'turn': _column(DEGREES, rz, stills)}
+    return [tuple(columns), *zip(*columns.values(), strict=True)]
+
+
+def _spring_rows(spring: 'SpringCheck') -> list[tuple[str, ...]]:
+    """Return each pose's deflection, and how far the predicted one is off, as rows of a table."""
+    stills = [pose.standstill for pose in spring.poses]
+    columns = []
+    for unit, part in ((MILLIMETRES, slice(0, 3)), (DEGREES, slice(3, 6))):
+        measured = [pose.measured[part].tolist() for pose in spring.poses]
+        predicted = [pose.predicted[part].tolist() for pose in spring.poses]
+        columns += [_column(unit, [math.hypot(*each) for each in measured], stills),
+                    _column(unit, map(math.dist, predicted, measured), stills)]
+    return [('pose', 'moved', 'off', 'turned', 'off', 'verdict'),
+            *zip(map(str, range(1, len(stills) + 1)), *columns,
+                 (pose.verdict for pose in spring.poses), strict=True)]
+
+
+def _column(
+    unit: tuple[float, str, str], values: Iterable[float], stills: 'Sequence[Standstill]'
+) -> list[str]:
+    """Return a column of numbers with the decimals of the largest standard error, and the unit."""
+    factor, name, kind = unit
+    error = max(getattr(still.error, kind) for still in stills)
+    texts = column([factor * value for value in values], factor * error)
+    return ['-' if text == 'nan' else f'{text} {name}' for text in texts]
 
 
 def _say_length(result: 'StaticResult', console: Console) -> None:
@@ -132,6 +162,6 @@ def _say_length(result: 'StaticResult', console: Console) -> None:
         console.say(f'  scatter from pick to pick {1e3 * length.pick_std:.2f} mm')
     beyond = length.linear_load < float(length.loads.max())
     console.paragraph(
-        f'  Axial stiffness {length.stiffness:.0f} N/m; linear up to '
+        f'  Axial stiffness {length.stiffness:.3g} N/m; linear up to '
         f'{length.linear_load:.1f} N{"" if beyond else ", the largest load, at least"}.'
     )

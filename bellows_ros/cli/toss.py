@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
 
-from .console import Console
+from .console import column, Console, with_error
 from .planned import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:
@@ -106,15 +106,16 @@ def _say(result: 'TossResult', console: Console) -> None:
     console.say(
         f'  valve     {case.switched:.4f} s; lets go {late:.1f} ms later ({mode}) at '
         f'{speed:.2f} m/s')
-    console.say(f'  landing   {found.landing_time:.4f} s at x {x:.4f} m, y {y:.4f} m, '
-                f'tumbling at {found.tumbling:.2f} rad/s')
-    console.say(f'  1 sigma   x {MILLI * std[0]:.1f} mm, y {MILLI * std[1]:.1f} mm, turned '
-                f'{math.degrees(float(np.linalg.norm(std[3:]))):.2f} deg')
+    turned = math.degrees(float(np.linalg.norm(std[3:])))
+    console.say(f'  landing   {found.landing_time:.4f} s at x {with_error(x, std[0], "m")}, '
+                f'y {with_error(y, std[1], "m")}')
+    unsure = f'turned ± {turned:.2g} deg, ' if turned else ''
+    console.say(f'            {unsure}tumbling at {found.tumbling:.2f} rad/s')
     if result.aim is not None:
         before = result.distance_as_asked
         gain = '' if before is None else f', instead of {MILLI * before:.1f} mm with --release'
-        turned = f', {math.degrees(result.aim.angle):.1f} deg' if result.aim.angle else ''
-        console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{turned} away{gain}')
+        angle = f', {math.degrees(result.aim.angle):.1f} deg' if result.aim.angle else ''
+        console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{angle} away{gain}')
     if result.drawn is not None:
         counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
         from bellows_ros.core.toss.landing import coverage
@@ -140,12 +141,13 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
         return
 
     rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
-    for g in groups:
+    for g, moved, angle in zip(
+            groups, _figures([MILLI * g.metres for g in groups]),
+            _figures([math.degrees(g.radians) for g in groups]), strict=True):
         factor, unit = UNITS.get(g.name, (1.0, ''))
         rows.append((
             g.name, f'{factor * g.std:.3g} {unit}' if math.isfinite(g.std)
-            else 'one fit' if g.name == 'release' else 'per entry',
-            f'{MILLI * g.metres:.2f} mm', f'{math.degrees(g.radians):.2f} deg'))
+            else 'one fit' if g.name == 'release' else 'per entry', f'{moved} mm', f'{angle} deg'))
     console.table(rows, right=True)
     total, first = math.hypot(*(g.metres for g in groups)), groups[0]
     left = math.sqrt(max(0.0, total**2 - first.metres**2))
@@ -160,3 +162,8 @@ def _say_budget(result: 'TossResult', console: Console) -> None:
         text += (' Each millisecond of the valve moves the landing by '
                  f'{MILLI * result.per_millisecond:.1f} mm.')
     console.paragraph(text)
+
+
+def _figures(sizes: list[float]) -> list[str]:
+    """Return sizes with the decimals that show three figures of the largest."""
+    return column(sizes, 0.1 * max(sizes) or 1.0)

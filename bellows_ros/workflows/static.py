@@ -144,7 +144,7 @@ class StaticResult:
                 'verdict': self.spring.sentence,
                 'poses': [
                     {'tilt': pose.standstill.tilt,
-                     **attributes(pose, 'measured', 'predicted', 'verdict', 'sentence')}
+                     **attributes(pose, 'measured', 'predicted', 'verdict')}
                     for pose in self.spring.poses
                 ],
             },

@@ -222,8 +222,6 @@ class PoseCheck:
         cannot carry the package.
     verdict : str
         'within noise', 'good', 'off' or 'no equilibrium'.
-    sentence : str
-        The verdict in words.
 
     """
 
@@ -231,7 +229,6 @@ class PoseCheck:
     measured: Array
     predicted: Array
     verdict: str
-    sentence: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,26 +371,21 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     tool = state_row(still.tool.position[0], quaternion)
     try:
         position, q = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)[:2]
-    except UnstableError as error:
-        return PoseCheck(still, measured, np.full(6, np.nan), 'no equilibrium', str(error))
+    except UnstableError:
+        return PoseCheck(still, measured, np.full(6, np.nan), 'no equilibrium')
     there = Trajectory(
         still.package.stamps_ns, np.array([position]), quaternion_to_rotation(np.array([q]))
     )
     predicted = replace(still, package=there).lip - nominal
-    return PoseCheck(still, measured, predicted, *_verdict(measured, predicted, still.error))
+    return PoseCheck(still, measured, predicted, _verdict(measured, predicted, still.error))
 
 
-def _verdict(measured: Array, predicted: Array, error: Noise) -> tuple[str, str]:
-    """Return the verdict on a predicted deflection, and the words for it."""
-    worst, words = 'within noise', []
-    for part, unit, noise in (
-        (slice(0, 3), 'mm', error.position), (slice(3, 6), 'mrad', error.rotation),
-    ):
-        off = float(np.linalg.norm(predicted[part] - measured[part]))
-        size = float(np.linalg.norm(measured[part]))
-        within = off <= ERRORS_OF_NOISE * noise * np.sqrt(3.0)
-        if not within:
-            good = off <= GOOD_WITHIN * size
-            worst = 'off' if not good or worst == 'off' else 'good'
-        words.append(f'{off * 1e3:.2g} {unit} off a deflection of {size * 1e3:.3g} {unit}')
-    return worst, f'{", ".join(words)}: {worst}'
+def _verdict(measured: Array, predicted: Array, error: Noise) -> str:
+    """Return the verdict on a predicted deflection."""
+    verdicts = ['within noise']
+    for part, noise in ((slice(0, 3), error.position), (slice(3, 6), error.rotation)):
+        off, size = (
+            float(np.linalg.norm(each[part])) for each in (predicted - measured, measured))
+        if off > ERRORS_OF_NOISE * noise * np.sqrt(3.0):
+            verdicts.append('off' if off > GOOD_WITHIN * size else 'good')
+    return max(verdicts, key=('within noise', 'good', 'off').index)

@@ -139,7 +139,6 @@ def test_a_cup_that_cannot_hold_a_pose_is_said_to_fall():
     check = check_spring(
         Cup(K, simulated.CUP.damping, simulated.CUP.length), [upright(0.047, 2.17, tilt=3.0)], G)
     assert [pose.verdict for pose in check.poses] == ['no equilibrium']
-    assert 'No static equilibrium' in check.poses[0].sentence
     assert not check.passed
 
 
