@@ -16,12 +16,12 @@ LENGTH, DEPTH, PLACES = 0.0481, 0.040, (-0.09, 0.0, 0.09)  # m
 def gripper(theme: Theme) -> Any:
     """Return the figure: tool, cups at a_i, lips, package, and the frames E and S."""
     with drawing(theme) as figures:
-        figure = figures.Figure(figsize=(8.6, 4.0))
+        figure = figures.Figure(figsize=(8.6, 4.4))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_aspect('equal')
         axes.set_axis_off()
         axes.set_xlim(-0.18, 0.18)
-        axes.set_ylim(-0.13, 0.04)
+        axes.set_ylim(-0.145, 0.04)
         tool = Frame((0.0, 0.0), 0.0)
         lip = tool.moved(0.004, -LENGTH - 0.004, 0.14)
         package = lip.moved(0.0, -DEPTH)

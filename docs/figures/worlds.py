@@ -34,7 +34,7 @@ def worlds(theme: Theme) -> Any:
                        (0.1, -0.9) if frame is mocap else (-0.9, -0.3))
         for first, last, words, at in (
             (base, tool, 'tool_pose: the driver', (-0.06, -0.045)),
-            (mocap, package, 'package_pose: the cameras', (0.135, -0.010)),
+            (mocap, package, 'package_pose: the cameras', (0.175, -0.008)),
             (base, mocap, 'recording.package_world', (0.21, -0.145)),
         ):
             bend = 0.42 if last is mocap else 0.0
