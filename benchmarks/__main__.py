@@ -22,7 +22,7 @@ from bellows_ros import __version__
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import write_json
 
-from . import ahead, batch, camera, live, offline, plans, startup, step
+from . import camera, live, offline, plans, startup, step
 from .tables import markdown, tables
 
 DOCS = Path(__file__).resolve().parents[1] / 'docs'
@@ -31,12 +31,10 @@ SECTIONS: Mapping[str, Callable[[bool], dict[str, Any]]] = {
     'node': live.run,
     'offline': offline.run,
     'startup': startup.run,
-    'batch': batch.run,
     'plans': plans.run,
-    'ahead': ahead.run,
     'camera': camera.run,
 }
-PACKAGES = ('numpy', 'scipy', 'numba', 'rosbags', 'joblib')
+PACKAGES = ('numpy', 'scipy', 'numba', 'rosbags')
 _MARKED = re.compile(r'(<!-- bench: (\S+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 

@@ -1,6 +1,5 @@
 """What a camera adds: errors beside other filters' on the same recording, and what it costs."""
 
-from collections.abc import Callable
 from pathlib import Path
 import tempfile
 import time
@@ -19,6 +18,7 @@ from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.replay import replay
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .live import with_a_camera
 from .step_case import CUP, PACKAGE, shaken_tool
@@ -59,13 +59,10 @@ def run(short: bool) -> dict[str, Any]:
     truth, camera = poses['package'].trajectory(), poses['camera'].trajectory()
     true = truth.select(np.isin(truth.stamps_ns, found.both.stamps_ns[known]))
     louder = LOUDER[3:4] if short else LOUDER
-    for name, peer, noises in (
-            ('robot_localization, as shipped', robot_localization, [AS_IT_COMES]),
-            ('robot_localization, noise tuned', robot_localization,
-             [AS_IT_COMES * np.repeat([0.01, factor], [9, 6]) for factor in louder]),
-            ('constant velocity, noise tuned', constant_velocity,
-             [factor * np.array([1e-2, 1.0]) for factor in louder])):
-        rows = [_peer(peer, noise, camera, true) for noise in noises]
+    tuned = [AS_IT_COMES * np.repeat([0.01, factor], [9, 6]) for factor in louder]
+    for name, noises in (('robot_localization, as shipped', [AS_IT_COMES]),
+                         ('robot_localization, noise tuned', tuned)):
+        rows = [_peer(noise, camera, true) for noise in noises]
         errors[name] = {what: min(row[what] for row in rows) for what in rows[0]}
     return {
         'noise': {'position': NOISE[0] * 3**0.5, 'rotation': NOISE[1] * 3**0.5},
@@ -102,12 +99,9 @@ def filmed(folder: Path) -> dict[str, PoseStream]:
 # ------------------------------------------------------------------- peers
 
 
-Peer = Callable[[Array, Stamps, Array, Array, Stamps], tuple[Array, Array]]
-
-
-def _peer(peer: Peer, process: Array, camera: Trajectory, true: Trajectory) -> dict[str, float]:
+def _peer(process: Array, camera: Trajectory, true: Trajectory) -> dict[str, float]:
     """Return the errors of a filter that sees the camera alone."""
-    position, rotation = peer(
+    position, rotation = robot_localization(
         process, camera.stamps_ns, camera.position, camera.rotation, true.stamps_ns)
     turn = log_so3(np.swapaxes(true.rotation, 1, 2) @ rotation)
     return _rms(np.hstack([position - true.position, turn]))
@@ -125,14 +119,15 @@ def robot_localization(
     and begins with that of the first pose, and with 1e-9 for all else.
     """
     x, P = np.zeros(15), np.eye(15) * 1e-9
-    x[:3], x[3:6] = position[0], _euler(rotation[0])
+    euler = Rotation.from_matrix(rotation).as_euler('xyz')  # roll, pitch, yaw
+    x[:3], x[3:6] = position[0], euler[0]
     P[:6, :6] = R = np.diag(np.repeat(np.square(NOISE), 3))
     out, newest, k = [], int(stamps_ns[0]), 1
     for stamp in at_ns.tolist():
         while k < len(stamps_ns) and stamps_ns[k] < stamp:
             x, P = _go_on(x, P, (stamps_ns[k] - newest) * 1e-9, process)
             newest = int(stamps_ns[k])
-            y = np.r_[position[k], _euler(rotation[k])] - x[:6]
+            y = np.r_[position[k], euler[k]] - x[:6]
             y[3:] = (y[3:] + np.pi) % (2.0 * np.pi) - np.pi
             gain = P[:, :6] @ np.linalg.inv(P[:6, :6] + R)
             A = np.eye(15)
@@ -141,7 +136,7 @@ def robot_localization(
             k += 1
         out.append(_moved(x, (stamp - newest) * 1e-9)[:6])
     rows = np.array(out)
-    return rows[:, :3], np.array([_of_euler(row) for row in rows[:, 3:]])
+    return rows[:, :3], Rotation.from_euler('xyz', rows[:, 3:]).as_matrix()
 
 
 def _go_on(x: Array, P: Array, seconds: float, process: Array) -> tuple[Array, Array]:
@@ -155,7 +150,7 @@ def _go_on(x: Array, P: Array, seconds: float, process: Array) -> tuple[Array, A
 def _moved(x: Array, seconds: float) -> Array:
     """Return a state after a time in which its accelerations stay."""
     roll, pitch = x[3:5]
-    later, turn = x.copy(), _of_euler(x[3:6])
+    later, turn = x.copy(), Rotation.from_euler('xyz', x[3:6]).as_matrix()
     later[:3] += turn @ (seconds * x[6:9] + 0.5 * seconds**2 * x[12:15])
     s, c, t = np.sin(roll), np.cos(roll), np.tan(pitch)
     along = 1.0 / np.cos(pitch)
@@ -163,60 +158,6 @@ def _moved(x: Array, seconds: float) -> Array:
     later[3:6] += seconds * rates @ x[9:12]
     later[6:9] += seconds * x[12:15]
     return later
-
-
-def _euler(R: Array) -> Array:
-    """Return roll, pitch and yaw of a rotation."""
-    return np.array([np.arctan2(R[2, 1], R[2, 2]), np.arcsin(-R[2, 0]),
-                     np.arctan2(R[1, 0], R[0, 0])])
-
-
-def _of_euler(rpy: Array) -> Array:
-    """Return the rotation of roll, pitch and yaw."""
-    unit = np.eye(3)
-    return np.asarray(
-        exp_so3(unit[2] * rpy[2]) @ exp_so3(unit[1] * rpy[1]) @ exp_so3(unit[0] * rpy[0]))
-
-
-def constant_velocity(
-    process: Array, stamps_ns: Stamps, position: Array, rotation: Array, at_ns: Stamps
-) -> tuple[Array, Array]:
-    """
-    Return poses by a filter of white accelerations, linear and angular (Bar-Shalom 2001, 6.2).
-
-    At a steady rate its gains are constant, the same for all axes: those of an alpha-beta filter.
-    `process` are the two densities.
-    """
-    h = float(np.median(np.diff(stamps_ns))) * 1e-9
-    gains = [_steady_gain(density, noise, h)
-             for density, noise in zip(process, NOISE, strict=True)]
-    o, R, v, w = position[0], rotation[0], np.zeros(3), np.zeros(3)
-    places, turns, newest, k = [], [], int(stamps_ns[0]), 1
-    for stamp in at_ns.tolist():
-        while k < len(stamps_ns) and stamps_ns[k] < stamp:
-            h = (stamps_ns[k] - newest) * 1e-9
-            newest = int(stamps_ns[k])
-            o, R = o + h * v, R @ exp_so3(h * w)
-            y, turn = position[k] - o, log_so3(R.T @ rotation[k])
-            o, v = o + gains[0][0] * y, v + gains[0][1] * y
-            R, w = R @ exp_so3(gains[1][0] * turn), w + gains[1][1] * turn
-            k += 1
-        h = (stamp - newest) * 1e-9
-        places.append(o + h * v)
-        turns.append(R @ exp_so3(h * w))
-    return np.array(places), np.array(turns)
-
-
-def _steady_gain(density: float, noise: float, h: float) -> Array:
-    """Return the gains of position and velocity after a long time."""
-    F = np.array([[1.0, h], [0.0, 1.0]])
-    Q = density * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
-    P, gain = np.eye(2), np.zeros(2)
-    for _ in range(500):
-        P = F @ P @ F.T + Q
-        gain = P[:, 0] / (P[0, 0] + noise**2)
-        P = P - np.outer(gain, P[0])
-    return gain
 
 
 # ------------------------------------------------------------------- costs

@@ -2,8 +2,7 @@
 A bare node that sends every tool pose back: the floor for the latency of the predictor.
 
 `python -m benchmarks.echo` spins it with `rclpy.spin`, as one would write it; with
-the argument `events` it is spun as the commands of this package spin theirs, and with `plans` it
-also sends plans back, as bytes.
+the argument `events` it is spun as the commands of this package spin theirs.
 """
 
 import sys
@@ -15,7 +14,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 QUEUE = 100
 
@@ -30,10 +28,6 @@ class Echo(Node):
         publisher = self.create_publisher(PoseStamped, 'package/pose', QUEUE)
         qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.create_subscription(PoseStamped, 'tool_arm/pose', publisher.publish, qos)
-        if 'plans' in sys.argv:
-            plans = self.create_publisher(MultiDOFJointTrajectory, 'package/plan', 10)
-            self.create_subscription(
-                MultiDOFJointTrajectory, 'tool_arm/plan', plans.publish, 10, raw=True)
 
     def close(self) -> None:
         """Take the node down."""

@@ -32,9 +32,6 @@ EVENTS = 'bare, events'
 PREDICTOR = 'predictor'
 HEARD = 'predictor, twist and wrench heard'
 """Only what somebody listens to is published, beside the pose."""
-PLANS = 'bare, events, plans'
-"""A bare node that sends plans back, too."""
-TOSSING = 'predictor, release and landing set'
 CAMERA = 'predictor, corrected at 30 Hz half of the time'
 """The sender gives some answers back as measured poses."""
 
@@ -43,19 +40,11 @@ PARAMETERS = (
     '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]',
 )
-TOSSED = (
-    '-p', 'package.size:=[0.2, 0.2, 0.06]', '-p', 'landing.height:=-1.0',
-    '-p', 'release.delay:=0.012', '-p', 'release.delay_std:=0.001', '-p', 'release.tau:=0.015',
-    '-p', 'release.tau_std:=0.0005', '-p', 'cup.lip_radius:=0.03', '-p',
-    'vacuum.holding:=60000.0',
-)
 NODES: Mapping[str, tuple[str, ...]] = {
     BARE: ('benchmarks.echo',),
     EVENTS: ('benchmarks.echo', 'events'),
-    PLANS: ('benchmarks.echo', 'events', 'plans'),
     PREDICTOR: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
     HEARD: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
-    TOSSING: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS, *TOSSED),
     CAMERA: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
 }
 
@@ -104,14 +93,10 @@ def with_a_camera(rate: int, short: bool) -> dict[str, Any]:
             'to_without': float(np.median(np.divide(both, without)))}
 
 
-def halves(run: Mapping[str, Any], cycle: float, lasts: float = 0.0) -> list[np.ndarray]:
-    """
-    Return p50 and p99 of the latencies in the first half of each cycle to those in the second.
-
-    What was sent in the first half has an effect for some more time (s), which does not count.
-    """
+def halves(run: Mapping[str, Any], cycle: float) -> list[np.ndarray]:
+    """Return p50 and p99 of the latencies in the first half of each cycle to the second half."""
     latency, (number, phase) = np.array(run['latency']), np.divmod(run['stamps'], cycle)
-    with_, without = phase < 0.5 * cycle, phase > 0.5 * cycle + lasts
+    with_, without = phase < 0.5 * cycle, phase > 0.5 * cycle
     return [
         np.percentile(latency[(number == k) & with_], [50.0, 99.0])
         / np.percentile(latency[(number == k) & without], [50.0, 99.0])

@@ -3,11 +3,8 @@ Send tool poses (and twists) at a rate and take the time until each answer is he
 
 `python -m benchmarks.probe RATE SECONDS SENT HEARD PID` prints JSON: latencies in s,
 and the processor time and memory of the process that answers. SENT is `poses` or `twists` (these
-too), HEARD is `pose`, `all` (the package's twist and the cup's wrench too), `landing` (where it
-would land, too), `camera,CYCLE` (and some 30 answers a second are given back as measured poses, in
-the first half of each CYCLE, s) or `plans,PERIOD,RATE,HOW`: every PERIOD (s) a plan of 2 s of what
-the tool does from now on is sent, with points at RATE, during the first half of each `CYCLE`. HOW
-is `raw` (as bytes) or `typed` (as messages of rclpy, whose making of objects then counts).
+too), HEARD is `pose`, `all` (the package's twist and the cup's wrench too) or `camera,CYCLE` (and
+some 30 answers a second are given back as measured poses, in the first half of each CYCLE, s).
 """
 
 from collections.abc import Callable
@@ -19,20 +16,11 @@ import sys
 import time
 from typing import Any
 
-from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage
 from bellows_ros.nodes.conversions import stamp_to_ns
-from geometry_msgs.msg import (
-    PoseStamped,
-    PoseWithCovarianceStamped,
-    TwistStamped,
-    WrenchStamped,
-)
-import numpy as np
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
-from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 QUEUE = 10_000
 FIRST_NS = 1_000_000_000
@@ -44,8 +32,6 @@ SEEN_EVERY_NS = 33_000_000
 COMPILED_AFTER = 5.0
 BUSY = 300e-6
 """So long (s) before a message is due nothing else is done."""
-CYCLE, PLAN_LASTS = 6, 2
-"""Plans are sent in the first half of so many seconds; the last is driven for so long (s)."""
 WAY, TURNS = 0.02, 2.0 * math.pi
 """Amplitude (m) and angular frequency (rad/s) of the tool."""
 
@@ -67,22 +53,15 @@ class Probe(Node):
         if heard == 'all':
             self._heard['package/twist'] = TwistStamped, self._on_other
             self._heard['cup/wrench'] = WrenchStamped, self._on_other
-        if heard == 'landing':
-            self._heard['package/landing'] = PoseWithCovarianceStamped, self._on_other
         for name, (kind, callback) in self._heard.items():
             self.create_subscription(kind, name, callback, QUEUE)
-        self._camera = self._plan_out = None
+        self._camera = None
         if heard.startswith('camera'):
             self._cycle = float(heard.partition(',')[2])
             self._camera = self.create_publisher(PoseStamped, 'package/measured', QUEUE)
         self._next_seen_ns = 0
         self._period = 1.0 / rate_hz
         self._messages = [_messages(k * self._period) for k in range(round(seconds * rate_hz))]
-        self._plans: dict[int, Any] = {}
-        self.plans: list[tuple[int, int]] = []
-        self._planned_ns: int | None = None
-        if heard.startswith('plans'):
-            self._prepare_plans(heard, seconds)
         self.executor_ = SingleThreadedExecutor()
         self.executor_.add_node(self)
 
@@ -94,32 +73,6 @@ class Probe(Node):
             self._next_seen_ns = stamp_ns + SEEN_EVERY_NS
             self._camera.publish(message)
 
-    def _prepare_plans(self, how: str, seconds: float) -> None:
-        """Make the plans, and their topics."""
-        _, period, rate_hz, kind = how.split(',')
-        each = round(float(period) / self._period)
-        for k in range(round(WARM_SECONDS / self._period), len(self._messages), each):
-            if in_first_half(k * self._period, CYCLE):
-                data = plan_from(k * self._period, float(rate_hz))
-                self._plans[k] = (
-                    deserialize_message(data, MultiDOFJointTrajectory) if kind == 'typed'
-                    else data)
-        self._plan_out = self.create_publisher(MultiDOFJointTrajectory, 'tool_arm/plan', 10)
-        self.create_subscription(
-            MultiDOFJointTrajectory, 'package/plan', self._on_plan, 100, raw=kind != 'typed')
-
-    def _on_plan(self, message: Any) -> None:
-        """Note the answer to a plan; those of what is left of one that is driven are shorter."""
-        now_ns = time.perf_counter_ns()
-        if self._planned_ns is None:  # to decode it would hold up the next pose
-            return
-        last_ns = stamp_to_ns(message.points[-1].time_from_start) if (
-            isinstance(message, MultiDOFJointTrajectory)) else decode_multi_dof(
-                message).times_ns[-1]
-        if last_ns > 0.9e9 * PLAN_LASTS:
-            self.plans.append((self._planned_ns, now_ns))
-            self._planned_ns = None
-
     def _on_other(self, message: Any) -> None:
         self.others += 1
 
@@ -130,9 +83,9 @@ class Probe(Node):
             and all(self.count_publishers(name) > 0 for name in self._heard),
             DISCOVERY,
         )
-        asked = self._camera or self._plan_out
-        if both and asked:  # what is needed is compiled when somebody is there who may send
-            both = self._spin_until(lambda: asked.get_subscription_count() > 0, DISCOVERY)
+        camera = self._camera
+        if both and camera:  # what is needed is compiled when somebody is there who may send
+            both = self._spin_until(lambda: camera.get_subscription_count() > 0, DISCOVERY)
             self._spin_until(lambda: False, COMPILED_AFTER)
         twists = self._twist_out
         if both and twists:
@@ -157,9 +110,6 @@ class Probe(Node):
             self._pose_out.publish(pose)
             if self._twist_out:
                 self._twist_out.publish(twist)
-            if k in self._plans:
-                self._planned_ns = time.perf_counter_ns()
-                self._plan_out.publish(self._plans[k])
         self._spin_until(lambda: len(self.answered) == len(self.sent), LAST_ANSWER)
 
     def _wait_until(self, due: float) -> None:
@@ -184,18 +134,6 @@ def _messages(seconds: float) -> tuple[PoseStamped, TwistStamped]:
 def in_first_half(seconds: float, cycle: float) -> bool:
     """Return whether a time since the first message (s) is in the first half of a cycle (s)."""
     return (seconds - WARM_SECONDS) % cycle < 0.5 * cycle
-
-
-def plan_from(seconds: float, rate_hz: float) -> bytes:
-    """Return a plan of what the tool does from a time on."""
-    t = np.arange(round(PLAN_LASTS * rate_hz) + 1) / rate_hz
-    poses, twists = np.zeros((len(t), 7)), np.zeros((len(t), 6))
-    poses[:, 6] = 1.0
-    poses[:, 0] = WAY * (1.0 - np.cos(TURNS * (seconds + t)))
-    twists[:, 0] = WAY * TURNS * np.sin(TURNS * (seconds + t))
-    return encode_multi_dof(PlanMessage(
-        FIRST_NS + round(seconds * 1e9), 'world', ('tool',), np.round(t * 1e9).astype(np.int64),
-        poses, twists))
 
 
 def used(pid: int) -> dict[str, float]:
@@ -234,7 +172,6 @@ def _result(probe: Probe, before: dict[str, float], after: dict[str, float]) -> 
         ],
         'stamps': [(stamp - FIRST_NS) * 1e-9 - WARM_SECONDS for stamp in counted
                    if stamp in probe.answered],
-        'plans': [(answered - sent) * 1e-9 for sent, answered in probe.plans],
         'processor_seconds': after['seconds'] - before['seconds'],
         'memory': after['memory'],
     }

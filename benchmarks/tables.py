@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from .live import BARE, EVENTS, LONG, PLANS, PREDICTOR
+from .live import BARE, EVENTS, LONG
 from .step import OURS
 
 Table = list[tuple[str, ...]]
@@ -137,17 +137,6 @@ def _startup(section: Mapping[str, Any]) -> Table:
     ]
 
 
-def _batch(section: Mapping[str, Any]) -> Table:
-    """Return many recordings on one and two cores."""
-    each = f'{section["recordings"]} recordings of {section["recorded_seconds_each"]:g} s'
-    return [
-        ('bellows identify --jobs', each),
-        ('1', _time(section['one_job']['median'])),
-        ('2', f'{_time(section["two_jobs"]["median"])}, {section["speedup"]:.2f} times faster'),
-        ('a recording, beside its own work', _time(section['overhead_per_recording'])),
-    ]
-
-
 def _plans(section: Mapping[str, Any]) -> Table:
     """Return what a second of plan costs."""
     rows: Table = [('a plan of 1 s at 1 kHz', 'processor time, median')]
@@ -161,22 +150,6 @@ def _motions(section: Mapping[str, Any]) -> Table:
     return rows + [
         (name, f'{row["duration"]:.3f} s', f'{row["tilt"]:.3g} degrees',
          f'{row["swing_left"]:.2g} degrees') for name, row in section['motions'].items()]
-
-
-def _ahead(section: Mapping[str, Any]) -> Table:
-    """Return how soon plans are answered, and what looking ahead costs."""
-    answers = section['answers']
-    plan = f'a plan of 2 s, {answers["points"]} points'
-    rows: Table = [('over DDS', 'p50', 'p99', 'CPU per pose')]
-    rows += [
-        (f'{plan}, {done}', *map(_time, answers[name]), '') for name, done in (
-            (PREDICTOR, 'answered'), (PLANS, 'sent back by a bare node'))]
-    rows.append(('poses while such plans come at 1 Hz, to without',
-                 *(f'{ratio:.2f}' for ratio in answers['ratios']), ''))
-    return rows + [
-        (f'poses at {row["rate_hz"]} Hz with package/landing, to without',
-         *(f'{row[name]:.2f}' for name in ('p50', 'p99', 'processor')))
-        for row in section['landing']]
 
 
 def _camera(section: Mapping[str, Any]) -> Table:
@@ -209,10 +182,8 @@ _TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
     'offline': _offline,
     'offline.filter': _filter,
     'startup': _startup,
-    'batch': _batch,
     'plans': _plans,
     'plans.motions': _motions,
-    'ahead': _ahead,
     'camera': _camera,
     'camera.cost': _corrected,
 }

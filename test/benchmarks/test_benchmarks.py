@@ -10,12 +10,11 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
-from benchmarks import batch, live, offline, plans, startup, step, timing
+from benchmarks import live, offline, plans, startup, step, timing
 from benchmarks.tables import markdown, tables
 import pytest
 
-NEEDED = {
-    'node': 'rclpy', 'ahead': 'rclpy', 'camera': 'rclpy', 'startup': 'rclpy', 'batch': 'joblib'}
+NEEDED = {'node': 'rclpy', 'camera': 'rclpy', 'startup': 'rclpy'}
 
 
 @pytest.mark.stress
@@ -36,7 +35,7 @@ def test_short_form_measures_and_shows(section, root):
 
 SCRIPTS = [
     node.value
-    for module in (batch, offline, plans, startup, step)
+    for module in (offline, plans, startup, step)
     for node in ast.walk(ast.parse(Path(module.__file__).read_text()))
     if isinstance(node, ast.Constant) and isinstance(node.value, str) and '\nimport ' in node.value
 ]
