@@ -7,7 +7,6 @@ The ROS wheels re-execute the interpreter at its very start, to set library path
 processes inherit its outcome. See `missing_library_paths` for the one case where it goes wrong.
 """
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 import importlib.util
 import os
@@ -36,7 +35,7 @@ NOT_IN_A_COPY = shutil.ignore_patterns(
     'dist', 'install', 'log', 'test')
 
 
-def missing_library_paths() -> list[str]:
+def missing_library_paths():
     """
     Return the library folders of the ROS wheels that this process was started without.
 
@@ -49,7 +48,7 @@ def missing_library_paths() -> list[str]:
     return [str(path) for path in _library_folders() if str(path) not in known]
 
 
-def _library_folders() -> list[Path]:
+def _library_folders():
     """Return where the ROS wheels of this environment keep their shared libraries."""
     packages = Path(sys.prefix, 'lib', f'python{sys.version_info[0]}.{sys.version_info[1]}')
     return [path.resolve() for path in (packages / 'site-packages').glob('ros_*.libs')]
@@ -62,7 +61,7 @@ hypothesis.settings.register_profile('suite', deadline=None, derandomize=True)
 hypothesis.settings.load_profile('suite')
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     """Refuse to run where every import of rclpy would fail for a reason nobody would guess."""
     if missing_library_paths():
         raise pytest.UsageError(
@@ -73,15 +72,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Give tests that share what is made once in their module to one worker."""
     for item in items:
-        made: Any = item._fixtureinfo.name2fixturedefs  # type: ignore[attr-defined]
+        made = item._fixtureinfo.name2fixturedefs  # type: ignore[attr-defined]
         if any(of[-1].scope == 'module' for of in made.values()):
             item.add_marker(pytest.mark.xdist_group(str(item.path)))
 
 
-def pytest_report_header() -> str:
+def pytest_report_header():
     """Say which ROS the tests of the nodes use."""
     spec = importlib.util.find_spec('rclpy')
     if spec is None:
@@ -90,19 +89,19 @@ def pytest_report_header() -> str:
     return f'ROS: {Path(str(spec.origin)).parent}, domain {domain}, this machine only'
 
 
-def pytest_unconfigure() -> None:
+def pytest_unconfigure():
     """Remove the logs."""
     LOGS.cleanup()
 
 
 @pytest.fixture(scope='session')
-def root() -> Path:
+def root():
     """Give the top of the repository."""
     return ROOT
 
 
 @pytest.fixture(scope='session')
-def rig() -> Path:
+def rig():
     """Give the recordings with known truth, which lie beside the repository."""
     path = ROOT.parent / 'shared' / 'rig'
     if not path.is_dir():
@@ -111,16 +110,16 @@ def rig() -> Path:
 
 
 @pytest.fixture(scope='session')
-def copy_sources() -> Callable[[Path], Path]:
+def copy_sources():
     """Give a function that copies the package's sources, to build there without leaving traces."""
-    def copy(target: Path) -> Path:
+    def copy(target):
         return Path(shutil.copytree(ROOT, target, ignore=NOT_IN_A_COPY))
 
     return copy
 
 
 @pytest.fixture(scope='session')
-def user_environment() -> dict[str, str]:
+def user_environment():
     """
     Give environment variables like those of a user's shell, for child processes.
 
@@ -140,13 +139,13 @@ def user_environment() -> dict[str, str]:
 
 
 @pytest.fixture(scope='session')
-def cpu_of_children() -> Callable[[], float]:
+def cpu_of_children():
     """
     Give a function that returns what processes that have ended took of the processor so far, s.
 
     Unlike the time of day it does not grow with what else the machine does.
     """
-    def total() -> float:
+    def total():
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         return used.ru_utime + used.ru_stime
 
@@ -170,7 +169,7 @@ class Ros:
     context: Any
     executor: Any
 
-    def spin_until(self, condition: Callable[[], bool], timeout: float = 60.0) -> bool:
+    def spin_until(self, condition, timeout=60.0):
         """
         Spin until the condition holds, and tell whether it did before the timeout (s).
 
@@ -187,7 +186,7 @@ class Ros:
 
 
 @pytest.fixture
-def ros() -> Iterator[Ros]:
+def ros():
     """Give a private ROS context with a single-threaded executor, and close both cleanly."""
     rclpy = pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     from rclpy.executors import SingleThreadedExecutor

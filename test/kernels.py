@@ -1,10 +1,9 @@
 """Compiled code for the tests; what it needs is imported late, as it loads NumPy."""
 
 import multiprocessing
-from typing import Any
 
 
-def compile_most() -> None:
+def compile_most():
     """Compile or load what most processes need."""
     from bellows_ros.core.live.uncertainty import warm_up_uncertainty
 
@@ -12,7 +11,7 @@ def compile_most() -> None:
     warm_up_uncertainty()
 
 
-def compile_all() -> None:
+def compile_all():
     """Compile nearly everything once, before the workers start: two halves that share little."""
     from bellows_ros.core.geometry.jit import COMPILED
 
@@ -23,7 +22,7 @@ def compile_all() -> None:
         half.join()
 
 
-def _compile_live() -> Any:
+def _compile_live():
     """Compile what predicts from poses, and return a model."""
     from bellows_ros.core.live import warm_up
     from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -34,7 +33,7 @@ def _compile_live() -> Any:
     return model_tuple(cup, package, 9.81)
 
 
-def _compile_plans() -> None:
+def _compile_plans():
     """Compile what predicts, steers and tosses."""
     from bellows_ros.core.live.flight import Flight
     from bellows_ros.core.parameters.checks import resolve
@@ -47,7 +46,7 @@ def _compile_plans() -> None:
     steer(model, plans.Move([0.1, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0).plan(), 'inverse')
 
 
-def _compile_filters() -> None:
+def _compile_filters():
     """Compile what observes, estimates and simulates, with all derivatives."""
     from bellows_ros.core.identification.search import Search, Segment
     from bellows_ros.core.live.uncertainty import warm_up_uncertainty

@@ -8,7 +8,6 @@ its warm-up.
 """
 
 import argparse
-from collections.abc import Iterator
 from contextlib import contextmanager
 import math
 import os
@@ -18,7 +17,6 @@ import sys
 import tempfile
 from threading import Thread
 import time
-from typing import Any
 
 from bellows_ros.demo.domain import isolate
 
@@ -44,7 +42,7 @@ NS = 1_000_000_000
 
 
 @contextmanager
-def predictor() -> Iterator['subprocess.Popen[bytes]']:
+def predictor():
     """Run the node; its log goes to the screen if it does not end well."""
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(
@@ -59,7 +57,7 @@ def predictor() -> Iterator['subprocess.Popen[bytes]']:
                 print(log.read().decode(errors='replace'), file=sys.stderr)
 
 
-def resident(process: 'subprocess.Popen[bytes]') -> int:
+def resident(process):
     """Return the memory (bytes) of a process."""
     pages = int(Path(f'/proc/{process.pid}/statm').read_text().split()[1])
     return pages * os.sysconf('SC_PAGE_SIZE')
@@ -68,7 +66,7 @@ def resident(process: 'subprocess.Popen[bytes]') -> int:
 class Driver:
     """Sends poses and twists of a swinging tool, and counts the answers."""
 
-    def __init__(self, node: Any, seconds: float, rate: float) -> None:
+    def __init__(self, node, seconds, rate):
         """Make the topics."""
         from geometry_msgs.msg import PoseStamped, TwistStamped
 
@@ -83,13 +81,13 @@ class Driver:
         self._twist_out = node.create_publisher(TwistStamped, 'tool_arm/twist', QUEUE)
         self._pose_out = node.create_publisher(PoseStamped, 'tool_arm/pose', QUEUE)
 
-    def is_connected(self) -> bool:
+    def is_connected(self):
         """Tell whether the predictor is there."""
         return bool(
             self._reader.get_publisher_count() and self._twist_out.get_subscription_count()
             and self._pose_out.get_subscription_count())
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message):
         """Count an answer; it must be finite and newer than the one before."""
         stamp_ns = message.header.stamp.sec * NS + message.header.stamp.nanosec
         p = message.pose.position
@@ -97,7 +95,7 @@ class Driver:
         self._last_ns = stamp_ns
         self.answered += 1
 
-    def run(self) -> None:
+    def run(self):
         """Send all messages at their times."""
         begin, begin_ns = time.monotonic(), time.time_ns()
         for k in range(self._count):
@@ -108,7 +106,7 @@ class Driver:
                 self.late += left < -0.1
             self._send(t, begin_ns + round(t * NS))
 
-    def _send(self, t: float, stamp_ns: int) -> None:
+    def _send(self, t, stamp_ns):
         """Send the pose and the twist of one instant."""
         phase, rate = 2.0 * math.pi * FREQUENCY * t, 2.0 * math.pi * FREQUENCY
         for message in (self._pose, self._twist):
@@ -120,7 +118,7 @@ class Driver:
         self.sent += 1
 
 
-def soak(seconds: float, rate: float) -> bool:
+def soak(seconds, rate):
     """Run, report, and return whether all is well."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -158,7 +156,7 @@ def soak(seconds: float, rate: float) -> bool:
     return driver.sent > 0 and lost == 0 and driver.wrong == 0 and growth < LARGEST_GROWTH
 
 
-def main() -> int:
+def main():
     """Read the command line and run."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--seconds', type=float, default=300.0)

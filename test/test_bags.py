@@ -1,6 +1,5 @@
 """The recordings in bags/: small, made from the files beside them, good for identification."""
 
-from pathlib import Path
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3
@@ -34,7 +33,7 @@ def test_all_together_are_below_six_megabytes(bags):
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_the_files_make_the_recording_again(bags: Path, name: str, tmp_path: Path):
+def test_the_files_make_the_recording_again(bags, name, tmp_path):
     motion = yaml.safe_load((bags / f'{name}.yaml').read_text())
     cup = 'rubber_cup.yaml' if name == 'rubber' else 'cup.yaml'
     report = simulate_recording(read_parameters(bags / cup), motion, tmp_path / name)

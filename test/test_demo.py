@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-from pathlib import Path
 import re
 import shutil
 import subprocess
@@ -18,13 +17,9 @@ pytestmark = pytest.mark.xdist_group('demo')  # it is run once
 LARGEST_ERROR_MM, LARGEST_ERROR_MRAD = 0.12, 0.6
 LONGEST = 90  # s, as promised to users
 
-Done = 'subprocess.CompletedProcess[str]'
-
 
 @pytest.fixture(scope='module')
-def outcome(
-    root: Path, user_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Done, Path]:
+def outcome(root, user_environment, tmp_path_factory):
     """Run it once, and give what it printed and where it wrote."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
@@ -37,7 +32,7 @@ def outcome(
     return done, out
 
 
-def test_it_ends_well_and_quietly(outcome: tuple[Done, Path]) -> None:
+def test_it_ends_well_and_quietly(outcome):
     """Print nothing but the summary: no warnings, no colour, no progress."""
     done, _ = outcome
     assert done.stderr == ''
@@ -45,7 +40,7 @@ def test_it_ends_well_and_quietly(outcome: tuple[Done, Path]) -> None:
     assert len(done.stdout.splitlines()) < 35
 
 
-def test_it_finds_the_cup(outcome: tuple[Done, Path], root: Path) -> None:
+def test_it_finds_the_cup(outcome, root):
     """Write K and P near those that the recording was made with."""
     _, out = outcome
     truth = read_parameters(root / 'bags' / 'cup.yaml')
@@ -58,7 +53,7 @@ def test_it_finds_the_cup(outcome: tuple[Done, Path], root: Path) -> None:
         np.testing.assert_allclose(found[name], truth[name], rtol=within, atol=1e-12)
 
 
-def test_every_message_is_answered(outcome: tuple[Done, Path], root: Path) -> None:
+def test_every_message_is_answered(outcome, root):
     """Lose none of the recording's poses, at their recorded speed."""
     done, _ = outcome
     found = re.search(
@@ -69,14 +64,14 @@ def test_every_message_is_answered(outcome: tuple[Done, Path], root: Path) -> No
     assert poses == twists == answers > 5000
 
 
-def test_it_prints_latency(outcome: tuple[Done, Path]) -> None:
+def test_it_prints_latency(outcome):
     """Give both percentiles; how large they are is the machine's affair."""
     found = re.search(r'p50 (\d+) us, p99 (\d+) us', outcome[0].stdout)
     assert found, outcome[0].stdout
     assert 0 < int(found[1]) <= int(found[2])
 
 
-def test_the_errors_are_those_of_the_measurement(outcome: tuple[Done, Path]) -> None:
+def test_the_errors_are_those_of_the_measurement(outcome):
     """Predict to within little more than the noise of the recording, 0.1 mm and 0.5 mrad."""
     errors = re.findall(r'([\d.]+) (mm|mrad) +[\d.]+ %', outcome[0].stdout)
     assert [unit for _, unit in errors] == ['mm'] * 3 + ['mrad'] * 3
@@ -84,7 +79,7 @@ def test_the_errors_are_those_of_the_measurement(outcome: tuple[Done, Path]) -> 
         assert float(value) < (LARGEST_ERROR_MM if unit == 'mm' else LARGEST_ERROR_MRAD)
 
 
-def test_it_writes_the_picture(outcome: tuple[Done, Path]) -> None:
+def test_it_writes_the_picture(outcome):
     """Write a picture of a size that shows six axes, for paper and for the dark."""
     from matplotlib.image import imread
 
@@ -93,7 +88,7 @@ def test_it_writes_the_picture(outcome: tuple[Done, Path]) -> None:
         assert width > 1200 and height > 900
 
 
-def test_the_node_has_nothing_to_complain_about(outcome: tuple[Done, Path]) -> None:
+def test_the_node_has_nothing_to_complain_about(outcome):
     """Find no errors in the node's own log, and no pose refused."""
     log = (outcome[1] / 'predictor.log').read_text()
     # A twist stays alone, with a warning, before both topics have met or where the machine pauses.
@@ -102,11 +97,9 @@ def test_the_node_has_nothing_to_complain_about(outcome: tuple[Done, Path]) -> N
 
 
 @pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
-def test_a_missing_recording_is_said(
-    missing: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_recording_is_said(missing, root, tmp_path, capsys):
     """End with 2 and say what is not there, before anything is made."""
-    def leave_out(folder: str, names: list[str]) -> list[str]:
+    def leave_out(folder, names):
         return [missing]
 
     bags = shutil.copytree(root / 'bags', tmp_path / 'bags', ignore=leave_out)
@@ -117,10 +110,7 @@ def test_a_missing_recording_is_said(
 
 
 @pytest.mark.parametrize('module', ['rclpy', 'matplotlib'])
-def test_missing_software_is_said(
-    module: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_software_is_said(module, root, tmp_path, capsys, monkeypatch):
     """End with 2 and say what to install."""
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, 'find_spec',

@@ -16,7 +16,7 @@ sys.stdin.read()
 """
 
 
-def test_seekers_at_the_same_time_find_different_domains() -> None:
+def test_seekers_at_the_same_time_find_different_domains():
     """Give each process one of its own before ROS runs in any."""
     seekers = [
         subprocess.Popen([sys.executable, '-c', SEEKER], stdin=subprocess.PIPE,
@@ -29,14 +29,14 @@ def test_seekers_at_the_same_time_find_different_domains() -> None:
     assert all(1 <= number <= domain.DOMAINS for number in found)
 
 
-def test_the_search_ends_where_all_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_ends_where_all_are_taken(monkeypatch):
     """Say so instead of sharing one."""
     monkeypatch.setattr(domain, '_reserve', lambda number: False)
     with pytest.raises(BellowsError):
         domain.unused_domain()
 
 
-def test_what_reaches_other_machines_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_reaches_other_machines_is_dropped(monkeypatch):
     """Keep discovery here, whatever the shell says."""
     for name in ('ROS_DOMAIN_ID', 'ROS_LOG_DIR', 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
         monkeypatch.setenv(name, os.environ[name])  # put back afterwards

@@ -1,8 +1,6 @@
 """Imports point one way: nodes and commands, workflows, files, core; ROS only in the nodes."""
 
 import ast
-from collections.abc import Callable, Iterator
-from pathlib import Path
 import subprocess
 import sys
 
@@ -37,26 +35,26 @@ CORE = (
 """The rooms of core, each above those that it may import."""
 
 
-def is_ros(module: str) -> bool:
+def is_ros(module):
     """Tell whether a module comes with ROS."""
     top = module.partition('.')[0]
     return top.startswith(ROS) or top.endswith('_msgs')
 
 
-def modules(root: Path, room: str = '*') -> list[Path]:
+def modules(root, room='*'):
     """Return the package's source files, all or those of one room."""
     package = root / 'bellows_ros'
     inside = sorted(package.rglob('*.py'))
     return [file for file in inside if room in ('*', room_of(file, root))]
 
 
-def room_of(file: Path, root: Path) -> str:
+def room_of(file, root):
     """Return the room a source file stands in: 'core', 'errors', or '' for the package itself."""
     first = file.relative_to(root / 'bellows_ros').parts[0].removesuffix('.py')
     return '' if first == '__init__' else first
 
 
-def imports(file: Path, root: Path) -> Iterator[str]:
+def imports(file, root):
     """Yield the absolute names of all that a file imports, at its top or inside functions."""
     package = file.relative_to(root).parent.parts
     for node in ast.walk(ast.parse(file.read_text(), str(file))):
@@ -68,13 +66,13 @@ def imports(file: Path, root: Path) -> Iterator[str]:
             yield from (f'{module}.{alias.name}' for alias in node.names)
 
 
-def run(code: str, environment: dict[str, str]) -> 'subprocess.CompletedProcess[str]':
+def run(code, environment):
     """Run code in an interpreter of its own."""
     return subprocess.run(
         [sys.executable, '-c', code], env=environment, capture_output=True, text=True)
 
 
-def test_rooms_import_only_what_lies_below_them(root: Path) -> None:
+def test_rooms_import_only_what_lies_below_them(root):
     """Find no import that points upward or sideways."""
     wrong = []
     for file in modules(root):
@@ -88,13 +86,13 @@ def test_rooms_import_only_what_lies_below_them(root: Path) -> None:
     assert wrong == []
 
 
-def test_every_room_has_a_rule(root: Path) -> None:
+def test_every_room_has_a_rule(root):
     """Leave no part of the package outside the order."""
     rooms = {room_of(file, root) for file in modules(root)} - {''}
     assert rooms <= set(ALLOWED)
 
 
-def test_only_nodes_import_ros(root: Path) -> None:
+def test_only_nodes_import_ros(root):
     """Keep ROS behind one door."""
     wrong = [
         f'{file.relative_to(root)} imports {name}'
@@ -103,7 +101,7 @@ def test_only_nodes_import_ros(root: Path) -> None:
     assert wrong == []
 
 
-def test_core_needs_only_numbers(root: Path) -> None:
+def test_core_needs_only_numbers(root):
     """Use numpy, scipy, numba and the standard library, and of that no logging."""
     allowed = CORE_NEEDS | set(sys.stdlib_module_names) - {'logging'}
     wrong = [
@@ -113,16 +111,16 @@ def test_core_needs_only_numbers(root: Path) -> None:
     assert wrong == []
 
 
-def module_of(file: Path, root: Path) -> str:
+def module_of(file, root):
     """Return the name of a module of core below `bellows_ros.core`, '' for core itself."""
     parts = file.relative_to(root / 'bellows_ros' / 'core').with_suffix('').parts
     return '.'.join(part for part in parts if part != '__init__')
 
 
-def imports_in_core(root: Path) -> dict[str, set[str]]:
+def imports_in_core(root):
     """Return the modules of core that each module of core imports, for types alone too."""
     files = {module_of(file, root): file for file in modules(root, 'core')}
-    found: dict[str, set[str]] = {}
+    found = {}
     for name, file in files.items():
         targets = {target.removeprefix('bellows_ros.core.') for target in imports(file, root)
                    if target.startswith('bellows_ros.core.')}
@@ -131,12 +129,12 @@ def imports_in_core(root: Path) -> dict[str, set[str]]:
     return found
 
 
-def floor(module: str) -> int:
+def floor(module):
     """Return the place of a module's room in the order of core, 0 for core itself."""
     return CORE.index(module.partition('.')[0]) + 1 if module else 0
 
 
-def test_modules_of_core_import_downwards(root: Path) -> None:
+def test_modules_of_core_import_downwards(root):
     """Find no import of a room that stands above."""
     wrong = [
         f'{name} imports {target}' for name, targets in imports_in_core(root).items()
@@ -144,7 +142,7 @@ def test_modules_of_core_import_downwards(root: Path) -> None:
     assert wrong == []
 
 
-def test_modules_of_core_import_in_no_circle(root: Path) -> None:
+def test_modules_of_core_import_in_no_circle(root):
     """Take away modules that import nothing that is left, until none is."""
     left = imports_in_core(root)
     while free := [name for name, targets in left.items() if not targets & set(left)]:
@@ -153,8 +151,7 @@ def test_modules_of_core_import_in_no_circle(root: Path) -> None:
     assert not left
 
 
-def test_core_files_and_workflows_import_without_ros(
-        root: Path, user_environment: dict[str, str]) -> None:
+def test_core_files_and_workflows_import_without_ros(root, user_environment):
     """Import every module of theirs where an import of anything of ROS fails."""
     names = [
         '.'.join(file.relative_to(root).with_suffix('').parts).removesuffix('.__init__')
@@ -181,7 +178,7 @@ print('imported', len(set({names!r})))
 HELP = "import sys; sys.argv = ['bellows', '--help']; from bellows_ros.cli import main; main()"
 
 
-def test_help_of_bellows_loads_no_numbers(user_environment: dict[str, str]) -> None:
+def test_help_of_bellows_loads_no_numbers(user_environment):
     """Answer --help without the packages that take long to load, and without ROS."""
     code = f"""
 import sys
@@ -196,10 +193,9 @@ except SystemExit as end:
     assert done.stdout.endswith('exit 0 []\n'), done.stdout + done.stderr
 
 
-def test_help_of_bellows_comes_at_once(
-        user_environment: dict[str, str], cpu_of_children: Callable[[], float]) -> None:
+def test_help_of_bellows_comes_at_once(user_environment, cpu_of_children):
     """Answer with little work, in one of many starts: what else the machine does adds to it."""
-    def took() -> float:
+    def took():
         before = cpu_of_children()
         done = run(HELP, user_environment)
         assert done.returncode == 0, done.stderr
@@ -208,8 +204,7 @@ def test_help_of_bellows_comes_at_once(
     assert any(0.0 < took() < LONGEST_START for _ in range(20))
 
 
-def test_a_plain_identification_loads_few_modules(
-        root: Path, user_environment: dict[str, str]) -> None:
+def test_a_plain_identification_loads_few_modules(root, user_environment):
     """Load no more of the package than the fit of one recording needs."""
     bags = root / 'bags'
     code = f"""

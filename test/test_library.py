@@ -1,12 +1,9 @@
 """The library: what `import bellows_ros` offers, by its own examples."""
 
-from collections.abc import Callable
 import doctest
 import json
-from pathlib import Path
 import subprocess
 import sys
-from typing import Any
 
 import bellows_ros
 from bellows_ros.errors import BellowsError
@@ -19,9 +16,7 @@ WITHOUT_EXAMPLE = {'BellowsError', 'Prediction'}  # what others raise and return
 
 
 @pytest.mark.parametrize('name', bellows_ros.__all__)
-def test_examples_print_what_they_show(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_examples_print_what_they_show(root, tmp_path, monkeypatch, name):
     """Run the examples of every public name, as a user at the top of a checkout would."""
     monkeypatch.chdir(root)
     names = {'bellows_ros': bellows_ros, 'np': np, 'folder': tmp_path}
@@ -29,12 +24,12 @@ def test_examples_print_what_they_show(
     text = doctest.DocTestParser().get_doctest(item.__doc__ or '', names, name, None, 0)
     assert bool(text.examples) == (name not in WITHOUT_EXAMPLE)
     runner = doctest.DocTestRunner()
-    report: list[str] = []
+    report = []
     runner.run(text, out=report.append)
     assert runner.failures == 0, ''.join(report)
 
 
-def test_importing_it_loads_no_numbers(user_environment: dict[str, str]) -> None:
+def test_importing_it_loads_no_numbers(user_environment):
     """Load what takes long only when it is asked for."""
     code = ("import sys, bellows_ros; print('numpy' in sys.modules, dir(bellows_ros) == "
             "bellows_ros.__all__); bellows_ros.Cup; print('numpy' in sys.modules)")
@@ -43,13 +38,13 @@ def test_importing_it_loads_no_numbers(user_environment: dict[str, str]) -> None
     assert done.stdout == 'False True\nTrue\n', done.stderr
 
 
-def test_a_name_that_is_not_there() -> None:
+def test_a_name_that_is_not_there():
     """Say so as any module does."""
     with pytest.raises(AttributeError, match="'cup'"):
         bellows_ros.cup  # noqa: B018
 
 
-def test_cup_and_package_come_back(tmp_path: Path) -> None:
+def test_cup_and_package_come_back(tmp_path):
     """Write and read every number of both."""
     cup = bellows_ros.Cup.thesis()
     inertia = np.diag([0.02, 0.03, 0.04]) + 0.001 * (np.ones((3, 3)) - np.eye(3))
@@ -63,14 +58,14 @@ def test_cup_and_package_come_back(tmp_path: Path) -> None:
     assert np.array_equal(held.com, package.com)
 
 
-def test_what_a_file_lacks_is_said(tmp_path: Path) -> None:
+def test_what_a_file_lacks_is_said(tmp_path):
     """Name the parameters that are missing."""
     bellows_ros.write_parameters(tmp_path / 'some.yaml', {'cup.length': 0.05})
     with pytest.raises(BellowsError, match='lacks cup.stiffness, cup.damping'):
         bellows_ros.read_cup(tmp_path / 'some.yaml')
 
 
-def test_equilibrium_moves_with_the_tool() -> None:
+def test_equilibrium_moves_with_the_tool():
     """Hang the package from a tool elsewhere, turned about the vertical: the same, moved."""
     cup = bellows_ros.Cup.thesis()
     package = bellows_ros.Package(1.2, np.diag([0.01, 0.02, 0.02]), (0.01, 0.0, -0.05))
@@ -82,14 +77,14 @@ def test_equilibrium_moves_with_the_tool() -> None:
 
 
 @pytest.mark.parametrize('T', [np.eye(3), 2.0 * np.eye(4), np.full((4, 4), np.nan)])
-def test_what_is_no_pose_is_refused(T: np.ndarray) -> None:
+def test_what_is_no_pose_is_refused(T):
     """Refuse other shapes, and what is no rotation."""
     package = bellows_ros.Package(1.2, np.diag([0.01, 0.02, 0.02]), (0.0, 0.0, -0.05))
     with pytest.raises(BellowsError, match=r'\b4\b.*\b4\b'):
         bellows_ros.static_equilibrium(bellows_ros.Cup.thesis(), package, T)
 
 
-def test_a_cup_is_identified_from_arrays() -> None:
+def test_a_cup_is_identified_from_arrays():
     """Find the cup that a simulated motion was made with, from its poses alone."""
     rng = np.random.default_rng(3)
     cup = bellows_ros.Cup(
@@ -124,9 +119,7 @@ TOSSING = 'bags/tossing.yaml'
     lambda: bellows_ros.design_motion(TOSSING, 'config/limits_example.yaml', 8.0),
     lambda: bellows_ros.replay('bags/validation', TOSSING),
 ], ids=['plan', 'steer', 'toss', 'design_motion', 'replay'])
-def test_a_result_draws_and_writes_itself(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[], Any]
-) -> None:
+def test_a_result_draws_and_writes_itself(root, tmp_path, monkeypatch, make):
     """Make a figure with something in it, and a file of all numbers."""
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
     monkeypatch.chdir(root)
@@ -140,7 +133,7 @@ def test_a_result_draws_and_writes_itself(
     assert content['version'] == bellows_ros.__version__
 
 
-def test_a_motion_in_arrays_is_planned_as_its_file(root: Path) -> None:
+def test_a_motion_in_arrays_is_planned_as_its_file(root):
     """Predict the same of the poses of a plan as of the plan."""
     parameters = bellows_ros.read_parameters(root / TOSSING)
     of_file = bellows_ros.plan(root / 'bags/transport.yaml', parameters)
@@ -149,7 +142,7 @@ def test_a_motion_in_arrays_is_planned_as_its_file(root: Path) -> None:
     assert found == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_package_is_needed() -> None:
+def test_a_package_is_needed():
     """Name what the parameters lack, and the function that has it."""
     with pytest.raises(BellowsError, match=r'package\.mass.*parameters_of'):
         bellows_ros.plan('plan.yaml', bellows_ros.parameters_of(bellows_ros.Cup.thesis()))
@@ -157,9 +150,7 @@ def test_a_package_is_needed() -> None:
 
 @pytest.mark.parametrize(('com', 'soft', 'name'), [
     ((0.0, 0.0, -30.0), 1.0, 'package.com'), ((0.0, 0.0, -0.03), -1.0, 'cup.stiffness')])
-def test_what_files_refuse_is_refused(
-    com: tuple[float, float, float], soft: float, name: str
-) -> None:
+def test_what_files_refuse_is_refused(com, soft, name):
     """Simulate no package of another planet, and no cup that pushes itself away."""
     inertia = bellows_ros.box_inertia(1.8, 0.2, 0.16, 0.06)
     cup = bellows_ros.Cup.thesis()

@@ -1,10 +1,8 @@
 """What pip and ROS learn about the package, and what they install."""
 
 import ast
-from collections.abc import Callable
 from importlib.metadata import PathDistribution
 from importlib.util import find_spec
-from pathlib import Path
 import py_compile
 import re
 import runpy
@@ -28,7 +26,7 @@ COMMANDS = {
 LAUNCH_FILES = ('identifier.launch.py', 'predictor.launch.py')
 
 
-def setup_arguments(root: Path) -> dict[str, object]:
+def setup_arguments(root):
     """Return the literal keyword arguments of the call in setup.py."""
     tree = ast.parse((root / 'setup.py').read_text())
     call = next(
@@ -39,7 +37,7 @@ def setup_arguments(root: Path) -> dict[str, object]:
         if keyword.arg and isinstance(keyword.value, ast.Constant)}
 
 
-def setup_extras(root: Path) -> dict[str, list[str]]:
+def setup_extras(root):
     """Return the extras that setup.py writes down, before 'dev' is put together."""
     tree = ast.parse((root / 'setup.py').read_text())
     return next(
@@ -47,7 +45,7 @@ def setup_extras(root: Path) -> dict[str, list[str]]:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], 'id', '') == 'EXTRAS')
 
 
-def build(kind: str, source: Path, target: Path) -> Path:
+def build(kind, source, target):
     """Build a 'wheel' or an 'sdist' with the standard interface of build tools (PEP 517)."""
     target.mkdir()
     code = f'from setuptools import build_meta as b; b.build_{kind}({str(target)!r})'
@@ -58,7 +56,7 @@ def build(kind: str, source: Path, target: Path) -> Path:
 
 
 @pytest.fixture
-def wheel(copy_sources: Callable[[Path], Path], tmp_path: Path) -> zipfile.ZipFile:
+def wheel(copy_sources, tmp_path):
     """Give the wheel that is built from the unpacked source distribution, as pip would."""
     sdist = build('sdist', copy_sources(tmp_path / 'source'), tmp_path / 'sdist')
     subprocess.run(['tar', '-xf', str(sdist)], cwd=sdist.parent, check=True)
@@ -66,8 +64,7 @@ def wheel(copy_sources: Callable[[Path], Path], tmp_path: Path) -> zipfile.ZipFi
     return zipfile.ZipFile(build('wheel', unpacked, tmp_path / 'wheel'))
 
 
-def test_wheel_holds_the_package_and_its_share_and_no_tests(
-        wheel: zipfile.ZipFile, root: Path, tmp_path: Path) -> None:
+def test_wheel_holds_the_package_and_its_share_and_no_tests(wheel, root, tmp_path):
     """Install every module, the launch files and the configuration; leave the tests at home."""
     names = set(wheel.namelist())
     data = f'bellows_ros-{bellows_ros.__version__}.data/data/share/'
@@ -90,12 +87,12 @@ def test_wheel_holds_the_package_and_its_share_and_no_tests(
 
 
 @pytest.mark.parametrize('target', COMMANDS.values())
-def test_every_command_leads_to_a_module(target: str) -> None:
+def test_every_command_leads_to_a_module(target):
     """Name only modules that exist."""
     assert find_spec(target.partition(':')[0]) is not None
 
 
-def test_version_and_licence_agree_everywhere(root: Path) -> None:
+def test_version_and_licence_agree_everywhere(root):
     """Take the version of package.xml into the package, and describe it in the changelog."""
     manifest = ElementTree.parse(root / 'package.xml').getroot()
     version = bellows_ros.__version__
@@ -108,7 +105,7 @@ def test_version_and_licence_agree_everywhere(root: Path) -> None:
 
 
 @pytest.mark.skipif(not shutil.which('dpkg-deb'), reason='Debian packages are built by dpkg-deb')
-def test_package_xml_makes_a_debian_package(root: Path, tmp_path: Path) -> None:
+def test_package_xml_makes_a_debian_package(root, tmp_path):
     """Build a control file as the ROS build farm names packages, and let dpkg check it."""
     manifest = ElementTree.parse(root / 'package.xml').getroot()
     needs = [str(need.text) for need in manifest.findall('exec_depend')]
@@ -131,10 +128,10 @@ def test_package_xml_makes_a_debian_package(root: Path, tmp_path: Path) -> None:
     assert found == depends and len(set(found)) == len(found)
 
 
-def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root: Path) -> None:
+def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root):
     """Hold the schema of format 3, and name no dependency that Ubuntu 24.04 does not have."""
     package = pytest.importorskip('catkin_pkg.package', reason='catkin_pkg comes with colcon-ros')
-    notes: list[str] = []
+    notes = []
     text = (root / 'package.xml').read_text()
     manifest = package.parse_package_string(text, warnings=notes)
 
@@ -146,7 +143,7 @@ def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root: Path) -
     assert not {'python3-numba', 'numba', 'rosbags'} & needs
 
 
-def test_what_messages_tell_to_install_is_what_the_extras_need(root: Path) -> None:
+def test_what_messages_tell_to_install_is_what_the_extras_need(root):
     """Name the packages of setup.py, quoted for a shell, as this package is on no index yet."""
     extras = setup_extras(root)
     for extra, packages in PACKAGES.items():
@@ -158,7 +155,7 @@ def test_what_messages_tell_to_install_is_what_the_extras_need(root: Path) -> No
 
 
 @pytest.mark.parametrize('name', LAUNCH_FILES)
-def test_launch_file_says_what_it_starts(name: str, root: Path, tmp_path: Path) -> None:
+def test_launch_file_says_what_it_starts(name, root, tmp_path):
     """Compile, and name in the first line what will run."""
     file = root / 'launch' / name
     py_compile.compile(str(file), cfile=str(tmp_path / 'compiled'), doraise=True)
@@ -169,8 +166,7 @@ def test_launch_file_says_what_it_starts(name: str, root: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize('name', LAUNCH_FILES)
-def test_launch_file_without_launch_says_what_is_missing(
-        name: str, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_launch_file_without_launch_says_what_is_missing(name, root, monkeypatch):
     """Name the missing package and the way to start the node without it."""
     monkeypatch.setitem(sys.modules, 'launch', None)
     describe = runpy.run_path(str(root / 'launch' / name))['generate_launch_description']
@@ -184,7 +180,7 @@ def test_launch_file_without_launch_says_what_is_missing(
 
 
 @pytest.mark.parametrize('name', LAUNCH_FILES)
-def test_launch_file_describes_its_node(name: str, root: Path) -> None:
+def test_launch_file_describes_its_node(name, root):
     """Declare every argument, with the parameter file a required one."""
     pytest.importorskip('launch_ros', reason='ROS 2 launch is not among the wheels')
     contents = runpy.run_path(str(root / 'launch' / name))
@@ -195,6 +191,6 @@ def test_launch_file_describes_its_node(name: str, root: Path) -> None:
     assert required == {'params_file'}
 
 
-def test_errors_end_a_command_like_a_wrong_command_line() -> None:
+def test_errors_end_a_command_like_a_wrong_command_line():
     """Carry the exit code 2, in subclasses too."""
     assert BellowsError('what, expected, got, remedy').exit_code == 2

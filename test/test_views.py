@@ -1,9 +1,7 @@
 """The layouts of RViz and Foxglove: they load, and show topics that are there."""
 
 import json
-from pathlib import Path
 import re
-from typing import Any
 
 import pytest
 import yaml
@@ -11,13 +9,13 @@ import yaml
 DISPLAYS = ('Grid', 'Pose', 'MarkerArray', 'Path')  # of the plugins that come with RViz
 
 
-def topics_of(content: Any) -> set[str]:
+def topics_of(content):
     """Return all topics in a layout."""
     return set(re.findall(r'/(?:tool_arm|package|cup)/\w+', json.dumps(content)))
 
 
 @pytest.mark.parametrize('name', ['predictor.rviz', 'predictor.foxglove.json'])
-def test_layouts_show_topics_of_the_predictor(name: str, root: Path) -> None:
+def test_layouts_show_topics_of_the_predictor(name, root):
     """Name no topic that no node has."""
     text = (root / 'config' / name).read_text()
     content = yaml.safe_load(text) if name.endswith('.rviz') else json.loads(text)
@@ -28,14 +26,14 @@ def test_layouts_show_topics_of_the_predictor(name: str, root: Path) -> None:
     assert [topic for topic in shown if f"'{topic[1:]}'" not in nodes] == []
 
 
-def test_every_panel_of_the_foxglove_layout_is_placed(root: Path) -> None:
+def test_every_panel_of_the_foxglove_layout_is_placed(root):
     """Put each configured panel into the layout once."""
     content = json.loads((root / 'config' / 'predictor.foxglove.json').read_text())
     placed = re.findall(r'"(\w+!\w+)"', json.dumps(content['layout']))
     assert sorted(placed) == sorted(content['configById'])
 
 
-def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root: Path) -> None:
+def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root):
     """Name panels and paths as Foxglove saves them, with fields of the messages' own types."""
     geometry = pytest.importorskip(
         'geometry_msgs.msg', reason="no ROS messages here (pip install '.[ros]')")
@@ -53,7 +51,7 @@ def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root:
             assert path['timestampMethod'] == 'headerStamp' and path['enabled']
 
 
-def test_every_display_of_rviz_has_a_class_and_a_topic(root: Path) -> None:
+def test_every_display_of_rviz_has_a_class_and_a_topic(root):
     """Give each display what RViz asks for, with policies as RViz spells them."""
     content = yaml.safe_load((root / 'config' / 'predictor.rviz').read_text())
     for display in content['Visualization Manager']['Displays']:

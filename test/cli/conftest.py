@@ -1,10 +1,8 @@
 """The command as a process of its own, and small recordings of a known cup for it."""
 
-from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 import yaml
@@ -26,7 +24,7 @@ TOPICS = {
     'topics.package_pose': '/package/pose',
     'recording.package_frame': 'com',
 }
-MOTION: Mapping[str, Any] = {
+MOTION = {
     'kind': 'multi_sine',
     'duration': 8.0,
     'rest_duration': 1.0,
@@ -54,21 +52,19 @@ MOTION: Mapping[str, Any] = {
 # What starts processes itself does so from a process that was started as usual.
 ALONE = {'--jobs', '--dask'}
 
-Run = Callable[..., 'subprocess.CompletedProcess[str]']
 
-
-def diagonal(values: tuple[float, ...]) -> list[float]:
+def diagonal(values):
     """Return a diagonal matrix as 36 numbers."""
     return [values[i] if i == j else 0.0 for i in range(6) for j in range(6)]
 
 
-def write_yaml(path: Path, content: Mapping[str, Any]) -> Path:
+def write_yaml(path, content):
     """Write a YAML file."""
     path.write_text(yaml.safe_dump(dict(content)))
     return path
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder):
     """Return every file below a folder with its content."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -77,13 +73,11 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope='session')
-def bellows(user_environment: dict[str, str]) -> Iterator[Run]:
+def bellows(user_environment):
     """Give a function that runs `bellows` with arguments, in a folder."""
     server = Server(user_environment)
 
-    def run(
-        *arguments: object, cwd: Path | None = None, **environment: str
-    ) -> 'subprocess.CompletedProcess[str]':
+    def run(*arguments, cwd=None, **environment):
         words = list(map(str, arguments))
         if not environment and not ALONE & set(words):
             return server.run(words, cwd or Path.cwd())
@@ -98,7 +92,7 @@ def bellows(user_environment: dict[str, str]) -> Iterator[Run]:
 
 
 @pytest.fixture(scope='session')
-def workshop(tmp_path_factory: pytest.TempPathFactory, bellows: Run) -> Path:
+def workshop(tmp_path_factory, bellows):
     """
     Give a folder with what a user has, which tests only read.
 

@@ -5,7 +5,6 @@ Each command still has a process of its own, which begins where its imports are 
 interpreter and loading takes longer than most commands of the tests.
 """
 
-from collections.abc import Mapping, Sequence
 import gc
 import importlib
 import json
@@ -17,15 +16,12 @@ import subprocess
 import sys
 import tempfile
 import traceback
-from typing import NoReturn
 
 from ..kernels import compile_most
 
 PACKAGES = ('cli', 'files', 'workflows', 'plots', 'report')
 USEFUL = ('matplotlib.backends.backend_agg', 'matplotlib.backends.backend_svg', 'rosbags')
 ROOT = Path(__file__).resolve().parents[2]
-
-Done = 'subprocess.CompletedProcess[str]'
 
 
 class Server:
@@ -39,12 +35,12 @@ class Server:
 
     """
 
-    def __init__(self, environment: Mapping[str, str]) -> None:
+    def __init__(self, environment):
         """Start nothing yet."""
         self._environment = environment
         self._process: subprocess.Popen[str] | None = None
 
-    def run(self, arguments: Sequence[str], folder: Path) -> Done:
+    def run(self, arguments, folder):
         """Run `bellows` in a folder, and return what it printed and ended with."""
         if self._process is None:
             self._process = subprocess.Popen(
@@ -64,7 +60,7 @@ class Server:
             return subprocess.CompletedProcess(
                 arguments, code, *(path.read_text() for path in printed))
 
-    def close(self) -> None:
+    def close(self):
         """End the process, and a command that still runs."""
         if self._process is not None:
             os.killpg(self._process.pid, signal.SIGKILL)
@@ -72,7 +68,7 @@ class Server:
             self._process = None
 
 
-def serve() -> None:
+def serve():
     """Fork a process for each line of commands, and print what it ended with."""
     load()
     gc.freeze()  # what is there is not looked through again in every child
@@ -83,7 +79,7 @@ def serve() -> None:
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
-def load() -> None:
+def load():
     """Import what commands import late."""
     for name in PACKAGES:
         package = importlib.import_module(f'bellows_ros.{name}')
@@ -98,7 +94,7 @@ def load() -> None:
     compile_most()
 
 
-def begin(arguments: list[str], folder: str, out: str, err: str) -> NoReturn:
+def begin(arguments, folder, out, err):
     """Become the command."""
     from bellows_ros.cli import main
 

@@ -1,7 +1,6 @@
 """What holds for all commands: help, versions, exit codes, streams, start-up."""
 
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -10,12 +9,12 @@ import bellows_ros
 from bellows_ros.cli.app import command_parser, COMMANDS
 import pytest
 
-from .conftest import contents, MOTION, Run, write_yaml
+from .conftest import contents, MOTION, write_yaml
 
 HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'yaml', 'rclpy')
 
 
-def test_help_names_every_command(bellows: Run) -> None:
+def test_help_names_every_command(bellows):
     """List all commands with what they do, and the exit codes."""
     done = bellows('--help')
     assert (done.returncode, done.stderr) == (0, '')
@@ -25,7 +24,7 @@ def test_help_names_every_command(bellows: Run) -> None:
 
 
 @pytest.mark.parametrize('name', COMMANDS)
-def test_every_command_has_help_with_examples(name: str, bellows: Run) -> None:
+def test_every_command_has_help_with_examples(name, bellows):
     """Show arguments, examples, and in a line what it ends with."""
     done = bellows(name, '--help')
     assert (done.returncode, done.stderr) == (0, '')
@@ -40,9 +39,7 @@ def test_every_command_has_help_with_examples(name: str, bellows: Run) -> None:
 
 
 @pytest.mark.parametrize('arguments', [['--help'], ['--version'], *([n, '-h'] for n in COMMANDS)])
-def test_help_loads_nothing_heavy(
-    arguments: list[str], user_environment: dict[str, str]
-) -> None:
+def test_help_loads_nothing_heavy(arguments, user_environment):
     """Answer without what takes long to load."""
     code = f"""
 import sys
@@ -62,13 +59,13 @@ READ_RECORDINGS = ('convert', 'excite', 'identify', 'info', 'plan', 'play', 'plo
 
 
 @pytest.mark.parametrize('name', READ_RECORDINGS)
-def test_every_command_that_reads_recordings_takes_a_part(name: str) -> None:
+def test_every_command_that_reads_recordings_takes_a_part(name):
     """Have --from and --to."""
     options = command_parser(name).format_help()
     assert '--from S' in options and '--to S' in options
 
 
-def test_version(bellows: Run) -> None:
+def test_version(bellows):
     """Print the package's version."""
     assert bellows('--version').stdout == f'bellows {bellows_ros.__version__}\n'
 
@@ -88,9 +85,7 @@ def test_version(bellows: Run) -> None:
         (['simulate', '--out', 'x'], '--motion'),
     ],
 )
-def test_a_wrong_command_line_is_explained(
-    arguments: list[str], words: str, bellows: Run
-) -> None:
+def test_a_wrong_command_line_is_explained(arguments, words, bellows):
     """Say in two lines what is wrong and where help is, and end with 2."""
     done = bellows(*arguments)
     assert (done.returncode, done.stdout) == (2, '')
@@ -99,9 +94,7 @@ def test_a_wrong_command_line_is_explained(
 
 
 @pytest.mark.parametrize(('no_colour', 'coloured'), [('', True), ('1', False)])
-def test_colour_on_a_terminal_honours_no_color(
-    no_colour: str, coloured: bool, user_environment: dict[str, str]
-) -> None:
+def test_colour_on_a_terminal_honours_no_color(no_colour, coloured, user_environment):
     """Use colour on a terminal, unless NO_COLOR is set and not empty."""
     pty = pytest.importorskip('pty', reason='no pseudo-terminals here')
     code = f"""
@@ -118,7 +111,7 @@ pty.spawn([sys.executable, '-m', 'bellows_ros.cli', 'parameters', 'gravity'])
     assert (b'\x1b[1m' in done.stdout) == coloured
 
 
-def test_a_closed_pipe_is_no_error(root: Path, user_environment: dict[str, str]) -> None:
+def test_a_closed_pipe_is_no_error(root, user_environment):
     """End quietly when the reader of the output has had enough, as `head` has."""
     command = f'{sys.executable} -m bellows_ros.cli parameters --yaml | head -n 1'
     done = subprocess.run(
@@ -127,16 +120,14 @@ def test_a_closed_pipe_is_no_error(root: Path, user_environment: dict[str, str])
     assert done.stdout.startswith('#')
 
 
-def test_plain_ascii_where_the_output_knows_no_more(bellows: Run) -> None:
+def test_plain_ascii_where_the_output_knows_no_more(bellows):
     """Do without special characters where the stream has none."""
     done = bellows('parameters', PYTHONIOENCODING='ascii')
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.isascii()
 
 
-def test_ctrl_c_ends_with_130_and_leaves_nothing(
-    workshop: Path, tmp_path: Path, user_environment: dict[str, str]
-) -> None:
+def test_ctrl_c_ends_with_130_and_leaves_nothing(workshop, tmp_path, user_environment):
     """Interrupt a long simulation as soon as the terminal shows that it runs."""
     pty = pytest.importorskip('pty', reason='no pseudo-terminals here')
     motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 1000.0})

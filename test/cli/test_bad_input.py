@@ -1,7 +1,5 @@
 """Everything a user can get wrong has its own message, ends with 2, and touches no output."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from bellows_ros.files.bag_writer import Recorded, write_bag
@@ -9,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from .conftest import contents, diagonal, PACKAGE, Run, STIFFNESS, TOPICS, write_yaml
+from .conftest import contents, diagonal, PACKAGE, STIFFNESS, TOPICS, write_yaml
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 RATE_HZ = 200.0
@@ -19,7 +17,7 @@ BEFORE = 'what was there before'
 Case = tuple[dict[str, Any], list[str]]
 
 
-def still(topic: str, seconds: float, start_s: float = 0.0, kind: str = POSE) -> Recorded:
+def still(topic, seconds, start_s=0.0, kind=POSE):
     """Return messages of a body that does not move."""
     count = round(seconds * RATE_HZ)
     first_ns = START_NS + round(start_s * 1e9)
@@ -30,7 +28,7 @@ def still(topic: str, seconds: float, start_s: float = 0.0, kind: str = POSE) ->
     return Recorded(topic, kind, stamps_ns, values)
 
 
-def bag_of(folder: Path, *recorded: Recorded) -> Path:
+def bag_of(folder, *recorded):
     """Write a recording."""
     write_bag(folder / 'bad', recorded)
     return folder / 'bad'
@@ -38,18 +36,18 @@ def bag_of(folder: Path, *recorded: Recorded) -> Path:
 
 # ---- recordings ---------------------------------------------------------------------------------
 
-def missing(folder: Path, good: Path) -> Path:
+def missing(folder, good):
     """Name a recording that is not there."""
     return folder / 'bad'
 
 
-def empty_folder(folder: Path, good: Path) -> Path:
+def empty_folder(folder, good):
     """Make a folder without anything."""
     (folder / 'bad').mkdir()
     return folder / 'bad'
 
 
-def empty_bag(folder: Path, good: Path) -> Path:
+def empty_bag(folder, good):
     """Make a recording whose metadata knows topics but no message was recorded."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import get_typestore, Stores
@@ -59,32 +57,32 @@ def empty_bag(folder: Path, good: Path) -> Path:
     return folder / 'bad'
 
 
-def no_recording(folder: Path, good: Path) -> Path:
+def no_recording(folder, good):
     """Name a file that is something else."""
     (folder / 'bad.mcap').write_text('certainly not a recording')
     return folder / 'bad.mcap'
 
 
-def other_topics(folder: Path, good: Path) -> Path:
+def other_topics(folder, good):
     """Record under other names."""
     return bag_of(folder, still('/arm/pose', 5.0), still('/box/pose', 5.0))
 
 
-def other_type(folder: Path, good: Path) -> Path:
+def other_type(folder, good):
     """Record twists where poses belong."""
     return bag_of(
         folder, still('/tool_arm/pose', 5.0, kind=TWIST),
         still('/tool_arm/twist', 5.0, kind=TWIST), still('/package/pose', 5.0))
 
 
-def apart_in_time(folder: Path, good: Path) -> Path:
+def apart_in_time(folder, good):
     """Record the package a minute after the tool."""
     return bag_of(
         folder, still('/tool_arm/pose', 5.0), still('/tool_arm/twist', 5.0, kind=TWIST),
         still('/package/pose', 5.0, start_s=60.0))
 
 
-BAD_BAGS: dict[str, tuple[Callable[[Path, Path], Path], list[str]]] = {
+BAD_BAGS = {
     'missing': (missing, ['bad', 'not']),
     'empty folder': (empty_folder, ['bad']),
     'empty bag': (empty_bag, ['bad', 'no message']),
@@ -99,7 +97,7 @@ BAD_BAGS: dict[str, tuple[Callable[[Path, Path], Path], list[str]]] = {
 
 # ---- parameters ---------------------------------------------------------------------------------
 
-BAD_PARAMETERS: dict[str, Case] = {
+BAD_PARAMETERS = {
     'no mass': (
         {'package.mass': None},
         ['package.mass', 'without a default', 'package.mass: 2.17', 'kg']),
@@ -131,7 +129,7 @@ BAD_PARAMETERS: dict[str, Case] = {
 
 
 @pytest.fixture
-def outputs(tmp_path: Path) -> Path:
+def outputs(tmp_path):
     """Give a folder with outputs of before."""
     folder = tmp_path / 'outputs'
     folder.mkdir()
@@ -140,9 +138,7 @@ def outputs(tmp_path: Path) -> Path:
     return folder
 
 
-def check_refusal(
-    done: Any, outputs: Path, before: dict[str, bytes], words: list[str]
-) -> None:
+def check_refusal(done, outputs, before, words):
     """Check exit code, message and that nothing was touched."""
     assert done.returncode == 2, done.stderr
     assert done.stdout == ''
@@ -153,13 +149,13 @@ def check_refusal(
     assert contents(outputs) == before
 
 
-def identify_command(bag: Path, parameters: Path, outputs: Path) -> list[object]:
+def identify_command(bag, parameters, outputs):
     """Return arguments that write both outputs."""
     return ['identify', bag, '--params', parameters,
             '--out', outputs / 'cup.yaml', '--json', outputs / 'fit.json']
 
 
-def replay_command(bag: Path, parameters: Path, outputs: Path) -> list[object]:
+def replay_command(bag, parameters, outputs):
     """Return arguments that write the scores."""
     return ['replay', bag, '--params', parameters, '--json', outputs / 'replay.json']
 
@@ -169,9 +165,7 @@ COMMANDS = {'identify': identify_command, 'replay': replay_command}
 
 @pytest.mark.parametrize('command', COMMANDS)
 @pytest.mark.parametrize('name', BAD_BAGS)
-def test_a_bad_recording(
-    name: str, command: str, bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
-) -> None:
+def test_a_bad_recording(name, command, bellows, workshop, outputs, tmp_path):
     """Say what is wrong with a recording."""
     make, words = BAD_BAGS[name]
     bag = make(tmp_path, workshop / 'recording')
@@ -182,9 +176,7 @@ def test_a_bad_recording(
 
 @pytest.mark.parametrize('command', COMMANDS)
 @pytest.mark.parametrize('name', BAD_PARAMETERS)
-def test_a_bad_parameter(
-    name: str, command: str, bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
-) -> None:
+def test_a_bad_parameter(name, command, bellows, workshop, outputs, tmp_path):
     """Say which parameter is wrong, and what it must be."""
     change, words = BAD_PARAMETERS[name]
     values = {**PACKAGE, **TOPICS, **change}
@@ -204,9 +196,7 @@ def test_a_bad_parameter(
         ('package:\n  mass: 1.0\n  mass: 2.0\n', ['line 3', 'given twice']),
     ],
 )
-def test_a_bad_parameter_file(
-    text: str, words: list[str], bellows: Run, workshop: Path, outputs: Path, tmp_path: Path
-) -> None:
+def test_a_bad_parameter_file(text, words, bellows, workshop, outputs, tmp_path):
     """Name file and line."""
     file = tmp_path / 'parameters.yaml'
     file.write_text(text)
@@ -229,16 +219,14 @@ def test_a_bad_parameter_file(
         ('recording.align_at_rest=perhaps', ['true or false', 'perhaps']),
     ],
 )
-def test_a_bad_override(
-    override: str, words: list[str], bellows: Run, workshop: Path, outputs: Path
-) -> None:
+def test_a_bad_override(override, words, bellows, workshop, outputs):
     """Treat --set like a line of the file."""
     before = contents(outputs)
     command = identify_command(workshop / 'recording', workshop / 'package.yaml', outputs)
     check_refusal(bellows(*command, '--set', override), outputs, before, words)
 
 
-def test_no_recording_at_all(bellows: Run, workshop: Path, outputs: Path) -> None:
+def test_no_recording_at_all(bellows, workshop, outputs):
     """Ask for one."""
     before = contents(outputs)
     done = bellows('identify', '--params', workshop / 'package.yaml')
@@ -247,8 +235,8 @@ def test_no_recording_at_all(bellows: Run, workshop: Path, outputs: Path) -> Non
 
 @pytest.mark.parametrize('option', ['--out', '--json'])
 def test_an_output_that_cannot_be_written_is_found_before_the_work(
-    option: str, bellows: Run, workshop: Path, outputs: Path
-) -> None:
+    option, bellows, workshop, outputs
+):
     """Refuse a folder that is not there, and a folder in the place of the file."""
     before = contents(outputs)
     for bad, words in ((outputs / 'no' / 'file', 'does not exist'), (outputs, 'is a folder')):
@@ -265,10 +253,7 @@ def test_an_output_that_cannot_be_written_is_found_before_the_work(
         ({'duration': -1.0}, ["'duration'", '-1']),
     ],
 )
-def test_a_bad_motion(
-    change: dict[str, Any], words: list[str], bellows: Run, workshop: Path, outputs: Path,
-    tmp_path: Path,
-) -> None:
+def test_a_bad_motion(change, words, bellows, workshop, outputs, tmp_path):
     """Name the setting, and make no recording."""
     before = contents(outputs)
     motion = {**yaml.safe_load((workshop / 'motion.yaml').read_text()), **change}

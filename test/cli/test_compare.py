@@ -1,19 +1,14 @@
 """`bellows compare`: what differs between two fits."""
 
 import json
-from pathlib import Path
 
 import pytest
-
-from .conftest import Run
 
 pytestmark = pytest.mark.xdist_group('compare')  # its fits are made once
 
 
 @pytest.fixture(scope='module')
-def fits(
-    bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, Path]:
+def fits(bellows, workshop, tmp_path_factory):
     """Give a result, and one of a cup that bends more easily."""
     folder = tmp_path_factory.mktemp('fits')
     before, after = folder / 'before.json', folder / 'after.json'
@@ -27,7 +22,7 @@ def fits(
     return before, after
 
 
-def test_equal_fits_exit_with_0(bellows: Run, fits: tuple[Path, Path]) -> None:
+def test_equal_fits_exit_with_0(bellows, fits):
     """Say that nothing matters."""
     done = bellows('compare', fits[0], fits[0])
     assert (done.returncode, done.stderr) == (0, '')
@@ -35,7 +30,7 @@ def test_equal_fits_exit_with_0(bellows: Run, fits: tuple[Path, Path]) -> None:
     assert 'not independent' in done.stdout
 
 
-def test_what_matters_exits_with_1(bellows: Run, fits: tuple[Path, Path]) -> None:
+def test_what_matters_exits_with_1(bellows, fits):
     """Name the parameter, the change and what it does."""
     done = bellows('compare', *fits)
     assert (done.returncode, done.stderr) == (1, '')
@@ -44,7 +39,7 @@ def test_what_matters_exits_with_1(bellows: Run, fits: tuple[Path, Path]) -> Non
     assert 'The difference matters' in done.stdout
 
 
-def test_a_file_that_is_no_result_exits_with_2(bellows: Run, workshop: Path) -> None:
+def test_a_file_that_is_no_result_exits_with_2(bellows, workshop):
     """Say what it is not."""
     done = bellows('compare', workshop / 'cup.yaml', workshop / 'cup.yaml')
     assert (done.returncode, done.stdout) == (2, '')

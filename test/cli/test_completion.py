@@ -1,7 +1,6 @@
 """Completion in the shell, by argcomplete."""
 
 import os
-from pathlib import Path
 import subprocess
 import sys
 
@@ -11,7 +10,7 @@ import pytest
 pytest.importorskip('argcomplete', reason="no argcomplete here (pip install '.[complete]')")
 
 
-def complete(line: str, folder: Path) -> list[str]:
+def complete(line, folder):
     """Return what can stand for the last word of a line."""
     offered = folder / 'offered'
     done = subprocess.run(
@@ -31,7 +30,7 @@ def complete(line: str, folder: Path) -> list[str]:
     ('bellows export cup.yaml --to m', {'mjcf'}),
     ('bellows identify --params my', {'my_arm.yaml', 'my_cell.yaml'}),
 ])
-def test_what_can_follow_is_offered(line: str, expected: set[str], tmp_path: Path) -> None:
+def test_what_can_follow_is_offered(line, expected, tmp_path):
     """Offer commands, their options and values, parameters, and files elsewhere."""
     for name in ('my_cell.yaml', 'my_arm.yaml'):
         (tmp_path / name).touch()

@@ -1,10 +1,8 @@
 """`bellows convert` and `bellows export` as a user runs them."""
 
 import json
-from pathlib import Path
 import re
 import shlex
-from typing import Any
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.files.bag_writer import Recorded, write_bag
@@ -12,12 +10,8 @@ from bellows_ros.files.bags import read_streams
 import numpy as np
 import pytest
 
-Run = Any
 
-
-def test_a_recording_goes_out_as_text_and_comes_back(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_a_recording_goes_out_as_text_and_comes_back(bellows, workshop, tmp_path):
     """Write both bodies as TUM, and make a recording of them that can be identified from."""
     for name, topic in (('tool', '/tool_arm/pose'), ('box', '/package/pose')):
         done = bellows('convert', 'recording', '--topic', topic, '--out', tmp_path / f'{name}.tum',
@@ -33,8 +27,8 @@ def test_a_recording_goes_out_as_text_and_comes_back(
 
 
 def test_millimetres_and_w_first_are_named_and_converted_as_the_sentence_says(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+    bellows, workshop, tmp_path
+):
     """Follow the command that `info`, `identify` and `replay` print; then the cup predicts."""
     topics = {'tool': '/tool_arm/pose', 'package': '/package/pose'}
     write_bag(tmp_path / 'raw', [
@@ -56,9 +50,7 @@ def test_millimetres_and_w_first_are_named_and_converted_as_the_sentence_says(
 
 
 @pytest.mark.parametrize('name', ['mjcf', 'sdf', 'c'])
-def test_cups_go_out_with_a_word_on_what_is_lost(
-    name: str, bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_cups_go_out_with_a_word_on_what_is_lost(name, bellows, workshop, tmp_path):
     """Write the model, and the sentences as JSON too."""
     done = bellows('export', 'cup.yaml', '--to', name, '--out', tmp_path / 'model', '--json', '-',
                    cwd=workshop)
@@ -78,9 +70,7 @@ def test_cups_go_out_with_a_word_on_what_is_lost(
         (['export', 'motion.yaml', '--to', 'sdf', '--out', 'x'], 'Unknown parameter'),
     ],
 )
-def test_bad_input_ends_with_2_and_writes_nothing(
-    arguments: list[str], words: str, bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_bad_input_ends_with_2_and_writes_nothing(arguments, words, bellows, workshop, tmp_path):
     """Say what is wrong."""
     arguments = [str(tmp_path / a) if a.startswith('x') else a for a in arguments]
     done = bellows(*arguments, cwd=workshop)

@@ -1,8 +1,6 @@
 """`bellows excite`: a motion in several forms, and what to expect of it; bad input refused."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.plans import plans_in
@@ -11,23 +9,23 @@ import numpy as np
 import pytest
 import yaml
 
-from .conftest import contents, Run, write_yaml
+from .conftest import contents, write_yaml
 from ..conftest import ROOT
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason='numba is not installed: a design takes minutes interpreted')
 
-LIMITS: dict[str, Any] = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
+LIMITS = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
 
 
 @pytest.fixture(scope='module')
-def limits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def limits(tmp_path_factory):
     """Give limits under which a short motion is designed soon."""
     return write_yaml(
         tmp_path_factory.mktemp('limits') / 'arm.yaml', {**LIMITS, 'highest_frequency': 3.0})
 
 
-def test_designs_and_writes(bellows: Run, workshop: Path, limits: Path, tmp_path: Path) -> None:
+def test_designs_and_writes(bellows, workshop, limits, tmp_path):
     """Write the same motion as plan, text and program, with what to expect of it, and a hold."""
     done = bellows(
         'excite', '--params', workshop / 'cup.yaml', '--limits', limits, '--time', '6', '--out',
@@ -61,10 +59,7 @@ def test_designs_and_writes(bellows: Run, workshop: Path, limits: Path, tmp_path
     ({}, '6 --seed -1', 'from 0 on'),
     ({'bendig': 1.0}, 6, "Did you mean 'bending'?"),
 ])
-def test_bad_input_is_refused(
-    bellows: Run, workshop: Path, tmp_path: Path, change: dict[str, Any], time: int | str,
-    message: str,
-) -> None:
+def test_bad_input_is_refused(bellows, workshop, tmp_path, change, time, message):
     """Say what is wrong, and write nothing."""
     file = write_yaml(tmp_path / 'arm.yaml', LIMITS | change)
     before = contents(tmp_path)
@@ -75,9 +70,7 @@ def test_bad_input_is_refused(
 
 
 @pytest.mark.stress
-def test_a_series_is_three_plans_in_order(
-    bellows: Run, workshop: Path, limits: Path, tmp_path: Path
-) -> None:
+def test_a_series_is_three_plans_in_order(bellows, workshop, limits, tmp_path):
     """Write standstills, the motion and one for validation, each from rest and within limits."""
     command = ['excite', '--params', workshop / 'cup.yaml', '--limits', limits, '--time', '6',
                '--out', 'series', '--series', '--json', 'm.json']

@@ -1,7 +1,6 @@
 """`bellows identify`: a recording goes in, a cup comes out."""
 
 import json
-from pathlib import Path
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.toss.release import RELEASE_NAMES
@@ -12,7 +11,6 @@ import pytest
 
 from .conftest import (
     DAMPING,
-    Run,
     STIFFNESS,
 )
 
@@ -21,9 +19,7 @@ STIFFNESS_WITHIN, DAMPING_WITHIN = 0.05, 0.3
 
 
 @pytest.fixture(scope='module')
-def identified(
-    bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, Path]:
+def identified(bellows, workshop, tmp_path_factory):
     """Identify once with all outputs; give the summary and their folder."""
     folder = tmp_path_factory.mktemp('identified')
     done = bellows(
@@ -34,7 +30,7 @@ def identified(
     return done.stdout, folder
 
 
-def test_json_has_the_cup_and_what_it_rests_on(identified: tuple[str, Path]) -> None:
+def test_json_has_the_cup_and_what_it_rests_on(identified):
     """Write all keys, and K and P near the truth."""
     fit = json.loads((identified[1] / 'fit.json').read_text())
     assert set(KEYS) <= set(fit)
@@ -46,9 +42,7 @@ def test_json_has_the_cup_and_what_it_rests_on(identified: tuple[str, Path]) -> 
     assert fit['samples_used'] > 1000 and fit['samples_rejected'] > 0
 
 
-def test_the_cup_file_has_what_was_found_and_nothing_else(
-    identified: tuple[str, Path]
-) -> None:
+def test_the_cup_file_has_what_was_found_and_nothing_else(identified):
     """Write the cup to full precision, and no package, so that it overrides no other."""
     values = read_parameters(identified[1] / 'cup.yaml', 'predictor')
     fit = json.loads((identified[1] / 'fit.json').read_text())
@@ -57,7 +51,7 @@ def test_the_cup_file_has_what_was_found_and_nothing_else(
     assert all(name.startswith(('cup.', 'envelope.')) for name in values)
 
 
-def test_the_summary_can_be_read(identified: tuple[str, Path]) -> None:
+def test_the_summary_can_be_read(identified):
     """Print K and P with errors and units, what was used and why not all, and what comes next."""
     text, folder = identified
     for words in ('x, y ', 'rx, ry ', '±', 'N/m', 'N m/rad', 'N s/m', 'N m s/rad',
@@ -69,7 +63,7 @@ def test_the_summary_can_be_read(identified: tuple[str, Path]) -> None:
     assert 'nan' not in text
 
 
-def test_parameters_from_several_places(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+def test_parameters_from_several_places(bellows, workshop, tmp_path):
     """Take later files over earlier ones, --set over files, and bags from a file."""
     more = tmp_path / 'more.yaml'
     more.write_text(
@@ -86,9 +80,7 @@ def test_parameters_from_several_places(bellows: Run, workshop: Path, tmp_path: 
     assert 'K in N/m, N and N m/rad:' in done.stderr
 
 
-def test_a_cup_that_cannot_be_is_not_written(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_a_cup_that_cannot_be_is_not_written(bellows, workshop, tmp_path):
     """End with 1: JSON is written, the cup is not, and the summary says so."""
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     cup.write_text('what was there before')
@@ -106,7 +98,7 @@ def test_a_cup_that_cannot_be_is_not_written(
     assert 'Traceback' not in warnings
 
 
-def test_finds_a_valve_in_tosses(bellows: Run, root: Path, tmp_path: Path) -> None:
+def test_finds_a_valve_in_tosses(bellows, root, tmp_path):
     """Write release.* with units beside every number, and refuse what does not go with it."""
     if not COMPILED:
         pytest.skip('twenty interpreted fits take too long; see numba')

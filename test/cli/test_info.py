@@ -1,19 +1,15 @@
 """`bellows info` as a user runs it."""
 
 import json
-from pathlib import Path
 import re
-from typing import Any
 
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
 
-Run = Any
 
-
-def test_it_says_what_is_there(bellows: Run, workshop: Path) -> None:
+def test_it_says_what_is_there(bellows, workshop):
     """Print topics, roles and why."""
     done = bellows('info', 'recording', cwd=workshop)
     assert (done.returncode, done.stderr) == (0, '')
@@ -22,7 +18,7 @@ def test_it_says_what_is_there(bellows: Run, workshop: Path) -> None:
         assert words in done.stdout, done.stdout
 
 
-def test_it_says_the_noise_and_which_axis_is_up(bellows: Run, root: Path) -> None:
+def test_it_says_the_noise_and_which_axis_is_up(bellows, root):
     """Print what the choice of a method and of recording.world asks for; truth from the motion."""
     done = bellows('info', root / 'bags' / 'identification')
     found = re.search(r'/package/pose: noise of (.+) mm, (.+) mrad', done.stdout)
@@ -32,9 +28,7 @@ def test_it_says_the_noise_and_which_axis_is_up(bellows: Run, root: Path) -> Non
     assert 'World    probably z up (recording.world: z_up).' in done.stdout
 
 
-def test_the_parameter_file_serves_once_the_package_is_filled_in(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_the_parameter_file_serves_once_the_package_is_filled_in(bellows, workshop, tmp_path):
     """Lead from a recording to a cup without writing a topic's name."""
     file = tmp_path / 'my_cell.yaml'
     done = bellows('info', 'recording', '--write-params', file, cwd=workshop)
@@ -66,9 +60,7 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(
     assert read_parameters(file)['topics.tool_pose'] == '/tool_arm/pose'
 
 
-def test_bad_input_ends_with_2_and_writes_nothing(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_bad_input_ends_with_2_and_writes_nothing(bellows, workshop, tmp_path):
     """Refuse a recording that is not there."""
     done = bellows('info', 'none', '--write-params', tmp_path / 'p.yaml', cwd=workshop)
     assert done.returncode == 2 and 'does not exist' in done.stderr
@@ -76,9 +68,7 @@ def test_bad_input_ends_with_2_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_names_in_a_recording_give_no_orders_to_the_terminal(
-    bellows: Run, tmp_path: Path
-) -> None:
+def test_names_in_a_recording_give_no_orders_to_the_terminal(bellows, tmp_path):
     """Escape what a terminal would act upon, and lines that would pass for the command's own."""
     topic, frame = '/tool\x1b]0;title\x07\u202e', 'a\x1b[2J\nWorld    probably down'
     stamps = np.arange(1, 400) * 5_000_000
@@ -94,8 +84,7 @@ def test_names_in_a_recording_give_no_orders_to_the_terminal(
         assert '\nWorld' not in said
 
 
-def test_a_part_of_a_recording_is_looked_at(
-        bellows: Run, workshop: Path, tmp_path: Path) -> None:
+def test_a_part_of_a_recording_is_looked_at(bellows, workshop, tmp_path):
     """Describe what lies between --from and --to, and write them down."""
     out = tmp_path / 'cell.yaml'
     span = ('--from', '1', '--to', '2.5')
@@ -110,7 +99,7 @@ def test_a_part_of_a_recording_is_looked_at(
     assert done.returncode == 2 and 'recording.start' in done.stderr
 
 
-def test_a_single_message_has_no_rate() -> None:
+def test_a_single_message_has_no_rate():
     """Leave rate and jitter empty."""
     from bellows_ros.cli.info import _topic_rows
     from bellows_ros.workflows.info import TopicInfo

@@ -29,16 +29,14 @@ import pytest
         ("bags=['one', two]", 'bags', ('one', 'two')),
     ],
 )
-def test_overrides_are_read_in_the_kind_of_the_parameter(
-    text: str, name: str, value: object
-) -> None:
+def test_overrides_are_read_in_the_kind_of_the_parameter(text, name, value):
     """Read numbers, lists, texts and truth values as one would write them."""
     got = parse_override(text)
     assert got == (name, value)
     assert type(got[1]) is type(value)
 
 
-def test_an_interrupt_waits_for_finished_work_to_be_written() -> None:
+def test_an_interrupt_waits_for_finished_work_to_be_written():
     """Let nothing stop the writing half way, and give Ctrl-C back after it."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         before = signal.getsignal(number)
@@ -59,14 +57,12 @@ def test_an_interrupt_waits_for_finished_work_to_be_written() -> None:
         (1.0, 9.0, f'[{"#" * 24}] 100%  reading, 0 s left'),
     ],
 )
-def test_progress_says_how_far_and_how_long(
-    fraction: float | None, elapsed: float, line: str
-) -> None:
+def test_progress_says_how_far_and_how_long(fraction, elapsed, line):
     """Show a bar and the time left once it is known."""
     assert progress_line('reading', fraction, elapsed) == line
 
 
-def test_an_end_that_is_none_is_named_as_it_was_given() -> None:
+def test_an_end_that_is_none_is_named_as_it_was_given():
     """Name the option, not the parameter behind it alone."""
     arguments = argparse.Namespace(**{'recording.start': '0', 'recording.end': '-1'})
     with pytest.raises(BellowsError, match=r'^--to: recording.end must be'):

@@ -9,14 +9,14 @@ from bellows_ros.cli.app import COMMANDS
 from bellows_ros.cli.options import Output
 import pytest
 
-from .conftest import contents, Run
+from .conftest import contents
 
 PARAMS = ('--params', 'package.yaml')
 CUP = ('--params', 'cup.yaml')
 
 
 @pytest.fixture(scope='module')
-def cell(bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cell(bellows, workshop, tmp_path_factory):
     """Give a folder with a recording, what is known of it, and results, none of which may go."""
     folder = tmp_path_factory.mktemp('cell')
     shutil.copytree(workshop, folder, dirs_exist_ok=True)
@@ -60,9 +60,7 @@ def cell(bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory)
     ('convert', 'sources/poses.tum', '--topic', '/p', '--out', 'sources', '--force'),
     ('export', 'cup.yaml', '--to', 'sdf', '--out', 'cup.yaml'),
 ])
-def test_output_that_is_read_is_refused(
-    bellows: Run, cell: Path, line: tuple[str, ...]
-) -> None:
+def test_output_that_is_read_is_refused(bellows, cell, line):
     """Say so before any work, end with 2, and change nothing."""
     before = contents(cell)
     done = bellows(*line, cwd=cell)
@@ -77,9 +75,7 @@ def test_output_that_is_read_is_refused(
     (('info', 'recording'), '--write-params', 'x.yaml'),
     (('simulate', *CUP, '--motion', 'motion.yaml', '--out', 'x', '--force'), '--json', 'x.json'),
 ])
-def test_text_goes_to_stdout_where_its_name_is_a_dash(
-    bellows: Run, cell: Path, tmp_path: Path, line: tuple[str, ...], option: str, name: str
-) -> None:
+def test_text_goes_to_stdout_where_its_name_is_a_dash(bellows, cell, tmp_path, line, option, name):
     """Write the very text of the file and nothing else there, and no file of this name."""
     here = {'x': tmp_path / 'x', **{path.name: path for path in cell.iterdir()}}
     line = tuple(str(here.get(word, word)) for word in line)
@@ -94,9 +90,7 @@ def test_text_goes_to_stdout_where_its_name_is_a_dash(
     (('plot', 'motion', 'recording', *PARAMS, '--out', '-'), 'is for text'),
     (('export', 'cup.yaml', '--to', 'c', '--out', '-', '--json', '-'), 'has room for one'),
 ])
-def test_what_stdout_cannot_take_is_refused(
-    bellows: Run, cell: Path, line: tuple[str, ...], words: str
-) -> None:
+def test_what_stdout_cannot_take_is_refused(bellows, cell, line, words):
     """Say so before any work."""
     before = contents(cell)
     done = bellows(*line, cwd=cell)
@@ -104,7 +98,7 @@ def test_what_stdout_cannot_take_is_refused(
     assert contents(cell) == before
 
 
-def test_every_output_is_known_as_one() -> None:
+def test_every_output_is_known_as_one():
     """Have all options that name what is written checked: those with FILE, and BAG and NAME."""
     outputs = {}
     for command in COMMANDS:

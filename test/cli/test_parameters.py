@@ -1,16 +1,13 @@
 """`bellows parameters`: the table, and a parameter file to fill in."""
 
 import json
-from pathlib import Path
 
 from bellows_ros.core.parameters.checks import RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.files.parameter_files import read_parameters
 
-from .conftest import Run
 
-
-def test_every_parameter_is_listed(bellows: Run) -> None:
+def test_every_parameter_is_listed(bellows):
     """Show name, unit, default and sentence of each."""
     text = ' '.join(bellows('parameters').stdout.split())
     for parameter in PARAMETERS.values():
@@ -19,7 +16,7 @@ def test_every_parameter_is_listed(bellows: Run) -> None:
         assert ' '.join(parameter.constraint.split()) in text
 
 
-def test_names_choose(bellows: Run) -> None:
+def test_names_choose(bellows):
     """Show only those whose names begin as asked for."""
     done = bellows('parameters', 'filter.tool', 'gravity')
     names = [line for line in done.stdout.splitlines() if not line.startswith(' ')]
@@ -27,14 +24,14 @@ def test_names_choose(bellows: Run) -> None:
         'filter.tool.half_window', 'filter.tool.order', 'gravity.magnitude', 'gravity.direction']
 
 
-def test_an_unknown_name_is_refused(bellows: Run) -> None:
+def test_an_unknown_name_is_refused(bellows):
     """Name the nearest."""
     done = bellows('parameters', 'gravitiy')
     assert done.returncode == 2
     assert "Did you mean 'gravity'?" in done.stderr
 
 
-def test_the_template_is_a_parameter_file_with_the_defaults(bellows: Run, tmp_path: Path) -> None:
+def test_the_template_is_a_parameter_file_with_the_defaults(bellows, tmp_path):
     """Read back what is written; the package is left to fill in."""
     file = tmp_path / 'all.yaml'
     file.write_text(bellows('parameters', '--yaml').stdout)
@@ -43,7 +40,7 @@ def test_the_template_is_a_parameter_file_with_the_defaults(bellows: Run, tmp_pa
     }
 
 
-def test_the_template_can_be_filled_in(bellows: Run, tmp_path: Path) -> None:
+def test_the_template_can_be_filled_in(bellows, tmp_path):
     """Make a complete file by removing the comment signs, as the file says."""
     file = tmp_path / 'all.yaml'
     names = ('bags', *RECORDING_PARAMETERS)
@@ -55,7 +52,7 @@ def test_the_template_can_be_filled_in(bellows: Run, tmp_path: Path) -> None:
     assert list(resolve(read_parameters(file), names)) == list(PARAMETERS)
 
 
-def test_the_table_is_there_as_json(bellows: Run) -> None:
+def test_the_table_is_there_as_json(bellows):
     """Give scripts unit, default and constraint."""
     content = json.loads(bellows('parameters', 'package', '--json', '-').stdout)
     assert content['package.mass']['unit'] == 'kg' and content['package.mass']['default'] is None

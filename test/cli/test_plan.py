@@ -1,14 +1,13 @@
 """`bellows plan`: figures, picture and recording of a plan, and bad ones refused."""
 
 import json
-from pathlib import Path
 
 from bellows_ros.cli import main
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import topics
 import pytest
 
-from .conftest import contents, Run, write_yaml
+from .conftest import contents, write_yaml
 
 GRIP = ('--set', 'cup.lip_radius=0.025', '--set', 'vacuum.holding=60000',
         '--set', 'package.mass_std=0.01')
@@ -20,14 +19,12 @@ TRANSPORT = {
 
 
 @pytest.fixture(scope='module')
-def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def transport(tmp_path_factory):
     """Give a plan as a motion file."""
     return write_yaml(tmp_path_factory.mktemp('plan') / 'transport.yaml', TRANSPORT)
 
 
-def test_says_writes_and_draws(
-    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
-) -> None:
+def test_says_writes_and_draws(bellows, workshop, transport, tmp_path):
     """Say in words what stands in the JSON; write picture and recording."""
     done = bellows(
         'plan', transport, '--params', workshop / 'cup.yaml', *GRIP, '--fastest', '--json',
@@ -52,11 +49,10 @@ def test_says_writes_and_draws(
 
 
 def test_what_was_written_before_a_full_disk_is_named(
-    workshop: Path, transport: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str]
-) -> None:
+    workshop, transport, tmp_path, monkeypatch, capsys
+):
     """Say which outputs exist where a later one fails."""
-    def fails(*_: object) -> None:
+    def fails(*_):
         raise BellowsError('No space is left.')
 
     monkeypatch.setattr('bellows_ros.files.results.write_json', fails)
@@ -68,7 +64,7 @@ def test_what_was_written_before_a_full_disk_is_named(
     assert topics(out) and not (tmp_path / 'plan.json').exists()
 
 
-def test_a_recording_is_a_plan(bellows: Run, workshop: Path) -> None:
+def test_a_recording_is_a_plan(bellows, workshop):
     """Take the tool's motion in a recording; the summary goes aside where JSON goes out."""
     done = bellows(
         'plan', workshop / 'recording', '--params', workshop / 'cup.yaml', '--json', '-')
@@ -85,9 +81,8 @@ def test_a_recording_is_a_plan(bellows: Run, workshop: Path) -> None:
     (('plan.yaml', '--plot', 'plan.txt', *GRIP), 'must end in .png, .svg or .pdf'),
 ])
 def test_bad_input_ends_with_2_and_writes_nothing(
-    bellows: Run, workshop: Path, transport: Path, tmp_path: Path, options: tuple[str, ...],
-    words: str,
-) -> None:
+    bellows, workshop, transport, tmp_path, options, words
+):
     """Say what is wrong."""
     (tmp_path / 'plan.yaml').write_bytes(transport.read_bytes())
     write_yaml(tmp_path / 'point.yaml', {**TRANSPORT, 'waypoints': {'poses': []}})
@@ -99,7 +94,7 @@ def test_bad_input_ends_with_2_and_writes_nothing(
     assert contents(tmp_path) == before
 
 
-def test_a_cup_that_lets_go_is_a_no(bellows: Run, workshop: Path, transport: Path) -> None:
+def test_a_cup_that_lets_go_is_a_no(bellows, workshop, transport):
     """End with 1; never say that the grip holds where the data are doubtful."""
     line = ('plan', transport, '--params', workshop / 'cup.yaml', '--set', 'cup.lip_radius=0.03')
     weak = bellows(*line, '--set', 'vacuum.holding=15000')
@@ -113,25 +108,21 @@ def test_a_cup_that_lets_go_is_a_no(bellows: Run, workshop: Path, transport: Pat
     assert nameless.returncode == 2 and 'Traceback' not in nameless.stderr
 
 
-def test_a_topic_of_what_is_no_recording_is_refused(
-    bellows: Run, workshop: Path, transport: Path
-) -> None:
+def test_a_topic_of_what_is_no_recording_is_refused(bellows, workshop, transport):
     """Name the option and the file, and what to do."""
     done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--topic', '/x')
     assert done.returncode == 2
     assert all(part in done.stderr for part in ('--topic', str(transport), 'Leave'))
 
 
-def test_missing_package_data_point_to_what_writes_them(bellows: Run, transport: Path) -> None:
+def test_missing_package_data_point_to_what_writes_them(bellows, transport):
     """Name the parameters, and the command that makes a file with them."""
     done = bellows('plan', transport)
     assert done.returncode == 2
     assert all(part in done.stderr for part in ('package.mass', 'bellows info', '--write-params'))
 
 
-def test_a_folder_in_place_of_a_file_is_named_as_one(
-    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
-) -> None:
+def test_a_folder_in_place_of_a_file_is_named_as_one(bellows, workshop, transport, tmp_path):
     """Say that it is a folder, before the work."""
     done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--json', tmp_path)
     assert done.returncode == 2 and 'folder' in done.stderr and str(tmp_path) in done.stderr

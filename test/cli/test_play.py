@@ -2,20 +2,15 @@
 
 import importlib.util
 import json
-from pathlib import Path
 
 import pytest
-
-from .conftest import Run
 
 needs_ros = pytest.mark.skipif(
     importlib.util.find_spec('rclpy') is None, reason="no rclpy here (pip install '.[ros]')")
 
 
 @needs_ros
-def test_what_was_played_is_said(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_what_was_played_is_said(bellows, workshop, tmp_path):
     """Count the messages of each topic, and warn where nobody listens."""
     done = bellows(
         'play', 'recording', '--topic', '/tool_arm/pose:=/pose', '--rate', 8, '--json',
@@ -28,7 +23,7 @@ def test_what_was_played_is_said(
 
 
 @needs_ros
-def test_a_part_is_played(bellows: Run, workshop: Path) -> None:
+def test_a_part_is_played(bellows, workshop):
     """Send what lies between two times, counted from the recording's start."""
     done = bellows('play', 'recording', '--topic', '/tool_arm/pose', '--from', 2, '--to', 2.5,
                    cwd=workshop)
@@ -37,7 +32,7 @@ def test_a_part_is_played(bellows: Run, workshop: Path) -> None:
 
 
 @needs_ros
-def test_what_cannot_be_played_is_refused(bellows: Run, workshop: Path) -> None:
+def test_what_cannot_be_played_is_refused(bellows, workshop):
     """Name topics that are there, and speeds that may be."""
     done = bellows('play', 'recording', '--topic', '/x', cwd=workshop)
     assert done.returncode == 2 and 'there are: /package/pose (geometry_msgs' in done.stderr
@@ -46,7 +41,7 @@ def test_what_cannot_be_played_is_refused(bellows: Run, workshop: Path) -> None:
         assert done.returncode == 2 and '--rate must be a number above 0' in done.stderr
 
 
-def test_without_ros_it_says_how_to_get_it(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+def test_without_ros_it_says_how_to_get_it(bellows, workshop, tmp_path):
     """End with 2, and name both ways."""
     (tmp_path / 'sitecustomize.py').write_text(
         'import importlib.util as u\nfind = u.find_spec\n'

@@ -1,14 +1,10 @@
 """`bellows plot` as a user runs it."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
-
-Run = Any
 
 
 @pytest.mark.parametrize(
@@ -16,9 +12,7 @@ Run = Any
     [('motion', 'a.png', b'\x89PNG'), ('prediction', 'a.svg', b'<?xml'),
      ('animation', 'a.gif', b'GIF8')],
 )
-def test_pictures_are_written(
-    what: str, name: str, start: bytes, bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_pictures_are_written(what, name, start, bellows, workshop, tmp_path):
     """Write one file, and say so."""
     more = ('--from', '2', '--to', '2.3') if what == 'animation' else ()
     done = bellows('plot', what, 'recording', '--params', 'cup.yaml', '--out', tmp_path / name,
@@ -29,9 +23,7 @@ def test_pictures_are_written(
 
 
 @pytest.mark.parametrize('what', ['motion', 'path', 'spectra'])
-def test_a_recording_is_drawn_before_its_package_is_weighed(
-    what: str, bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_a_recording_is_drawn_before_its_package_is_weighed(what, bellows, workshop, tmp_path):
     """Draw what is tracked with the file that `bellows info` writes, without a cup."""
     cell, out = tmp_path / 'my_cell.yaml', tmp_path / 'a.svg'
     bellows('info', 'recording', '--write-params', cell, cwd=workshop)
@@ -40,9 +32,7 @@ def test_a_recording_is_drawn_before_its_package_is_weighed(
 
 
 @pytest.mark.parametrize('what', ['motion', 'path', 'residuals', 'prediction', 'animation'])
-def test_a_part_of_the_time_is_drawn_and_given(
-    what: str, bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_a_part_of_the_time_is_drawn_and_given(what, bellows, workshop, tmp_path):
     """Leave out of picture and numbers what is not asked for."""
     out = tmp_path / ('a.gif' if what == 'animation' else 'a.png')
     done = bellows('plot', what, 'recording', '--params', 'cup.yaml', '--out', out, '--from', '3',
@@ -53,9 +43,7 @@ def test_a_part_of_the_time_is_drawn_and_given(
     assert 3.0 <= seconds[0] and seconds[-1] <= 3.3
 
 
-def test_the_numbers_of_a_picture_are_given(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_the_numbers_of_a_picture_are_given(bellows, workshop, tmp_path):
     """Write what is drawn as JSON to stdout, and words to stderr."""
     done = bellows('plot', 'deflection', 'recording', '--params', 'cup.yaml', '--json', '-',
                    '--out', tmp_path / 'a.svg', cwd=workshop)
@@ -78,9 +66,7 @@ def test_the_numbers_of_a_picture_are_given(
         (['portrait', 'recording', '--out', 'a.png'], 'invalid choice'),
     ],
 )
-def test_bad_input_ends_with_2_and_draws_nothing(
-    arguments: list[str], words: str, bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_bad_input_ends_with_2_and_draws_nothing(arguments, words, bellows, workshop, tmp_path):
     """Say what is wrong."""
     arguments = [str(tmp_path / a) if a.startswith('a.') else a for a in arguments]
     done = bellows('plot', *arguments, '--params', 'cup.yaml', cwd=workshop)

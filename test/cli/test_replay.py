@@ -1,21 +1,16 @@
 """`bellows replay`: how well a cup predicts a recording, and what that says of the cup."""
 
 import json
-from pathlib import Path
 import re
 
 from bellows_ros.core.signals.residuals import AXES
 import pytest
 
-from .conftest import Run
-
 POSITION_NOISE, ROTATION_NOISE = 2e-5, 1e-4  # m, rad; of the package's poses in the recording
 
 
 @pytest.fixture(scope='module')
-def replayed(
-    bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, dict[str, object]]:
+def replayed(bellows, workshop, tmp_path_factory):
     """Replay once with the true cup; give the summary and the JSON."""
     file = tmp_path_factory.mktemp('replayed') / 'replay.json'
     done = bellows('replay', 'recording', '--params', 'cup.yaml', '--json', file, cwd=workshop)
@@ -23,7 +18,7 @@ def replayed(
     return done.stdout, json.loads(file.read_text())
 
 
-def test_the_true_cup_predicts_to_the_noise(replayed: tuple[str, dict[str, object]]) -> None:
+def test_the_true_cup_predicts_to_the_noise(replayed):
     """Print errors per axis, with units, that are little more than the noise."""
     rows = [line.split() for line in replayed[0].splitlines()]
     errors = {row[0]: row[1:] for row in rows if row and row[0] in AXES}
@@ -38,7 +33,7 @@ def test_the_true_cup_predicts_to_the_noise(replayed: tuple[str, dict[str, objec
         assert 0.5e3 * noise < float(of_noise) < 2e3 * noise
 
 
-def test_the_true_cup_is_good_and_exits_with_0(bellows: Run, workshop: Path) -> None:
+def test_the_true_cup_is_good_and_exits_with_0(bellows, workshop):
     """Print a line per axis and a verdict in words."""
     done = bellows(
         'replay', 'recording', '--params', 'cup.yaml', '--limit', '5', cwd=workshop)
@@ -48,7 +43,7 @@ def test_the_true_cup_is_good_and_exits_with_0(bellows: Run, workshop: Path) -> 
     assert 'within 5 %' in done.stdout and 'chi^2' in done.stdout
 
 
-def test_a_wrong_cup_exits_with_1(bellows: Run, workshop: Path) -> None:
+def test_a_wrong_cup_exits_with_1(bellows, workshop):
     """Tell scripts; also without a limit, where it is several times worse than noise."""
     arguments = ('replay', 'recording', '--params', 'package.yaml')
     done = bellows(*arguments, '--limit', '5', cwd=workshop)
@@ -58,7 +53,7 @@ def test_a_wrong_cup_exits_with_1(bellows: Run, workshop: Path) -> None:
     assert bellows(*arguments, cwd=workshop).returncode == 1
 
 
-def test_json_and_page_are_written(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+def test_json_and_page_are_written(bellows, workshop, tmp_path):
     """Write both; JSON alone on stdout."""
     arguments = ('replay', 'recording', '--params', 'cup.yaml', '--report', tmp_path / 'v.html')
     done = bellows(*arguments, '--json', '-', cwd=workshop)
@@ -68,7 +63,7 @@ def test_json_and_page_are_written(bellows: Run, workshop: Path, tmp_path: Path)
     assert (tmp_path / 'v.html').read_text().startswith('<!DOCTYPE html>')
 
 
-def test_twists_can_be_left_out(bellows: Run, workshop: Path) -> None:
+def test_twists_can_be_left_out(bellows, workshop):
     """Predict from poses alone."""
     done = bellows(
         'replay', workshop / 'recording', '--params', workshop / 'cup.yaml',
@@ -76,7 +71,7 @@ def test_twists_can_be_left_out(bellows: Run, workshop: Path) -> None:
     assert (done.returncode, done.stderr) == (0, '')
 
 
-def test_a_time_offset_is_said(bellows: Run, root: Path, tmp_path: Path) -> None:
+def test_a_time_offset_is_said(bellows, root, tmp_path):
     """Say what was taken from the tool's stamps, on the screen and on the page."""
     wanted = (
         'bags/validation', '--params', 'bags/cup.yaml', '--set', 'fit.time_offset=true')
@@ -92,9 +87,7 @@ def test_a_time_offset_is_said(bellows: Run, root: Path, tmp_path: Path) -> None
     (('topics.tool_pose=/package/pose', 'topics.package_pose=/tool_arm/pose',
       'topics.tool_twist='), '^bellows: topics.tool_pose and .* are exchanged', 2),
 ])
-def test_a_bad_prediction_is_a_no_and_names_its_cause(
-    changes: tuple[str, ...], words: str, code: int, bellows: Run, workshop: Path
-) -> None:
+def test_a_bad_prediction_is_a_no_and_names_its_cause(changes, words, code, bellows, workshop):
     """End with 1 where errors are several times those of noise, 2 where data cannot be used."""
     done = bellows('replay', 'recording', '--params', 'cup.yaml',
                    *(part for change in changes for part in ('--set', change)), cwd=workshop)
@@ -102,9 +95,7 @@ def test_a_bad_prediction_is_a_no_and_names_its_cause(
     assert re.search(words, ' '.join(done.stderr.split()))
 
 
-def test_calibrating_alarms_takes_a_camera_and_enough_of_it(
-    bellows: Run, workshop: Path
-) -> None:
+def test_calibrating_alarms_takes_a_camera_and_enough_of_it(bellows, workshop):
     """Refuse without a topic, and where the recording is too short; write nothing then."""
     arguments = ('replay', 'recording', '--params', 'cup.yaml', '--calibrate-alarms')
     done = bellows(*arguments, cwd=workshop)

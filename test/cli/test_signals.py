@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 
-from bellows_ros.cli.console import Console, ENDING, run_guarded
+from bellows_ros.cli.console import ENDING, run_guarded
 from bellows_ros.files.atomic import PREFIX
 from bellows_ros.files.messages import encode, LAYOUTS
 import numpy as np
@@ -23,7 +23,7 @@ POSES = 150_000
 Process = subprocess.Popen[str]
 
 
-def start(environment: dict[str, str], *arguments: object, cwd: Path) -> Process:
+def start(environment, *arguments, cwd):
     """Start `bellows` in a session of its own, with pipes that only its processes hold."""
     return subprocess.Popen(
         [sys.executable, '-m', 'bellows_ros.cli', *map(str, arguments)], cwd=cwd, text=True,
@@ -31,7 +31,7 @@ def start(environment: dict[str, str], *arguments: object, cwd: Path) -> Process
         start_new_session=True)
 
 
-def wait_until_hidden(folder: Path, process: Process, count: int = 1) -> list[Path]:
+def wait_until_hidden(folder, process, count=1):
     """Return what a process writes in a folder and has not finished, once it has begun."""
     deadline = time.monotonic() + WITHIN
     while time.monotonic() < deadline and process.poll() is None:
@@ -42,7 +42,7 @@ def wait_until_hidden(folder: Path, process: Process, count: int = 1) -> list[Pa
     pytest.fail(f'nothing was written in {folder}: {process.communicate()}')
 
 
-def session(pid: int) -> list[int]:
+def session(pid):
     """Return the processes of a session that are still there."""
     found = []
     for stat in Path('/proc').glob('[0-9]*/stat'):
@@ -55,7 +55,7 @@ def session(pid: int) -> list[int]:
     return found
 
 
-def wait_for_none(pid: int) -> None:
+def wait_for_none(pid):
     """Wait until a session has no process left."""
     deadline = time.monotonic() + WITHIN
     while session(pid) and time.monotonic() < deadline:
@@ -64,7 +64,7 @@ def wait_for_none(pid: int) -> None:
 
 
 @pytest.fixture(scope='module')
-def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def compressed(tmp_path_factory):
     """Give a folder with three compressed SQLite recordings that take seconds to read."""
     folder = tmp_path_factory.mktemp('compressed')
     stamps = 10**18 + 2_777_778 * np.arange(POSES)
@@ -79,16 +79,14 @@ def compressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def elsewhere(user_environment: dict[str, str], tmp_path: Path) -> dict[str, str]:
+def elsewhere(user_environment, tmp_path):
     """Give an environment with a folder of its own for temporary files."""
     (tmp_path / 'tmp').mkdir()
     return {**user_environment, 'TMPDIR': str(tmp_path / 'tmp')}
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_in_order(
-    number: int, workshop: Path, tmp_path: Path, elsewhere: dict[str, str]
-) -> None:
+def test_a_signal_ends_in_order(number, workshop, tmp_path, elsewhere):
     """Say so, end with 128 and its number, and leave what was there; twice is as good as once."""
     motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 60.0})
     before = contents(tmp_path)
@@ -104,9 +102,7 @@ def test_a_signal_ends_in_order(
     assert contents(tmp_path) == before
 
 
-def test_workers_end_with_a_command_that_is_killed(
-    workshop: Path, compressed: Path, tmp_path: Path, elsewhere: dict[str, str]
-) -> None:
+def test_workers_end_with_a_command_that_is_killed(workshop, compressed, tmp_path, elsewhere):
     """Leave no process after SIGKILL; the next command removes what was left."""
     pytest.importorskip('joblib', reason="no joblib here (pip install '.[parallel]')")
     process = start(
@@ -124,11 +120,9 @@ def test_workers_end_with_a_command_that_is_killed(
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(
-    number: signal.Signals, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys):
     """As where it comes in a callback that a library made."""
-    def work(console: Console) -> int:
+    def work(console):
         with suppress(KeyboardInterrupt):
             signal.raise_signal(number)
         console.say('It goes on.')
@@ -148,9 +142,7 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(
 @pytest.mark.parametrize('line', [
     ('parameters',), ('--help',), ('export', '--help'), ('--version',),
     ('plan', 'transport.yaml', '--params', 'tossing.yaml', '--json', '-')])
-def test_a_full_device_is_one_sentence(
-    line: tuple[str, ...], user_environment: dict[str, str], root: Path
-) -> None:
+def test_a_full_device_is_one_sentence(line, user_environment, root):
     """Where all commands print; also with nowhere to say it."""
     with open('/dev/full', 'w') as full:
         for err in (subprocess.PIPE, full):

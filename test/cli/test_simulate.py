@@ -1,16 +1,13 @@
 """`bellows simulate`: recordings of a known cup."""
 
 import json
-from pathlib import Path
 
 from bellows_ros.files.bags import topics
 
-from .conftest import contents, MOTION, Run
+from .conftest import contents, MOTION
 
 
-def test_the_recording_holds_what_was_reported(
-    bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_the_recording_holds_what_was_reported(bellows, workshop, tmp_path):
     """Count the messages in the recording, in the summary and in JSON alike."""
     done = bellows(
         'simulate', '--params', workshop / 'cup.yaml', '--motion', workshop / 'motion.yaml',
@@ -25,7 +22,7 @@ def test_the_recording_holds_what_was_reported(
     assert '1 dropouts' not in done.stderr and '1 dropout' in done.stderr
 
 
-def test_set_changes_the_cup(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+def test_set_changes_the_cup(bellows, workshop, tmp_path):
     """Take parameters from the command line too."""
     done = bellows(
         'simulate', '--params', workshop / 'cup.yaml', '--set', 'package.mass=2.5',

@@ -1,16 +1,14 @@
 """`bellows static`: standstills go in, a length and verdicts come out."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 from bellows_ros.files.parameter_files import read_parameters
 import pytest
 
-from .conftest import PACKAGE, Run, write_yaml
+from .conftest import PACKAGE, write_yaml
 
 MASSES = (0.6, 1.2, 1.8, 2.4)
-STATIC: dict[str, Any] = {
+STATIC = {
     'kind': 'static', 'rest_duration': 1.5,
     'static': {'move': 0.5, 'hold': 3.0, 'poses': [{'rpy': [0.3, 0.0, 0.0]}]},
     'tool': {'rate_hz': 100.0, 'noise': {'position': 2e-5, 'rotation': 5e-5}},
@@ -19,7 +17,7 @@ STATIC: dict[str, Any] = {
 
 
 @pytest.fixture(scope='module')
-def weights(bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def weights(bellows, workshop, tmp_path_factory):
     """Give a folder with recordings m0, m1, ... of several masses."""
     folder = tmp_path_factory.mktemp('weights')
     for number, mass in enumerate(MASSES):
@@ -31,9 +29,7 @@ def weights(bellows: Run, workshop: Path, tmp_path_factory: pytest.TempPathFacto
     return folder
 
 
-def test_length_and_spring_in_words_and_files(
-    bellows: Run, workshop: Path, weights: Path, tmp_path: Path
-) -> None:
+def test_length_and_spring_in_words_and_files(bellows, workshop, weights, tmp_path):
     """Print both, and write the length and all figures."""
     bags = [weights / f'm{number}' for number in range(len(MASSES))]
     masses = [part for mass in MASSES for part in ('--mass', mass)]
@@ -60,9 +56,7 @@ def test_length_and_spring_in_words_and_files(
     (['m0', '--mass', '0.6'], 'two or more different masses'),
     (['nothing', '--mass', '0.6'], 'nothing'),
 ])
-def test_mistakes_are_explained(
-    arguments: list[str], words: str, bellows: Run, workshop: Path, weights: Path
-) -> None:
+def test_mistakes_are_explained(arguments, words, bellows, workshop, weights):
     """Say what is wrong, and end with 2."""
     done = bellows('static', *arguments, '--params', workshop / 'package.yaml', cwd=weights)
     assert (done.returncode, done.stdout) == (2, '')

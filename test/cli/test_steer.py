@@ -1,13 +1,12 @@
 """`bellows steer`: motions without swing, within limits, and bad ones refused."""
 
 import json
-from pathlib import Path
 
 from bellows_ros.files.bags import topics
 import numpy as np
 import pytest
 
-from .conftest import contents, Run, write_yaml
+from .conftest import contents, write_yaml
 from .test_plan import TRANSPORT
 
 STDS = ('--set', 'package.mass_std=0.01', '--set', 'package.com_std=0.001,0.001,0.001',
@@ -15,14 +14,12 @@ STDS = ('--set', 'package.mass_std=0.01', '--set', 'package.com_std=0.001,0.001,
 
 
 @pytest.fixture(scope='module')
-def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def transport(tmp_path_factory):
     """Give a plan as a motion file."""
     return write_yaml(tmp_path_factory.mktemp('steer') / 'transport.yaml', TRANSPORT)
 
 
-def test_steers_says_writes_and_draws(
-    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
-) -> None:
+def test_steers_says_writes_and_draws(bellows, workshop, transport, tmp_path):
     """Leave no swing; say by how much the inverse is more sensitive, and which to take."""
     done = bellows(
         'steer', transport, '--method', 'inverse', '--params', workshop / 'cup.yaml', *STDS,
@@ -53,9 +50,7 @@ def test_steers_says_writes_and_draws(
     assert json.loads(back.stdout)['swing_left'] < 1.7e-4
 
 
-def test_keeps_to_limits(
-    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
-) -> None:
+def test_keeps_to_limits(bellows, workshop, transport, tmp_path):
     """Stretch the motion in time until the limits hold."""
     limits = {'linear': {'speed': 1.0, 'acceleration': 8.0}, 'angular': {'acceleration': 40.0},
               'safety_factor': 1.5}
@@ -76,9 +71,7 @@ def test_keeps_to_limits(
         assert 'Slowed down to' in ' '.join(done.stderr.split())
 
 
-def test_an_animation_shows_planned_and_steered(
-    bellows: Run, workshop: Path, transport: Path, tmp_path: Path
-) -> None:
+def test_an_animation_shows_planned_and_steered(bellows, workshop, transport, tmp_path):
     """Twelve pictures a second, four times as slow as it is, until half a second after the end."""
     image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
     done = bellows('steer', transport, '--method', 'zv', '--params', workshop / 'cup.yaml',
@@ -100,9 +93,8 @@ def test_an_animation_shows_planned_and_steered(
     (('fast.yaml', '--method', 'inverse'), 'bend the cup by more than 45 degrees'),
 ])
 def test_bad_input_ends_with_2_and_writes_nothing(
-    bellows: Run, workshop: Path, transport: Path, tmp_path: Path, options: tuple[str, ...],
-    words: str,
-) -> None:
+    bellows, workshop, transport, tmp_path, options, words
+):
     """Say what is wrong."""
     (tmp_path / 'plan.yaml').write_bytes(transport.read_bytes())
     write_yaml(tmp_path / 'bad.yaml', {'linar': {'speed': 1.0}})

@@ -1,12 +1,9 @@
 """`bellows structures`: what recordings can tell, and which structure to take."""
 
 import json
-from pathlib import Path
-
-from .conftest import Run
 
 
-def test_summary_and_json(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+def test_summary_and_json(bellows, workshop, tmp_path):
     """Print tables and advice, and write all figures."""
     done = bellows(
         'structures', 'recording', '--params', 'package.yaml',
@@ -23,7 +20,7 @@ def test_summary_and_json(bellows: Run, workshop: Path, tmp_path: Path) -> None:
     assert content['structures']['advised'] == 'axisymmetric'
 
 
-def test_no_recording_is_explained(bellows: Run, workshop: Path) -> None:
+def test_no_recording_is_explained(bellows, workshop):
     """Say that none is given, and end with 2."""
     done = bellows('structures', '--params', workshop / 'package.yaml')
     assert (done.returncode, done.stdout) == (2, '')

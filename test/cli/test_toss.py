@@ -7,13 +7,11 @@ from bellows_ros.files.bags import read_streams
 import numpy as np
 import pytest
 
-from .conftest import Run
-
 BAGS = Path(__file__).parents[2] / 'bags'
 PLAN, PARAMS = BAGS / 'throw.yaml', BAGS / 'tossing.yaml'
 
 
-def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
+def test_lands_and_says_what_to_fix_first(bellows, tmp_path):
     """Give the names of the JSON, a budget that adds up, a picture, and the advice."""
     file, picture = tmp_path / 'toss.json', tmp_path / 'toss.png'
     done = bellows(
@@ -38,7 +36,7 @@ def test_lands_and_says_what_to_fix_first(bellows: Run, tmp_path: Path) -> None:
     assert picture.stat().st_size > 20_000
 
 
-def test_writes_the_toss_as_a_recording(bellows: Run, tmp_path: Path) -> None:
+def test_writes_the_toss_as_a_recording(bellows, tmp_path):
     """Held, parting and flying: the package leaves the cup, and falls to where it lands."""
     bag = tmp_path / 'thrown'
     done = bellows('toss', PLAN, '--params', PARAMS, '--release', 3.0, '--out', bag, '--json', '-')
@@ -53,7 +51,7 @@ def test_writes_the_toss_as_a_recording(bellows: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(poses.position[at], found['release_pose'][:3], atol=6e-3)
 
 
-def test_finds_the_time_for_a_target(bellows: Run) -> None:
+def test_finds_the_time_for_a_target(bellows):
     """Land where a known time lands, and say what that gains over the time that is given."""
     known = json.loads(bellows(
         'toss', PLAN, '--params', PARAMS, '--release', 3.1, '--json', '-').stdout)
@@ -83,9 +81,7 @@ def test_finds_the_time_for_a_target(bellows: Run) -> None:
     (('--release', 3.0, '--target-rotation', 0, 0, 0, 1), 'but no target'),
     (('--target', 1.0, 0.0, '--set', 'gravity.direction=0,1,0'), 'not along -z'),
 ])
-def test_bad_input_ends_with_a_message_and_nothing_written(
-    bellows: Run, tmp_path: Path, changes: tuple[object, ...], words: str
-) -> None:
+def test_bad_input_ends_with_a_message_and_nothing_written(bellows, tmp_path, changes, words):
     """Say what is wrong and end with 2; a file is not begun."""
     file = tmp_path / 'toss.json'
     done = bellows('toss', PLAN, '--params', PARAMS, *changes, '--json', file)
@@ -95,7 +91,7 @@ def test_bad_input_ends_with_a_message_and_nothing_written(
     assert not file.exists()
 
 
-def test_no_landing_at_the_target_is_a_no(bellows: Run) -> None:
+def test_no_landing_at_the_target_is_a_no(bellows):
     """End with 1, and with 2 where the target is in mm."""
     far = bellows('toss', PLAN, '--params', PARAMS, '--target', 4.0, 0.0)
     assert far.returncode == 1 and 'No release of this plan lands' in ' '.join(far.stderr.split())

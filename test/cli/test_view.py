@@ -2,16 +2,12 @@
 
 import json
 import os
-from pathlib import Path
-from typing import Any
 
 import pytest
 
-Run = Any
-
 
 @pytest.mark.extras
-def test_a_file_is_written_for_the_viewer(bellows: Run, workshop: Path, tmp_path: Path) -> None:
+def test_a_file_is_written_for_the_viewer(bellows, workshop, tmp_path):
     """Write it, say how it is opened, and give the scores."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
     done = bellows('view', 'recording', '--params', 'cup.yaml', '--out', tmp_path / 'a.rrd',
@@ -29,9 +25,7 @@ def test_a_file_is_written_for_the_viewer(bellows: Run, workshop: Path, tmp_path
         (['recording', '--out', 'a.rrd'], 'pip install rerun-sdk'),
     ],
 )
-def test_what_is_missing_is_said_before_any_work(
-    arguments: list[str], words: str, bellows: Run, workshop: Path, tmp_path: Path
-) -> None:
+def test_what_is_missing_is_said_before_any_work(arguments, words, bellows, workshop, tmp_path):
     """Name the extra where there is no Rerun, and write nothing."""
     (tmp_path / 'rerun.py').write_text("raise ImportError('not here')\n")
     (tmp_path / 'out').mkdir()
@@ -44,7 +38,7 @@ def test_what_is_missing_is_said_before_any_work(
 
 
 @pytest.mark.extras
-def test_without_a_display_it_says_what_to_do(bellows: Run, workshop: Path) -> None:
+def test_without_a_display_it_says_what_to_do(bellows, workshop):
     """Let Rerun say why, and name the way to see it elsewhere."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
     done = bellows('view', 'recording', '--params', 'cup.yaml', cwd=workshop, DISPLAY='',

@@ -3,17 +3,15 @@
 import importlib.util
 from pathlib import Path
 import sys
-from types import ModuleType
-from typing import Any
 
 import pytest
 
 DOCS = Path(__file__).resolve().parents[2] / 'docs'
 
 
-def load(folder: str, name: str) -> ModuleType:
+def load(folder, name):
     """Import a script of docs, which is no package."""
-    spec: Any = importlib.util.spec_from_file_location(name, DOCS / folder / f'{name}.py')
+    spec = importlib.util.spec_from_file_location(name, DOCS / folder / f'{name}.py')
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
@@ -21,6 +19,6 @@ def load(folder: str, name: str) -> ModuleType:
 
 
 @pytest.fixture(scope='session')
-def pages() -> ModuleType:
+def pages():
     """Give the script that knows the commands on the pages."""
     return load('tools', 'pages')

@@ -1,14 +1,11 @@
 """Every command on every page: run, with the output that the page shows, or at least checked."""
 
 import argparse
-from collections.abc import Iterator
 import importlib
 from pathlib import Path
 import re
 import shlex
 import subprocess
-from types import ModuleType
-from typing import Any
 
 from bellows_ros.cli.app import COMMANDS
 from bellows_ros.core.geometry.jit import COMPILED
@@ -23,12 +20,12 @@ SLOW = ('output_error', 'tosses', 'excite')
 EXECUTABLES = ('predictor', 'identifier', 'bellows')
 
 
-def with_mode(page: Path, *modes: str) -> list[Any]:
+def with_mode(page, *modes):
     """Return the blocks of a page that are to be treated so."""
     return [block for block in PAGES.blocks(page.read_text()) if block.mode in modes]
 
 
-def runnable() -> list[str]:
+def runnable():
     """Return the pages with commands that are run."""
     return [name for name, page in ALL.items() if with_mode(page, 'run', 'fails')]
 
@@ -41,9 +38,7 @@ LONG = ('choosing', 'exciting', 'filter', 'formats', 'many_recordings', 'recordi
 @pytest.mark.parametrize('name', [
     pytest.param(name, marks=[pytest.mark.stress] if Path(name).stem in LONG else [])
     for name in runnable()])
-def test_commands_do_what_the_page_shows(
-    name: str, tmp_path: Path, user_environment: dict[str, str], pages: ModuleType
-) -> None:
+def test_commands_do_what_the_page_shows(name, tmp_path, user_environment, pages):
     """Run a page's commands in order, from a checkout's bags and config."""
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
     pages.make_folder(tmp_path)
@@ -61,7 +56,7 @@ def test_commands_do_what_the_page_shows(
                 assert pages.matches(command.output, done.stdout), where + done.stdout
 
 
-def words(text: str) -> Iterator[list[str]]:
+def words(text):
     """Yield the words of each command in a line, without assignments and comments."""
     for part in re.split(r'&&|\|\||[;|\n]', text.replace('\\\n', ' ')):
         try:
@@ -74,7 +69,7 @@ def words(text: str) -> Iterator[list[str]]:
             yield found
 
 
-def checked() -> list[Any]:
+def checked():
     """Return all blocks of all pages, those that are run too."""
     return [
         pytest.param(block, id=f'{name}:{block.line}')
@@ -83,7 +78,7 @@ def checked() -> list[Any]:
 
 
 @pytest.mark.parametrize('block', checked())
-def test_commands_are_well_formed(block: Any, root: Path) -> None:
+def test_commands_are_well_formed(block, root):
     """Hold no syntax errors, and name only what is there: commands, options, targets."""
     for command in block.commands:
         done = subprocess.run(
@@ -93,7 +88,7 @@ def test_commands_are_well_formed(block: Any, root: Path) -> None:
             check_words(found, root)
 
 
-def check_words(found: list[str], root: Path) -> None:
+def check_words(found, root):
     """Check one command, as far as it is of this package."""
     first, *rest = found
     if first == 'make':
@@ -111,7 +106,7 @@ def check_words(found: list[str], root: Path) -> None:
         check_node(rest)
 
 
-def check_bellows(rest: list[str]) -> None:
+def check_bellows(rest):
     """Check a command line of `bellows` with its own parser."""
     if not rest or rest[0].startswith('-'):
         return
@@ -125,7 +120,7 @@ def check_bellows(rest: list[str]) -> None:
         parser.parse_args(arguments)
 
 
-def check_node(rest: list[str]) -> None:
+def check_node(rest):
     """Check the parameters a node is given."""
     for option, value in zip(rest, rest[1:], strict=False):
         if option == '-p':
@@ -133,7 +128,7 @@ def check_node(rest: list[str]) -> None:
             assert name in PARAMETERS or name.startswith('qos_overrides.'), value
 
 
-def test_pages_are_found_and_hold_commands() -> None:
+def test_pages_are_found_and_hold_commands():
     """Look at the README first, and at more than that."""
     assert next(iter(ALL)) == 'README.md'
     assert len(runnable()) >= 2
@@ -149,14 +144,12 @@ def test_pages_are_found_and_hold_commands() -> None:
         ('1e-3 s', '2.5e+4 s', True),
     ],
 )
-def test_outputs_are_compared_but_for_numbers(
-    shown: str, printed: str, same: bool, pages: ModuleType
-) -> None:
+def test_outputs_are_compared_but_for_numbers(shown, printed, same, pages):
     """Let numbers and blanks differ, and nothing else."""
     assert pages.matches(shown, printed) is same
 
 
-def test_blocks_are_found_with_their_marks(pages: ModuleType) -> None:
+def test_blocks_are_found_with_their_marks(pages):
     """Let a mark hold for the block that follows at once, and for no other."""
     text = (
         'Words\n\n<!-- test: parse, a robot -->\n```bash\none \\\n  more\n# no command\ntwo\n```\n'
@@ -167,13 +160,13 @@ def test_blocks_are_found_with_their_marks(pages: ModuleType) -> None:
     assert [(c.text, c.output) for c in second.commands] == [('three', 'out\n'), ('four', '')]
 
 
-def test_nothing_is_installed_or_started_by_accident(pages: ModuleType) -> None:
+def test_nothing_is_installed_or_started_by_accident(pages):
     """Leave pip and ROS alone on pages that forget to say so."""
     text = '```bash\nbellows --help\npip install x\n```\n```bash\nros2 topic list\n```\n'
     assert [block.mode for block in pages.blocks(text)] == ['parse', 'parse']
 
 
-def test_parameter_files_on_the_pages_are_right(tmp_path: Path) -> None:
+def test_parameter_files_on_the_pages_are_right(tmp_path):
     """Read every YAML block with parameters as a node would."""
     from bellows_ros.files.parameter_files import read_parameters
 

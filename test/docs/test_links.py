@@ -1,10 +1,8 @@
 """Links on the pages lead somewhere, pictures are there, and generated pages are current."""
 
-from pathlib import Path
 import re
 import subprocess
 import sys
-from types import ModuleType
 
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import plain
@@ -19,14 +17,14 @@ LINK = re.compile(r'\]\(([^)\s]+)\)|(?:src|srcset)="([^"]+)"')
 MEASURED = ('performance.md', 'static_recordings.md', 'validation.md')
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """Return the anchors that GitHub and Sphinx make of a page's headings."""
     heads = re.findall(r'^#+ (.*)$', page.read_text(), re.MULTILINE)
     return {re.sub(r'[^\w\- ]', '', head.lower()).replace(' ', '-') for head in heads}
 
 
 @pytest.mark.parametrize('page', PAGES.pages(), ids=lambda page: page.name)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_lead_somewhere(page):
     """Find every file and heading that a page links to."""
     text = re.sub(r'```.*?```', '', page.read_text(), flags=re.DOTALL)
     for found in LINK.finditer(text):
@@ -42,7 +40,7 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in anchors(target), link
 
 
-def test_every_picture_is_shown(root: Path) -> None:
+def test_every_picture_is_shown(root):
     """Keep no picture that no page shows."""
     text = ''.join(page.read_text() for page in PAGES.pages())
     unused = [path.name for path in (root / 'docs' / 'images').iterdir() if path.name not in text]
@@ -50,16 +48,16 @@ def test_every_picture_is_shown(root: Path) -> None:
 
 
 @pytest.mark.parametrize('name', ['parameters.md', 'topics.md', 'commands.md'])
-def test_reference_is_current(name: str, root: Path) -> None:
+def test_reference_is_current(name, root):
     """Say what the declarations say; `make reference` writes the pages."""
-    reference: ModuleType = load('tools', 'reference')
+    reference = load('tools', 'reference')
     page = root / 'docs' / 'reference' / name
     assert page.read_text() == reference.text_of(name), 'run: make reference'
 
 
-def test_results_are_documented_with_their_units(root: Path) -> None:
+def test_results_are_documented_with_their_units(root):
     """Describe every key of a plan's JSON, and units wherever there are numbers."""
-    reference: ModuleType = load('tools', 'reference')
+    reference = load('tools', 'reference')
     page = (root / 'docs' / 'reference' / 'results.md').read_text()
     for command in reference.RESULTS:
         assert f'Of `bellows {command}`:' in page, 'run: make reference'
@@ -72,7 +70,7 @@ def test_results_are_documented_with_their_units(root: Path) -> None:
     assert numbers <= set(found['units'])
 
 
-def test_figures_are_drawn_by_their_scripts(root: Path, tmp_path: Path) -> None:
+def test_figures_are_drawn_by_their_scripts(root, tmp_path):
     """Draw the pictures that need no data, in both themes where there are two."""
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
     for script in ('overview', 'model', 'architecture'):
@@ -83,7 +81,7 @@ def test_figures_are_drawn_by_their_scripts(root: Path, tmp_path: Path) -> None:
     assert drawn and all((root / 'docs' / 'images' / name).is_file() for name in drawn)
 
 
-def test_pages_mention_every_command(root: Path) -> None:
+def test_pages_mention_every_command(root):
     """Describe in the reference what `bellows --help` lists."""
     from bellows_ros.cli.app import COMMANDS
 
@@ -91,7 +89,7 @@ def test_pages_mention_every_command(root: Path) -> None:
     assert all(f'## bellows {name}\n' in text for name in COMMANDS)
 
 
-def test_the_first_page_leads_to_every_page(root: Path) -> None:
+def test_the_first_page_leads_to_every_page(root):
     """Link each in the text of the index, where GitHub shows no table of contents."""
     docs = root / 'docs'
     text = (docs / 'index.md').read_text()
@@ -99,7 +97,7 @@ def test_the_first_page_leads_to_every_page(root: Path) -> None:
     assert [path for path in pages if f']({path.relative_to(docs)})' not in text] == []
 
 
-def test_guides_name_every_command(root: Path) -> None:
+def test_guides_name_every_command(root):
     """Lead to each command from a page other than the reference; to the advice from the first."""
     from bellows_ros.cli.app import COMMANDS
 
@@ -110,7 +108,7 @@ def test_guides_name_every_command(root: Path) -> None:
         assert 'bellows structures' in page.read_text(), page.name
 
 
-def test_pages_are_built_without_a_warning(root: Path, tmp_path: Path) -> None:
+def test_pages_are_built_without_a_warning(root, tmp_path):
     """Build the HTML as `make docs` does, and find a formula and a picture in it."""
     pytest.importorskip('sphinx', reason="no Sphinx here (pip install '.[docs]')")
     pytest.importorskip('furo', reason="no Sphinx theme here (pip install '.[docs]')")

@@ -1,8 +1,6 @@
 """The notebooks run, and what is stored in them is what they give."""
 
-from pathlib import Path
 import re
-from types import ModuleType
 
 import pytest
 
@@ -15,7 +13,7 @@ NOTEBOOKS = load('tools', 'notebooks')
 @pytest.mark.parametrize('path', [
     pytest.param(path, marks=[pytest.mark.stress] if path.name == 'toss.ipynb' else [])
     for path in NOTEBOOKS.notebooks()], ids=lambda path: path.name)
-def test_a_notebook_gives_what_is_stored_in_it(path: Path, pages: ModuleType) -> None:
+def test_a_notebook_gives_what_is_stored_in_it(path, pages):
     """Run every cell; compare what they print but for the numbers, and count the pictures."""
     pytest.importorskip('nbclient', reason="no notebook runner here (pip install '.[notebook]')")
     pytest.importorskip('ipykernel', reason="no notebook kernel here (pip install '.[notebook]')")
@@ -29,7 +27,7 @@ def test_a_notebook_gives_what_is_stored_in_it(path: Path, pages: ModuleType) ->
 
 @pytest.mark.extras
 @pytest.mark.parametrize('path', NOTEBOOKS.notebooks(), ids=lambda path: path.name)
-def test_a_notebook_was_run_from_top_to_bottom(path: Path) -> None:
+def test_a_notebook_was_run_from_top_to_bottom(path):
     """Count the cells without a gap, keep no errors and warnings, and link to what is there."""
     nbformat = pytest.importorskip('nbformat', reason='nbformat comes with nbclient')
     book = nbformat.read(path, as_version=4)
@@ -43,7 +41,7 @@ def test_a_notebook_was_run_from_top_to_bottom(path: Path) -> None:
         assert (path.parent / link).exists(), link
 
 
-def test_the_pages_lead_to_every_notebook(root: Path) -> None:
+def test_the_pages_lead_to_every_notebook(root):
     """Link each from the documentation's first page."""
     text = (root / 'docs' / 'index.md').read_text()
     assert NOTEBOOKS.notebooks()
@@ -52,7 +50,7 @@ def test_the_pages_lead_to_every_notebook(root: Path) -> None:
 
 @pytest.mark.parametrize('name', ['docs/tutorial.md', 'docs/validation.md', *(
     f'notebooks/{path.name}' for path in NOTEBOOKS.notebooks())])
-def test_readers_meet_public_names_alone(root: Path, name: str) -> None:
+def test_readers_meet_public_names_alone(root, name):
     """Import no module of the package but the library."""
     found = re.findall(r'(?:import|from) bellows_ros\.\w+', (root / name).read_text())
     assert found == []

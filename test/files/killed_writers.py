@@ -37,23 +37,23 @@ Write = Callable[[Path, int], None]
 """Writes the old content, 0, or the new, 1, to a path."""
 
 
-def yaml(path: Path, number: int) -> None:
+def yaml(path, number):
     """Write a parameter file."""
     stiffness = (1.0 + number) * Cup.thesis().stiffness
     write_parameters(path, {'cup.stiffness': tuple(stiffness.ravel().tolist())}, ['A cup.'])
 
 
-def result(path: Path, number: int) -> None:
+def result(path, number):
     """Write JSON."""
     write_json(path, {'number': number, 'values': VALUES[:200]})
 
 
-def page(path: Path, number: int) -> None:
+def page(path, number):
     """Write a page."""
     write_text(path, f'<!DOCTYPE html>{number}' + '<p>line</p>' * 50_000)
 
 
-def picture(path: Path, number: int) -> None:
+def picture(path, number):
     """Write a picture; without matplotlib the bytes of one."""
     try:
         from bellows_ros.plots.style import write_figure
@@ -66,28 +66,28 @@ def picture(path: Path, number: int) -> None:
     write_figure(path, figure)
 
 
-def table(path: Path, number: int) -> None:
+def table(path, number):
     """Write numbers in columns."""
     write_tum(path, STAMPS, VALUES + number)
 
 
-def recording(storage: str, zstd: bool) -> Write:
+def recording(storage, zstd):
     """Return what writes a recording."""
-    def write(path: Path, number: int) -> None:
+    def write(path, number):
         recorded = Recorded('/pose', POSE, STAMPS, VALUES + number)
         write_bag(path, [recorded], storage, zstd, replace=True)
 
     return write
 
 
-def carelessly(path: Path, number: int) -> None:
+def carelessly(path, number):
     """Write as this package does not, and for some milliseconds: what the kills are to find."""
     with path.open('wb', buffering=0) as file:
         for _ in range(5000):
             file.write(bytes([number]) * 100)
 
 
-WRITERS: dict[str, Write] = {
+WRITERS = {
     'cup.yaml': yaml,
     'fit.json': result,
     'report.html': page,
@@ -99,16 +99,16 @@ WRITERS: dict[str, Write] = {
 }
 
 
-def content(path: Path) -> Content:
+def content(path):
     """Return all files of an output by name, or None where there is none."""
     if path.is_dir():
         return {file.name: file.read_bytes() for file in path.iterdir()}
     return {path.name: path.read_bytes()} if path.exists() else None
 
 
-def whole(folder: Path, name: str) -> tuple[list[Content], float]:
+def whole(folder, name):
     """Return both contents, and how long (s) writing takes."""
-    contents: list[Content] = []
+    contents = []
     seconds = 1.0
     for number in (0, 1, 0, 1):
         begin = time.monotonic()
@@ -119,7 +119,7 @@ def whole(folder: Path, name: str) -> tuple[list[Content], float]:
     return contents[:2], seconds
 
 
-def kill_one(path: Path, write: Write, after: float) -> None:
+def kill_one(path, write, after):
     """Fork a process that writes the new and the old content in turn; kill it a time (s) later."""
     begun, begin = os.pipe()
     child = os.fork()
@@ -140,11 +140,11 @@ def kill_one(path: Path, write: Write, after: float) -> None:
     assert os.WIFSIGNALED(status), path
 
 
-def kill_many(folder: Path, name: str, rng: np.random.Generator, kills: int) -> Counter[str]:
+def kill_many(folder, name, rng, kills):
     """Kill writers of one kind of output, and count what they leave."""
     folder.mkdir()
     contents, seconds = whole(folder, name)
-    found: Counter[str] = Counter()
+    found = Counter()
     for k in range(kills):
         shutil.rmtree(folder)
         folder.mkdir()
@@ -159,14 +159,14 @@ def kill_many(folder: Path, name: str, rng: np.random.Generator, kills: int) -> 
     return found
 
 
-def judged(now: Content, contents: list[Content], old: bool) -> str:
+def judged(now, contents, old):
     """Return what a kill has left."""
     if now is None:
         return 'lost' if old else 'nothing'
     return ('old', 'new')[contents.index(now)] if now in contents else 'torn'
 
 
-def main() -> None:
+def main():
     """Kill writers of every kind."""
     folder, rng, kills = Path(sys.argv[1]), np.random.default_rng(int(sys.argv[2])), sys.argv[3]
     print(json.dumps({

@@ -2,10 +2,8 @@
 
 import ctypes
 from dataclasses import replace
-from pathlib import Path
 import shutil
 import subprocess
-from typing import Any
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import rotation_matrix
@@ -17,7 +15,6 @@ from bellows_ros.core.model.kernels import (
     body_acceleration,
     lip_relative_to_tool,
     lip_wrench,
-    ModelTuple,
 )
 from bellows_ros.core.model.layout import composed
 from bellows_ros.core.model.simulation import body_row, row_state, state_row
@@ -69,15 +66,13 @@ STRICT = ('-Wall', '-Wextra', '-Wpedantic', '-Wconversion', '-Wdouble-promotion'
     ('gcc -std=c99 -O0', CUP), ('gcc -std=c11 -O3', CUP), ('g++ -std=c++17 -O2', CUP),
     ('gcc -std=c11 -O2', RUBBER), ('g++ -std=c++17 -O2', RUBBER),
     ('gcc -std=c99 -O2', GRIPPER), ('g++ -std=c++17 -O2', RUBBER_GRIPPER)])
-def library(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> ctypes.CDLL:
+def library(request, tmp_path_factory):
     """Give the functions of the header, compiled with every warning an error."""
     command, cup = request.param
     compiler, *options = command.split()
     if shutil.which(compiler) is None:
         pytest.skip(f'{compiler} is not installed')
-    folder: Path = tmp_path_factory.mktemp('c')
+    folder = tmp_path_factory.mktemp('c')
     name = 'cup.c' if compiler == 'gcc' else 'cup.cpp'
     grip = GRIP if cup is CUP or cup is RUBBER else (*GRIP, PLACES)
     (folder / 'cup.h').write_text(header(Exported(cup, PACKAGE, GRAVITY, grip)))
@@ -91,12 +86,12 @@ def library(
     return loaded
 
 
-def pointer(array: np.ndarray) -> ctypes.c_void_p:
+def pointer(array):
     """Return where an array lies."""
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-def states(rng: np.random.Generator, size: float, model: ModelTuple) -> np.ndarray:
+def states(rng, size, model):
     """Return a package that hangs on a tool, and the tool a little later; rows of 13 or 25."""
     R = exp_so3(rng.normal(size=3))
     o = rng.normal(size=3)
@@ -111,20 +106,18 @@ def states(rng: np.random.Generator, size: float, model: ModelTuple) -> np.ndarr
     return np.hstack([[body, tool, later], strains])
 
 
-def flat(state: tuple[Any, ...]) -> list[float]:
+def flat(state):
     """Return the numbers of a state or a wrench."""
     return np.hstack([np.ravel(part) for part in state]).tolist()
 
 
-def moving(state: tuple[Any, ...]) -> tuple[Any, ...]:
+def moving(state):
     """Return position, rotation matrix and twist of a state."""
     return state[0], rotation_matrix(state[1]), state[2], state[3]
 
 
 @pytest.mark.parametrize('size', [0.02, 0.5])
-def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(
-    library: ctypes.CDLL, size: float
-) -> None:
+def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(library, size):
     """Near and far from zero, where series and libm take turns."""
     rng, model = np.random.default_rng(3), library.model
     for _ in range(60):
@@ -142,7 +135,7 @@ def test_step_wrench_and_safety_factor_are_the_kernels_bit_for_bit(
         assert library.factor(pointer(rows)) == min(factors[:2])
 
 
-def test_rest_is_where_nothing_accelerates(library: ctypes.CDLL) -> None:
+def test_rest_is_where_nothing_accelerates(library):
     """Find what Python finds, bit for bit; say so where the cup cannot carry the package."""
     rng, model = np.random.default_rng(4), library.model
     for _ in range(5):
@@ -157,7 +150,7 @@ def test_rest_is_where_nothing_accelerates(library: ctypes.CDLL) -> None:
     assert library.rest(pointer(tool), ctypes.c_double(1000.0), pointer(out)) == 1
 
 
-def test_a_grip_that_is_not_known_is_not_made_up() -> None:
+def test_a_grip_that_is_not_known_is_not_made_up():
     """Leave it out, so that asking for it does not compile, instead of one that holds nothing."""
     assert 'bellows_grip bellows_exported_grip =' in header(Exported(CUP, PACKAGE, grip=GRIP))
     text = header(Exported(CUP, PACKAGE))
@@ -180,7 +173,7 @@ int main(void)
 
 
 @pytest.mark.parametrize('how', ['gcc -std=c99', 'g++ -std=c++17'])
-def test_two_cups_in_one_program(how: str, tmp_path: Path) -> None:
+def test_two_cups_in_one_program(how, tmp_path):
     """Hang a package on each of two cups by their names; refuse two of one name."""
     compiler, standard = how.split()
     if shutil.which(compiler) is None:
@@ -203,7 +196,7 @@ def test_two_cups_in_one_program(how: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('name', ['', '2cups', 'left-cup', 'a b', 'ä'])
-def test_name_that_c_does_not_have_is_refused(name: str) -> None:
+def test_name_that_c_does_not_have_is_refused(name):
     """Say so instead of writing what does not compile."""
     with pytest.raises(BellowsError, match='--name'):
         header(Exported(CUP, PACKAGE, name=name))

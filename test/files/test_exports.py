@@ -15,17 +15,17 @@ PACKAGE = Package(2.17, np.diag([0.0087, 0.0088, 0.0173]), (0.0, 0.001, -0.03))
 K, P = (np.diag(m).tolist() for m in (CUP.stiffness, CUP.damping))
 
 
-def parsed(name: str) -> ElementTree.Element:
+def parsed(name):
     """Return a model's root."""
     return ElementTree.fromstring(TARGETS[name].write(Exported(CUP, PACKAGE)))
 
 
-def numbers(text: str | None) -> list[float]:
+def numbers(text):
     """Return the numbers in a text."""
     return [float(word) for word in (text or '').split()]
 
 
-def test_mjcf_has_six_joints_in_the_middle_of_the_cup() -> None:
+def test_mjcf_has_six_joints_in_the_middle_of_the_cup():
     """Slide before turning, each with its own spring and damper."""
     body = parsed('mjcf').find("worldbody/body/body[@name='package']")
     assert body is not None
@@ -40,7 +40,7 @@ def test_mjcf_has_six_joints_in_the_middle_of_the_cup() -> None:
         numbers(inertial.get('pos')), [0.0, 0.001, -0.03 - CUP.length / 2])
 
 
-def test_sdf_is_a_chain_of_six_joints() -> None:
+def test_sdf_is_a_chain_of_six_joints():
     """Lead from the tool to the package without a gap."""
     model = parsed('sdf').find('model')
     assert model is not None
@@ -61,7 +61,7 @@ SDF = {
 }
 
 
-def test_sdf_holds_its_schema() -> None:
+def test_sdf_holds_its_schema():
     """Use elements where SDFormat has them, with all that it requires, and name things once."""
     root = parsed('sdf')
     for element in root.iter():
@@ -79,7 +79,7 @@ def test_sdf_holds_its_schema() -> None:
 
 
 @pytest.mark.parametrize('name', TARGETS)
-def test_what_is_lost_is_said(name: str) -> None:
+def test_what_is_lost_is_said(name):
     """Name off-diagonal entries only where there are some, with their size."""
     assert not any('off-diagonal' in sentence for sentence in limits(TARGETS[name], CUP))
     coupled = np.array(CUP.stiffness)
@@ -92,7 +92,7 @@ def test_what_is_lost_is_said(name: str) -> None:
 
 
 @pytest.mark.extras
-def test_mujoco_lets_the_package_sag_as_far_as_it_should() -> None:
+def test_mujoco_lets_the_package_sag_as_far_as_it_should():
     """Load the model where MuJoCo is installed, and wait until it hangs still."""
     mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
     model = mujoco.MjModel.from_xml_string(
@@ -105,7 +105,7 @@ def test_mujoco_lets_the_package_sag_as_far_as_it_should() -> None:
 
 
 @pytest.mark.extras
-def test_mujoco_swings_as_the_model_does() -> None:
+def test_mujoco_swings_as_the_model_does():
     """Pull the package 2 mm aside without gravity, let go, and compare half a second."""
     mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
     package = Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))
@@ -131,7 +131,7 @@ def test_mujoco_swings_as_the_model_does() -> None:
 
 
 @pytest.mark.extras
-def test_drake_lets_the_package_sag_as_far_as_it_should() -> None:
+def test_drake_lets_the_package_sag_as_far_as_it_should():
     """Load the SDF where Drake is installed, and wait until the package hangs still."""
     drake = pytest.importorskip('pydrake.all', reason='no Drake here (pip install drake)')
     builder = drake.DiagramBuilder()

@@ -2,7 +2,6 @@
 
 import csv
 from dataclasses import dataclass
-from pathlib import Path
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.motive import is_motive, read_motive
@@ -16,7 +15,7 @@ ABOUT = ('Format Version,1.23,Take Name,shake,Capture Frame Rate,360.000000,Expo
          'Coordinate Space,Global')
 
 
-def export(path: Path, about: str = ABOUT, scale: float = 1.0, quality: bool = True) -> Path:
+def export(path, about=ABOUT, scale=1.0, quality=True):
     """Write two bodies, three markers each; a pose is missing and a marker is bad."""
     kinds, names, quantities, axes = [], [], [], []
     for body in ('Tool', 'Plate'):
@@ -65,7 +64,7 @@ class Column:
     parent: str = ''
 
 
-def layout(path: Path, columns: list[Column], settings: str, timecode: bool = False) -> Path:
+def layout(path, columns, settings, timecode=False):
     """Write a file with the rows that formats 1.22 to 1.25 have, as Motive and editors save it."""
     version = settings.split(',')[1]
     extra = [''] if timecode else []
@@ -84,7 +83,7 @@ def layout(path: Path, columns: list[Column], settings: str, timecode: bool = Fa
     return path
 
 
-def pose(name: str, kind: str = 'Rigid Body') -> list[Column]:
+def pose(name, kind='Rigid Body'):
     """Return the columns of a body that stands still in two frames, with its mean marker error."""
     found = [Column(kind, name, 'Rotation', axis, (value, value))
              for axis, value in zip('XYZW', ('0', '0.6', '0', '-0.8'), strict=True)]
@@ -93,7 +92,7 @@ def pose(name: str, kind: str = 'Rigid Body') -> list[Column]:
     return [*found, Column(kind, name, 'Mean Marker Error', '', ('0.02', '0.02'))]
 
 
-def marker(kind: str, name: str, cells: tuple[str, str], quality: bool = False) -> list[Column]:
+def marker(kind, name, cells, quality=False):
     """Return the columns of a marker: position, and in some exports its quality."""
     found = [Column(kind, name, 'Position', axis, cells, 'Tool') for axis in 'XYZ']
     quantity = [Column(kind, name, 'Marker Quality', '', cells, 'Tool')] if quality else []
@@ -119,7 +118,7 @@ V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.0
         (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344'),
     ],
 )
-def test_all_layouts_are_read(settings: str, timecode: bool, start: str, tmp_path: Path) -> None:
+def test_all_layouts_are_read(settings, timecode, start, tmp_path):
     """Find poses by their heads, among skeletons, markers and time codes, in millimetres."""
     columns = [*pose('Hip', 'Bone'), *pose('Tool'), *marker('Marker', 'Unlabeled 1', ('1', ''))]
     (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, settings, timecode))
@@ -127,7 +126,7 @@ def test_all_layouts_are_read(settings: str, timecode: bool, start: str, tmp_pat
     assert tool.stamps_ns[0] == np.datetime64(start, 'ns').astype(int)
 
 
-def test_markers_belong_to_the_body_with_the_longest_name(tmp_path: Path) -> None:
+def test_markers_belong_to_the_body_with_the_longest_name(tmp_path):
     """Do not count the markers of Tool_2 for Tool."""
     columns = pose('Tool') + pose('Tool_2')
     for number in range(3):
@@ -137,7 +136,7 @@ def test_markers_belong_to_the_body_with_the_longest_name(tmp_path: Path) -> Non
     assert (tool.unseen, second.unseen) == (1, 0)
 
 
-def test_measured_markers_tell_where_there_is_no_quality(tmp_path: Path) -> None:
+def test_measured_markers_tell_where_there_is_no_quality(tmp_path):
     """Count positions that are not blank; where a body expects its markers says nothing."""
     columns = pose('Tool')
     for number in range(3):
@@ -147,7 +146,7 @@ def test_measured_markers_tell_where_there_is_no_quality(tmp_path: Path) -> None
     assert (tool.unseen, len(tool.stamps_ns)) == (1, 1)
 
 
-def test_a_spreadsheet_with_semicolons_is_named(tmp_path: Path) -> None:
+def test_a_spreadsheet_with_semicolons_is_named(tmp_path):
     """Ask for the file that Motive has written."""
     file = export(tmp_path / 'take.csv')
     file.write_text(file.read_text().replace(',', ';'))
@@ -155,7 +154,7 @@ def test_a_spreadsheet_with_semicolons_is_named(tmp_path: Path) -> None:
         read_motive(file)
 
 
-def test_bodies_are_read_and_bad_frames_left_out(tmp_path: Path) -> None:
+def test_bodies_are_read_and_bad_frames_left_out(tmp_path):
     """Count missing poses and such with too few markers apart (appendix H)."""
     file = export(tmp_path / 'take.csv')
     assert is_motive(file)
@@ -168,19 +167,19 @@ def test_bodies_are_read_and_bad_frames_left_out(tmp_path: Path) -> None:
     assert tool.stamps_ns[0] == 1_620_743_465_250_000_000
 
 
-def test_fewer_markers_may_be_allowed(tmp_path: Path) -> None:
+def test_fewer_markers_may_be_allowed(tmp_path):
     """Keep the pose that was made of two markers."""
     tool, _ = read_motive(export(tmp_path / 'take.csv'), fewest_markers=2)
     assert tool.unseen == 0 and len(tool.stamps_ns) == 4
 
 
-def test_without_marker_quality_all_poses_count(tmp_path: Path) -> None:
+def test_without_marker_quality_all_poses_count(tmp_path):
     """Do not ask for what was not exported."""
     tool, _ = read_motive(export(tmp_path / 'take.csv', quality=False))
     assert len(tool.stamps_ns) == 4
 
 
-def test_millimetres_become_metres(tmp_path: Path) -> None:
+def test_millimetres_become_metres(tmp_path):
     """Scale positions by the unit that the header names, whatever the take is called."""
     about = ABOUT.replace('Meters', 'Millimeters').replace('shake', 'shake, first try')
     tool, _ = read_motive(export(tmp_path / 'take.csv', about, scale=1000.0))
@@ -197,7 +196,7 @@ def test_millimetres_become_metres(tmp_path: Path) -> None:
         (('Format Version', 'Version'), 'no CSV export of Motive'),
     ],
 )
-def test_other_exports_are_refused(change: tuple[str, str], words: str, tmp_path: Path) -> None:
+def test_other_exports_are_refused(change, words, tmp_path):
     """Say what to change in the export."""
     file = export(tmp_path / 'take.csv', ABOUT.replace(*change))
     with pytest.raises(BellowsError, match=words):
@@ -206,7 +205,7 @@ def test_other_exports_are_refused(change: tuple[str, str], words: str, tmp_path
 
 @pytest.mark.parametrize(
     'content', ['', 'Format Version,1.23\n', 'Format Version,1.2\n\nFrame,T\n'])
-def test_torn_files_are_refused(content: str, tmp_path: Path) -> None:
+def test_torn_files_are_refused(content, tmp_path):
     """End in an error that names the file."""
     (tmp_path / 'take.csv').write_text(content)
     with pytest.raises(BellowsError, match='take.csv'):

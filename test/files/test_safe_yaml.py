@@ -66,7 +66,7 @@ def test_errors_name_the_line(tmp_path, text, line, reason):
         (b'#' * 2**21, 'larger than'),
         (b'- 1\n' * (2**18 - 1), 'more than 50000 values'),
         (b'[' + b'1,' * (2**19 - 1) + b']', 'more than 50000 values'),
-    ],
+    ], ids=range(7),
 )
 def test_what_is_no_yaml_is_refused(tmp_path, data, reason):
     (tmp_path / 'a').write_bytes(data)

@@ -1,6 +1,5 @@
 """TUM and EuRoC files."""
 
-from pathlib import Path
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.trajectory_files import (
@@ -17,7 +16,7 @@ STAMPS = np.array([1_700_000_000_123_456_789, 1_700_000_000_125_456_789])
 VALUES = np.array([[1.0, -2.0, 0.5, 0.0, 0.0, 0.6, 0.8], [1e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
 
 
-def test_tum_goes_out_and_comes_back(tmp_path: Path) -> None:
+def test_tum_goes_out_and_comes_back(tmp_path):
     """Keep every nanosecond, which floats of seconds would lose."""
     write_tum(tmp_path / 'a.tum', STAMPS, VALUES)
     stamps, values = read_tum(tmp_path / 'a.tum')
@@ -25,14 +24,14 @@ def test_tum_goes_out_and_comes_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(values, VALUES, rtol=1e-8)
 
 
-def test_tum_takes_exponents_and_comments(tmp_path: Path) -> None:
+def test_tum_takes_exponents_and_comments(tmp_path):
     """Read what other tools write."""
     (tmp_path / 'a.txt').write_text('# a comment\n\n1.5e3 0 0 0 0 0 0 1\n1501 0 0 0 0 0 0 1\n')
     stamps, _ = read_tum(tmp_path / 'a.txt')
     np.testing.assert_array_equal(stamps, [1500 * 10**9, 1501 * 10**9])
 
 
-def test_euroc_has_w_first(tmp_path: Path) -> None:
+def test_euroc_has_w_first(tmp_path):
     """Put the quaternion into the order x, y, z, w, and leave velocities alone."""
     (tmp_path / 'a.csv').write_text(
         '#timestamp [ns], p_RS_R_x [m], ...\n'
@@ -59,14 +58,14 @@ def test_euroc_has_w_first(tmp_path: Path) -> None:
         (read_tum, '².1 0 0 0 0 0 0 1\n', 'line 1'),
     ],
 )
-def test_bad_lines_are_named(read: object, text: str, words: str, tmp_path: Path) -> None:
+def test_bad_lines_are_named(read, text, words, tmp_path):
     """Say which line, and what a line must be."""
     (tmp_path / 'a.txt').write_text(text)
     with pytest.raises(BellowsError, match=words):
         read(tmp_path / 'a.txt')  # type: ignore[operator]
 
 
-def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
+def test_a_missing_file_is_an_error(tmp_path):
     """Name it."""
     with pytest.raises(BellowsError, match=r'none\.tum'):
         read_tum(tmp_path / 'none.tum')
@@ -75,7 +74,7 @@ def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
 KITTI = '0.8 -0.6 0 1\n 0.6 0.8 0 2 0 0 1 3\n'.replace('\n', ' ') + '\n1 0 0 4 0 1 0 5 0 0 1 6\n'
 
 
-def test_kitti_takes_its_times_from_beside(tmp_path: Path) -> None:
+def test_kitti_takes_its_times_from_beside(tmp_path):
     """Read rows of matrices, distinguished from TUM by their count; both names of the times."""
     (tmp_path / '00.txt').write_text(KITTI)
     (tmp_path / 'times.txt').write_text('0.0\n1.5e-1\n')
@@ -88,7 +87,7 @@ def test_kitti_takes_its_times_from_beside(tmp_path: Path) -> None:
         read_trajectory(tmp_path / '00.txt')
 
 
-def test_kitti_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_kitti_that_is_none_is_refused(tmp_path):
     """Say which file the times belong into, and where no rotation is."""
     file = tmp_path / 'a.kitti'
     file.write_text(KITTI)
@@ -100,7 +99,7 @@ def test_kitti_that_is_none_is_refused(tmp_path: Path) -> None:
         read_trajectory(file)
 
 
-def test_euroc_goes_out_and_comes_back(tmp_path: Path) -> None:
+def test_euroc_goes_out_and_comes_back(tmp_path):
     """Keep stamps exactly and numbers to nine digits."""
     write_euroc(tmp_path / 'a.csv', STAMPS, np.hstack([VALUES, np.ones((2, 6))]))
     stamps, values = read_trajectory(tmp_path / 'a.csv')

@@ -1,9 +1,7 @@
 """Plans as `ros2 topic echo` prints them, and damages of them."""
 
-from collections.abc import Iterator
 from copy import deepcopy
 import json
-from typing import Any
 
 BAD = (
     float('inf'), float('nan'), -1, 2**31, 2**62, 2**63, 10**400, 1e308, -1e308, 0.5, True, None,
@@ -11,7 +9,7 @@ BAD = (
 """What stands in place of something."""
 
 
-def plan_messages(count: int = 4) -> dict[str, Any]:
+def plan_messages(count=4):
     """Return a plan of each type that lasts 0.1 s per point."""
     header = {'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': 'base'}
     times = [dict(zip(('sec', 'nanosec'), divmod(k * 10**8, 10**9), strict=True))
@@ -35,7 +33,7 @@ def plan_messages(count: int = 4) -> dict[str, Any]:
     }))
 
 
-def places_in(content: Any, keys: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def places_in(content, keys=()):
     """Yield the keys that lead to each part of nested content; of points only the third's."""
     if keys:
         yield keys
@@ -46,7 +44,7 @@ def places_in(content: Any, keys: tuple[Any, ...] = ()) -> Iterator[tuple[Any, .
             yield from places_in(part, (*keys, key))
 
 
-def damaged_at(content: Any, keys: tuple[Any, ...], value: object) -> Any:
+def damaged_at(content, keys, value):
     """Return content with a value in place of a part of it, or without that part."""
     found = part = deepcopy(content)
     for key in keys[:-1]:

@@ -1,6 +1,5 @@
 """The package as colcon installs it, built once."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
@@ -20,21 +19,19 @@ class Installed:
     prefix: Path
     environment: dict[str, str]
 
-    def run(self, *command: str) -> 'subprocess.CompletedProcess[str]':
+    def run(self, *command):
         """Run a command as a user of the installed package would."""
         return subprocess.run(
             command, env=self.environment, cwd=self.prefix, capture_output=True, text=True,
             timeout=60)
 
-    def executable(self, name: str) -> str:
+    def executable(self, name):
         """Return the path at which `ros2 run bellows_ros NAME` looks for an executable."""
         return str(self.prefix / 'lib' / 'bellows_ros' / name)
 
 
 @pytest.fixture(scope='session')
-def installed(
-        tmp_path_factory: pytest.TempPathFactory, copy_sources: Callable[[Path], Path],
-        user_environment: dict[str, str]) -> Installed:
+def installed(tmp_path_factory, copy_sources, user_environment):
     """Build a copy of the package once, with the colcon of this environment."""
     pytest.importorskip('colcon_ros', reason="no colcon-ros here (pip install '.[test]')")
     workspace = tmp_path_factory.mktemp('workspace')

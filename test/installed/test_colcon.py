@@ -6,12 +6,10 @@ import sys
 from bellows_ros import __version__
 import pytest
 
-from .conftest import Installed
-
 pytestmark = pytest.mark.xdist_group('installed')
 
 
-def test_python_finds_the_installed_package(installed: Installed) -> None:
+def test_python_finds_the_installed_package(installed):
     """Import what colcon installed, not the tree under test."""
     code = 'import bellows_ros as b; print(b.__file__, b.__version__)'
     file, version = installed.run(sys.executable, '-c', code).stdout.split()
@@ -20,8 +18,7 @@ def test_python_finds_the_installed_package(installed: Installed) -> None:
     assert version == __version__
 
 
-def test_share_holds_manifest_launch_files_and_configuration(
-        installed: Installed, root: Path) -> None:
+def test_share_holds_manifest_launch_files_and_configuration(installed, root):
     """Find in share what ROS tools look for there."""
     share = installed.prefix / 'share' / 'bellows_ros'
     sources = [root / 'package.xml', *root.glob('launch/*.launch.py'), *root.glob('config/*.yaml')]
@@ -32,7 +29,7 @@ def test_share_holds_manifest_launch_files_and_configuration(
     assert list((share / 'config').iterdir())
 
 
-def test_ament_index_knows_the_package(installed: Installed) -> None:
+def test_ament_index_knows_the_package(installed):
     """Resolve the package as `ros2 run`, `ros2 launch` and other packages do."""
     index = installed.prefix / 'share' / 'ament_index' / 'resource_index' / 'packages'
     assert (index / 'bellows_ros').is_file()
@@ -45,7 +42,7 @@ def test_ament_index_knows_the_package(installed: Installed) -> None:
 
 
 @pytest.mark.parametrize('name', ['predictor', 'identifier'])
-def test_installed_executable_helps(installed: Installed, name: str) -> None:
+def test_installed_executable_helps(installed, name):
     """Explain itself and end well."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     done = installed.run(installed.executable(name), '--help')
@@ -55,7 +52,7 @@ def test_installed_executable_helps(installed: Installed, name: str) -> None:
     assert 'Traceback' not in done.stderr
 
 
-def test_installed_predictor_without_a_package_says_what_to_set(installed: Installed) -> None:
+def test_installed_predictor_without_a_package_says_what_to_set(installed):
     """End with the exit code of a wrong command line and the name of what is missing."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     done = installed.run(installed.executable('predictor'))
@@ -65,7 +62,7 @@ def test_installed_predictor_without_a_package_says_what_to_set(installed: Insta
     assert 'Traceback' not in done.stdout + done.stderr
 
 
-def test_executables_are_where_ros_looks_and_not_on_the_path(installed: Installed) -> None:
+def test_executables_are_where_ros_looks_and_not_on_the_path(installed):
     """Install into lib/bellows_ros, as setup.cfg says, and nothing into bin."""
     names = {path.name for path in (installed.prefix / 'lib' / 'bellows_ros').iterdir()}
     assert names == {'predictor', 'identifier', 'bellows'}

@@ -1,18 +1,13 @@
 """The predictor that colcon installed, used as a user does: run, remap, set, manage, stop."""
 
-from collections.abc import Iterator
 import importlib.util
 import os
-from pathlib import Path
 import shutil
 import signal
 import subprocess
-from typing import Any
 
 import pytest
 import yaml
-
-from .conftest import Installed
 
 PACKAGE = """
 /**:
@@ -33,7 +28,7 @@ MS = 1_000_000
 class User:
     """Starts the installed predictor and talks to it over DDS."""
 
-    def __init__(self, ros: Any, installed: Installed, folder: Path) -> None:
+    def __init__(self, ros, installed, folder):
         """Join the graph."""
         rclpy_node = pytest.importorskip('rclpy.node', reason='no rclpy here')
         self.ros, self._installed = ros, installed
@@ -43,7 +38,7 @@ class User:
         self._file.write_text(PACKAGE)
         self.process: subprocess.Popen[str] | None = None
 
-    def start(self, *arguments: str) -> None:
+    def start(self, *arguments):
         """Run the executable with the parameter file and more ROS arguments."""
         self.process = subprocess.Popen(
             [self._installed.executable('predictor'), '--ros-args', '--params-file',
@@ -51,7 +46,7 @@ class User:
             env=self._installed.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True)
 
-    def launch(self, *arguments: str) -> None:
+    def launch(self, *arguments):
         """Start it as `ros2 launch` does, where that is installed."""
         if shutil.which('ros2') is None or importlib.util.find_spec('launch_ros') is None:
             pytest.skip('ROS 2 launch is not here: neither it nor ros2cli is among the wheels')
@@ -64,7 +59,7 @@ class User:
              f'params_file:={self._file}', *arguments],
             env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
-    def stop(self, number: int) -> str:
+    def stop(self, number):
         """Send a signal, and return the log of a process that has ended in order."""
         assert self.process is not None
         self.process.send_signal(number)
@@ -73,7 +68,7 @@ class User:
         assert 'Traceback' not in out + log
         return out + log
 
-    def call(self, service: str, kind: Any, request: Any) -> Any:
+    def call(self, service, kind, request):
         """Call a service, again if the answer is lost: it may be ready before its reply is."""
         client = self.node.create_client(kind, service)
         assert self.ros.spin_until(client.service_is_ready, LONGEST_START), service
@@ -83,7 +78,7 @@ class User:
                 return future.result()
         raise AssertionError(f'{service} does not answer')
 
-    def change(self, node: str, transition: int) -> bool:
+    def change(self, node, transition):
         """Ask for a transition; true where it was made, or a lost first call has made it."""
         from lifecycle_msgs.msg import Transition
         from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions
@@ -96,11 +91,11 @@ class User:
             GetAvailableTransitions.Request()).available_transitions
         return transition not in {one.transition.id for one in open_now}
 
-    def predictions(self, tool: str, package: str, count: int = 5) -> int:
+    def predictions(self, tool, package, count=5):
         """Send poses until so many answers have come; the first may meet nobody yet."""
         from geometry_msgs.msg import PoseStamped
 
-        answers: list[Any] = []
+        answers = []
         reader = self.node.create_subscription(PoseStamped, package, answers.append, 100)
         writer = self.node.create_publisher(PoseStamped, tool, 100)
         assert self.ros.spin_until(
@@ -121,7 +116,7 @@ class User:
 
 
 @pytest.fixture
-def user(ros: Any, installed: Installed, tmp_path: Path) -> Iterator[User]:
+def user(ros, installed, tmp_path):
     """Give a user, and end the process that is left."""
     user = User(ros, installed, tmp_path)
     yield user
@@ -132,7 +127,7 @@ def user(ros: Any, installed: Installed, tmp_path: Path) -> Iterator[User]:
 
 @pytest.mark.parametrize('number', [
     signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.stress)])
-def test_run_with_namespace_and_remaps(number: int, user: User) -> None:
+def test_run_with_namespace_and_remaps(number, user):
     """Predict in a cell's namespace from the driver's topic, and end with 0."""
     user.start('-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/pose', '-r', '__node:=left')
     assert user.predictions('/driver/pose', '/cell/package/pose') == 5
@@ -142,7 +137,7 @@ def test_run_with_namespace_and_remaps(number: int, user: User) -> None:
 
 @pytest.mark.parametrize('number', [
     signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.stress)])
-def test_waits_for_its_manager_and_ends_from_any_state(number: int, user: User) -> None:
+def test_waits_for_its_manager_and_ends_from_any_state(number, user):
     """Do nothing before it is asked to; end in order from there."""
     from lifecycle_msgs.msg import Transition
 
@@ -155,7 +150,7 @@ def test_waits_for_its_manager_and_ends_from_any_state(number: int, user: User) 
     user.stop(number)
 
 
-def test_launch_file_starts_it(user: User) -> None:
+def test_launch_file_starts_it(user):
     """Predict in a cell's namespace from the driver's topic, started by the launch file."""
     user.launch('namespace:=cell', 'tool_pose:=/driver/pose')
     assert user.predictions('/driver/pose', '/cell/package/pose') == 5
@@ -165,7 +160,7 @@ def test_launch_file_starts_it(user: User) -> None:
     assert 'Traceback' not in out + log
 
 
-def test_parameters_are_dumped_and_loaded(user: User, tmp_path: Path) -> None:
+def test_parameters_are_dumped_and_loaded(user, tmp_path):
     """Start again from a dump of the running node, find the same, and load the dump into it."""
     user.start('-p', 'package.mass:=1.5', '-p', 'coast.limit:=0.05', '-p', 'cup.name:=soft',
                '-p', f'cups.soft.stiffness:={SOFT}',
@@ -183,7 +178,7 @@ def test_parameters_are_dumped_and_loaded(user: User, tmp_path: Path) -> None:
     user.stop(signal.SIGINT)
 
 
-def dump(user: User) -> dict[str, Any]:
+def dump(user):
     """Return all parameters that the node shows, as `ros2 param dump` does."""
     from rcl_interfaces.srv import GetParameters, ListParameters
     from rclpy.parameter import parameter_value_to_python
@@ -197,9 +192,9 @@ def dump(user: User) -> dict[str, Any]:
             for n, v in zip(names, values, strict=True)}
 
 
-def nested(values: dict[str, Any]) -> dict[str, Any]:
+def nested(values):
     """Return values by the parts of their names."""
-    tree: dict[str, Any] = {}
+    tree = {}
     for name, value in values.items():
         *groups, leaf = name.split('.')
         branch = tree
@@ -209,7 +204,7 @@ def nested(values: dict[str, Any]) -> dict[str, Any]:
     return tree
 
 
-def load(user: User, values: dict[str, Any]) -> list[Any]:
+def load(user, values):
     """Set all parameters, as `ros2 param load` does."""
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter

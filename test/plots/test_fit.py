@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
 
 
-def test_intervals_are_to_scale_and_unknown_ones_dashed() -> None:
+def test_intervals_are_to_scale_and_unknown_ones_dashed():
     """Draw the ends of a known interval, and a line across the panel for another."""
     figure = interval_figure(
         [('K x', 0.0, 1.0), ('K x-ry', 5.0, 2.0), ('P x', 0.0, np.nan)], 'note')
@@ -23,7 +23,7 @@ def test_intervals_are_to_scale_and_unknown_ones_dashed() -> None:
     assert [label.get_text() for label in damping.get_yticklabels()] == ['P x, not identifiable']
 
 
-def test_runs_of_samples_begin_and_end_where_they_should() -> None:
+def test_runs_of_samples_begin_and_end_where_they_should():
     """Let a run last from its first sample to a step after its last one."""
     mask = np.array([True, True, False, False, True])
     assert spans(mask, np.arange(5) * 0.5, 0.5) == [(0.0, 1.0), (2.0, 0.5)]

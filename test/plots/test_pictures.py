@@ -1,10 +1,8 @@
 """Pictures of recordings, loads and replays: what is drawn, and that words stay on the page."""
 
-from pathlib import Path
 import subprocess
 import sys
 from types import SimpleNamespace
-from typing import Any
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.grip import Margin
@@ -33,7 +31,7 @@ SPAN = 0.5  # s, of an animation
 
 
 @pytest.fixture(scope='module')
-def motion() -> Any:
+def motion():
     """Give a tool and a package that move, with ten poses missing."""
     t = np.arange(COUNT) / 100.0
     tool = 0.1 * np.column_stack([np.sin(t), np.cos(t), np.sin(2 * t)])
@@ -45,7 +43,7 @@ def motion() -> Any:
 
 
 @pytest.fixture(scope='module')
-def loads() -> Any:
+def loads():
     """Give loads of a spring with known stiffness, under a weight."""
     rng = np.random.default_rng(5)
     deflection = rng.normal(size=(COUNT, 6)) * 1e-3
@@ -57,7 +55,7 @@ def loads() -> Any:
         residual=0.1 * stiffness * deflection, stiffness=stiffness, valid=np.ones(COUNT, bool))
 
 
-def draw_all(motion: Any, loads: Any, theme: str) -> dict[str, Any]:
+def draw_all(motion, loads, theme):
     """Return every figure."""
     frequency = np.linspace(0.0, 50.0, 40)
     spectra = SimpleNamespace(
@@ -79,7 +77,7 @@ def draw_all(motion: Any, loads: Any, theme: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize('theme', THEMES)
-def test_words_stay_on_the_page_in_both_themes(theme: str, motion: Any, loads: Any) -> None:
+def test_words_stay_on_the_page_in_both_themes(theme, motion, loads):
     """Let title, note, legend and labels fit."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import to_hex
@@ -99,7 +97,7 @@ def test_words_stay_on_the_page_in_both_themes(theme: str, motion: Any, loads: A
         assert to_hex(figure.get_facecolor()) == THEMES[theme].background
 
 
-def test_motion_is_drawn_from_the_start_and_interrupted(motion: Any, loads: Any) -> None:
+def test_motion_is_drawn_from_the_start_and_interrupted(motion, loads):
     """Draw mm and mrad against the first pose, with nothing where nothing is valid."""
     figure = draw_all(motion, loads, 'light')['motion']
     panels = {panel.get_ylabel()[:2].strip(): panel for panel in figure.axes}
@@ -109,7 +107,7 @@ def test_motion_is_drawn_from_the_start_and_interrupted(motion: Any, loads: Any)
     assert np.isnan(package.get_ydata()).sum() == np.count_nonzero(~motion.valid)
 
 
-def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> None:
+def test_stiffness_is_the_line_through_the_loads(motion, loads):
     """Draw the cup's line with its own slope."""
     figure = draw_all(motion, loads, 'light')['deflection']
     axes = {name: i for i, name in enumerate(('x', 'y', 'z', 'rx', 'ry', 'rz'))}
@@ -121,7 +119,7 @@ def test_stiffness_is_the_line_through_the_loads(motion: Any, loads: Any) -> Non
         assert (y1 - y0) / (x1 - x0) == pytest.approx(unit * loads.stiffness[axis])
 
 
-def test_margins_are_drawn_with_two_standard_deviations(motion: Any, loads: Any) -> None:
+def test_margins_are_drawn_with_two_standard_deviations(motion, loads):
     """Draw bands to both sides of each factor, and mark the smallest with mode and instant."""
     panel, = draw_all(motion, loads, 'light')['margin'].axes
     for band, factor in zip(panel.collections, (2.2, 3.0), strict=False):
@@ -132,7 +130,7 @@ def test_margins_are_drawn_with_two_standard_deviations(motion: Any, loads: Any)
 
 
 @pytest.fixture(scope='module')
-def replayed(motion: Any) -> Any:
+def replayed(motion):
     """Give a replay of half a second whose prediction is 5 mm beside the measurement."""
     part = slice(50, 50 + round(SPAN * 100.0) + 1)
     moved = SimpleNamespace(**{name: values[part] for name, values in vars(motion).items()})
@@ -142,7 +140,7 @@ def replayed(motion: Any) -> Any:
         box=np.array([0.2, 0.16, 0.06]))
 
 
-def test_an_animation_runs_at_recorded_speed(replayed: Any, tmp_path: Path) -> None:
+def test_an_animation_runs_at_recorded_speed(replayed, tmp_path):
     """Write as many pictures as the time has, all of one size."""
     image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
     write_animation(tmp_path / 'a.gif', replayed, 'note', 'dark')
@@ -153,7 +151,7 @@ def test_an_animation_runs_at_recorded_speed(replayed: Any, tmp_path: Path) -> N
 
 
 @pytest.mark.extras
-def test_a_film_has_every_frame(replayed: Any, tmp_path: Path) -> None:
+def test_a_film_has_every_frame(replayed, tmp_path):
     """Write an MP4 at recorded speed, and decode it again."""
     try:
         program = ffmpeg()
@@ -171,9 +169,8 @@ def test_a_film_has_every_frame(replayed: Any, tmp_path: Path) -> None:
     ('script', 'words'),
     [(None, 'pip install imageio-ffmpeg'), ('exit 3', 'ffmpeg failed')])
 def test_without_a_working_ffmpeg_nothing_is_written(
-    script: str | None, words: str, replayed: Any, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    script, words, replayed, tmp_path, monkeypatch
+):
     """Say what to install, or that it failed."""
     folder = tmp_path / 'programs'
     folder.mkdir()
@@ -187,7 +184,7 @@ def test_without_a_working_ffmpeg_nothing_is_written(
     assert [path.name for path in tmp_path.iterdir()] == ['programs']
 
 
-def test_the_whole_box_is_in_the_picture(replayed: Any, tmp_path: Path) -> None:
+def test_the_whole_box_is_in_the_picture(replayed, tmp_path):
     """Keep the predicted box off all edges of the picture in every frame."""
     image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
     write_animation(tmp_path / 'a.gif', replayed, 'note')

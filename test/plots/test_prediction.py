@@ -1,7 +1,6 @@
 """The picture of measured against predicted poses."""
 
 import re
-from typing import Any
 import xml.etree.ElementTree as ET
 
 from bellows_ros.core.signals.residuals import Comparison, score
@@ -17,7 +16,7 @@ SECONDS = np.arange(400) / 100.0 + 0.5 * (np.arange(400) >= 200)
 
 
 @pytest.fixture(scope='module')
-def comparison() -> Comparison:
+def comparison():
     """Give made-up coordinates with known errors: 0.5 s lost, and once the package alone."""
     amplitude = np.array([0.01, 0.008, 0.0005, 0.2, 0.1, 0.0])
     measured = amplitude * np.sin(3.0 * SECONDS[:, None])
@@ -28,19 +27,17 @@ def comparison() -> Comparison:
 
 
 @pytest.fixture(scope='module', params=THEMES)
-def figure(request: pytest.FixtureRequest, comparison: Comparison) -> Any:
+def figure(request, comparison):
     """Give the picture in each theme."""
     return prediction_figure(SECONDS, comparison, 'Title', 'conditions', request.param)
 
 
-def lines(panel: Any) -> list[Any]:
+def lines(panel):
     """Return the curves of a panel."""
     return [line for line in panel.get_lines() if len(line.get_xdata()) > 2]
 
 
-def test_each_axis_has_both_curves_and_their_difference(
-    figure: Any, comparison: Comparison
-) -> None:
+def test_each_axis_has_both_curves_and_their_difference(figure, comparison):
     """Draw in mm and mrad, the error in a strip of its own."""
     assert len(figure.axes) == 12
     for axis in range(6):
@@ -57,7 +54,7 @@ def test_each_axis_has_both_curves_and_their_difference(
         assert f'{figures(1e3 * comparison.scores.rms[axis])} {unit}' in upper.get_title('right')
 
 
-def test_curves_are_interrupted_where_their_own_samples_are_lost(figure: Any) -> None:
+def test_curves_are_interrupted_where_their_own_samples_are_lost(figure):
     """Draw the prediction through what only the package has lost, and nothing without a tool."""
     for upper, lower in zip(figure.axes[::2], figure.axes[1::2], strict=True):
         (error,) = lines(lower)
@@ -65,7 +62,7 @@ def test_curves_are_interrupted_where_their_own_samples_are_lost(figure: Any) ->
         assert lost == [6, 1, 6]
 
 
-def test_text_stays_inside_and_apart(figure: Any) -> None:
+def test_text_stays_inside_and_apart(figure):
     """Let no words leave the page, and no title run into another."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -81,14 +78,14 @@ def test_text_stays_inside_and_apart(figure: Any) -> None:
         assert not any(box.overlaps(other) for other in boxes[:number])
 
 
-def test_gaps_are_found_by_time() -> None:
+def test_gaps_are_found_by_time():
     """Put one NaN into each gap."""
     seconds = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.1])
     broken = with_gaps(seconds, np.arange(6.0))
     np.testing.assert_array_equal(broken, [0.0, 1.0, 2.0, np.nan, 3.0, 4.0, 5.0])
 
 
-def inlined(x: Any, y: Any) -> list[Any]:
+def inlined(x, y):
     """Return the points of a line in a picture of a page, a list for each of its parts."""
     with drawing(THEMES['light']) as figures:
         figure = figures.Figure(label='<a> "b"')
@@ -101,7 +98,7 @@ def inlined(x: Any, y: Any) -> list[Any]:
             for part in line.split('M')[1:]]
 
 
-def test_pictures_of_a_page_keep_spikes_and_lose_points() -> None:
+def test_pictures_of_a_page_keep_spikes_and_lose_points():
     """Keep the extremes of a hundred thousand points in a few thousand."""
     x = np.linspace(0.0, 500.0, 100_000)
     y = np.sin(x)
@@ -114,7 +111,7 @@ def test_pictures_of_a_page_keep_spikes_and_lose_points() -> None:
         assert np.max(sign * (points[near, 1] - level)) > 0.45 * np.ptp(points[:, 1])
 
 
-def test_a_gap_interrupts_the_line_of_a_page() -> None:
+def test_a_gap_interrupts_the_line_of_a_page():
     """Draw two parts around a NaN."""
     first, second = inlined(np.arange(5.0), np.array([1.0, 2, np.nan, 2, 1]))
     assert len(first) == len(second) == 2

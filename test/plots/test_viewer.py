@@ -1,8 +1,6 @@
 """The view in Rerun, read back with Rerun's own reader."""
 
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.signals.residuals import AXES
@@ -15,7 +13,7 @@ COUNT = 120
 
 
 @pytest.fixture
-def replayed() -> Any:
+def replayed():
     """Give a replay whose prediction is 5 mm beside the measurement."""
     t = np.arange(COUNT) / 100.0
     tool = 0.1 * np.column_stack([np.sin(t), np.cos(t), np.sin(2 * t)])
@@ -31,10 +29,10 @@ def replayed() -> Any:
         live=SimpleNamespace(measured=measured, predicted=measured + 5e-3))
 
 
-def read(path: Path) -> dict[tuple[str, str], Any]:
+def read(path):
     """Return what a file of Rerun holds, by entity and component; the longest of each."""
     chunk = pytest.importorskip('rerun.chunk', reason="no Rerun here (pip install '.[view]')")
-    found: dict[tuple[str, str], Any] = {}
+    found = {}
     for part in chunk.RrdReader(path).stream():
         batch = part.to_record_batch()
         for name in batch.schema.names:
@@ -45,7 +43,7 @@ def read(path: Path) -> dict[tuple[str, str], Any]:
 
 
 @pytest.mark.extras
-def test_what_is_written_is_what_was_replayed(replayed: Any, tmp_path: Path) -> None:
+def test_what_is_written_is_what_was_replayed(replayed, tmp_path):
     """Hold every sample: poses in m, time series in mm and mrad, time in ns from the start."""
     pytest.importorskip('rerun', reason="no Rerun here (pip install '.[view]')")
     write_view(tmp_path / 'a.rrd', replayed, 'a recording')
@@ -65,7 +63,7 @@ def test_what_is_written_is_what_was_replayed(replayed: Any, tmp_path: Path) -> 
     np.testing.assert_allclose(times, 1e9 * replayed.seconds, atol=1.0)
 
 
-def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip() -> None:
+def test_a_bellows_begins_at_the_tool_and_ends_at_the_lip():
     """Leave along one z axis and arrive along the other."""
     R = exp_so3([0.2, 0.1, 0.0])
     lip = np.array([0.005, 0.0, -0.045])

@@ -15,7 +15,7 @@ from .frame import OUTCOMES, Tally, turn
 from .rounds import ROUNDS
 
 
-def main() -> int:
+def main():
     """Make turns of every round until the time is over."""
     parser = argparse.ArgumentParser(prog='python -m test.stress')
     parser.add_argument('--minutes', type=float, default=60.0)

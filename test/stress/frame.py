@@ -62,15 +62,12 @@ class Tally:
     failures: list[str] = field(default_factory=list)
 
     @property
-    def tried(self) -> int:
+    def tried(self):
         """All attempts."""
         return sum(self.outcomes.values()) + len(self.failures)
 
 
-def turn(
-    name: str, round_: Round, seed: tuple[int, int], tally: Tally, until: float,
-    most: int | None = None,
-) -> None:
+def turn(name, round_, seed, tally, until, most=None):
     """Make the attempts of one turn until they, the time or the number of them is used up."""
     rng = np.random.default_rng(seed)
     before = tally.tried
@@ -94,9 +91,9 @@ def turn(
 
 
 @contextmanager
-def _limited(seconds: float) -> Iterator[None]:
+def _limited(seconds):
     """End what takes longer."""
-    def end(*_: object) -> None:
+    def end(*_):
         raise TookTooLong(f'{seconds:g} s were not enough')
 
     handler = signal.signal(signal.SIGALRM, end)
@@ -108,7 +105,7 @@ def _limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, handler)
 
 
-def damaged(rng: np.random.Generator, whole: bytes) -> bytes:
+def damaged(rng, whole):
     """Return bytes with a few bits turned, a block overwritten, lost, doubled or cut off."""
     data = bytearray(whole)
     at, size = int(rng.integers(len(data))), int(rng.integers(1, 400))
@@ -137,7 +134,7 @@ TEXTS = (
 )
 
 
-def scrambled(rng: np.random.Generator, text: str) -> str:
+def scrambled(rng, text):
     """Return a text with words of it replaced, exchanged or left out."""
     if rng.random() < 0.3:
         return damaged(rng, text.encode()).decode(errors='replace')

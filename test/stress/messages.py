@@ -1,8 +1,6 @@
 """Hostile messages to the real node over DDS: finite answers, every pose counted, recovery."""
 
-from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 import time
 
 import numpy as np
@@ -17,7 +15,7 @@ BURST = 100  # messages of an attempt
 
 
 @contextmanager
-def connected(given: Mapping[str, object]) -> Iterator[Partner]:
+def connected(given):
     """Give a predictor of its own, and what sends messages to it."""
     from bellows_ros.nodes.predictor_node import PredictorNode
     import rclpy
@@ -43,7 +41,7 @@ def connected(given: Mapping[str, object]) -> Iterator[Partner]:
         context.try_shutdown()
 
 
-def messages(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def messages(rng, folder):
     """Send bursts of what nobody should send, and then good poses, which must be answered."""
     with connected(PACKAGE) as partner:
         heard, attacker = listen(partner), Attacker(partner, int(rng.integers(2**31)))
@@ -51,7 +49,7 @@ def messages(rng: np.random.Generator, folder: Path) -> Iterator[str]:
             yield burst(partner, attacker, heard, number)
 
 
-def burst(partner: Partner, attacker: Attacker, heard: list, number: int) -> str:
+def burst(partner, attacker, heard, number):
     """Send hostile messages, then good ones, and return what became of the hostile ones."""
     live = partner.predictor._live
     before, sent = sum(live.refused.values()), attacker.poses

@@ -1,16 +1,14 @@
 """Damaged and hostile files of every reader: refused, read as if sound, or the loss reported."""
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 import shutil
-from typing import Any
 
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import Recorded, write_bag
-from bellows_ros.files.bags import Contents, read_contents, topics
+from bellows_ros.files.bags import read_contents, topics
 from bellows_ros.files.motive import read_motive
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
@@ -36,14 +34,14 @@ ATTEMPTS = 60  # of each turn
 LONGEST_MESSAGE = 3000
 
 
-def refused_well(error: BellowsError) -> str:
+def refused_well(error):
     """Return the outcome of an error that can be read, and fail on others."""
     if not 10 < len(str(error)) < LONGEST_MESSAGE:
         raise Failed(f'a message of {len(str(error))} characters: {str(error)[:200]}')
     return REFUSED
 
 
-def motion(rng: np.random.Generator, count: int = 300) -> tuple[Recorded, ...]:
+def motion(rng, count=300):
     """Return a tool, its twist, and a package below it."""
     t = np.arange(count) * PERIOD_NS * 1e-9
     stamps = START_NS + PERIOD_NS * np.arange(count)
@@ -58,7 +56,7 @@ def motion(rng: np.random.Generator, count: int = 300) -> tuple[Recorded, ...]:
         Recorded('/twist', TWIST, stamps, np.gradient(poses[:, :6], t, axis=0)))
 
 
-def bags(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def bags(rng, folder):
     """Damage recordings of every form; messages of ours in MCAP have checksums."""
     bag, storage = folder / 'bag', ('mcap', 'sqlite3')[rng.integers(2)]
     write_bag(bag, motion(rng, 60), storage, bool(rng.integers(2)))
@@ -69,7 +67,7 @@ def bags(rng: np.random.Generator, folder: Path) -> Iterator[str]:
         yield judged(bag, good, storage == 'mcap')
 
 
-def judged(bag: Path, good: Contents, summed: bool) -> str:
+def judged(bag, good, summed):
     """Return what became of a recording; with checksums it must not change without a word."""
     try:
         found = read_contents(bag, ROLES)
@@ -94,7 +92,7 @@ def judged(bag: Path, good: Contents, summed: bool) -> str:
     return SILENT
 
 
-def require_sound(stream: Any) -> None:
+def require_sound(stream):
     """Fail on numbers that are not finite and stamps that do not increase."""
     poses = isinstance(stream, PoseStream)
     for array in (stream.position, stream.rotation) if poses else (stream.linear, stream.angular):
@@ -104,13 +102,13 @@ def require_sound(stream: Any) -> None:
         raise Failed(f'the stamps of {stream.name} do not increase')
 
 
-def same(one: Any, other: Any) -> bool:
+def same(one, other):
     """Tell whether two streams are equal."""
     names = ('position', 'rotation') if isinstance(one, PoseStream) else ('linear', 'angular')
     return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in ('stamps_ns', *names))
 
 
-def metadata(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def metadata(rng, folder):
     """Scramble metadata.yaml: an error, a note, or no harm."""
     bag = folder / 'bag'
     write_bag(bag, motion(rng, 60), 'mcap')
@@ -121,7 +119,7 @@ def metadata(rng: np.random.Generator, folder: Path) -> Iterator[str]:
         yield judged(bag, good, True)
 
 
-STAMPS: dict[str, Callable[[np.random.Generator, Any], Any]] = {
+STAMPS = {
     'in pairs': lambda rng, s: s // (2 * PERIOD_NS) * 2 * PERIOD_NS + s % 1000 + np.arange(
         len(s)) % 2 * 1000,
     'in bursts': lambda rng, s: np.maximum.accumulate(s + rng.choice([0, 90_000_000], len(s))),
@@ -137,7 +135,7 @@ STAMPS: dict[str, Callable[[np.random.Generator, Any], Any]] = {
 VALUES = (np.nan, np.inf, 0.0, 1e300, -1e7, 1e-320)
 
 
-def recordings(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def recordings(rng, folder):
     """Record strange stamps and values, and look into what is recorded as the commands do."""
     values = dict(resolve({
         'topics.tool_pose': '/tool', 'topics.package_pose': '/box', 'cup.length': 0.05,
@@ -153,7 +151,7 @@ def recordings(rng: np.random.Generator, folder: Path) -> Iterator[str]:
         shutil.rmtree(bag)
 
 
-def hostile(rng: np.random.Generator, recorded: Recorded) -> Recorded:
+def hostile(rng, recorded):
     """Return a topic with strange stamps, some strange values, and arrivals as they were."""
     stamps = np.asarray(STAMPS[str(rng.choice(list(STAMPS)))](rng, recorded.stamps_ns))
     values = np.array(recorded.values[:len(stamps)])
@@ -166,7 +164,7 @@ def hostile(rng: np.random.Generator, recorded: Recorded) -> Recorded:
                     log_times_ns=arrivals)
 
 
-def looked_into(bag: Path, values: Any) -> str:
+def looked_into(bag, values):
     """Return what becomes of a recording that is described and prepared."""
     outcome = CLEAN
     try:
@@ -183,12 +181,9 @@ def looked_into(bag: Path, values: Any) -> str:
     return outcome
 
 
-Read = Callable[[Path], Any]
-
-
-def texts(files: dict[str, tuple[Path, Read]]) -> Callable[..., Iterator[str]]:
+def texts(files):
     """Return the round that scrambles text files; what is read must be finite."""
-    def run(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+    def run(rng, folder):
         for _ in range(ATTEMPTS):
             source, read = files[str(rng.choice(list(files)))]
             text = source.read_text()
@@ -205,7 +200,7 @@ def texts(files: dict[str, tuple[Path, Read]]) -> Callable[..., Iterator[str]]:
     return run
 
 
-def require_finite(found: Any) -> None:
+def require_finite(found):
     """Fail where a number in nested content is not finite."""
     if isinstance(found, dict):
         found = list(found.values())
@@ -216,7 +211,7 @@ def require_finite(found: Any) -> None:
         raise Failed('a number that is not finite')
 
 
-def tables(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def tables(rng, folder):
     """Scramble trajectories as TUM, EuRoC and Motive write them."""
     makers = {
         'tum': (tum, read_tum), 'euroc': (euroc, read_euroc), 'motive': (motive, read_motive)}
@@ -227,27 +222,27 @@ def tables(rng: np.random.Generator, folder: Path) -> Iterator[str]:
         good = repr(read(file))
         file.write_text(scrambled(rng, text), errors='replace')
         try:
-            found: Any = read(file)
+            found = read(file)
         except BellowsError as error:
             yield refused_well(error)
             continue
         yield CLEAN if repr(found) == good else SILENT
 
 
-def tum() -> str:
+def tum():
     """Return a trajectory as TUM's."""
     return '# time x y z qx qy qz qw\n' + ''.join(
         f'{1.7e9 + 0.01 * k:.4f} 0.1 0.2 {0.3 + 1e-3 * k:.4f} 0 0 0 1\n' for k in range(30))
 
 
-def euroc() -> str:
+def euroc():
     """Return a trajectory as EuRoC's."""
     return '#timestamp, p, q, v\n' + ''.join(
         f'{START_NS + k * PERIOD_NS}, 0.1, 0.2, {1e-3 * k}, 1, 0, 0, 0, 0, 0, 0\n'
         for k in range(30))
 
 
-def motive() -> str:
+def motive():
     """Return an export of Motive with one body."""
     head = (
         'Format Version,1.23,Take Name,x,Capture Start Time,2021-05-11 02.31.05.250 PM,'
@@ -257,7 +252,7 @@ def motive() -> str:
     return head + ''.join(f'{k},{0.01 * k},0,0,0,1,{1e-3 * k},1,2\n' for k in range(30))
 
 
-def motions(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def motions(rng, folder):
     """Scramble the motions that `bellows simulate` takes."""
     text = (ROOT / 'bags' / 'static.yaml').read_text()
     values = read_parameters(ROOT / 'bags' / 'cup.yaml')
@@ -275,7 +270,7 @@ def motions(rng: np.random.Generator, folder: Path) -> Iterator[str]:
         yield CLEAN
 
 
-def plans(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def plans(rng, folder):
     """Scramble plans as YAML, and put bad values in every place of them."""
     file, messages = folder / 'plan.yaml', plan_messages()
     values = resolve({})

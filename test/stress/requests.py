@@ -1,7 +1,5 @@
 """Hostile plans, measured poses, valves, requests and parameters to the real node over DDS."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
 import time
 from typing import Any
 
@@ -10,7 +8,6 @@ import numpy as np
 from .frame import CLEAN, COUNTED, damaged, Failed
 from .messages import connected
 from .readers import ATTEMPTS
-from ..nodes.conftest import Partner
 from ..nodes.test_hostile import numbers, ODD
 
 EACH = 20  # messages of an attempt
@@ -27,7 +24,7 @@ AWAY_NS = (0, 1, -1, 10**6, 10**8, -10**9, 10**10, 86_400 * 10**9, 3 * 10**17, -
 class Requester:
     """Sends to all topics beside those of poses what nobody should send."""
 
-    def __init__(self, partner: Partner, rng: np.random.Generator) -> None:
+    def __init__(self, partner, rng):
         """Connect all topics."""
         from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
         from nav_msgs.msg import Odometry
@@ -51,23 +48,23 @@ class Requester:
         self.wait('the topics', lambda: all(end.get_publisher_count() for end in ends) and all(
             out.get_subscription_count() for out in outs))
 
-    def wait(self, what: str, condition: Callable[[], Any]) -> None:
+    def wait(self, what, condition):
         """Spin until something is so."""
         if not self.partner.ros.spin_until(condition, PATIENCE):
             raise Failed(f'waited in vain for {what}')
 
-    def odd(self, value: float) -> float:
+    def odd(self, value):
         """Return a number, now and then one that nobody should send."""
         return float(self.rng.choice(ODD)) if self.rng.random() < 0.02 else value
 
-    def stamp(self, header: Any, stamp_ns: int) -> Any:
+    def stamp(self, header, stamp_ns):
         """Stamp a header somewhere about a time, and return it."""
         stamp_ns = max(0, stamp_ns + int(self.rng.choice(AWAY_NS)))
         header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 10**9)
         header.frame_id = str(self.rng.choice(('base', 'base', 'base', '', 'elsewhere')))
         return header
 
-    def plan_bytes(self, stamp_ns: int, is_good: bool = False) -> bytes:
+    def plan_bytes(self, stamp_ns, is_good=False):
         """Return a plan from the origin, whole or damaged."""
         from bellows_ros.files.plan_messages import encode_multi_dof, PlanMessage
 
@@ -88,7 +85,7 @@ class Requester:
             twists if is_good or rng.random() < 0.7 else None))
         return damaged(rng, whole) if not is_good and rng.random() < 0.2 else whole
 
-    def attack(self, stamp_ns: int) -> None:
+    def attack(self, stamp_ns):
         """Send or set one thing of any kind."""
         from geometry_msgs.msg import PoseStamped
         from sensor_msgs.msg import FluidPressure
@@ -115,7 +112,7 @@ class Requester:
         else:
             self.set_one()
 
-    def set_one(self) -> None:
+    def set_one(self):
         """Set a parameter to an end of its range or to what is none of its values, and back."""
         from bellows_ros.core.parameters.table import parameters_of
         from rclpy.parameter import Parameter
@@ -136,7 +133,7 @@ class Requester:
         if not all(result.successful for result in node.set_parameters([before])):
             raise Failed(f'{parameter.name} cannot be set back from {value}')
 
-    def send_poses(self, count: int) -> int:
+    def send_poses(self, count):
         """Send poses of a tool that stands; return the last stamp."""
         live = self.partner.predictor._live
         for _ in range(count):
@@ -149,7 +146,7 @@ class Requester:
         return stamp_ns
 
 
-def requests(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def requests(rng, folder):
     """Send hostile requests of all kinds; then the node must answer good ones as before."""
     with connected(GIVEN) as partner:
         requester = Requester(partner, rng)
@@ -157,7 +154,7 @@ def requests(rng: np.random.Generator, folder: Path) -> Iterator[str]:
             yield attempt(requester, deactivate=number % 5 == 4)
 
 
-def attempt(requester: Requester, deactivate: bool) -> str:
+def attempt(requester, deactivate):
     """Attack, then ask for what must be answered; return what became of it."""
     from sensor_msgs.msg import FluidPressure
     from std_msgs.msg import Bool
@@ -177,7 +174,7 @@ def attempt(requester: Requester, deactivate: bool) -> str:
         refused = COUNTED if predictor._planning._found is None else CLEAN
     requester.wait('the end of all work', lambda: not predictor._planning.is_busy)
 
-    def predicts() -> bool:
+    def predicts():
         requester.pressure.publish(FluidPressure(fluid_pressure=40e3))  # of best effort
         requester.valve.publish(Bool(data=True))
         requester.send_poses(1)

@@ -1,28 +1,25 @@
 """Damaged and hostile results of a fit: refused, or as if sound."""
 
-from collections.abc import Iterator
 import functools
 import json
 from pathlib import Path
 import tempfile
-from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
-import numpy as np
 
 from .frame import CLEAN, Failed, scrambled, SILENT, TEXTS
 from .readers import ATTEMPTS, refused_well, ROOT
 
-VALUES: tuple[Any, ...] = (
+VALUES = (
     None, True, -1, 0, 10**30, 1e308, -1e-320, '', [], {}, [[1.0]], {'a': None}, *TEXTS[:3])
 
 
 @functools.cache
-def sound() -> str:
+def sound():
     """Return the result of a fit to a recording."""
     settings = {
         **read_parameters(ROOT / 'bags/package.yaml'), 'fit.method': 'least_squares',
@@ -33,7 +30,7 @@ def sound() -> str:
         return result.read_text()
 
 
-def replaced(rng: np.random.Generator, content: Any) -> Any:
+def replaced(rng, content):
     """Replace some value in nested content, or leave it out; return the content."""
     if not isinstance(content, dict | list) or not content or rng.random() < 0.1:
         return VALUES[rng.integers(len(VALUES))]
@@ -46,7 +43,7 @@ def replaced(rng: np.random.Generator, content: Any) -> Any:
     return content
 
 
-def fits(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def fits(rng, folder):
     """Damage results, and compare them."""
     text = sound()
     whole, other = folder / 'whole.json', folder / 'other.json'

@@ -1,6 +1,5 @@
 """All rounds, by name; a new one is a generator (`frame`) and a line here."""
 
-from collections.abc import Mapping
 from importlib.util import find_spec
 
 from .frame import Round
@@ -10,7 +9,7 @@ from .requests import requests
 from .results import fits
 from .writers import disks, kills
 
-ROUNDS: Mapping[str, Round] = {
+ROUNDS = {
     'bags': Round(bags),
     'metadata': Round(metadata),
     'recordings': Round(recordings, short=20),

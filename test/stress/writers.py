@@ -1,6 +1,5 @@
 """Writers that are killed, and writers on a full disk: the old output, the new one, or none."""
 
-from collections.abc import Iterator
 from contextlib import contextmanager
 import json
 from pathlib import Path
@@ -11,7 +10,6 @@ import subprocess
 import sys
 
 from bellows_ros.errors import BellowsError
-import numpy as np
 
 from .frame import CLEAN, Failed, REFUSED
 from ..files import killed_writers
@@ -22,7 +20,7 @@ KILLS = 3  # of each kind, in each turn
 CAREFUL = [name for name in WRITERS if name != 'careless']
 
 
-def kills(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def kills(rng, folder):
     """Kill writers of every kind while they write."""
     done = subprocess.run(
         [sys.executable, '-m', killed_writers.__name__, str(folder), str(rng.integers(10**6)),
@@ -34,7 +32,7 @@ def kills(rng: np.random.Generator, folder: Path) -> Iterator[str]:
         yield from [CLEAN] * left
 
 
-def disks(rng: np.random.Generator, folder: Path) -> Iterator[str]:
+def disks(rng, folder):
     """Write every kind of output where files cannot grow, as on a full disk."""
     for name in CAREFUL:
         place = folder / name.replace('.', '_')
@@ -63,7 +61,7 @@ def disks(rng: np.random.Generator, folder: Path) -> Iterator[str]:
 
 
 @contextmanager
-def room_for(size: int) -> Iterator[None]:
+def room_for(size):
     """Let no file grow beyond a size."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -1,21 +1,17 @@
 """What is expensive is computed once for a recording, whatever a run asks for."""
 
 from collections import Counter
-from collections.abc import Callable
 import functools
 import hashlib
 import importlib
-from pathlib import Path
 import pkgutil
 import sys
-from typing import Any
 
 import bellows_ros
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.identify import identify
 import numpy as np
-import pytest
 
 EXPENSIVE = {
     'savgol': 'core.signals.savgol',
@@ -26,11 +22,11 @@ EXPENSIVE = {
 }
 
 
-def digest(value: Any) -> str:
+def digest(value):
     """Return a digest of arguments that is equal for equal numbers."""
     found = hashlib.sha1()
 
-    def add(part: Any) -> None:
+    def add(part):
         if isinstance(part, np.ndarray):
             found.update(part.tobytes())
         elif hasattr(part, '__dataclass_fields__'):
@@ -47,19 +43,17 @@ def digest(value: Any) -> str:
     return found.hexdigest()
 
 
-def test_nothing_is_computed_twice(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_computed_twice(root, tmp_path, monkeypatch):
     """Identify with all that can be asked for and its page: no argument comes a second time."""
     for module in pkgutil.walk_packages(bellows_ros.__path__, 'bellows_ros.'):
         if not module.name.startswith(('bellows_ros.nodes', 'bellows_ros.demo')) and \
                 not module.name.endswith('__main__'):
             importlib.import_module(module.name)
-    calls: Counter[tuple[str, str]] = Counter()
+    calls = Counter()
 
-    def counted(function: Callable[..., Any]) -> Callable[..., Any]:
+    def counted(function):
         @functools.wraps(function)
-        def call(*arguments: Any, **named: Any) -> Any:
+        def call(*arguments, **named):
             calls[function.__name__, digest((arguments, sorted(named.items())))] += 1
             return function(*arguments, **named)
         return call

@@ -1,7 +1,6 @@
 """Trajectory files to recordings and back."""
 
 from dataclasses import replace
-from pathlib import Path
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams, topics
@@ -16,7 +15,7 @@ STAMPS = 1_700_000_000_000_000_000 + np.arange(20) * 2_000_000
 VALUES = np.hstack([np.arange(60.0).reshape(20, 3), np.tile([0.0, 0.0, 0.6, 0.8], (20, 1))])
 
 
-def test_a_take_becomes_topics_of_its_bodies(tmp_path: Path) -> None:
+def test_a_take_becomes_topics_of_its_bodies(tmp_path):
     """Write what can be used, and say what was not and how the world lies."""
     done = to_bag(bodies_in_files([export(tmp_path / 'take.csv')]), tmp_path / 'bag')
     assert [body.topic for body in done.bodies] == ['/tool/pose', '/plate/pose']
@@ -27,7 +26,7 @@ def test_a_take_becomes_topics_of_its_bodies(tmp_path: Path) -> None:
         ('/plate/pose', 3), ('/tool/pose', 3)]
 
 
-def test_what_is_odd_about_a_take_is_said(tmp_path: Path) -> None:
+def test_what_is_odd_about_a_take_is_said(tmp_path):
     """Name a body that was never tracked and a take without a date; refuse one without poses."""
     never = [replace(column, cells=('', '')) for column in pose('Plate')]
     undated = V24.replace('Capture Start Time', 'Started')
@@ -42,7 +41,7 @@ def test_what_is_odd_about_a_take_is_said(tmp_path: Path) -> None:
         to_bag(bodies_in_files([layout(file, never, V24)]), tmp_path / 'other')
 
 
-def test_tum_to_bag_to_tum_changes_nothing(tmp_path: Path) -> None:
+def test_tum_to_bag_to_tum_changes_nothing(tmp_path):
     """Keep stamps exactly, and numbers to the digits of a TUM file."""
     write_tum(tmp_path / 'tool.tum', STAMPS, VALUES)
     to_bag(
@@ -54,7 +53,7 @@ def test_tum_to_bag_to_tum_changes_nothing(tmp_path: Path) -> None:
     np.testing.assert_allclose(values, VALUES, rtol=1e-8, atol=1e-12)
 
 
-def test_a_part_is_cut_of_all_alike(tmp_path: Path) -> None:
+def test_a_part_is_cut_of_all_alike(tmp_path):
     """Count from the first stamp of all, and leave out what is earlier and later."""
     later = STAMPS + 6_000_000
     for name, stamps in (('tool', STAMPS), ('plate', later)):
@@ -75,7 +74,7 @@ def test_a_part_is_cut_of_all_alike(tmp_path: Path) -> None:
         to_tum(tmp_path / 'bag', tmp_path / 'part.tum', '/tool/pose', {'recording.start': 1.0})
 
 
-def test_euroc_is_distinguished_from_motive(tmp_path: Path) -> None:
+def test_euroc_is_distinguished_from_motive(tmp_path):
     """Look into a .csv, not at its name."""
     (tmp_path / 'data.csv').write_text('#t\n1000000000,1,2,3,1,0,0,0\n2000000000,1,2,3,1,0,0,0\n')
     to_bag(bodies_in_files([tmp_path / 'data.csv']), tmp_path / 'bag')
@@ -83,7 +82,7 @@ def test_euroc_is_distinguished_from_motive(tmp_path: Path) -> None:
     np.testing.assert_array_equal(stream.stamps_ns, [10**9, 2 * 10**9])
 
 
-def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path: Path) -> None:
+def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path):
     """Refuse both."""
     for folder in ('a', 'b'):
         (tmp_path / folder).mkdir()
@@ -95,7 +94,7 @@ def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path: Path) -> None:
         bodies_in_files(sources, ['/one'])
 
 
-def test_which_topic_must_be_clear(tmp_path: Path) -> None:
+def test_which_topic_must_be_clear(tmp_path):
     """List those that could be meant."""
     to_bag(bodies_in_files([export(tmp_path / 'take.csv')]), tmp_path / 'bag')
     with pytest.raises(BellowsError, match='/plate/pose.*/tool/pose'):

@@ -1,16 +1,12 @@
 """What is said about a recording: roles, axes, rates and flaws, against recordings made for it."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
-from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.bag_writer import Recorded, write_bag
-from bellows_ros.workflows.info import info, longest_hold, TopicInfo
+from bellows_ros.workflows.info import info, longest_hold
 import numpy as np
 import pytest
 
@@ -19,7 +15,7 @@ RATE_HZ, SECONDS, REST = 200.0, 6.0, 1.0
 START_NS = 1_700_000_000_000_000_000
 
 
-def motion(hanging: float = 0.08) -> dict[str, Array]:
+def motion(hanging=0.08):
     """Return a tool that rests and then moves and turns, and a package that swings below it."""
     t = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
     s = np.maximum(t - REST, 0.0)[:, None]
@@ -32,24 +28,24 @@ def motion(hanging: float = 0.08) -> dict[str, Array]:
     return {'t': t, 'o': position, 'v': velocity, 'R': rotation, 'R_p': swing, 'o_p': package}
 
 
-def poses(topic: str, t: Array, position: Array, rotation: Array) -> Recorded:
+def poses(topic, t, position, rotation):
     """Return poses to record."""
     stamps = START_NS + np.rint(t * 1e9).astype(np.int64)
     return Recorded(topic, POSE, stamps, np.hstack([position, rotation_to_quaternion(rotation)]))
 
 
-def twists(topic: str, t: Array, linear: Array) -> Recorded:
+def twists(topic, t, linear):
     """Return twists to record."""
     stamps = START_NS + np.rint(t * 1e9).astype(np.int64)
     return Recorded(topic, TWIST, stamps, np.hstack([linear, np.zeros_like(linear)]))
 
 
-def by_name(topics: tuple[TopicInfo, ...]) -> Mapping[str, TopicInfo]:
+def by_name(topics):
     """Return topics by name."""
     return {topic.name: topic for topic in topics}
 
 
-def test_names_say_nothing_but_poses_do(tmp_path: Path) -> None:
+def test_names_say_nothing_but_poses_do(tmp_path):
     """Find what hangs below, even where names have been chosen to mislead."""
     m = motion()
     write_bag(tmp_path / 'bag', [poses('/a', m['t'], m['o_p'], m['R_p']),
@@ -63,7 +59,7 @@ def test_names_say_nothing_but_poses_do(tmp_path: Path) -> None:
     assert found.rest_s == pytest.approx(REST, abs=0.2)
 
 
-def test_two_worlds_are_said_and_not_measured(tmp_path: Path) -> None:
+def test_two_worlds_are_said_and_not_measured(tmp_path):
     """Ask for the transform, and tell nothing that compares poses of two worlds."""
     m = motion()
     turn = exp_so3(np.array([0.2, -0.1, 2.0]))
@@ -84,7 +80,7 @@ def test_two_worlds_are_said_and_not_measured(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('frame', ['world', 'tool'])
-def test_axes_of_the_twist_are_found(frame: str, tmp_path: Path) -> None:
+def test_axes_of_the_twist_are_found(frame, tmp_path):
     """Tell world from tool axes by integrating the twist."""
     m = motion()
     inside = apply(np.swapaxes(m['R'], 1, 2), m['v'])
@@ -98,7 +94,7 @@ def test_axes_of_the_twist_are_found(frame: str, tmp_path: Path) -> None:
     assert found.settings['tool_twist.frame'] == frame
 
 
-def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path: Path) -> None:
+def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path):
     """Say that the axes are not known then."""
     m = {name: np.repeat(x[:1], 400, axis=0) for name, x in motion().items()}
     t = np.arange(400) / RATE_HZ
@@ -109,7 +105,7 @@ def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path: Path) -> None:
     assert found.twist and found.twist.topic == '/speed' and 'too little' in found.twist.why[0]
 
 
-def test_what_moves_at_once_does_not_stand_still(tmp_path: Path) -> None:
+def test_what_moves_at_once_does_not_stand_still(tmp_path):
     """Measure a rest by the noise, which a motion from the first pose on is not."""
     m = motion()
     later = {name: values[round(1.3 * REST * RATE_HZ):] for name, values in m.items()}
@@ -121,7 +117,7 @@ def test_what_moves_at_once_does_not_stand_still(tmp_path: Path) -> None:
         assert rest is not None and least <= rest <= most
 
 
-def test_millimetres_are_noticed(tmp_path: Path) -> None:
+def test_millimetres_are_noticed(tmp_path):
     """Ask where something moves further than any arm."""
     m = motion()
     write_bag(tmp_path / 'bag', [poses('/tool', m['t'], 1e3 * m['o'], m['R'])])
@@ -129,7 +125,7 @@ def test_millimetres_are_noticed(tmp_path: Path) -> None:
         tmp_path / 'bag').notes)
 
 
-def test_y_up_and_turned_markers_are_noticed(tmp_path: Path) -> None:
+def test_y_up_and_turned_markers_are_noticed(tmp_path):
     """Propose Motive's world and the alignment, with a rest that the recording has."""
     m = motion()
     turn, up = exp_so3(np.array([0.0, 0.1, 0.8])), R_WORLD_MOTIVE.T
@@ -143,7 +139,7 @@ def test_y_up_and_turned_markers_are_noticed(tmp_path: Path) -> None:
     assert any('align_at_rest' in note for note in found.notes)
 
 
-def test_gaps_jitter_and_repeats_are_counted(tmp_path: Path) -> None:
+def test_gaps_jitter_and_repeats_are_counted(tmp_path):
     """Report per topic what would be left out."""
     m = motion()
     rng = np.random.default_rng(3)
@@ -161,7 +157,7 @@ def test_gaps_jitter_and_repeats_are_counted(tmp_path: Path) -> None:
     assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
 
 
-def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path: Path) -> None:
+def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path):
     """Use the name where there is nothing to compare with."""
     m = motion()
     write_bag(tmp_path / 'bag', [poses('/ur/tcp_pose', m['t'], m['o'], m['R'])])
@@ -176,9 +172,7 @@ def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path: Path) -> No
     [('clean', ('/tool_arm/pose', '/package/pose', 'z_up', False)),
      ('lab', ('/mocap/tool_arm/pose', '/mocap/plate/pose', 'motive_y_up', True))],
 )
-def test_recordings_with_known_truth_are_read_right(
-    name: str, expected: tuple[Any, ...], rig: Path
-) -> None:
+def test_recordings_with_known_truth_are_read_right(name, expected, rig):
     """Propose the settings with which these are identified."""
     settings = info(rig / name).settings
     keys = ('topics.tool_pose', 'topics.package_pose', 'recording.world',
@@ -200,8 +194,7 @@ def test_a_stamp_years_away_takes_no_memory():
 @pytest.mark.parametrize(('frame', 'late_s', 'aside', 'reason'), [
     ('camera', 0.0, 0.0, "in frame 'base', the package in 'camera'"),
     ('base', 100.0, 0.0, 'do not overlap'), ('base', 0.0, 1.0, 'no cup'), ('base', 0.0, 0.0, '')])
-def test_two_worlds_or_clocks_are_all_set_free(
-        tmp_path: Path, frame: str, late_s: float, aside: float, reason: str) -> None:
+def test_two_worlds_or_clocks_are_all_set_free(tmp_path, frame, late_s, aside, reason):
     """Free world, clock and marker where frames, stamps or distances are not of one world."""
     m = motion()
     R_world = exp_so3(np.array([0.4, 1.0, -0.7]) * aside)

@@ -1,12 +1,10 @@
 """Joint trajectories in, joint trajectories out: steered, and in the shortest safe time."""
 
-from pathlib import Path
 import time
-from typing import Any
 
 from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
-from bellows_ros.core.planning.arm import Arm, read_arm
+from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.joint_path import Joints
 from bellows_ros.core.planning.points import plan_of_joints, quintic
 from bellows_ros.files.joint_plans import JointPlan
@@ -19,9 +17,7 @@ import yaml
 from ..core.planning.arms import SEVEN, SEVEN_START, UR5E, UR5E_START
 
 
-def write_request(
-    start: tuple[float, ...], names: tuple[str, ...], path: Path, by: float = 0.0
-) -> None:
+def write_request(start, names, path, by=0.0):
     """Write 0.8 s of a motion of all joints at 100 Hz as YAML, from rest to rest."""
     t = np.linspace(0.0, 1.0, 81)
     s, ds = t**3 * (10 - 15 * t + 6 * t**2), 30 * t**2 * (1 - t) ** 2 / 0.8
@@ -40,7 +36,7 @@ ARMS = {'UR5e': (UR5E, UR5E_START, 3.14), 'seven joints': (SEVEN, SEVEN_START, 2
 
 
 @pytest.fixture(params=ARMS)
-def arm(request: pytest.FixtureRequest, tmp_path: Path) -> Arm:
+def arm(request, tmp_path):
     """Give an arm; its URDF and its plan are files."""
     urdf, start, _ = ARMS[request.param]
     found = read_arm(urdf, 'tool')
@@ -49,9 +45,7 @@ def arm(request: pytest.FixtureRequest, tmp_path: Path) -> Arm:
     return found
 
 
-def answer(
-    root: Path, folder: Path, command: str, *more: str
-) -> tuple[JointPlan, PlanMessage]:
+def answer(root, folder, command, *more):
     """Run a command on the plan, and return the joints and the tool that it writes."""
     assert main([
         command, str(folder / 'plan.yaml'), '--params', str(root / 'bags/tossing.yaml'), '--urdf',
@@ -63,7 +57,7 @@ def answer(
     return joints, tool
 
 
-def require_same_motion(arm: Arm, joints: JointPlan, tool: PlanMessage) -> None:
+def require_same_motion(arm, joints, tool):
     """Compare forward kinematics with the Cartesian answer at every point of the joints."""
     common, _, k = np.intersect1d(joints.times_ns, tool.times_ns, return_indices=True)
     assert len(common) == len(joints.times_ns) and np.diff(common).max() < 21e6
@@ -73,7 +67,7 @@ def require_same_motion(arm: Arm, joints: JointPlan, tool: PlanMessage) -> None:
     assert off[:, :3].max() < 0.05e-3 and off[:, 3:].max() < 0.1e-3
 
 
-def at_1_khz(joints: JointPlan, order: int) -> Any:
+def at_1_khz(joints, order):
     """Return derivatives of the joints as a driver interpolates them."""
     t = joints.times_ns / 1e9
     curve = quintic(t, *joints[4:])
@@ -81,8 +75,7 @@ def at_1_khz(joints: JointPlan, order: int) -> Any:
 
 
 @pytest.mark.parametrize('method', ['inverse', 'zvd'])
-def test_steered_joints_move_the_tool_as_steered(
-        arm: Arm, method: str, root: Path, tmp_path: Path) -> None:
+def test_steered_joints_move_the_tool_as_steered(arm, method, root, tmp_path):
     joints, tool = answer(root, tmp_path, 'steer', '--method', method)
     assert joints.names == arm.moving
     require_same_motion(arm, joints, tool)
@@ -94,7 +87,7 @@ def test_steered_joints_move_the_tool_as_steered(
     assert np.abs(at_1_khz(joints, 1)).max() <= limit * (1 + 1e-6)
 
 
-def test_limits_of_joints_stretch_the_motion(arm: Arm, root: Path, tmp_path: Path) -> None:
+def test_limits_of_joints_stretch_the_motion(arm, root, tmp_path):
     limits = tmp_path / 'limits.yaml'
     limits.write_text('joint_acceleration: 2.0\n')
     joints, tool = answer(root, tmp_path, 'steer', '--method', 'zvd', '--limits', str(limits))
@@ -102,7 +95,7 @@ def test_limits_of_joints_stretch_the_motion(arm: Arm, root: Path, tmp_path: Pat
     assert 1.5 < np.abs(at_1_khz(joints, 2)).max() <= 2.0 * (1 + 1e-6)
 
 
-def test_the_shortest_safe_time_is_written_in_joints(arm: Arm, root: Path, tmp_path: Path) -> None:
+def test_the_shortest_safe_time_is_written_in_joints(arm, root, tmp_path):
     joints, tool = answer(root, tmp_path, 'plan', '--fastest')
     require_same_motion(arm, joints, tool)
     assert joints.times_ns[-1] == tool.times_ns[-1] != 800_000_000
@@ -110,8 +103,7 @@ def test_the_shortest_safe_time_is_written_in_joints(arm: Arm, root: Path, tmp_p
     assert (np.abs(at_1_khz(joints, 1)).max(axis=0) <= np.array(limits) * (1 + 1e-6)).all()
 
 
-def test_a_singular_path_is_refused_with_its_time(
-        root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_singular_path_is_refused_with_its_time(root, tmp_path, capsys):
     (tmp_path / 'arm.urdf').write_text(UR5E)
     names = read_arm(UR5E, 'tool').moving
     straight = (*UR5E_START[:4], 0.1, UR5E_START[5])  # wrist 2 turns through zero
@@ -123,7 +115,7 @@ def test_a_singular_path_is_refused_with_its_time(
     assert 'singular at 0.' in capsys.readouterr().err
 
 
-def test_a_second_of_motion_takes_less_than_50_ms(arm: Arm, tmp_path: Path) -> None:
+def test_a_second_of_motion_takes_less_than_50_ms(arm, tmp_path):
     """In processor time, the best of five: an answer is there before the arm moves."""
     t = np.linspace(0.0, 1.0, 126)
     start = UR5E_START if len(arm.moving) == 6 else SEVEN_START
@@ -132,7 +124,7 @@ def test_a_second_of_motion_takes_less_than_50_ms(arm: Arm, tmp_path: Path) -> N
     stamps = np.round(1e9 * t).astype(np.int64)
     tool, joints = plan_of_joints(arm, stamps, position), Joints(arm, stamps, position)
 
-    def took() -> float:
+    def took():
         begin = time.process_time()
         joints.along(tool, tool)
         return time.process_time() - begin

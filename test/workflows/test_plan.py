@@ -3,7 +3,6 @@
 from dataclasses import replace
 import json
 import math
-from pathlib import Path
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
@@ -335,7 +334,7 @@ def test_a_bad_plan_is_refused(tmp_path, content, values, words):
         figures(bag, values=values)
 
 
-def test_what_is_no_plan_is_refused(tmp_path: Path):
+def test_what_is_no_plan_is_refused(tmp_path):
     (tmp_path / 'no.yaml').write_text('a: 1\n')
     with pytest.raises(BellowsError, match="'points'"):
         figures(tmp_path / 'no.yaml')

@@ -1,7 +1,5 @@
 """What pictures are made of, against the cup that a recording was simulated with."""
 
-from pathlib import Path
-from typing import Any
 
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.plot import loads, motion, replayed, spectra, within
@@ -10,13 +8,13 @@ import pytest
 
 
 @pytest.fixture(scope='module')
-def settings(root: Path) -> dict[str, Any]:
+def settings(root):
     """Give the true cup, and how the recordings in bags/ are to be read."""
     known = read_parameters(root / 'bags' / 'package.yaml')
     return {**known, **read_parameters(root / 'bags' / 'cup.yaml')}
 
 
-def test_loads_lie_on_the_cups_stiffness(root: Path, settings: dict[str, Any]) -> None:
+def test_loads_lie_on_the_cups_stiffness(root, settings):
     """Find K again as the slope of load over deflection, where damping averages out."""
     found = loads(root / 'bags' / 'identification', settings)
     x, y = found.deflection[found.valid], found.load[found.valid]
@@ -28,7 +26,7 @@ def test_loads_lie_on_the_cups_stiffness(root: Path, settings: dict[str, Any]) -
     assert np.all(np.std(found.residual[found.valid], axis=0) < 0.08 * np.std(y, axis=0))
 
 
-def test_a_replay_has_the_poses_it_was_scored_with(root: Path, settings: dict[str, Any]) -> None:
+def test_a_replay_has_the_poses_it_was_scored_with(root, settings):
     """Give predicted poses in the world that are the predicted coordinates."""
     found = replayed(root / 'bags' / 'validation', settings)
     both = found.motion.valid
@@ -42,7 +40,7 @@ def test_a_replay_has_the_poses_it_was_scored_with(root: Path, settings: dict[st
     np.testing.assert_allclose(found.box, [0.2, 0.16, 0.06], rtol=1e-6)
 
 
-def test_spectra_show_the_noise_floor(root: Path, settings: dict[str, Any]) -> None:
+def test_spectra_show_the_noise_floor(root, settings):
     """Hold the density of white noise of 0.1 mm at 360 Hz, and a prediction error at it."""
     found = spectra(root / 'bags' / 'validation', settings, cup=True)
     floor = 1e-4 / np.sqrt(180.0)
@@ -53,9 +51,7 @@ def test_spectra_show_the_noise_floor(root: Path, settings: dict[str, Any]) -> N
     assert np.all(found.error[low, :3] < 0.2 * found.measured[low, :3].max(axis=0))
 
 
-def test_a_part_of_a_replay_has_its_own_scores(
-    root: Path, settings: dict[str, Any]
-) -> None:
+def test_a_part_of_a_replay_has_its_own_scores(root, settings):
     """Pick all that belongs to the time, and judge the prediction by that."""
     whole = replayed(root / 'bags' / 'validation', settings)
     part = within(whole, 3.0, 4.0)
@@ -70,9 +66,7 @@ def test_a_part_of_a_replay_has_its_own_scores(
     np.testing.assert_array_equal(part.box, whole.box)
 
 
-def test_without_a_package_the_tracked_point_is_shown(
-    root: Path, settings: dict[str, Any]
-) -> None:
+def test_without_a_package_the_tracked_point_is_shown(root, settings):
     """Put B where the poses are, in whichever frame they are taken."""
     bag = root / 'bags' / 'validation'
     unknown = {name: value for name, value in settings.items() if not name.startswith('package.')}

@@ -1,7 +1,6 @@
 """Simulated recordings: true to an independent integrator, and what their motion file says."""
 
 import copy
-from pathlib import Path
 
 from bellows_ros.core.geometry.lie import hat, log_so3
 from bellows_ros.core.parameters.settings import Settings
@@ -96,7 +95,7 @@ def test_a_world_on_a_wall_is_the_level_one_turned(tmp_path, world):
     assert_allclose(truth['package_twist'], true_level['package_twist'], atol=1e-12)
 
 
-def content_of(path: Path):
+def content_of(path):
     """Return the bytes of all files in a folder."""
     return {p.relative_to(path): p.read_bytes() for p in sorted(path.rglob('*')) if p.is_file()}
 

@@ -8,7 +8,7 @@ import pytest
 
 @pytest.mark.parametrize(('off', 'left', 'said'), [
     (1.02, 0.93, ''), (1.02, 0.6, ''), (1.5, 0.93, 'no tested cause'), (1.5, 0.6, 'Likely')])
-def test_what_filters_take_is_not_doubted(off: float, left: float, said: str) -> None:
+def test_what_filters_take_is_not_doubted(off, left, said):
     """Doubt what was given, or the cup, only where poses are predicted worse than noise."""
     noise = np.repeat([1e-4, 5e-4], 3)
     rms = noise * np.where(np.arange(6) == 4, off, 1.0)
