@@ -4,6 +4,8 @@ Alarms of simulated cells, counted: false ones an hour, and how soon faults are 
 `--hours` counts false alarms in each ordinary condition, and prints the mean normalised squared
 error of the state (12 where the covariance is right); `--faults` lets so many faults of each kind
 happen in one condition, `--drops` lets packages fall, seen at 30 and at 10 Hz until 0.55 m below.
+`--slips` lets so many packages slip by 3 to 10 mm, at once and within 0.25 s, and prints how many
+first alarms are right, and the errors in each half second since, relative to the 2 s before.
 """
 
 import argparse
@@ -12,7 +14,7 @@ from collections import Counter
 import numpy as np
 
 from test.core.observer.cases import error_of  # noqa: I100, I201
-from test.core.observer.cell import Cell, CONDITIONS, EXACT  # noqa: I201
+from test.core.observer.cell import Cell, CONDITIONS, errors_around_slips, EXACT  # noqa: I201
 
 SECONDS = 60.0
 """Length of a run without a fault."""
@@ -64,6 +66,7 @@ def main() -> None:
     parser.add_argument('--hours', type=float, default=0.0, help='in each condition')
     parser.add_argument('--faults', type=int, default=0, help='of each kind')
     parser.add_argument('--drops', type=int, default=0, help='at once and peeling off, each')
+    parser.add_argument('--slips', type=int, default=0, help='at once and slow, each')
     parser.add_argument('--kind', choices=KINDS, help='of faults; default: all')
     parser.add_argument('--condition', choices=CONDITIONS, help='default: white for faults, all')
     parser.add_argument('--seed', type=int, default=0, help='of the first run')
@@ -86,6 +89,14 @@ def main() -> None:
             print(f'| {name} | {kind} | {rate_hz:.0f} Hz | {100 * noticed:.1f} % within '
                   f'{within} s of its end | slowest {after[-1]:.2f} s after its beginning | '
                   f'{100 * right:.0f} % right |', flush=True)
+    for lasts in (0.0, 0.25) if given.slips else ():
+        right, errors = errors_around_slips(
+            range(given.seed, given.seed + given.slips), CONDITIONS[name], lasts,
+            **EXACT if name == 'white' else {})
+        before = np.sqrt(np.mean(np.square(errors[4:8]), axis=0))
+        print(f'| {name} | slip in {lasts} s | {right} of {given.slips} right | before: '
+              f'{1e3 * before[0]:.2f} mm, {1e3 * before[1]:.1f} mrad | times of that: '
+              + ', '.join(f'{a:.2f} and {b:.2f}' for a, b in errors[8:] / before), flush=True)
 
 
 if __name__ == '__main__':

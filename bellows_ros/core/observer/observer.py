@@ -453,20 +453,15 @@ class Observer:
                     body=body, theta=theta, memory=self._first_memory, refused=0, opened=opened,
                     model=with_theta(self._gripper(opened), theta),
                     evidence=self._evidence(stamp_ns, opened, False),
-                    covariance=self._uncertain(after) + fault.spread @ fault.spread.T)
+                    covariance=after.covariance + fault.spread @ fault.spread.T)
         if name == 'recovered':
+            P, rows = after.covariance.copy(), np.r_[:STATE, WRENCH:WRENCH + 6]
+            P[rows, rows] += np.square(self._prior[rows])  # as uncertain as at the start
             restarted = after._replace(
-                covariance=self._uncertain(after), memory=before.memory, evidence=NO_EVIDENCE)
+                covariance=P, memory=before.memory, evidence=NO_EVIDENCE)
             return self._processed(restarted, stamp_ns, True, seen, math.inf)[0]._replace(
                 memory=before.memory, evidence=self._evidence(stamp_ns, after.opened, False))
         return after
-
-    def _uncertain(self, known: Estimate) -> Array:
-        """Return the covariance of an estimate whose motion is as uncertain as at the start."""
-        P: Array = known.covariance.copy()
-        rows = np.r_[:STATE, WRENCH:WRENCH + 6]
-        P[rows, rows] += np.square(self._prior[rows])
-        return P
 
     def _away(self, known: Estimate, stamp_ns: int) -> Estimate:
         """Count a pose out of reach; a package that was within reach is lost after two."""
