@@ -5,7 +5,6 @@ Files are not trusted: sizes are bounded, and whatever is wrong with one is a Be
 says what to do. What a recorder that crashed has left is read as far as it goes, with a note.
 """
 
-from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -19,6 +18,7 @@ from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files import mcap, messages
 from bellows_ros.files.bag_folder import (
+    Batch,
     Channel,
     DamagedError,
     decompressed,
@@ -26,6 +26,7 @@ from bellows_ros.files.bag_folder import (
     Message,
     METADATA,
     open_plain,
+    rows_of,
     Wanted,
     ZSTD_MAGIC,
     ZstdError,
@@ -44,9 +45,7 @@ SQLITE_MAGIC = b'SQLite format 3\0'
 SHORTEST = 16
 """Bytes of the shortest message with a header: encoding, stamp, and the length of frame_id."""
 
-_BATCH = 8192
 _COPY_STEP = 2**20
-_LARGEST_INT64 = 2**63 - 1
 
 Stream = PoseStream | TwistStream
 
@@ -100,10 +99,13 @@ class _Bag:
 
     def messages(self, wanted: Wanted) -> Iterator[Message]:
         """Yield the messages of the wanted topics, file by file."""
-        return chain.from_iterable(self.batches(wanted))
+        for batches in self.batches(wanted):
+            yield from (Message(*found) for _, found in sorted(
+                (at, (own.topic, log_time, data)) for own in batches for at, log_time, data in zip(
+                    own.starts.tolist(), own.log_times_ns.tolist(), own.messages(), strict=True)))
 
-    def batches(self, wanted: Wanted) -> Iterator[list[Message]]:
-        """Yield them as they are stored together, which takes half of the time."""
+    def batches(self, wanted: Wanted) -> Iterator[list[Batch]]:
+        """Yield them topic by topic as they are stored together, which is much quicker."""
         for file in self._listed.files:
             lost: list[str] = []
             try:
@@ -249,13 +251,9 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
                 and topic.encoding == 'cdr'}
         return bool(collectors[topic])
 
-    for batch in bag.batches(is_wanted):
-        of_topic: dict[Channel, list[Message]] = {}
-        for message in batch:
-            of_topic.setdefault(message.topic, []).append(message)
-        for topic, own in of_topic.items():
-            for collector in collectors[topic].values():
-                collector.add(own)
+    for batch in chain.from_iterable(bag.batches(is_wanted)):
+        for collector in collectors[batch.topic].values():
+            collector.add(batch)
     bag.require_messages()
     contents = Contents({}, {}, tuple(bag.notes))
     for role, name in roles.items():
@@ -347,40 +345,27 @@ class _Collector:
         assert part  # as accepted types have it
         covariance = layout.pose_covariance if self._by_stamp else 0
         self._part = slice(part.start, part.stop + covariance)
-        self._log_times = array('q')
-        self._batch: list[bytes] = []
+        self._count = 0
         self._frames: dict[tuple[str, ...], int] = {}
         self._decoded: list[messages.Decoded] = []
 
-    def add(self, batch: Sequence[Message]) -> None:
-        """Take messages, unless there are too many."""
-        taken = batch[:LARGEST_COUNT - len(self._log_times)]
-        self._log_times.extend([min(each.log_time_ns, _LARGEST_INT64) for each in taken])
-        self._batch += [_plain(each.data) for each in taken]
-        if len(self._batch) >= _BATCH:
-            self._flush()
-
-    def _flush(self) -> None:
-        """Decode the messages collected so far."""
-        self._decoded.append(
-            messages.decode(self._batch, self._layout, self._part, self._frames))
-        self._batch = []
+    def add(self, batch: Batch) -> None:
+        """Decode messages, unless there are too many."""
+        batch = _plain_batch(batch.chosen(slice(0, LARGEST_COUNT - self._count)))
+        self._count += len(batch.starts)
+        self._decoded.append(messages.decode(batch, self._layout, self._part, self._frames))
 
     def stream(self, recording: Path) -> Stream:
         """Return the usable messages as they were recorded, measured poses by their stamps."""
-        self._flush()
-        log_times = np.maximum(self._log_times, 0)
-        order: Any = np.argsort(np.concatenate(
-            [part.stamps_ns for part in self._decoded]) if self._by_stamp else log_times,
-            kind='stable')
+        joined = (np.concatenate([getattr(part, name) for part in self._decoded])
+                  for name in ('stamps_ns', 'values', 'frame', 'arrivals_ns'))
+        stamps_ns, values, frame, log_times = joined
+        self._decoded.clear()
+        order: Any = np.argsort(stamps_ns if self._by_stamp else log_times, kind='stable')
         if np.array_equal(order, np.arange(len(order))):
             order = slice(None)  # which copies nothing
-        stamps_ns, values, frame = (
-            np.concatenate([getattr(part, name) for part in self._decoded])[order]
-            for name in ('stamps_ns', 'values', 'frame'))
-        self._decoded.clear()
         decoded = messages.Decoded(
-            stamps_ns, values, frame, list(self._frames), log_times[order])
+            stamps_ns[order], values[order], frame[order], list(self._frames), log_times[order])
         name = self.topic.name
         stream: Stream = (
             messages.twist_stream(name, decoded, self._layout.strings > 1) if self._twists
@@ -434,9 +419,17 @@ def _plain(data: bytes) -> bytes:
         return b''
 
 
+def _plain_batch(batch: Batch) -> Batch:
+    """Return messages decompressed where each was compressed on its own."""
+    firsts = rows_of(batch.data, batch.starts[batch.sizes >= len(ZSTD_MAGIC)], len(ZSTD_MAGIC))
+    if (firsts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
+        return Batch.of(batch.topic, batch.log_times_ns, [_plain(m) for m in batch.messages()])
+    return batch
+
+
 def _file_batches(
     path: Path, wanted: Wanted, counts: dict[Channel, int], lost: list[str]
-) -> Iterator[list[Message]]:
+) -> Iterator[list[Batch]]:
     """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
     with open_plain(path) as (file, compressed):
         magic = file.read(len(SQLITE_MAGIC))

@@ -17,14 +17,16 @@ from typing import BinaryIO
 import zlib
 
 from bellows_ros.files.bag_folder import (
+    Batch,
     Channel,
     DamagedError,
     decompressed,
     FRAMES,
     LARGEST_RECORD,
-    Message,
+    rows_of,
     Wanted,
 )
+import numpy as np
 
 MAGIC = b'\x89MCAP0\r\n'
 
@@ -32,19 +34,26 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _STATISTICS, _DATA_END = 0x0B, 0x0F
 _READ = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
 _RECORD_HEAD = struct.Struct('<BQ')
-_MESSAGE_HEAD = struct.Struct('<HIQQ')
+_MESSAGE_HEAD = np.dtype([
+    ('kind', 'u1'), ('size', '<u8'), ('channel', '<u2'), ('number', '<u4'), ('log_time', '<u8'),
+    ('publish_time', '<u8')])
+_SHORTEST_MESSAGE = _MESSAGE_HEAD.itemsize - _RECORD_HEAD.size
 _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
 _SKIP_STEP = 2**20
+_TOGETHER = 2**20  # bytes of messages outside chunks that are read at once
+_LARGEST_TIME = np.uint64(2**63 - 1)
+
+_BROKEN = (struct.error, UnicodeDecodeError, DamagedError)
 
 Record = tuple[int, bytes]
 
 
 def scan(
     file: BinaryIO, wanted: Wanted, counts: dict[Channel, int], notes: list[str]
-) -> Iterator[list[Message]]:
+) -> Iterator[list[Batch]]:
     """
-    Yield the messages of the wanted topics in the order they are stored in, chunk by chunk.
+    Yield the messages of the wanted topics, chunk by chunk, each topic's as they are stored.
 
     Parameters
     ----------
@@ -68,7 +77,7 @@ def scan(
     scanned = _Scan(wanted, counts)
     try:
         yield from scanned.batches(scanned.file_records(file))
-    except (struct.error, UnicodeDecodeError, DamagedError) as error:
+    except _BROKEN as error:
         named = isinstance(error, DamagedError)
         reason = str(error) if named else f'a record is damaged ({error})'
         size = file.seek(0, os.SEEK_END)
@@ -125,45 +134,67 @@ class _Scan:
         if file.read(len(MAGIC) + 1) != MAGIC:
             raise DamagedError('it does not end as an MCAP file does')
 
-    def batches(self, records: Iterator[Record]) -> Iterator[list[Message]]:
-        """Yield the wanted messages among records, and those of each chunk together."""
-        for kind, body in records:
-            found: list[Message] = []
-            try:
+    def batches(self, records: Iterator[Record]) -> Iterator[list[Batch]]:
+        """Yield the wanted messages of each chunk, and of messages outside chunks together."""
+        alone = bytearray()
+        try:
+            for kind, body in records:
+                if kind == _MESSAGE:
+                    _require_head(len(body))
+                    alone += _RECORD_HEAD.pack(kind, len(body)) + body
+                if alone and (kind != _MESSAGE or len(alone) > _TOGETHER):
+                    together, alone = bytes(alone), bytearray()
+                    yield from self._read_chunk(together)
                 if kind == _CHUNK:
-                    self._read_chunk(_chunk_data(_Fields(body)), found)
-                elif kind == _MESSAGE:
-                    self._read_message(body, 0, len(body), found)
-                else:
+                    yield from self._read_chunk(_chunk_data(_Fields(body)))
+                elif kind != _MESSAGE:
                     self._read_other(kind, body)
-            finally:  # what is whole of a chunk that is cut short
-                if found:
-                    yield found
+        except _BROKEN:
+            yield from self._read_chunk(bytes(alone))
+            raise
 
-    def _read_chunk(self, records: bytes, found: list[Message]) -> None:
-        """Read the records of a chunk."""
-        at, end = 0, len(records)
-        while at < end:
-            kind, size = _RECORD_HEAD.unpack_from(records, at)
-            at += _RECORD_HEAD.size
-            if size > end - at or kind in (0, _CHUNK):
-                raise DamagedError('a record inside a chunk is damaged')
-            if kind == _MESSAGE:
-                self._read_message(records, at, at + size, found)
-            else:
-                self._read_other(kind, records[at:at + size])
-            at += size
+    def _read_chunk(self, records: bytes) -> Iterator[list[Batch]]:
+        """Read the records of a chunk; yield its wanted messages, of a damaged one up to there."""
+        at, end, starts = 0, len(records), list[int]()
+        unpack, head = _RECORD_HEAD.unpack_from, _RECORD_HEAD.size
+        try:
+            while at < end:
+                kind, size = unpack(records, at)
+                if size > end - at - head or kind in (0, _CHUNK):
+                    raise DamagedError('a record inside a chunk is damaged')
+                if kind == _MESSAGE:
+                    _require_head(size)
+                    starts.append(at)
+                else:
+                    before, starts = starts, []
+                    yield from self._messages(records, before)
+                    self._read_other(kind, records[at + head:at + head + size])
+                at += head + size
+        except _BROKEN:
+            yield from self._messages(records, starts)
+            raise
+        yield from self._messages(records, starts)
 
-    def _read_message(self, records: bytes, at: int, end: int, found: list[Message]) -> None:
-        """Count a message, and take it if it is wanted."""
-        channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(records, at)
-        at += _MESSAGE_HEAD.size
-        if channel not in self._channels or at > end:
-            raise DamagedError(f'a message belongs to channel {channel}, which is not defined'
-                               if at <= end else _TRUNCATED)
-        self.met[channel] += 1
-        if channel in self._wanted_channels:
-            found.append(Message(self._channels[channel], log_time_ns, records[at:end]))
+    def _messages(self, records: bytes, starts: list[int]) -> Iterator[list[Batch]]:
+        """Count the messages that begin there, and yield those that are wanted."""
+        at = np.array(starts, dtype=np.int64)
+        heads = rows_of(records, at, _MESSAGE_HEAD.itemsize).view(_MESSAGE_HEAD)[:, 0]
+        unknown = ~np.isin(heads['channel'], list(self._channels))
+        known = heads[:np.argmax(unknown)] if unknown.any() else heads
+        found = []
+        for channel, count in Counter(known['channel'].tolist()).items():
+            self.met[channel] += count
+            if channel in self._wanted_channels:
+                own = np.flatnonzero(known['channel'] == channel)
+                times = np.minimum(known['log_time'][own], _LARGEST_TIME).astype(np.int64)
+                found.append(Batch(
+                    self._channels[channel], times, records, at[own] + _MESSAGE_HEAD.itemsize,
+                    known['size'][own].astype(np.int64) - _SHORTEST_MESSAGE))
+        if found:
+            yield found
+        if unknown.any():
+            raise DamagedError(f"a message belongs to channel {heads['channel'][len(known)]}, "
+                               'which is not defined')
 
     def _read_other(self, kind: int, body: bytes) -> None:
         """Read what is no message."""
@@ -201,6 +232,12 @@ class _Scan:
         self._counts.setdefault(topic, 0)
         if self._wanted(topic):
             self._wanted_channels.add(number)
+
+
+def _require_head(size: int) -> None:
+    """Refuse a message of a size that is less than that of its head."""
+    if size < _SHORTEST_MESSAGE:
+        raise DamagedError(f'a message is damaged: of its head it has {size} bytes')
 
 
 def _exactly(file: BinaryIO, size: int) -> bytes:

@@ -8,7 +8,7 @@ needed here.
 What cannot be used is left out of a stream, and counted by reason.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import struct
 from types import MappingProxyType
@@ -18,6 +18,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.screening import unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_folder import Batch, rows_of
 import numpy as np
 
 Indices = Stamps
@@ -26,6 +27,7 @@ Indices = Stamps
 LARGEST_MESSAGE = 4096
 
 _STAMP_AT, _STRINGS_AT = 4, 12
+_FEW = 4
 _LARGEST_PADDING = 3  # at the end, to a multiple of four
 
 HEAD = b'\0\1\0\0'
@@ -105,15 +107,14 @@ class Decoded:
 
 
 def decode(
-    messages: Sequence[bytes], layout: Layout, part: slice,
-    numbers: dict[tuple[str, ...], int] | None = None,
+    batch: Batch, layout: Layout, part: slice, numbers: dict[tuple[str, ...], int] | None = None,
 ) -> Decoded:
     """
     Decode messages of one type.
 
     Parameters
     ----------
-    messages : sequence of bytes
+    batch : Batch
         CDR with its four-byte head, of either endianness.
     layout : Layout
         Of their type.
@@ -127,45 +128,59 @@ def decode(
     Decoded
 
     """
-    count = len(messages)
+    count = len(batch.starts)
     stamps_ns = np.zeros(count, dtype=np.int64)
     values = np.zeros((count, part.stop - part.start))
     frame = np.full(count, -1, dtype=np.int64)
     numbers = {} if numbers is None else numbers
-    for (head, size), (names, members) in _same_layout(messages, layout.strings).items():
-        dtype = _dtype(head, size, layout)
+    for head, names, index, raw in _alike(batch, layout.strings):
+        dtype = _dtype(head, raw.shape[1], layout)
         if dtype is None:
             continue
-        rows = np.frombuffer(b''.join(messages[i] for i in members), dtype=dtype)
-        index = np.array(members)
+        rows = raw.view(dtype)[:, 0]
         stamps_ns[index] = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
         values[index] = rows['doubles'][:, part]
         sound = (rows['sec'] >= 0) & (rows['nanosec'] < NS_PER_S)
         frame[index[sound]] = numbers.setdefault(names, len(numbers))
-    return Decoded(stamps_ns, values, frame, list(numbers))
+    return Decoded(stamps_ns, values, frame, list(numbers), np.maximum(batch.log_times_ns, 0))
 
 
-def _same_layout(
-    messages: Sequence[bytes], strings: int
-) -> dict[tuple[bytes, int], tuple[tuple[str, ...], list[int]]]:
+def _alike(
+    batch: Batch, strings: int
+) -> Iterator[tuple[bytes, tuple[str, ...], Indices, np.ndarray]]:
     """
-    Return the strings and the indices of messages that lie alike in memory.
+    Yield messages that agree in size and, but for the stamp, in their head.
 
-    These agree in size and, but for the stamp, in their head.
+    Head and strings, their indices, and their bytes as rows. A few heads, which mostly are all,
+    are compared in all messages at once.
     """
+    left = np.flatnonzero((batch.sizes > _STRINGS_AT) & (batch.sizes <= LARGEST_MESSAGE))
+    for _ in range(_FEW):
+        if not len(left):
+            return
+        size = int(batch.sizes[left[0]])
+        same = left[batch.sizes[left] == size]
+        rows = rows_of(batch.data, batch.starts[same], size)
+        found = _strings(rows[0].tobytes(), strings)
+        if found is None:
+            left = left[1:]
+            continue
+        names, end = found
+        of_head = np.ones(size, dtype=bool)
+        of_head[_STAMP_AT:_STRINGS_AT] = of_head[end:] = False
+        like = (rows[:, of_head] == rows[0, of_head]).all(axis=1)
+        yield rows[0, of_head].tobytes(), names, same[like], rows[like]
+        left = np.setdiff1d(left, same[like], assume_unique=True)
     groups: dict[tuple[bytes, int], tuple[tuple[str, ...], list[int]]] = {}
-    end = 0  # of the strings of the message before, which the next one mostly repeats
-    for i, message in enumerate(messages):
-        key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
-        if key not in groups:
-            found = _strings(message, strings)
-            if found is None:
-                continue
+    for i, message in zip(left.tolist(), batch.chosen(left).messages(), strict=True):
+        found = _strings(message, strings)
+        if found is not None:
             names, end = found
-            key = (message[:_STAMP_AT] + message[_STRINGS_AT:end], len(message))
-            groups.setdefault(key, (names, []))
-        groups[key][1].append(i)
-    return groups
+            head = message[:_STAMP_AT] + message[_STRINGS_AT:end]
+            groups.setdefault((head, len(message)), (names, []))[1].append(i)
+    for (head, size), (names, members) in groups.items():
+        index = np.array(members)
+        yield head, names, index, rows_of(batch.data, batch.starts[index], size)
 
 
 class Reader:
@@ -231,8 +246,6 @@ def with_text(data: bytes, text: str) -> bytes:
 
 def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int] | None:
     """Return the strings behind a stamp, and where they end; None where they are damaged."""
-    if len(message) > LARGEST_MESSAGE:
-        return None
     try:
         reader = Reader(message)
         reader.at = _STRINGS_AT - _STAMP_AT

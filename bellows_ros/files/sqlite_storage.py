@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 import sqlite3
 
-from bellows_ros.files.bag_folder import Channel, DamagedError, LARGEST_RECORD, Message, Wanted
+from bellows_ros.files.bag_folder import Batch, Channel, DamagedError, LARGEST_RECORD, Wanted
 
 _HEADER = 100
 _BATCH = 4096
@@ -23,7 +23,7 @@ _LEAST_STEPS = 10_000_000
 _STEPS_BETWEEN_CHECKS = 100_000
 
 
-def scan(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Iterator[list[Message]]:
+def scan(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Iterator[list[Batch]]:
     """
     Yield the messages of the wanted topics, topic by topic, in the order they are stored in.
 
@@ -140,10 +140,10 @@ def _topics(database: sqlite3.Connection, counts: dict[Channel, int]) -> dict[in
 
 def _messages(
     database: sqlite3.Connection, topic_id: int, topic: Channel
-) -> Iterator[list[Message]]:
+) -> Iterator[list[Batch]]:
     """Yield the messages of one topic in batches."""
     rows = database.execute('SELECT timestamp, data FROM messages WHERE topic_id = ?', (topic_id,))
     while batch := rows.fetchmany(_BATCH):
         if not all(isinstance(time, int) and isinstance(data, bytes) for time, data in batch):
             raise DamagedError("its table 'messages' is damaged")
-        yield [Message(topic, log_time_ns, data) for log_time_ns, data in batch]
+        yield [Batch.of(topic, *zip(*batch, strict=True))]

@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_folder import Message
+from bellows_ros.files.bag_folder import Batch, Channel, Message
 from bellows_ros.files.messages import decode, LAYOUTS
 from geometry_msgs.msg import PoseStamped
 import numpy as np
@@ -128,8 +128,10 @@ def converse(
     answered = [stamp for stamp in sent_ns if stamp in heard]
     if not answered:
         raise BellowsError('The predictor did not answer. See its log.')
-    found = decode([heard[stamp][1] for stamp in answered],
-                   LAYOUTS['geometry_msgs/msg/PoseStamped'], slice(0, 7))
+    answers = Batch.of(
+        Channel('package/pose', 'geometry_msgs/msg/PoseStamped', 'cdr'),
+        [heard[stamp][0] for stamp in answered], [heard[stamp][1] for stamp in answered])
+    found = decode(answers, LAYOUTS[answers.topic.type_name], slice(0, 7))
     order = np.argsort(found.stamps_ns)
     values = found.values[order]
     return Exchange(

@@ -237,11 +237,12 @@ def test_messages_come_in_the_order_they_were_received_in(tmp_path):
 
 
 def test_one_topic_may_serve_two_roles_and_batches_join(tmp_path, monkeypatch):
-    monkeypatch.setattr(bags, '_BATCH', 7)
+    monkeypatch.setattr(sqlite_storage, '_BATCH', 7)
     messages = made.poses(50)
     messages[3] = (messages[3][0], faulty(3, 'malformed'))
     messages[20] = (messages[20][0], faulty(20, 'frame_id'))
-    streams = read_streams(one_topic(tmp_path / 'b', messages), {'p': 'a', 'q': '/a'})
+    path = one_topic(tmp_path / 'b', messages, storage='sqlite3')
+    streams = read_streams(path, {'p': 'a', 'q': '/a'})
     for stream in streams.values():
         assert stream.refused == {'malformed': (3,), 'frame_id': (20,)}
         kept = np.setdiff1d(np.arange(50), [3, 20])

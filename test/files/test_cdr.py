@@ -1,7 +1,7 @@
 """Decoding and encoding of messages, against rosbags' own."""
 
-
 from bellows_ros.files import messages as cdr
+from bellows_ros.files.bag_folder import Batch, Channel
 from hypothesis import given, strategies
 import numpy as np
 from numpy.testing import assert_array_equal
@@ -19,6 +19,11 @@ def parts(kind):
     """Return which of a type's doubles can be asked for, by name."""
     layout = cdr.LAYOUTS[kind]
     return {k: v for k, v in (('pose', layout.pose), ('twist', layout.twist)) if v}
+
+
+def batch(messages):
+    """Return messages as a storage gives them."""
+    return Batch.of(Channel('topic', '', 'cdr'), range(len(messages)), messages)
 
 
 def names(kind, frame_id, child_frame_id):
@@ -44,7 +49,7 @@ def test_decoding_returns_what_rosbags_encoded(
         kind, stamp_ns, **given_parts, frame_id=frame_id, child_frame_id=child_frame_id,
         little_endian=little_endian)
     for name, part in parts(kind).items():
-        decoded = cdr.decode([data], cdr.LAYOUTS[kind], part)
+        decoded = cdr.decode(batch([data]), cdr.LAYOUTS[kind], part)
         assert decoded.stamps_ns[0] == stamp_ns
         assert decoded.frames == [names(kind, frame_id, child_frame_id)]
         assert_array_equal(decoded.values, [given_parts[name]])
@@ -81,13 +86,13 @@ def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
         made.encoded(made.POSE, t, pose=v, frame_id=f, little_endian=i % 2 == 0)
         for i, (t, v, f) in enumerate(zip(made.stamps(6), values, frames, strict=True))
     ]
-    decoded = cdr.decode(data, cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = cdr.decode(batch(data), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.values, values)
     assert_array_equal(decoded.stamps_ns, made.stamps(6))
     assert [decoded.frames[i] for i in decoded.frame] == [(f,) for f in frames]
 
 
-def test_strings_are_walked_through_where_they_change(monkeypatch):
+def test_the_strings_of_like_messages_are_walked_through_once(monkeypatch):
     walked = []
     walk = cdr._strings
     monkeypatch.setattr(cdr, '_strings', lambda *of: walked.append(of) or walk(*of))
@@ -95,10 +100,10 @@ def test_strings_are_walked_through_where_they_change(monkeypatch):
     frames = 10 * ['world'] + [''] + 9 * ['a'] + 10 * ['world']
     data = [made.encoded(made.POSE, t, pose=v, frame_id=f)
             for t, v, f in zip(made.stamps(30), values, frames, strict=True)]
-    decoded = cdr.decode(data, cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = cdr.decode(batch(data), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.values, values)
     assert [decoded.frames[i] for i in decoded.frame] == [(frame,) for frame in frames]
-    assert len(walked) == 4
+    assert len(walked) == 3
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -106,14 +111,14 @@ def test_a_message_cut_short_anywhere_is_not_decoded(kind):
     data = made.encoded(kind, made.EPOCH_NS, pose=made.pose_values(1)[0], twist=[1.0] * 6)
     cut = [data[:size] for size in range(len(data))]
     for part in parts(kind).values():
-        decoded = cdr.decode([data, *cut], cdr.LAYOUTS[kind], part)
+        decoded = cdr.decode(batch([data, *cut]), cdr.LAYOUTS[kind], part)
         assert_array_equal(decoded.frame, [0] + [-1] * len(cut))
 
 
 def test_padding_at_the_end_is_allowed_and_more_is_not():
     data = made.encoded(made.POSE, made.EPOCH_NS, pose=made.pose_values(1)[0])
     padded = [data + bytes(n) for n in range(6)]
-    decoded = cdr.decode(padded, cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = cdr.decode(batch(padded), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.frame, [0, 0, 0, 0, -1, -1])
 
 
@@ -134,7 +139,7 @@ def test_damaged_messages_are_not_decoded(at, value):
     good = made.encoded(made.POSE, made.EPOCH_NS, pose=made.pose_values(1)[0])
     damaged = bytearray(good)
     damaged[at] = value
-    decoded = cdr.decode([bytes(damaged), good], cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = cdr.decode(batch([bytes(damaged), good]), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert decoded.frame[0] == -1
     assert decoded.frame[1] >= 0
 
@@ -143,12 +148,12 @@ def test_damaged_messages_are_not_decoded(at, value):
 def test_any_bytes_are_either_decoded_or_left_out(data):
     for kind in KINDS:
         for part in parts(kind).values():
-            decoded = cdr.decode(data, cdr.LAYOUTS[kind], part)
+            decoded = cdr.decode(batch(data), cdr.LAYOUTS[kind], part)
             assert len(decoded.frame) == len(data)
 
 
 def test_messages_that_are_too_long_are_not_decoded():
     name = 'x' * cdr.LARGEST_MESSAGE
     data = made.encoded(made.POSE, made.EPOCH_NS, pose=[0.0] * 7, frame_id=name)
-    decoded = cdr.decode([data], cdr.LAYOUTS[made.POSE], slice(0, 7))
+    decoded = cdr.decode(batch([data]), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.frame, [-1])

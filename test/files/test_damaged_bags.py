@@ -256,9 +256,21 @@ def write_mcap(path, *records, ended=True):
 BASE = SCHEMA + channel()
 
 
-def test_a_file_without_chunks_or_index_is_read(tmp_path):
+@pytest.mark.parametrize('together', [100, 2**20])
+def test_a_file_without_chunks_or_index_is_read(tmp_path, monkeypatch, together):
+    monkeypatch.setattr(mcap, '_TOGETHER', together)
     path = write_mcap(tmp_path / 'a.mcap', SCHEMA, channel(), *(message(i) for i in range(5)))
     assert_array_equal(outcome(path).streams['p'].position, made.pose_values(5)[:, :3])
+
+
+@pytest.mark.parametrize('whole', [lambda records: [records], lambda records: [chunk(records)]])
+def test_messages_before_one_of_an_unknown_channel_are_read(tmp_path, whole):
+    """Of a recording that was not ended; and the channel has to come before its messages."""
+    records = BASE + message(0) + message(1) + message(2, 7) + channel(7, '/b') + message(3)
+    path = write_mcap(tmp_path / 'a.mcap', *whole(records), ended=False)
+    found = outcome(path)
+    assert_array_equal(found.streams['p'].position, made.pose_values(2)[:, :3])
+    assert any('channel 7' in note for note in found.notes)
 
 
 @pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
