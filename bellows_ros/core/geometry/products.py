@@ -67,9 +67,15 @@ if COMPILED:
         return out
 
     @array_kernel
-    def subtract_square(Z: Array, out: Array) -> None:
-        """Subtract Z^T Z, which is symmetric to the last bit: both factors are rounded alike."""
-        add_product(-transpose(Z), Z, out)
+    def subtract_product(Z: Any, B: Any, out: Any) -> None:
+        """Subtract Z^T B, of six rows each, from the first rows; Z^T Z stays symmetric."""
+        for i in range(Z.shape[1]):
+            row = out[i]
+            a, b, c, d, e, f = Z[0, i], Z[1, i], Z[2, i], Z[3, i], Z[4, i], Z[5, i]
+            for j in range(B.shape[1]):
+                row[j] -= (
+                    a * B[0, j] + b * B[1, j] + c * B[2, j] + d * B[3, j] + e * B[4, j]
+                    + f * B[5, j])
 else:
     def add_product(A: Any, B: Any, out: Any) -> Any:
         """Add A B to the first rows, and return the sum."""
@@ -82,9 +88,9 @@ else:
         out[:len(A)] = A[:, :len(B)] @ B
         return out
 
-    def subtract_square(Z: Array, out: Array) -> None:
-        """Subtract Z^T Z."""
-        out -= Z.T @ Z
+    def subtract_product(Z: Any, B: Any, out: Any) -> None:
+        """Subtract Z^T B from the first rows."""
+        out[:Z.shape[1]] -= Z.T @ B
 
 
 @kernel

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.products import add_product, product
+from bellows_ros.core.geometry.products import add_product, product, subtract_product
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer.filter import (
@@ -43,7 +43,7 @@ from bellows_ros.core.observer.filter import (
     STIFFNESS,
     with_theta,
 )
-from bellows_ros.core.observer.measurement import Marker, OUT_OF_REACH, updated, USED
+from bellows_ros.core.observer.measurement import Marker, observed, OUT_OF_REACH, updated, USED
 import numpy as np
 
 GONE = -FALLEN
@@ -390,7 +390,7 @@ def processed(
         if len(E) > 0 and verdict != OUT_OF_REACH:
             numbers, onsets = numbers.copy(), onsets.copy()
             outcome = _step(
-                E, numbers, onsets, steps, until_ns, found, verdict == USED, is_first)
+                E, numbers, onsets, steps, until_ns, found, marker[2], verdict == USED, is_first)
     return (verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome,
             with_theta(model, theta))
 
@@ -398,7 +398,7 @@ def processed(
 @array_kernel
 def _step(
     E: Any, numbers: Array, onsets: Stamps, steps: Array, stamp_ns: int,
-    found: tuple[Array, Array, Array, float, Array, Array], used: bool, is_first: bool,
+    found: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool, is_first: bool,
 ) -> tuple[float, float, tuple[int, int, int], int]:
     """
     Take the next `Innovation`.
@@ -415,9 +415,9 @@ def _step(
         The next, its place in `CAUSES`; cups of a gripper are after all others in both.
 
     """
-    y, H, root, distance, gain, _ = found
+    y, H, root, distance, whitened = found
     n, C = H.shape[1], H.astype(np.float32)
-    made = product(C, E[:n], np.empty((6, E.shape[1]), np.float32))
+    made = observed(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
     add_product(C[:3, CAMERA:CAMERA + 3], E[n + 4:], made[:3])  # as a shift in the world
     seen = product(root.astype(np.float32), made, np.empty((6, E.shape[1]), np.float32))
     z = product(root, y.reshape((6, 1)), np.empty((6, 1)))
@@ -436,7 +436,7 @@ def _step(
         numbers[INFORMATION[-1] + k] += d
         numbers[INFORMATION[-1] + E.shape[1] - COLUMNS[-1] + k] += J
     if used:
-        add_product(-gain.astype(np.float32), made, E[:n])
+        subtract_product(whitened.astype(np.float32), seen, E)
     outcome = _judged(numbers, onsets, stamp_ns, is_first)
     if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS:
         _set_in(E, numbers, onsets, steps, stamp_ns, outcome[2][0])

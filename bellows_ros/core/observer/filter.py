@@ -128,7 +128,7 @@ class Estimate(NamedTuple):
     covariance: Array
     """Of the error (n, n)."""
     memory: Array
-    """Of the noise, see `correlation` (11,)."""
+    """Of the noise, see `correlations` (11,)."""
     model: ModelTuple
     """With the numbers as they were estimated last."""
     evidence: Evidence = NO_EVIDENCE
@@ -393,47 +393,52 @@ def carry_theta(columns: Array, seconds: float, memory: Array) -> None:
     """Let theta, or rows of errors by something (n - 12, m), go on by themselves, in place."""
     for c in range(columns.shape[1]):
         columns[LENGTH - STATE, c] += seconds * columns[LENGTHENING - STATE, c]
+    kept = correlations(memory, seconds)
     for i in range(6):
-        columns[NOISE - STATE + i] *= correlation(memory, seconds, i)
+        columns[NOISE - STATE + i] *= kept[i // 3]
 
 
 @kernel
-def correlation(memory: Array, seconds: float, axis: int) -> float:
+def correlations(memory: Array, seconds: float) -> tuple[float, float]:
     """
-    Return that of the noise now and a time later, 0 to 2 for the position, 3 to 5 the rotation.
+    Return that of the noise now and a time later, of position and rotation.
 
     The memory: mean time (s) between measurements, and for position and rotation the sums of
     squares of the noise and of its products with the noise before, in standard deviations.
     """
-    squares, products = memory[1 + axis // 3], memory[3 + axis // 3]
-    kept = min(max(products / squares, 1e-3), MOST_CORRELATED)
-    return math.exp(math.log(kept) * seconds / memory[0])
+    rate = seconds / memory[0]
+    return _correlation(memory[3] / memory[1], rate), _correlation(memory[4] / memory[2], rate)
+
+
+@kernel
+def _correlation(of_next: float, rate: float) -> float:
+    return math.exp(math.log(min(max(of_next, 1e-3), MOST_CORRELATED)) * rate)
 
 
 @array_kernel
 def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Array) -> Array:
     """Return the covariance (n, n) after a transition; half of the walk acts before it."""
     n, h, out = len(P), T[STATE, SECONDS], P.copy()
+    side = times_transition(T, P, out[:STATE])
     for i in range(6):
-        out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
-    side = times_transition(T, out, np.empty((12, n)))
-    state = times_transition(T, transpose(side), np.empty((12, 12)))
-    out[:STATE] = side
-    out[:STATE, :STATE] = state + Q
-    out[LENGTH] += h * out[LENGTHENING]
-    kept = np.array((correlation(memory, h, 0), correlation(memory, h, 3)))
+        more = 0.5 * h * walk[i]
+        out[WRENCH + i, WRENCH + i] += 2.0 * more
+        for j in range(STATE):
+            side[j, WRENCH + i] += more * T[j, WRENCH + i]
+    side[:, :STATE] = times_transition(T, transpose(side), np.empty((STATE, STATE))) + Q
+    for j in range(n):
+        out[LENGTH, j] += h * out[LENGTHENING, j]
+    kept = correlations(memory, h)
     for i in range(n):  # both halves are rounded alike
         out[i, LENGTH] += h * out[i, LENGTHENING]
         a = kept[(i - NOISE) // 3] if 0 <= i - NOISE < 6 else 1.0
         for j in range(6):
             out[i, NOISE + j] *= a * kept[j // 3]
-        for j in range(STATE if i >= STATE else i):
+        for j in range(min(i, STATE)):
             out[i, j] = out[j, i]
     for i in range(6):
         for j in range(STATE, n):
             out[NOISE + i, j] = out[j, NOISE + i]
-    for i in range(6):
-        out[WRENCH + i, WRENCH + i] += 0.5 * h * walk[i]
         out[NOISE + i, NOISE + i] += 1.0 - kept[i // 3] ** 2
     return out
 
@@ -443,6 +448,13 @@ def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
     """Return whether a covariance step ends at a sample, regardless of where it began."""
     length_ns = int(1e9 * min(COARSE * longest, 1.0))
     return stamp_ns // length_ns != next_ns // length_ns
+
+
+@kernel
+def _is_passed(stamps: Any, k: int, until_ns: int, longest: float) -> bool:
+    """Return whether a covariance step goes on after the whole of sample k."""
+    return stamps[k] < until_ns and (stamps[k] - stamps[k - 1]) * 1e-9 <= COARSE * longest and (
+        not is_coarse(stamps[k], stamps[k + 1], longest))
 
 
 @kernel
@@ -503,6 +515,12 @@ def propagated(
             fresh, h, held = False, 0.0, 0.0
         if now_ns == until_ns:
             return tool, body
+        first = k
+        while is_known and now_ns == stamps[k - 1] and _is_passed(stamps, k, until_ns, longest):
+            part = (stamps[k] - now_ns) * 1e-9
+            h, held, now_ns, k = h + part, held + part * part, stamps[k], k + 1
+        if k > first:
+            body = body_row(bodies[k - 1], body)
         whole_ns = stamps[k] - stamps[k - 1]
         if now_ns == stamps[k - 1]:
             tool = row_state(starts[k])
@@ -553,9 +571,11 @@ def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
     n, last, out = len(E) - FALLEN, T[STATE], E.copy()
     times_transition(T.astype(np.float32), E[:n], out[:STATE])
     carry_theta(out[STATE:n], last[SECONDS], memory)
+    falling = np.zeros((6, FALLEN), np.float32)
     for i in range(3):
-        out[n + 4 + i] += last[SECONDS] * E[n + 1 + i] + last[FALL + i] * E[n]
-        out[n + 1 + i] += last[FALL_SPEED + i] * E[n]
+        falling[i, 0], falling[3 + i, 0] = last[FALL_SPEED + i], last[FALL + i]
+        falling[3 + i, 1 + i] = last[SECONDS]
+    add_product(falling, E[n:], out[n + 1:])
     first = E.shape[1] - len(lost) * ONSETS
     for c in range(len(lost)):
         other = (lost[c, :, :STATE] - T[:STATE, :STATE]).astype(np.float32)

@@ -7,8 +7,8 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.products import add_product, product, subtract_square, transpose
+from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
+from bellows_ros.core.geometry.products import product, subtract_product, transpose
 from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
@@ -202,8 +202,6 @@ class Innovation(NamedTuple):
     """Triangular (6, 6); makes its covariance the identity."""
     distance: float
     """Its squared Mahalanobis distance."""
-    gain: Array
-    """(n, 6)."""
     whitened: Array
     """Whitener times H P (6, n): its square is what a measurement takes from P."""
 
@@ -248,10 +246,36 @@ def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
 
 
 @array_kernel
+def observed(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
+    """Write H X (6, k) of the derivative that `observation` gives, and return it."""
+    if not COMPILED:
+        out[:] = H @ X[:H.shape[1]]
+        return out
+    for i in range(6):
+        row, one = out[i], H[i]
+        late = one[LATENCY]
+        a, b, c = one[CAMERA], one[CAMERA + 1], one[CAMERA + 2]
+        d, e, f = one[CAMERA + 3], one[CAMERA + 4], one[CAMERA + 5]
+        u, v, w = one[NOISE], one[NOISE + 1], one[NOISE + 2]
+        x, y, z = one[NOISE + 3], one[NOISE + 4], one[NOISE + 5]
+        for j in range(X.shape[1]):
+            row[j] = (
+                X[i, j] + X[MARKER + i, j] + late * X[LATENCY, j]
+                + a * X[CAMERA, j] + b * X[CAMERA + 1, j] + c * X[CAMERA + 2, j]
+                + d * X[CAMERA + 3, j] + e * X[CAMERA + 4, j] + f * X[CAMERA + 5, j]
+                + u * X[NOISE, j] + v * X[NOISE + 1, j] + w * X[NOISE + 2, j]
+                + x * X[NOISE + 3, j] + y * X[NOISE + 4, j] + z * X[NOISE + 5, j])
+        if of_lip and i < 3:
+            for j in range(X.shape[1]):
+                row[j] -= X[COM + i, j]
+    return out
+
+
+@array_kernel
 def innovation(
     body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
     of_lip: bool,
-) -> tuple[Array, Array, Array, float, Array, Array]:
+) -> tuple[Array, Array, Array, float, Array]:
     """Return an `Innovation` as a tuple; noise is in B axes."""
     n = len(P)
     shift, turn = pose_error(body, position, q)
@@ -260,8 +284,11 @@ def innovation(
     for i in range(6):
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
-    HP = product(H, P, np.empty((6, n)))
-    S = add_product(H, transpose(HP), WHITE * noise)
+    HP = observed(H, P, np.empty((6, n)), of_lip)
+    S = observed(H, transpose(HP), np.empty((6, 6)), of_lip)
+    for i in range(6):
+        for j in range(6):
+            S[i, j] += WHITE * noise[i, j]
     _, W = cholesky(S)
     distance = 0.0
     for i in range(6):
@@ -269,8 +296,7 @@ def innovation(
         for j in range(i + 1):
             z += W[i, j] * y[j]
         distance += z * z
-    Z = product(W, HP, np.empty((6, n)))
-    return y, H, W, distance, product(transpose(Z), W, np.empty((n, 6))), Z
+    return y, H, W, distance, product(W, HP, np.empty((6, n)))
 
 
 @kernel
@@ -286,13 +312,19 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
 
 @array_kernel
 def corrected(
-    body: State, theta: Array, P: Array, found: tuple[Array, Array, Array, float, Array, Array]
+    body: State, theta: Array, P: Array, found: tuple[Array, Array, Array, float, Array]
 ) -> tuple[State, Array, Array]:
     """Return state, theta and covariance after a measurement, by its `Innovation`."""
-    error = product(found[4], found[0].reshape((6, 1)), np.empty((len(P), 1)))
-    body, theta = changed_by(body, theta, error[:, 0])
-    out = P.copy()
-    subtract_square(found[5], out)
+    y, _, W, _, Z = found
+    error, out = np.zeros(len(P)), P.copy()
+    for i in range(6):
+        z = 0.0
+        for j in range(i + 1):
+            z += W[i, j] * y[j]
+        for j in range(len(P)):
+            error[j] += Z[i, j] * z
+    body, theta = changed_by(body, theta, error)
+    subtract_product(Z, Z, out)
     for i in range(len(P)):
         out[i, i] += ROUNDING * P[i, i]
     return body, theta, out
@@ -300,7 +332,7 @@ def corrected(
 
 @kernel
 def remembered(memory: Array, theta: Array, seconds: float) -> Array:
-    """Return the memory of the noise (see `correlation`) after another measurement."""
+    """Return the memory of the noise (see `correlations`) after another measurement."""
     out, kept = memory.copy(), 1.0 - 1.0 / COUNTED
     out[0] += (seconds - out[0]) / min(max(out[1] / 3.0, 1.0), COUNTED)
     out[1:5] *= kept
@@ -326,7 +358,7 @@ def updated(
     model: ModelTuple, tool: State, body: State, theta: Array, P: Array, memory: Array,
     seconds: float, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
     reach: float, gate: float,
-) -> tuple[int, tuple[Array, Array, Array, float, Array, Array], State, Array, Array, Array]:
+) -> tuple[int, tuple[Array, Array, Array, float, Array], State, Array, Array, Array]:
     """
     Update an estimate with a measurement.
 

@@ -488,7 +488,7 @@ OF_PACKAGE = (*range(MASS, COM + 3), *range(MARKER, MARKER + 6), *range(INERTIA,
 
 
 def first_memory(time_constant: float) -> Array:
-    """Return the memory (s) of the noise before the first measurement, see `correlation`."""
+    """Return the memory (s) of the noise before the first measurement, see `correlations`."""
     seconds, squares = FIRST_MEMORY
     products = squares * math.exp(-seconds / time_constant)
     memory: Array = np.r_[seconds, squares, squares, products, products, np.zeros(6)]

@@ -160,10 +160,10 @@ def _dense_total(given):
                 'count': 0, 'distance': 0.0}
 
     known, ratios = [begun(k) for k in range(AT_START)], []
-    for count, (F, (y, H, root, distance, gain, _), used, now_ns) in enumerate(given, 1):
+    for count, (F, (y, H, root, distance, whitened), used, now_ns) in enumerate(given, 1):
         C, update = np.hstack([H, np.zeros((6, 7))]), np.eye(n + 7)
         C[:3, n + 4:] = H[:3, CAMERA:CAMERA + 3]
-        update[:n] -= used * gain @ C
+        update[:n] -= used * whitened.T @ root @ C
         for each in known:
             E = F @ each['E']
             each['E'], made = update @ E, root @ C @ E
