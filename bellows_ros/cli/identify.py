@@ -218,20 +218,38 @@ def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
     from bellows_ros.core.model.structure import AXES, structure_named
 
     structure = structure_named(fit.structure)
-    matrices = (('K', fit.stiffness, fit.stiffness_std), ('P', fit.damping, fit.damping_std))
-    console.table([('axis', 'stiffness K', 'damping P'), *(
-        (', '.join(AXES[axis] for axis in axes), *(
-            with_error(matrix[axes[0], axes[0]], std[axes[0], axes[0]],
-                       UNITS[name][2 * (axes[0] > 2)]) for name, matrix, std in matrices))
-        for axes in structure.tied_axes)], title=title)
+    exact, given = fit.exactly_given, fit.from_given is not None
+    matrices = (('stiffness K', 'K', fit.stiffness, exact.stiffness_std, fit.stiffness_std),
+                ('damping P', 'P', fit.damping, exact.damping_std, fit.damping_std))
+    columns: list[list[str]] = []
+    for title_of, name, *of_name in matrices:
+        ends = [[M[axes[0], axes[0]] for M in of_name] for axes in structure.tied_axes]
+        columns.append([title_of, *(
+            with_error(value, error, UNITS[name][2 * (axes[0] > 2)])
+            for axes, (value, error, _) in zip(structure.tied_axes, ends, strict=True))])
+        columns.append(['with what was given', *(
+            _in_percent(both, value) for value, _, both in ends)])
+    names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
+    for part in (columns[:2], columns[2:]) if given else (columns[::2],):
+        console.table(list(zip(names, *part, strict=True)), title=title)
+    if given:
+        console.paragraph(
+            'The first error is from these recordings alone, the second with what was given '
+            '(package.*_std, cup.length_std, recording.*_std): with mass, inertia, K and P larger '
+            'by one factor the motion is the same.')
     say_relaxation(fit.relaxation, fit.relaxation_std, console)
-    for name, matrix, std in matrices if structure.couples else ():
+    for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]
         for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
             rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
                                  for value, error in zip(values, errors, strict=True))))
         console.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
+
+
+def _in_percent(error: float, value: float) -> str:
+    """Return a standard error as a part of its value, '' where that is not identifiable."""
+    return f'± {100.0 * error / abs(value):.2g} %' if math.isfinite(error) and value else ''
 
 
 def say_relaxation(

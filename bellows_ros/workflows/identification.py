@@ -338,19 +338,23 @@ def save(
 def fit_json(fit: Fit) -> dict[str, Any]:
     """Return the JSON content on a fit."""
     units, found = parameter_units(structure_named(fit.structure)), fit.standstills
+    exact = fit.exactly_given
     return {
         **attributes(
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
             'relaxation', 'relaxation_std', 'samples_used', 'samples_rejected',
             'condition_number', 'usable', 'weight', 'residual_rms',
             'noise_rms', 'chi2', 'robust_chi2', 'converged'),
+        'with_exactly_given': attributes(exact, 'stiffness_std', 'damping_std'),
         'intervals_95': {
             name: {'low': value - half, 'high': value + half} for name, value, half in (
                 ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),
                 ('damping', fit.damping, NORMAL_95 * fit.damping_std))},
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
-            'units': {'covariance': _products(units), 'noise_bias': units},
+            'covariance_from_given': fit.from_given,
+            'units': {**dict.fromkeys(('covariance', 'covariance_from_given'), _products(units)),
+                      'noise_bias': units},
         },
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,

@@ -52,6 +52,18 @@ def test_motion_capture_recordings_of_the_rig(rig, name):
     assert result.fit.usable
 
 
+@pytest.mark.stress
+@pytest.mark.parametrize('name', ['lab', 'lab_validation'])
+def test_all_entries_of_a_full_fit_are_within_three_standard_errors(rig, name):
+    fit = identify({**LAB, 'bags': [str(rig / name)], 'fit.method': 'output_error',
+                    'fit.structure': 'full'}).fit
+    truth = np.load(rig / f'{name}_truth.npz')
+    for own in (fit, fit.exactly_given):
+        for found, std, true in ((own.stiffness, own.stiffness_std, truth['K']),
+                                 (own.damping, own.damping_std, truth['P'])):
+            assert np.all(np.abs(found - true) < 3.0 * std)
+
+
 def test_clean_recording_of_the_rig(rig):
     result = identify({**CLEAN, 'bags': [str(rig / 'clean')]})
     stiffness, damping = ratios(result.fit, np.load(rig / 'clean_truth.npz'))

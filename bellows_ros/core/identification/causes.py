@@ -6,10 +6,11 @@ squares would fall by if it were free is its score. The best is then freed, and 
 again: a cause is a number that moves by many of its standard deviations.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.plausibility import DISTINCT, Finding, SIGNIFICANT
+from bellows_ros.core.identification.quantities import anything
 from bellows_ros.core.identification.search import Minimum, Search
 from bellows_ros.core.model.structure import Structure
 import numpy as np
@@ -20,13 +21,17 @@ MOVES = 0.02
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker')
 
 
-def causes(search: Search, found: Minimum) -> tuple[Finding, ...]:
-    """Return the likeliest cause of what a fit leaves, none where all is as it should be."""
-    scored = sorted(_scores(search, found), reverse=True)
+def causes(search: Search, found: Minimum, known: Sequence[str] = ()) -> tuple[Finding, ...]:
+    """
+    Return the likeliest cause of what a fit leaves, none where all is as it should be.
+
+    What is known to be uncertain is none.
+    """
+    scored = sorted(_scores(search, found, known), reverse=True)
     if not scored or scored[0][0] < SIGNIFICANT**2:
         return ()
     fall, name = scored[0]
-    freed = search.beside(found, (name,))
+    freed = search.beside(found, anything([name]))
     again = freed.found(lambda cup, chi2: None, freed.at(found.theta))
     if not again.converged:
         return ()
@@ -46,10 +51,12 @@ def causes(search: Search, found: Minimum) -> tuple[Finding, ...]:
     return (Finding(name, '', theta, std, left, moved, True, certain),)
 
 
-def _scores(search: Search, found: Minimum) -> Iterator[tuple[float, str]]:
+def _scores(
+    search: Search, found: Minimum, known: Sequence[str]
+) -> Iterator[tuple[float, str]]:
     """Yield by how much the squares would fall with each quantity free."""
-    names = tuple(name for name in CANDIDATES if name not in search.places)
-    wide = search.beside(found, names)
+    names = [name for name in CANDIDATES if name not in (*search.places, *known)]
+    wide = search.beside(found, anything(names))
     _, H, g = wide.system(wide.at(found.theta), 0.0)
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))

@@ -8,13 +8,12 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares, R2_ASSUMED
-from bellows_ros.core.identification.quantities import KINDS
+from bellows_ros.core.identification.quantities import anything
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
 from bellows_ros.core.model.structure import given_structure
-from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.preparation import LOW_RATE_HZ
 from bellows_ros.core.recording.recording import Noise, Recording, TimeOffset
 from bellows_ros.errors import BellowsError
@@ -166,6 +165,7 @@ def _by_output_error(
     recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress | None
 ) -> Fit:
     """Return the fit by simulation, with all that is uncertain free beside K and P."""
+    from bellows_ros.core.identification.given import given_std
     from bellows_ros.core.identification.output_error import output_error
     from bellows_ros.core.identification.search import measured_of, SLOW_HZ
 
@@ -184,21 +184,8 @@ def _by_output_error(
     named |= dict.fromkeys(name for name, wanted in estimated.items() if wanted)
     free = [*named, *(['relaxation'] if any(strengths) else [])]
     return output_error(
-        measured, structure, start, _told(progress), {**given_std(values), **{
-            name: np.full(KINDS[name].size, KINDS[name].wide) for name in free}}, tuple(named),
-        values['fit.relaxation'])
-
-
-def given_std(values: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the standard deviations of quantities of `KINDS` that were given with one."""
-    if any(name not in values for name in PACKAGE_PARAMETERS):
-        return {}
-    held = package_of(values)
-    stated = {
-        'mass': np.array([values['package.mass_std'] / held.mass]),
-        'com': np.array(values['package.com_std']),
-        'inertia': np.array(values['package.inertia_std'][:3]) / np.diag(held.inertia)}
-    return {name: np.maximum(std, 1e-9) for name, std in stated.items() if np.any(std)}
+        measured, structure, start, _told(progress), anything(free), tuple(named),
+        values['fit.relaxation'], given_std(values))
 
 
 def _with_relaxation(found: Fit, recordings: Sequence[Recording | Reduced]) -> Fit:

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
+from types import MappingProxyType
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import causes
 from bellows_ros.core.identification.equations import without
+from bellows_ros.core.identification.given import Given, stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import (
     DEFAULT_RATIO,
@@ -16,7 +18,8 @@ from bellows_ros.core.identification.least_squares import (
     RATIO_STD,
     SIGNIFICANT,
 )
-from bellows_ros.core.identification.quantities import Free, KINDS
+from bellows_ros.core.identification.plausibility import Finding
+from bellows_ros.core.identification.quantities import anything, Free, KINDS
 from bellows_ros.core.identification.result import (
     condition,
     excess,
@@ -70,6 +73,7 @@ def output_error(
     free: Free | None = None,
     named: Sequence[str] = (),
     relaxation: str = 'off',
+    given: Free | None = None,
 ) -> Fit:
     """
     Fit K and P so that the model, moved as the tool was, meets the package's poses.
@@ -85,12 +89,14 @@ def output_error(
     progress : callable, optional
         Called with every iteration.
     free : mapping, optional
-        Standard deviations, SI units, of quantities of `KINDS` that were given.
+        Standard deviations, SI units, of quantities of `KINDS` that are free from the start.
     named : sequence of str
         Those of them that are results, too.
     relaxation : str
         Whether the strengths of relaxation are free: 'off', 'auto' where they are significant,
         'on' where the recordings are refused else.
+    given : mapping, optional
+        Standard deviations of quantities that were given; see `with_given`.
 
     Raises
     ------
@@ -99,12 +105,12 @@ def output_error(
 
     """
     search = Search([Segment(own) for own in measured], structure, start, free or {})
-    return fit_of(search, named, progress, relaxation)
+    return fit_of(search, named, progress, relaxation, given or {})
 
 
 def fit_of(
     search: Search, named: Sequence[str], progress: Callable[[Iteration], None] | None = None,
-    relaxation: str = 'off',
+    relaxation: str = 'off', given: Free = MappingProxyType({}),
 ) -> Fit:
     """Return the fit of a search; see `output_error`."""
     iterations: list[Iteration] = []
@@ -123,14 +129,16 @@ def fit_of(
             found = search.found(note, near)
         if relaxation == 'on' and 'relaxation' not in search.places:
             raise UndeterminedError(NO_RELAXATION)
-    return _fit(search, found, iterations, named)
+    reasons = causes(search, found, stated(given))
+    search.take(found.parts)
+    return _fit(with_given(search, found, given, note), iterations, named, reasons)
 
 
 def _with_relaxation(
     search: Search, found: Minimum, note: Callable[[Cup, float], None]
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else as it is."""
-    more = search.beside(found, ('relaxation',))
+    more = search.beside(found, anything(['relaxation']))
     (own,), theta = more.places['relaxation'], more.at(found.theta)
     _, H, g = more.system(theta, 0.0)
     base = np.arange(own[0])
@@ -165,9 +173,10 @@ def covariance_of(search: Search, found: Minimum) -> Array:
 
 
 def _fit(
-    search: Search, found: Minimum, iterations: list[Iteration], named: Sequence[str]
+    given: Given, iterations: list[Iteration], named: Sequence[str], reasons: tuple[Finding, ...]
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
+    search, found, more = given
     size, x = search.count, search.units * found.theta
     covariance = covariance_of(search, found)
     std = np.sqrt(np.diag(covariance))
@@ -192,12 +201,13 @@ def _fit(
                            for own in found.parts])
     robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
     total = sum(len(segment.measured.package) for segment in search.segments)
-    offsets = search.places.get('time_offset', np.empty(0, np.int64)).ravel()
+    offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
         method='output_error',
         structure=search.structure.name,
         parameters=x[:size],
         covariance=without(covariance[:size, :size], ~known[:size]),
+        from_given=more[:size, :size],
         samples_used=len(left),
         samples_rejected=total - len(left),
         condition_number=condition(found.information[:size, :size]),
@@ -215,7 +225,7 @@ def _fit(
             Freed(name, tuple(x[own].tolist()), tuple(std[own].tolist()))
             for name, (own, *_) in search.places.items()
             if name in named and not KINDS[name].each),
-        causes=causes(search, found),
+        causes=reasons,
         relaxation=strengths[0],
         relaxation_std=strengths[1],
     )

@@ -1,6 +1,6 @@
 """Quantities that were given and may be free beside K and P: what they do to model and poses."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -60,6 +60,11 @@ relaxation beside those of the start.
 
 Free = Mapping[str, Array]
 """Values by name, for one recording."""
+
+
+def anything(names: Iterable[str]) -> dict[str, Array]:
+    """Return the standard deviations of what may be anything, by name."""
+    return {name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}
 
 
 def payload_of(held: Package, free: Free) -> Package:

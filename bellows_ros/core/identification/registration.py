@@ -16,7 +16,7 @@ from bellows_ros.core.geometry.lie import (
     mean_rotation,
     rotation_to_quaternion,
 )
-from bellows_ros.core.identification.quantities import KINDS
+from bellows_ros.core.identification.quantities import anything, KINDS
 from bellows_ros.core.identification.search import measured_of, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
@@ -83,9 +83,8 @@ def registered(
         If the search ends nowhere, and not for the clock alone.
 
     """
-    free = {name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}
     measured = measured_of(recording)
-    search = Search([Segment(own) for own in measured], structure, start, free)
+    search = Search([Segment(own) for own in measured], structure, start, anything(names))
     found = search.found(lambda cup, chi2: None)
     middle = np.asarray(measured[0].middle)
     if not found.converged and list(names) == ['time_offset']:

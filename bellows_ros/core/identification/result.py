@@ -1,7 +1,7 @@
 """The result of a fit, frozen, with its uncertainty and its warnings."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -87,7 +87,8 @@ class Fit:
     parameters : ndarray (2 n,)
         Free parameters of K, then those of P, SI units.
     covariance : ndarray (2 n, 2 n)
-        Of the parameters; what is not identifiable has inf on the diagonal and 0 beside it.
+        Of the parameters, from the recordings alone; what is not identifiable has inf on the
+        diagonal and 0 beside it.
     samples_used, samples_rejected : int
         Samples in the fit, and samples of the recordings left out of it.
     condition_number : float
@@ -124,6 +125,8 @@ class Fit:
         where the noise is not known.
     causes : tuple of Finding
         What would explain what output error leaves, the likeliest first.
+    from_given : ndarray (2 n, 2 n) or None
+        Covariance that what was given adds, by its own standard deviations; None for none.
 
     """
 
@@ -151,6 +154,7 @@ class Fit:
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_std: tuple[float, float] = (0.0, 0.0)
     causes: tuple[Any, ...] = ()
+    from_given: Array | None = None
 
     @cached_property
     def _matrices(self) -> tuple[Array, Array]:
@@ -158,7 +162,8 @@ class Fit:
 
     @cached_property
     def _errors(self) -> tuple[Array, Array]:
-        return structure_named(self.structure).spread(np.sqrt(np.diag(self.covariance)))
+        more = 0.0 if self.from_given is None else np.diag(self.from_given)
+        return structure_named(self.structure).spread(np.sqrt(np.diag(self.covariance) + more))
 
     @property
     def stiffness(self) -> Array:
@@ -172,13 +177,18 @@ class Fit:
 
     @property
     def stiffness_std(self) -> Array:
-        """Standard errors (6, 6) of K: 0 where fixed at zero, inf where not identifiable."""
+        """Errors (6, 6) of K with what was given: 0 where fixed, inf if not identifiable."""
         return self._errors[0]
 
     @property
     def damping_std(self) -> Array:
-        """Standard errors (6, 6) of P: 0 where fixed at zero, inf where not identifiable."""
+        """Errors (6, 6) of P with what was given: 0 where fixed, inf if not identifiable."""
         return self._errors[1]
+
+    @property
+    def exactly_given(self) -> 'Fit':
+        """The same with the standard errors from the recordings alone."""
+        return replace(self, from_given=None)
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -342,6 +342,7 @@ class Search:
             known.append(np.full(shape[0] * shape[1], kind.known / kind.unit))
             stds.append(np.broadcast_to(np.asarray(std) / kind.unit, shape).ravel())
         self.units, self.weights = np.concatenate(wanted), np.concatenate(stds) ** -2
+        self.held = np.zeros((len(self.units),) * 2)  # more information on the start
         self.largest = np.concatenate(known)
         self.start = np.zeros(len(self.units))
         self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
@@ -362,14 +363,11 @@ class Search:
         there[self.count:len(theta)] = theta[self.count:]
         return there
 
-    def beside(
-        self, found: 'Minimum', names: Sequence[str], structure: Structure | None = None
-    ) -> 'Search':
-        """Return a search about a minimum in which more is free, whatever it may be."""
+    def beside(self, found: 'Minimum', more: Free) -> 'Search':
+        """Return a search about a minimum in which more is free, by its standard deviations."""
         known = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                  for name, rows in self.places.items()}
-        return Search(self.segments, structure or self.structure, self.cup(found.theta), {
-            **known, **{name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}})
+        return Search(self.segments, self.structure, self.cup(found.theta), {**known, **more})
 
     def without_relaxation(self, found: 'Minimum') -> 'tuple[Search, Array]':
         """Return a search about a minimum, of a cup that does not relax, and its unknowns."""
@@ -475,7 +473,8 @@ class Search:
 
     def _prior(self, theta: Array, forgets: float) -> tuple[Array, Array]:
         """Return information (m, m) and slope (m,) of what was known before."""
-        H, g = np.diag(self.weights), self.weights * (self.start - theta)
+        H = np.diag(self.weights) + self.held
+        g = H @ (self.start - theta)
         size = self.count // 2
         K, P = self._matrices(theta)
         ends = (K, self._matrices(self.start)[0]), (P, self.ordinary_damping(K))

@@ -183,6 +183,14 @@ _TABLE = (
     Parameter('recording.rest_duration', 1.0, 's', _IDENTIFIER, minimum=0.01, maximum=600.0,
               description='Duration of the standstill at the beginning of the recording; used '
               'with recording.align_at_rest.'),
+    Parameter('recording.marker_std', (1e-3, 5e-3), 'm, rad', _IDENTIFIER, minimum=0.0,
+              maximum=1.0,
+              description='Standard deviations with which the marker frames, and '
+              'recording.package_world where it is given, are known: position and rotation in '
+              'each axis; for the errors of K and P, 0 for exact.'),
+    Parameter('recording.clock_std', 1e-3, 's', _IDENTIFIER, minimum=0.0, maximum=1.0,
+              description='Standard deviation of the offset between the clocks of tool and '
+              'package, for the errors of K and P; 0 for one clock.'),
     Parameter('recording.start', 0.0, 's', _IDENTIFIER, minimum=0.0, maximum=1e6,
               description="Start of the data to use, from the recording's first stamp."),
     Parameter('recording.end', 0.0, 's', _IDENTIFIER, minimum=0.0, maximum=1e6,
@@ -199,13 +207,15 @@ _TABLE = (
               length=3, example='[0.0, 0.0, -0.03]',
               description="Centre of mass B in the frame S of the cup's lip; below the lip z is "
               'negative.'),
-    Parameter('package.mass_std', 0.0, 'kg', _PREDICTOR, minimum=0.0, maximum=1e4,
+    Parameter('package.mass_std', 0.0, 'kg', _BOTH, minimum=0.0, maximum=1e4,
               description='Standard deviation of the mass, for the uncertainty of predicted '
-              'plans.'),
-    Parameter('package.inertia_std', (0.0,) * 6, 'kg m^2', _PREDICTOR, minimum=0.0, maximum=1e6,
-              description='Standard deviations of the inertia: ixx, iyy, izz, ixy, ixz, iyz.'),
-    Parameter('package.com_std', (0.0,) * 3, 'm', _PREDICTOR, minimum=0.0, maximum=10.0,
-              description='Standard deviations of the centre of mass in the frame S.'),
+              'plans, and for the errors of K and P: there 1 % if it is 0.'),
+    Parameter('package.inertia_std', (0.0,) * 6, 'kg m^2', _BOTH, minimum=0.0, maximum=1e6,
+              description='Standard deviations of the inertia: ixx, iyy, izz, ixy, ixz, iyz; in '
+              'an identification 5 % if all are 0.'),
+    Parameter('package.com_std', (0.0,) * 3, 'm', _BOTH, minimum=0.0, maximum=10.0,
+              description='Standard deviations of the centre of mass in the frame S; in an '
+              'identification 2 mm if all are 0.'),
     Parameter('package.size', (0.0,) * 3, 'm', _PREDICTOR, minimum=0.0, maximum=10.0,
               description='Sides of the package along x, y and z of B, for its landing; 0 if '
               'unknown.'),
@@ -253,6 +263,9 @@ _TABLE = (
               'safety factor. -1 for none, as ROS has no empty lists.'),
     Parameter('cup.name', '', '', _PREDICTOR,
               description="Name of the mounted cup, one of cups.NAME.*; '' for the one in cup.*."),
+    Parameter('cup.length_std', 1e-3, 'm', _IDENTIFIER, minimum=0.0, maximum=1.0,
+              description='Standard deviation of cup.length, for the errors of K and P; 0 for '
+              'exact.'),
     Parameter('cup.stiffness_std', (0.0,) * 36, 'N/m, N, N m/rad', _PREDICTOR, minimum=0.0,
               maximum=1e9,
               description='Standard deviations of the entries of K, 6x6 row-major; 0 for an exact '

@@ -3,7 +3,6 @@
 from bellows_ros.core.identification.methods import (
     are_differentiable,
     fit,
-    given_std,
     start_cup,
 )
 from bellows_ros.core.identification.reduction import statistics
@@ -41,11 +40,6 @@ def test_least_squares_says_where_the_noise_is_not_white(kept):
         'package.mass': simulated.HELD.mass})
     said = [text for text in fit([recording], values).fit.warnings if 'correlated' in text]
     assert len(said) == (kept > 0.0)
-
-
-def test_what_is_given_of_half_a_package_is_nothing():
-    """Know no standard deviation of a package whose inertia is not given."""
-    assert given_std({'package.mass': 1.0, 'package.mass_std': 0.01}) == {}
 
 
 @pytest.mark.parametrize(('rate', 'free', 'differentiable'), [

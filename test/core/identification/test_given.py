@@ -1,0 +1,86 @@
+"""What was given is uncertain, and its uncertainty reaches K and P."""
+
+from dataclasses import replace
+
+from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification.given import given_std, ORDINARY, stated
+from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.model.cup_package import varied
+from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.parameters.checks import resolve
+import numpy as np
+from numpy.testing import assert_allclose
+
+from .recordings import PLATE
+from .test_output_error import AXISYMMETRIC, measured, NUMBERS, TRUTH
+
+QUIET = {'package_noise': (1e-4, 5e-4), 'package_hz': 60.0}
+SAID = resolve({'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
+                'package.inertia': [*np.diag(PLATE.inertia).tolist(), 0.0, 0.0, 0.0]})
+USUAL = given_std(SAID)
+
+
+def off(fit):
+    """Return the errors (8,) of a fit in standard errors: from the recording, and with both."""
+    error, own = fit.parameters - NUMBERS, np.diag(fit.covariance)
+    return error / np.sqrt(own), error / np.sqrt(own + np.diag(fit.from_given))
+
+
+def test_a_frame_and_a_length_that_are_a_little_off_are_found_with_the_cup():
+    own, turned = measured(7, **QUIET), exp_so3(np.array([2e-3, -4e-3, 0.0]))
+    body = replace(own.package, rotation=own.package.rotation @ turned)
+    wrong, start = replace(own, package=body), replace(TRUTH, length=TRUTH.length + 5e-4)
+    exact, found = (output_error([wrong], AXISYMMETRIC, start, given=given)
+                    for given in ({}, USUAL))
+    assert found.converged
+    far = np.abs(exact.parameters - NUMBERS) / np.sqrt(np.diag(exact.covariance))
+    assert far.max() > 8.0
+    assert np.abs(off(found)[1]).max() < 4.0
+
+
+def test_couplings_of_a_frame_that_is_off_are_within_their_errors():
+    own, full = measured(8, duration=8.0, **QUIET), STRUCTURES['full']
+    body = own.package
+    wrong = replace(own, package=replace(body, position=body.position + body.rotation @ [
+        2e-4, -1e-4, 0.0]))
+    found = output_error([wrong], full, TRUTH, given=USUAL)
+    true = full.parameters(TRUTH.stiffness, TRUTH.damping)
+    std = np.sqrt(np.diag(found.covariance + found.from_given))
+    known = np.isfinite(std)
+    assert known[:21].all()
+    assert np.abs((found.parameters - true) / std)[known].max() < 4.5
+
+
+def test_k_is_known_no_better_than_the_mass():
+    own = measured(9, **QUIET)
+    heavy = replace(own, payload=varied(PLATE, mass=0.02, inertia=0.02))
+    found = output_error([heavy], AXISYMMETRIC, TRUTH, given=USUAL)
+    alone, both = off(found)
+    assert_allclose(found.parameters / NUMBERS, np.exp(0.02), rtol=0.05)
+    assert np.abs(alone).max() > 6.0 and np.abs(both).max() < 4.0
+    vague = output_error([own], AXISYMMETRIC, TRUTH, given={**USUAL, 'mass': np.array([0.04])})
+    share = np.sqrt(np.diag(vague.from_given)) / NUMBERS
+    assert 0.02 < share[2] < 0.05  # the inertia says a part of it
+
+
+def test_what_the_recording_does_not_know_better_stays_as_given():
+    own = measured(10)
+    exact, found = (output_error([own], AXISYMMETRIC, TRUTH, given=given)
+                    for given in ({}, {'mass': np.array([0.01])}))
+    std = np.sqrt(np.diag(exact.covariance))
+    assert np.all(np.abs(found.parameters - exact.parameters) < 0.1 * std)
+
+
+def test_what_is_stated_wins_over_the_ordinary():
+    vague = given_std({**SAID, 'package.com_std': (1e-3, 0.0, 5e-3), 'cup.length_std': 0.0})
+    assert_allclose(vague['com'], [1e-3, 1e-9, 5e-3])
+    assert 'length' not in vague and stated(vague) == ['com'] and stated(USUAL) == []
+    assert_allclose(vague['mass'], ORDINARY['mass'])
+    assert 'package_world' not in USUAL
+    assert 'package_world' in given_std({**SAID, 'recording.package_world': '0 0 0 0 0 0 1'})
+
+
+def test_what_is_given_of_half_a_package_is_nothing():
+    """Know no standard deviation of a package whose inertia is not given."""
+    half = {name: value for name, value in SAID.items() if name != 'package.inertia'}
+    assert not {'mass', 'com', 'inertia'} & set(given_std(half))
