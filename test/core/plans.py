@@ -1,15 +1,6 @@
 """Plans, and a second integrator that predicts many of them at once: 6x6 matrices, plain RK4."""
 
-from bellows_ros.core.geometry.lie import (
-    adjoint,
-    dexp,
-    exp_so3,
-    hat,
-    inverse_transform,
-    rotation_to_quaternion,
-    transform,
-    vee,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.planning.points import plan_of
 import numpy as np
@@ -34,9 +25,9 @@ class Move:
         step, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s)**2
         rate = rate / self.duration[..., None]
         phi = step * self.turn
-        R = exp_so3(phi)
+        R = lie.exp_so3(phi)
         v = np.einsum('...ji,...j->...i', R, rate * self.way)
-        w = np.einsum('...ij,...j->...i', dexp(-phi), rate * self.turn)
+        w = np.einsum('...ij,...j->...i', lie.dexp(-phi), rate * self.turn)
         return step * self.way, R, np.concatenate([v, w], axis=-1)
 
     def plan(self, rate_hz=1000, with_twists=True):
@@ -45,7 +36,7 @@ class Move:
         stamps = np.round(np.linspace(0.0, float(self.duration), count + 1) * 1e9).astype(np.int64)
         o, R, v = self.at(stamps * 1e-9)
         twist = v if with_twists else None
-        return plan_of(stamps, o, rotation_to_quaternion(R), twist, twist_frame='tool')
+        return plan_of(stamps, o, lie.rotation_to_quaternion(R), twist, twist_frame='tool')
 
 
 def random_case(rng):
@@ -72,36 +63,36 @@ class Batch:
         self.mass = np.array([p.mass for p in packages])
         self.com = np.array([p.com for p in packages])
         self.inertia = np.array([p.inertia for p in packages])
-        self.T_S_B = transform(np.eye(3), self.com)
-        self.half = transform(np.eye(3), [0.0, 0.0, 0.5 * cup.length])
+        self.T_S_B = lie.transform(np.eye(3), self.com)
+        self.half = lie.transform(np.eye(3), [0.0, 0.0, 0.5 * cup.length])
 
     def tools(self, t):
         """Return poses (N, 4, 4) and body twists (N, 6) of the tools at a time (s)."""
         o, R, v = self.moves.at(t)
-        return transform(R, o), v
+        return lie.transform(R, o), v
 
     def wrench(self, T_E, v_E, T, v):
         """Return the wrenches (N, 6) of the cup on the packages at the lip (3.7)."""
-        T_E_S = inverse_transform(T_E) @ T @ inverse_transform(self.T_S_B)
-        X_B = adjoint(self.T_S_B)
-        v_ES = _apply(X_B, v) - _apply(adjoint(inverse_transform(T_E_S)), v_E)
-        X_S1 = adjoint(inverse_transform(self.half))
+        T_E_S = lie.inverse_transform(T_E) @ T @ lie.inverse_transform(self.T_S_B)
+        X_B = lie.adjoint(self.T_S_B)
+        v_ES = _apply(X_B, v) - _apply(lie.adjoint(lie.inverse_transform(T_E_S)), v_E)
+        X_S1 = lie.adjoint(lie.inverse_transform(self.half))
         H = self.half @ T_E_S @ self.half
         R, o = H[:, :3, :3], H[:, :3, 3]
         R_T = np.swapaxes(R, -1, -2)
-        h = np.concatenate([_apply(np.eye(3) + R_T, o), vee(R - R_T)], axis=-1)
+        h = np.concatenate([_apply(np.eye(3) + R_T, o), lie.vee(R - R_T)], axis=-1)
         J = np.zeros((len(R), 6, 6))
         J[:, :3, :3] = R + np.eye(3)
-        J[:, :3, 3:] = hat(_apply(R_T, o))
+        J[:, :3, 3:] = lie.hat(_apply(R_T, o))
         J[:, 3:, 3:] = np.trace(R, axis1=1, axis2=2)[:, None, None] * np.eye(3) - R_T
-        X = adjoint(H)
+        X = lie.adjoint(H)
         D = 0.5 * (self.P + np.swapaxes(X, -1, -2) @ self.P @ X)
         f1 = -0.25 * _apply(np.swapaxes(J, -1, -2), h @ self.K) - _apply(D, v_ES @ X_S1.T)
         return f1 @ X_S1
 
     def slope(self, tools, T, v):
         """Return the accelerations (N, 6) of the packages (3.5)."""
-        f = _apply(np.swapaxes(adjoint(self.T_S_B), -1, -2), self.wrench(*tools, T, v))
+        f = _apply(np.swapaxes(lie.adjoint(self.T_S_B), -1, -2), self.wrench(*tools, T, v))
         R = T[:, :3, :3]
         lin, w = v[:, :3], v[:, 3:]
         dv = f[:, :3] / self.mass[:, None] + _apply(
@@ -126,7 +117,7 @@ class Batch:
     def rates(self, tools, T, v):
         """Return the rates of poses (N, 4, 4), entry by entry, and of twists."""
         twist = np.zeros((len(v), 4, 4))
-        twist[:, :3, :3], twist[:, :3, 3] = hat(v[:, 3:]), v[:, :3]
+        twist[:, :3, :3], twist[:, :3, 3] = lie.hat(v[:, 3:]), v[:, :3]
         return T @ twist, self.slope(tools, T, v)
 
 

@@ -1,16 +1,7 @@
 """Messages and tuples, there and back."""
 
 from bellows_ros.core.live import Prediction
-from bellows_ros.nodes.conversions import (
-    NO_STAMP,
-    quaternion_xyzw,
-    stamp_to_ns,
-    vector,
-    write_pose,
-    write_stamp,
-    write_twist,
-    write_wrench,
-)
+from bellows_ros.nodes import conversions
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from hypothesis import given
@@ -26,29 +17,29 @@ PREDICTION = Prediction(
 def test_stamp_survives_the_round_trip(sec: int, nanosec: int) -> None:
     """Keep every nanosecond, as no double does."""
     back = Time()
-    write_stamp(back, stamp_to_ns(Time(sec=sec, nanosec=nanosec)))
+    conversions.write_stamp(back, conversions.stamp_to_ns(Time(sec=sec, nanosec=nanosec)))
     assert back == Time(sec=sec, nanosec=nanosec)
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(10**9, 2**32 - 1))
 def test_stamp_that_is_none(sec: int, nanosec: int) -> None:
     """Give no stamp for a second or more of nanoseconds."""
-    assert stamp_to_ns(Time(sec=sec, nanosec=nanosec)) == NO_STAMP
+    assert conversions.stamp_to_ns(Time(sec=sec, nanosec=nanosec)) == conversions.NO_STAMP
 
 
 def test_prediction_becomes_three_messages() -> None:
     """Put each part where it belongs."""
     pose, twist, wrench = PoseStamped(), TwistStamped(), WrenchStamped()
-    write_pose(pose, 'base', PREDICTION)
-    write_twist(twist, 'package', PREDICTION)
-    write_wrench(wrench, 'cup_lip', PREDICTION)
+    conversions.write_pose(pose, 'base', PREDICTION)
+    conversions.write_twist(twist, 'package', PREDICTION)
+    conversions.write_wrench(wrench, 'cup_lip', PREDICTION)
 
     for message, frame in ((pose, 'base'), (twist, 'package'), (wrench, 'cup_lip')):
         assert message.header.frame_id == frame
-        assert stamp_to_ns(message.header.stamp) == PREDICTION.stamp_ns
-    assert vector(pose.pose.position) == PREDICTION.position
-    assert quaternion_xyzw(pose.pose.orientation) == PREDICTION.quaternion_xyzw
-    assert vector(twist.twist.linear) == PREDICTION.linear
-    assert vector(twist.twist.angular) == PREDICTION.angular
-    assert vector(wrench.wrench.force) == PREDICTION.force
-    assert vector(wrench.wrench.torque) == PREDICTION.moment
+        assert conversions.stamp_to_ns(message.header.stamp) == PREDICTION.stamp_ns
+    assert conversions.vector(pose.pose.position) == PREDICTION.position
+    assert conversions.quaternion_xyzw(pose.pose.orientation) == PREDICTION.quaternion_xyzw
+    assert conversions.vector(twist.twist.linear) == PREDICTION.linear
+    assert conversions.vector(twist.twist.angular) == PREDICTION.angular
+    assert conversions.vector(wrench.wrench.force) == PREDICTION.force
+    assert conversions.vector(wrench.wrench.torque) == PREDICTION.moment

@@ -4,11 +4,7 @@ from collections.abc import Callable
 import time
 from typing import Any
 
-from bellows_ros.core.geometry.lie import (
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.planning.plan import predict
 from bellows_ros.core.planning.steering import hanging
@@ -41,7 +37,7 @@ def message(move: Move = MOVE, rate_hz: int = 500, **changes: Any) -> PlanMessag
     o, R, v = move.at(times * 1e-9)
     parts: dict[str, Any] = {
         'stamp_ns': 0, 'frame_id': 'world', 'names': ('tool',), 'times_ns': times,
-        'poses': np.hstack([o, rotation_to_quaternion(R)]), 'twists': v}
+        'poses': np.hstack([o, lie.rotation_to_quaternion(R)]), 'twists': v}
     return PlanMessage(**{**parts, **changes})
 
 
@@ -92,7 +88,7 @@ class Planner:
     def drive(self, stamp_ns: int, seconds: float, speed: float = 1.0) -> None:
         """Send where the tool is so many seconds after it began to move."""
         o, R, v = MOVE.at(np.array([max(0.0, seconds * speed)]))
-        self.partner.send_pose(stamp_ns, o[0], rotation_to_quaternion(R)[0])
+        self.partner.send_pose(stamp_ns, o[0], lie.rotation_to_quaternion(R)[0])
         self.partner.send_twist(stamp_ns, speed * v[0, :3], speed * v[0, 3:])
 
     def status(self) -> Any:
@@ -204,7 +200,7 @@ def test_a_motion_is_steered(planner: Planner, of_package: bool) -> None:
     wanted = message(move)
     if of_package:
         motion = hanging(MODEL, move.plan(500))
-        poses = np.hstack([motion.position, rotation_to_quaternion(motion.rotation)])
+        poses = np.hstack([motion.position, lie.rotation_to_quaternion(motion.rotation)])
         wanted = message(move, names=('package',), twists=np.asarray(motion.twist), poses=poses)
     planner.steer_out.publish(encode_multi_dof(wanted))
     planner.wait(lambda: planner.heard['steered'])
@@ -226,8 +222,8 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(
     planner = Planner(make_partner({**VALUES, 'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'}))
 
     def in_frame(poses: Any, T: Any) -> Any:
-        moved = transform(quaternion_to_rotation(poses[:, 3:]), poses[:, :3]) @ T
-        return np.hstack([moved[:, :3, 3], rotation_to_quaternion(moved[:, :3, :3])])
+        moved = lie.transform(lie.quaternion_to_rotation(poses[:, 3:]), poses[:, :3]) @ T
+        return np.hstack([moved[:, :3, 3], lie.rotation_to_quaternion(moved[:, :3, :3])])
 
     move = Smooth([0.3, 0.0, 0.0], [0.0, 0.2, 0.0], 0.6)
     plan = message(move)

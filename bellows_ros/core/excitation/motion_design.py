@@ -14,13 +14,9 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.excitation import fisher
 from bellows_ros.core.excitation.arm_limits import ArmLimits, CHECK_RATE
-from bellows_ros.core.excitation.fisher import (
-    motion_information,
-    Response,
-    response,
-    Tracking,
-)
+from bellows_ros.core.excitation.fisher import Response, Tracking
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import hat, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
@@ -332,7 +328,7 @@ def design(
     at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation))
 
     def responses_at(omega: Array) -> list[Response]:
-        return [response(
+        return [fisher.response(
             lambda x: model_tuple(gripper_of(
                 Cup(*structure.matrices(x), cup.length), structure.places), package, gravity),
             structure.parameters(each.stiffness, each.damping),
@@ -360,7 +356,7 @@ def design(
     motion, ratios = _within(motion, limits, models, grip)
     progress('computing the expected errors', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)
-    return Design(motion, ratios, shares, motion_information(
+    return Design(motion, ratios, shares, fisher.motion_information(
         cup, package, gravity, tool, tracking, structure))
 
 

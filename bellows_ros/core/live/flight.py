@@ -14,22 +14,10 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
+from bellows_ros.core.toss import release
 from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward
 from bellows_ros.core.toss.landing import aim, factor_columns
-from bellows_ros.core.toss.release import (
-    DIFFERENCE_STEPS,
-    flight_path,
-    HeldMotion,
-    latest_release,
-    law_of,
-    NO_FLIGHT,
-    NO_GRIP,
-    opened_by,
-    release_of,
-    Toss,
-    toss_along,
-    toss_with_covariance,
-)
+from bellows_ros.core.toss.release import HeldMotion, Toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -103,12 +91,12 @@ class Flight:
         """Set the data of release and landing."""
         self._values, self._future = values, future
         self.known = min(values['package.size']) > 0.0
-        self._release = release_of(values) if self.known else NO_FLIGHT
+        self._release = release.release_of(values) if self.known else release.NO_FLIGHT
         self.grip = grip_of(values)
-        self._ahead = latest_release(law_of(values)) + AHEAD
+        self._ahead = release.latest_release(release.law_of(values)) + AHEAD
         self._factor = factor_columns(values)
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
-        self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(DIFFERENCE_STEPS)))
+        self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
         self._covariance = np.zeros((6, 6))
         self.forget()
 
@@ -123,7 +111,7 @@ class Flight:
         self.later(model, still, 0.1)
         self.time_to_target(model, still)
         if found is not None:
-            flight_path(model, found.toss, 2)
+            release.flight_path(model, found.toss, 2)
         self.forget()
 
     def forget(self) -> None:
@@ -162,7 +150,7 @@ class Flight:
         if released < 0.0:
             late = (now.stamp_ns - self._switched_ns) * 1e-9
             force, moment = lip_wrench(
-                opened_by(model, self._release.law, late, now.tool, body), now.tool, body)
+                release.opened_by(model, self._release.law, late, now.tool, body), now.tool, body)
             self._before = now._replace(
                 position=body[0], quaternion_xyzw=body[1], linear=body[2], angular=body[3],
                 force=force, moment=moment, strains=body[4:])
@@ -222,8 +210,8 @@ class Flight:
     ) -> tuple[float, State, float, State]:
         """Return what `toss_along` does, of a package that is held up to a time (s)."""
         rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
-        return toss_along(
-            model, self.grip or NO_GRIP, self._release, 0.0, now.tool,
+        return release.toss_along(
+            model, self.grip or release.NO_GRIP, self._release, 0.0, now.tool,
             adapted(model, now.tool, now.body), rows, seconds, switched, until,
             self._longest_step(model))
 
@@ -258,14 +246,14 @@ class Flight:
             return None  # so many steps would hold up the poses
         if self._count % RENEWED == 0:
             self._of_state[:] = covariance(prediction)
-        k = self._count % len(DIFFERENCE_STEPS)
+        k = self._count % len(release.DIFFERENCE_STEPS)
         try:
             tool = self._future(prediction)
             rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
-            sound, found = toss_with_covariance(
-                model, self.grip or NO_GRIP, self._release, self._factor, prediction.tool,
+            sound, found = release.toss_with_covariance(
+                model, self.grip or release.NO_GRIP, self._release, self._factor, prediction.tool,
                 adapted(model, prediction.tool, prediction.body), rows, seconds, self._ahead,
-                longest, *((k, k + 1) if self._count else (0, len(DIFFERENCE_STEPS))),
+                longest, *((k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))),
                 self._of_state, self._by, self._covariance)
         except (BellowsError, ArithmeticError, ValueError):
             sound = False

@@ -11,24 +11,9 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import dot, rotation_matrix
 from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.live.settling import Modes, modes_of, Settling
+from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.equilibrium import (
-    adapted,
-    largest_step,
-    nominal_system_matrix,
-    PHASE_PER_STEP,
-    static_equilibrium,
-    substeps_for,
-)
-from bellows_ros.core.model.kernels import (
-    advance,
-    cup_wrench,
-    extrapolated,
-    lip_relative_to_tool,
-    ModelTuple,
-    State,
-    Wrench,
-)
+from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.observer import Measurement, Observer
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -61,12 +46,12 @@ def advance_and_hold(
     """
     cup, package, _ = model
     if substeps > 0:
-        body = advance(model, body, before, now, duration, substeps)
-    o_lip, R_lip, v_lip, w_lip = lip_relative_to_tool(
+        body = kernels.advance(model, body, before, now, duration, substeps)
+    o_lip, R_lip, v_lip, w_lip = kernels.lip_relative_to_tool(
         package[1], now[0], rotation_matrix(now[1]), now[2], now[3],
         body[0], rotation_matrix(body[1]), body[2], body[3],
     )
-    f, m = wrench = cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
+    f, m = wrench = kernels.cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
     v, w = body[2], body[3]
     total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
     shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
@@ -97,13 +82,13 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
     try:
         with np.errstate(all='ignore'):
             model = model_tuple(cup, package, gravity)
-            A = nominal_system_matrix(model)
+            A = equilibrium.nominal_system_matrix(model)
             _require_slow(A)
-            modes = modes_of(nominal_system_matrix((model[0][:4], *model[1:])))
+            modes = modes_of(equilibrium.nominal_system_matrix((model[0][:4], *model[1:])))
             softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
             sag = package.mass * math.hypot(*model[2]) / softest
             reach = REACH_LENGTHS * cup.length + REACH_SAGS * sag
-            return Prepared(model, largest_step(model, A), reach, modes)
+            return Prepared(model, equilibrium.largest_step(model, A), reach, modes)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
             f'The prediction fails with this cup and package ({error}). Check package.mass, '
@@ -117,12 +102,12 @@ def _require_slow(matrix: Array) -> None:
     undamped[6:12, 6:12] = 0.0
     for name, system in (('cup.stiffness', undamped), ('cup.damping', matrix)):
         fastest = float(np.abs(np.linalg.eigvals(system)).max())
-        if PHASE_PER_STEP < fastest * SHORTEST_STEP:
+        if equilibrium.PHASE_PER_STEP < fastest * SHORTEST_STEP:
             raise BellowsError(
                 f'With this {name} the fastest mode of the package is {fastest:.3g} rad/s, which '
-                f'takes {fastest / PHASE_PER_STEP:.3g} integration steps a second; expected at '
-                f'most {1.0 / SHORTEST_STEP:.3g}. Check {name}, package.mass, package.inertia and '
-                'their units.')
+                f'takes {fastest / equilibrium.PHASE_PER_STEP:.3g} integration steps a second; '
+                f'expected at most {1.0 / SHORTEST_STEP:.3g}. Check {name}, package.mass, '
+                'package.inertia and their units.')
 
 
 class Sample(NamedTuple):
@@ -177,7 +162,7 @@ class LivePayload:
         self._retry_ns = -1
         if self.sample is not None:
             stamp_ns, tool, body = self.sample
-            self.sample = Sample(stamp_ns, tool, adapted(self._model, tool, body))
+            self.sample = Sample(stamp_ns, tool, equilibrium.adapted(self._model, tool, body))
         if self.observer is not None:
             self.observe(self.observer)
 
@@ -245,7 +230,7 @@ class LivePayload:
         if base is None or stamp_ns <= base.stamp_ns:
             return None
         duration = (stamp_ns - base.stamp_ns) * 1e-9
-        tool = extrapolated(base.tool, duration)
+        tool = kernels.extrapolated(base.tool, duration)
         result = self._advanced(base.body, base.tool, tool, duration)
         if result is None:
             return None
@@ -262,7 +247,7 @@ class LivePayload:
 
         An observer keeps what ends at a stamp (ns).
         """
-        substeps = substeps_for(duration, self._longest_step)
+        substeps = equilibrium.substeps_for(duration, self._longest_step)
         if substeps > MOST_SUBSTEPS:
             return None
         try:
@@ -286,7 +271,7 @@ class LivePayload:
             return None
         self._retry_ns = stamp_ns + RETRY_NS
         try:
-            body = static_equilibrium(self.model, tool)
+            body = equilibrium.static_equilibrium(self.model, tool)
             still: State = tool[0], tool[1], ZERO, ZERO
             _, (force, moment), _ = advance_and_hold(
                 self.model, body, still, still, 0.0, 0, math.inf)

@@ -16,15 +16,8 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.samples import ZERO
-from bellows_ros.core.signals.screening import (
-    ACCEPTED,
-    GOOD,
-    LARGEST_RATE,
-    LARGEST_SPEED,
-    StampScreen,
-    Verdict,
-    why_no_pose,
-)
+from bellows_ros.core.signals import screening
+from bellows_ros.core.signals.screening import StampScreen, Verdict
 
 FRAME_RUN = 3
 FRAME_RUN_NS = 150_000_000
@@ -132,8 +125,8 @@ def step_after(
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
     squared = 0.5 * (seconds + shorter) * shorter
     excess = max(
-        t3.norm(shift) / (SPEED_SLACK + LARGEST_SPEED * seconds),
-        t3.norm(turn) / (RATE_SLACK + LARGEST_RATE * seconds),
+        t3.norm(shift) / (SPEED_SLACK + screening.LARGEST_SPEED * seconds),
+        t3.norm(turn) / (RATE_SLACK + screening.LARGEST_RATE * seconds),
     )
     suspicion = 0.0
     if period != UNKNOWN:
@@ -252,17 +245,18 @@ class Screen(StampScreen):
         self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
     ) -> Verdict:
         """Return the first verdict of the checks."""
-        reason = why_no_pose(o, q)
+        reason = screening.why_no_pose(o, q)
         if reason:
             return Verdict(reason, '')
         if stamp_ns <= 0:
             return Verdict('zero_stamp', '')
         if self.frame_id and frame_id != self.frame_id:
             believed = self._change.is_believed(frame_id, stamp_ns)
-            return Verdict(ACCEPTED, 'frame_changed') if believed else Verdict('frame_id', '')
+            return (Verdict(screening.ACCEPTED, 'frame_changed') if believed
+                    else Verdict('frame_id', ''))
         self._change.clear()
         verdict = self.judge_stamp(stamp_ns, arrival_ns)
-        if verdict is not GOOD:
+        if verdict is not screening.GOOD:
             return verdict
         return self._judge_place(stamp_ns, o, q)
 
@@ -272,20 +266,20 @@ class Screen(StampScreen):
         """Refuse poses of a tracker that has lost its body: repeated, or far away."""
         last = self._last
         if last is None:
-            return GOOD
+            return screening.GOOD
         if o == last.position and q == last.quaternion_xyzw:
             self._step, self.suspect = REST, False
-            return Verdict('repeated_pose', '') if _cannot_stop(last) else GOOD
+            return Verdict('repeated_pose', '') if _cannot_stop(last) else screening.GOOD
         if self._elsewhere_run:  # then the time since the last one tells of no burst
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
         self._step = step = step_between(last, stamp_ns, o, q)
         if step.excess <= 1.0 and not (
                 self._elsewhere_run and self._is_elsewhere(stamp_ns, o, q)):
             self.suspect = step.suspicion > (AFTER_JUMPS if self._elsewhere_run else 1.0)
-            return GOOD
+            return screening.GOOD
         self._note_elsewhere(stamp_ns, o, q)
         if self._elsewhere_run >= JUMP_RUN:
-            return Verdict(ACCEPTED, 'moved')
+            return Verdict(screening.ACCEPTED, 'moved')
         return Verdict('jump', '')
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:

@@ -29,13 +29,8 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import rotation_matrix
 from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
+from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.equilibrium import (
-    adapted,
-    linearise,
-    static_equilibrium,
-    system_matrix,
-)
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.layout import composition, cup_of_gripper, places_of, UPPER
@@ -161,9 +156,9 @@ class Uncertainty:
     def _linearise(self, tool: State) -> None:
         """Take the small motions about the package's rest under a tool."""
         still = ZERO, tool[1], ZERO, ZERO
-        rest = static_equilibrium(self._model, still)
-        jacobian = linearise(self._model, still, rest)
-        self._A = system_matrix(self._model, still, rest)
+        rest = equilibrium.static_equilibrium(self._model, still)
+        jacobian = equilibrium.linearise(self._model, still, rest)
+        self._A = equilibrium.system_matrix(self._model, still, rest)
         self._tool_pose, self._tool_twist = jacobian.tool_pose, jacobian.tool_twist
         self._steps: dict[int, tuple[Array, Array]] = {}
         self._noise_of: dict[int, Array] = {}
@@ -245,7 +240,7 @@ def warm_up_uncertainty(relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
         'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
         'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,
     }
-    strains = adapted(model, ORIGIN, ORIGIN)[4:]
+    strains = equilibrium.adapted(model, ORIGIN, ORIGIN)[4:]
     Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO, strains=strains))
 
 

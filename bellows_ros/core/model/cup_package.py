@@ -9,14 +9,8 @@ from typing import Any
 
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model.kernels import (
-    Blocks,
-    cup_wrench,
-    CupTuple,
-    ModelTuple,
-    PackageTuple,
-    Strains,
-)
+from bellows_ros.core.model import kernels
+from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple, Strains
 from bellows_ros.core.model.matrices import (
     check_inertia,
     inertia_matrix,
@@ -307,7 +301,7 @@ def regressor(
         else:  # the kernel's arithmetic holds for tuples of arrays as well
             inner = tuple(z.reshape(2, 2, 3, -1)) if z.size else ()
             columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w), inner)
-            f, m = cup_wrench(cup, *columns)
+            f, m = kernels.cup_wrench(cup, *columns)
             L[:, :3, column] = np.stack(f, axis=1)
             L[:, 3:, column] = np.stack(m, axis=1)
     return L
@@ -319,7 +313,7 @@ def _wrenches(
 ) -> None:
     """Write the cup's wrench for every sample into out (N, 6)."""
     for k in range(o.shape[1]):
-        f, m = cup_wrench(
+        f, m = kernels.cup_wrench(
             cup,
             (o[0, k], o[1, k], o[2, k]),
             (R[0, k], R[1, k], R[2, k], R[3, k], R[4, k], R[5, k], R[6, k], R[7, k], R[8, k]),

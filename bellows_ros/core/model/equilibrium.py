@@ -14,21 +14,9 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.model.jacobians import (
-    body_jacobians,
-    Square,
-    strain_jacobians,
-    tool_jacobians,
-)
-from bellows_ros.core.model.kernels import (
-    body_acceleration,
-    lip_strain,
-    ModelTuple,
-    relaxed,
-    State,
-    with_rotation,
-    with_twist,
-)
+from bellows_ros.core.model import jacobians, kernels
+from bellows_ros.core.model.jacobians import Square
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.errors import UnstableError
 import numpy as np
 
@@ -43,7 +31,7 @@ def resting_on_tool(model: ModelTuple, tool: State) -> State:
     com, zero = model[1][1], (0.0, 0.0, 0.0)
     offset = t3.apply(t3.rotation_matrix(tool[1]), (com[0], com[1], com[2] - model[0][1]))
     body: State = t3.add(tool[0], offset), tool[1], zero, zero
-    return relaxed(model[0], (zero, zero), body) if model[0][4:] else body
+    return kernels.relaxed(model[0], (zero, zero), body) if model[0][4:] else body
 
 
 def adapted(model: ModelTuple, tool: State, body: State) -> State:
@@ -51,7 +39,7 @@ def adapted(model: ModelTuple, tool: State, body: State) -> State:
     if len(body[4:]) == len(model[0][4:]):
         return body
     plain: State = body[0], body[1], body[2], body[3]
-    return relaxed(model[0], lip_strain(model, tool, plain), plain)
+    return kernels.relaxed(model[0], kernels.lip_strain(model, tool, plain), plain)
 
 
 @kernel
@@ -72,8 +60,8 @@ def moved(
 ) -> State:
     """Return a state displaced in its own axes, with its twist changed."""
     perturbed = displaced(body, shift, turn)
-    perturbed = with_rotation(perturbed, t3.normalised(perturbed[1]))
-    return with_twist(
+    perturbed = kernels.with_rotation(perturbed, t3.normalised(perturbed[1]))
+    return kernels.with_twist(
         perturbed, t3.add(perturbed[2], linear), t3.add(perturbed[3], angular))
 
 
@@ -102,7 +90,8 @@ class Jacobian(NamedTuple):
 
 def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     """Return the derivatives of the package's acceleration about a state."""
-    of_body, of_tool = body_jacobians(model, tool, body), tool_jacobians(model, tool, body)
+    of_body = jacobians.body_jacobians(model, tool, body)
+    of_tool = jacobians.tool_jacobians(model, tool, body)
     return Jacobian(*map(_matrix, (*of_body, *of_tool)))
 
 
@@ -147,7 +136,7 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
     eye, none = np.eye(6), np.zeros((6, 6))
     if len(body) == 4:
         return np.block([[none, eye], [by.body_pose, by.body_twist]])
-    by_strain, strain_by_pose = map(_matrix, strain_jacobians(model, tool, body))
+    by_strain, strain_by_pose = map(_matrix, jacobians.strain_jacobians(model, tool, body))
     (r, tau), (s, theta) = model[0][4:]
     return np.block([
         [none, eye, none, none],
@@ -285,6 +274,6 @@ def _solve(A: Any, x: Any) -> tuple[float, bool]:
 def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, float, float, float]:
     """Return force and moment that accelerate a package at rest under a tool at rest."""
     package = model[1]
-    dv, dw = body_acceleration(model, _ORIGIN, body)
+    dv, dw = kernels.body_acceleration(model, _ORIGIN, body)
     f, m = t3.scale(package[0], dv), t3.apply(package[2], dw)
     return f[0], f[1], f[2], m[0], m[1], m[2]

@@ -16,20 +16,13 @@ from typing import Any
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import (
     Blocks,
-    body_acceleration,
     Branch,
-    effective_strain,
-    lip_relative_to_tool,
-    lip_wrench,
     ModelTuple,
-    multiply_blocks,
     PackageTuple,
-    spring_frames,
     State,
-    strain,
-    strain_wrench,
     Strains,
     Wrench,
 )
@@ -139,8 +132,9 @@ def spring_jacobian(
     -1/4 J^T K J, and what J's own change makes of s = K h: with q = R^T o
     -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
     """
-    h, h_R = effective_strain(strain(o, R), branches, strains), strain(o, R)[1]
-    s_o, s_R = multiply_blocks(K, h[0], h[1])
+    h_now = kernels.strain(o, R)
+    h, h_R = kernels.effective_strain(h_now, branches, strains), h_now[1]
+    s_o, s_R = kernels.multiply_blocks(K, h[0], h[1])
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
     Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, K, branches, strains)
     far = t3.multiply(q_hat, Z_oo), t3.multiply(q_hat, Z_oR)  # - J_oR^T Z
@@ -220,7 +214,7 @@ def ends_of_spring(
     The tool's twist is X(E_H_S1)^-1 E_v_AE, in S axes.
     """
     cup, package, _ = model
-    o_E_S, R, v, w = lip_relative_to_tool(
+    o_E_S, R, v, w = kernels.lip_relative_to_tool(
         package[1],
         tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
         body[0], t3.rotation_matrix(body[1]), body[2], body[3],
@@ -229,7 +223,7 @@ def ends_of_spring(
     o_E_S1 = t3.add_scaled(o_E_S, l1, (R[2], R[5], R[8]))
     com = package[1]
     return (
-        (com[0], com[1], com[2] - l1), spring_frames(cup, o_E_S, R), R,
+        (com[0], com[1], com[2] - l1), kernels.spring_frames(cup, o_E_S, R), R,
         (v[0] + l1 * w[1], v[1] - l1 * w[0], v[2]), w,
         o_E_S1,
         t3.apply_transposed(R, t3.add(tool[2], t3.cross(tool[3], o_E_S1))),
@@ -318,10 +312,10 @@ def relaxation_jacobian(
     if len(body) == 4:
         return
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
-    h, strains = strain(o, R), body[4:]
+    h, strains = kernels.strain(o, R), body[4:]
     for b in range(2):
         z = strains[b]
-        f, m = strain_wrench(
+        f, m = kernels.strain_wrench(
             o, R, model[0][2], (t3.subtract(h[0], z[0]), t3.subtract(h[1], z[1])))
         dv, dw = acceleration_at(model[1], c, f, m)
         write_column(out, column + b, dv, dw)
@@ -424,7 +418,7 @@ def _entries(
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
     o_R = t3.multiply(t3.hat(o), R)
     u_R = t3.apply(R, w)
-    h = _six(*effective_strain(strain(o, R), model[0][4:], body[4:]))
+    h = _six(*kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:]))
     near, far = _six(v, w), _six(t3.add(t3.apply(R, v), t3.cross(o, u_R)), u_R)
     s = accelerations_at(package, c, J_oo, J_oR, J_RR)
     e = accelerations_at(package, c, IDENTITY, NOTHING, IDENTITY)
@@ -476,8 +470,8 @@ def _others(
     """
     package = model[1]
     w, R = body[3], t3.rotation_matrix(body[1])
-    _, dw = body_acceleration(model, tool, body)
-    f, _ = lip_wrench(model, tool, body)
+    _, dw = kernels.body_acceleration(model, tool, body)
+    f, _ = kernels.lip_wrench(model, tool, body)
     by_pose, by_twist = wrench_jacobians(model, tool, body)
     c = ends_of_spring(model, tool, body)[0]
     for i in range(max(first, 42), last):

@@ -6,33 +6,13 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.lie import (
-    adjoint,
-    apply,
-    inverse_transform,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
+from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
-from bellows_ros.core.model.equilibrium import (
-    adapted,
-    largest_step,
-    moved,
-    static_equilibrium,
-    substeps_of,
-)
-from bellows_ros.core.model.kernels import (
-    advance,
-    body_acceleration,
-    lip_wrench,
-    ModelTuple,
-    State,
-    tool_segment,
-)
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
@@ -61,7 +41,7 @@ def stands(row: Array) -> bool:
 
 def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
     """Return the package at rest under the tool of a row (13,), near a state if given."""
-    return static_equilibrium(model, state_row(row[:3], row[3:7]), near)
+    return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), near)
 
 
 MOST_STEPS = 10_000_000
@@ -102,22 +82,24 @@ def steady_start(
         return hanging
     first = row_state(rows[0])
     duration = float(tool.seconds[1])
-    _, _, _, bend, _, _, _, turn_bend, _ = tool_segment(first, row_state(rows[1]), duration)
+    segment = kernels.tool_segment(first, row_state(rows[1]), duration)
+    bend, turn_bend = segment[3], segment[7]
     R, (v, w) = t3.rotation_matrix(first[1]), first[2:4]
     dv = t3.subtract(t3.apply_transposed(R, t3.scale(2.0 / duration**2, bend)), t3.cross(w, v))
     rates = np.array([v, w, dv, t3.scale(2.0 / duration**2, turn_bend)]).reshape(2, 6)
-    T_world_tool = transform(quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
+    T_world_tool = lie.transform(lie.quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
 
     def with_offset(offset: Array) -> tuple[State, Array]:
         x, y, z, rx, ry, rz = offset.tolist()
-        state = moved(hanging, (x, y, z), (rx, ry, rz), still, still)
-        T_world_package = transform(quaternion_to_rotation(np.array(state[1])), state[0])
-        at_package = apply(adjoint(inverse_transform(T_world_package) @ T_world_tool), rates)
+        state = equilibrium.moved(hanging, (x, y, z), (rx, ry, rz), still, still)
+        T_world_package = lie.transform(lie.quaternion_to_rotation(np.array(state[1])), state[0])
+        T_package_tool = lie.inverse_transform(T_world_package) @ T_world_tool
+        at_package = lie.apply(lie.adjoint(T_package_tool), rates)
         return state_row(state[0], state[1], at_package[0]), at_package[1]
 
     def unbalance(offset: Array) -> Array:
         state, needed = with_offset(offset)
-        return np.ravel(body_acceleration(model, first, state)) - needed
+        return np.ravel(kernels.body_acceleration(model, first, state)) - needed
 
     still = (0.0, 0.0, 0.0)
     offset, shifts = np.zeros(6), 1e-6 * np.eye(6)
@@ -129,7 +111,7 @@ def steady_start(
         step = np.linalg.solve(J, unbalance(offset))
         offset -= step * min(1.0, LARGEST_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
         if np.abs(step).max() < 1e-10:
-            return adapted(model, first, with_offset(offset)[0])
+            return equilibrium.adapted(model, first, with_offset(offset)[0])
     raise UnstableError(
         'The plan begins in motion, and the cup cannot hold the package in steady motion at '
         f'the first acceleration, {math.hypot(*dv):.3g} m/s^2. Give the plan from rest.')
@@ -171,7 +153,7 @@ class ToolRows:
     def trajectory(self) -> Trajectory:
         """Return it as a checked trajectory."""
         return Trajectory(self.stamps_ns, self.rows[:, :3],
-                          quaternion_to_rotation(self.rows[:, 3:7]), self.rows[:, 7:])
+                          lie.quaternion_to_rotation(self.rows[:, 3:7]), self.rows[:, 7:])
 
 
 def tool_rows(tool: Trajectory | ToolRows) -> Array:
@@ -180,7 +162,7 @@ def tool_rows(tool: Trajectory | ToolRows) -> Array:
         return tool.rows
     if tool.twist is None:
         raise BellowsError('The tool trajectory has no twists; filter or differentiate it first.')
-    return np.hstack([tool.position, rotation_to_quaternion(tool.rotation), tool.twist])
+    return np.hstack([tool.position, lie.rotation_to_quaternion(tool.rotation), tool.twist])
 
 
 def simulate(
@@ -223,10 +205,11 @@ def simulate(
     model = model_tuple(cup, package, gravity)
     rows = tool_rows(tool)
     durations = np.diff(tool.stamps_ns) * 1e-9
-    steps = (substeps_of(durations, largest_step(model)) if substeps is None
-             else np.full(len(durations), substeps, dtype=np.int64))
+    steps = (np.full(len(durations), substeps, dtype=np.int64) if substeps
+             else equilibrium.substeps_of(durations, equilibrium.largest_step(model)))
     try:
-        begin = adapted(model, row_state(rows[0]), start) if start else rest(model, rows[0])
+        begin = (equilibrium.adapted(model, row_state(rows[0]), start) if start
+                 else rest(model, rows[0]))
         out = simulate_rows(model, begin, rows, durations, steps)
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         out = np.full(1, np.nan)
@@ -239,7 +222,7 @@ def simulate(
     return Trajectory(
         stamps_ns=tool.stamps_ns,
         position=frozen(out)[:, :3],
-        rotation=frozen(quaternion_to_rotation(out[:, 3:7])),
+        rotation=frozen(lie.quaternion_to_rotation(out[:, 3:7])),
         twist=out[:, 7:13],
     )
 
@@ -307,7 +290,7 @@ def _simulate(
     before = row_state(tool[0])
     for k in range(len(durations)):
         after = row_state(tool[k + 1])
-        body = advance(model, body, before, after, durations[k], substeps[k])
+        body = kernels.advance(model, body, before, after, durations[k], substeps[k])
         write_row(out[k + 1], body)
         before = after
 
@@ -323,6 +306,6 @@ def lip_wrenches(model: ModelTuple, tool: Trajectory, body: Trajectory) -> Array
 def _lip_wrenches(model: ModelTuple, tool: Array, body: Array, out: Array) -> None:
     """Write the wrench of every row."""
     for k in range(len(out)):
-        f, m = lip_wrench(model, row_state(tool[k]), row_state(body[k]))
+        f, m = kernels.lip_wrench(model, row_state(tool[k]), row_state(body[k]))
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m

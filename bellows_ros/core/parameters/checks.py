@@ -8,22 +8,9 @@ import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model.matrices import (
-    check_inertia,
-    inertia_matrix,
-    matrix,
-    require_damping,
-    require_stiffness,
-)
-from bellows_ros.core.parameters.table import (
-    ANY,
-    lookup,
-    NAMED_CUP,
-    Parameter,
-    PARAMETERS,
-    short,
-    Value,
-)
+from bellows_ros.core.model import matrices
+from bellows_ros.core.parameters import table
+from bellows_ros.core.parameters.table import Parameter, Value
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,11 +60,11 @@ def validate(name: str, value: object) -> Value:
         If the name is unknown or the value is not allowed, with the reason.
 
     """
-    parameter = lookup(name)
+    parameter = table.lookup(name)
     if name in POSES:
         value = _world_text(parameter, value, name == POSES[0])
     normal = convert(parameter, value)
-    check = _PHYSICAL.get(name) or _PHYSICAL.get(NAMED_CUP.sub(r'cup.\2', name))
+    check = _PHYSICAL.get(name) or _PHYSICAL.get(table.NAMED_CUP.sub(r'cup.\2', name))
     if check:
         check(parameter, normal)
     return normal
@@ -106,10 +93,10 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
         For an unknown name, a value that is not allowed, or a required parameter that is missing.
 
     """
-    given = {lookup(name).name: validate(name, value) for name, value in values.items()}
+    given = {table.lookup(name).name: validate(name, value) for name, value in values.items()}
     require(given, required)
-    named = {name: value for name, value in given.items() if name not in PARAMETERS}
-    filled = {**{p.name: given.get(p.name, p.default) for p in PARAMETERS.values()}, **named}
+    named = {name: value for name, value in given.items() if name not in table.PARAMETERS}
+    filled = {**{p.name: given.get(p.name, p.default) for p in table.PARAMETERS.values()}, **named}
     resolved = {name: value for name, value in filled.items() if value is not None}
     for body in ('filter.tool', 'filter.package'):
         half_window, order = resolved[f'{body}.half_window'], resolved[f'{body}.order']
@@ -159,7 +146,7 @@ def convert(parameter: Parameter, value: object) -> Value:
     """
     if parameter.kind == 'bool':
         if not isinstance(value, bool | np.bool_):
-            raise _refuse(parameter, short(value))
+            raise _refuse(parameter, table.short(value))
         return bool(value)
     if parameter.kind == 'string':
         return _text(parameter, value)
@@ -168,7 +155,7 @@ def convert(parameter: Parameter, value: object) -> Value:
     items = _items(parameter, value)
     if parameter.kind == 'string_array':
         return tuple(_text(parameter, x, f' at index {i}') for i, x in enumerate(items))
-    if parameter.length not in (None, ANY, len(items)):
+    if parameter.length not in (None, table.ANY, len(items)):
         raise _refuse(parameter, f'{len(items)} of them')
     return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
 
@@ -193,7 +180,7 @@ def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
     if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1.0) > UNIT_WITHIN:
         raise BellowsError(
             f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
-            f"length 1, {f'or {ESTIMATE}, ' if estimated else ''}or '', got {short(value)}. "
+            f"length 1, {f'or {ESTIMATE}, ' if estimated else ''}or '', got {table.short(value)}. "
             f'{parameter.description}')
     pose[3:] /= length
     return pose_text(pose)
@@ -208,20 +195,20 @@ def _items(parameter: Parameter, value: object) -> list[object]:
     if isinstance(value, str):  # which `ros2 param set` makes of a list of 0 and 0.5
         numbers = parameter.kind == 'double_array'
         hint = '. Write every number with a decimal point: 0.0, not 0' if numbers else ''
-        raise _refuse(parameter, f"the text '{short(value)}'{hint}")
-    raise _refuse(parameter, short(value))
+        raise _refuse(parameter, f"the text '{table.short(value)}'{hint}")
+    raise _refuse(parameter, table.short(value))
 
 
 def _text(parameter: Parameter, value: object, where: str = '') -> str:
     """Return a string, one of the choices if there are any, without control characters."""
     if not isinstance(value, str):
-        raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
+        raise _refuse(parameter, f'{table.short(value)} ({type(value).__name__}){where}')
     if any(ord(c) < 32 or ord(c) == 127 for c in value):  # no file, topic or frame has them
-        raise _refuse(parameter, f"a control character in '{short(value)}'{where}")
+        raise _refuse(parameter, f"a control character in '{table.short(value)}'{where}")
     if not value and (where or parameter.required_text):
         raise _refuse(parameter, f'an empty text{where}')
     if parameter.choices and value not in parameter.choices:
-        raise _refuse(parameter, f"'{short(value)}'{where}")
+        raise _refuse(parameter, f"'{table.short(value)}'{where}")
     return value
 
 
@@ -230,7 +217,7 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     whole = parameter.kind == 'integer'
     kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
-        raise _refuse(parameter, f'{short(value)} ({type(value).__name__}){where}')
+        raise _refuse(parameter, f'{table.short(value)} ({type(value).__name__}){where}')
     low = -math.inf if parameter.minimum is None else parameter.minimum
     high = math.inf if parameter.maximum is None else parameter.maximum
     above = -math.inf if parameter.above is None else parameter.above
@@ -241,13 +228,13 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     if not fits:
         large = parameter.unit and (value > high or -value > high)
         unit = f' (is it in {parameter.unit}?)' if large else ''
-        raise _refuse(parameter, f'{short(value)}{where}{unit}')
+        raise _refuse(parameter, f'{table.short(value)}{where}{unit}')
     return int(value) if whole else float(value)
 
 
 def require(given: Mapping[str, object], required: Iterable[str]) -> None:
     """Refuse missing required parameters, in one message with an example."""
-    missing = [lookup(name) for name in required if name not in given]
+    missing = [table.lookup(name) for name in required if name not in given]
     if missing:
         lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
                  for p in missing]
@@ -260,9 +247,9 @@ def require(given: Mapping[str, object], required: Iterable[str]) -> None:
 
 
 _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
-    'package.inertia': lambda p, value: check_inertia(inertia_matrix(value)),
-    'cup.stiffness': lambda p, value: require_stiffness(matrix(value), p.name),
-    'cup.damping': lambda p, value: require_damping(matrix(value), p.name),
+    'package.inertia': lambda p, value: matrices.check_inertia(matrices.inertia_matrix(value)),
+    'cup.stiffness': lambda p, value: matrices.require_stiffness(matrices.matrix(value), p.name),
+    'cup.damping': lambda p, value: matrices.require_damping(matrices.matrix(value), p.name),
     'cup.layout': lambda p, value: _require_layout(value),
     'gravity.direction': lambda p, value: require_direction(value),
     'release.correlation': lambda p, value: require_correlation(value),

@@ -9,15 +9,8 @@ import math
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    inverse_transform,
-    log_se3,
-    rpy_rotation,
-    transform,
-)
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -111,7 +104,7 @@ class Arm:
         """
         T, axes = self._chain(position)
         twist = np.zeros((len(position), 6))
-        return T, twist if velocity is None else apply(self._columns(T, axes), velocity)
+        return T, twist if velocity is None else lie.apply(self._columns(T, axes), velocity)
 
     def jacobian(self, position: Array) -> Array:
         """Return the derivative (N, 6, M) of the tool's displacement in its own axes."""
@@ -128,7 +121,8 @@ class Arm:
             q = np.multiply.outer(position[:, len(axes)], joint.axis)
             turns = joint.kind in TURNING
             axes.append((turns, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
-            T = T @ (transform(exp_so3(q), np.zeros(3)) if turns else transform(np.eye(3), q))
+            T = T @ (lie.transform(lie.exp_so3(q), np.zeros(3)) if turns
+                     else lie.transform(np.eye(3), q))
         return T, axes
 
     @staticmethod
@@ -153,7 +147,7 @@ class Arm:
         """
         position = np.array(np.broadcast_to(near, (len(T), len(self.moving))))
         for _ in range(MOST_STEPS):
-            error = log_se3(inverse_transform(self.tool(position)[0]) @ T)
+            error = lie.log_se3(lie.inverse_transform(self.tool(position)[0]) @ T)
             if np.abs(error).max() < POSE_TOLERANCE:
                 return position
             step = np.linalg.pinv(self.jacobian(position), rcond=SINGULAR) @ error[:, :, None]
@@ -243,8 +237,8 @@ def _joint(element: ElementTree.Element) -> Joint:
     length = float(np.linalg.norm(axis))
     if kind != 'fixed' and not length > 0.0:
         raise BellowsError(f"Joint '{name}' of the URDF has an axis of zero length.")
-    pose = transform(
-        rpy_rotation(_numbers(name, 'rpy', attributes.get('rpy', '0 0 0'))),
+    pose = lie.transform(
+        lie.rpy_rotation(_numbers(name, 'rpy', attributes.get('rpy', '0 0 0'))),
         _numbers(name, 'xyz', attributes.get('xyz', '0 0 0')))
     limit = element.find('limit')
     ends = {} if limit is None else {

@@ -16,17 +16,10 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
-from bellows_ros.core.model.kernels import (
-    cup_wrench,
-    lip_relative_to_tool,
-    ModelTuple,
-    State,
-    step,
-    tool_at,
-    tool_segment,
-)
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import (
     diverged,
     require_steps,
@@ -358,12 +351,12 @@ def record_sample(
 ) -> float:
     """Write wrench and loads of a state, update the peaks, and return the larger load."""
     cup, package, _ = model
-    o, R, v, w = lip_relative_to_tool(
+    o, R, v, w = kernels.lip_relative_to_tool(
         package[1],
         tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
         body[0], t3.rotation_matrix(body[1]), body[2], body[3],
     )
-    f, m = cup_wrench(cup, o, R, v, w, body[4:])
+    f, m = kernels.cup_wrench(cup, o, R, v, w, body[4:])
     peel, slip, peeling, slipping = least_factors(grip, cup, o, R, v, w, body[4:], f, m)
     loads[0] = 1.0 / peel if peel > 0.0 else math.inf
     loads[1] = 1.0 / slip if slip > 0.0 else math.inf
@@ -414,13 +407,13 @@ def _simulate_plan(
             break
         duration = durations[k] * duration_scale
         after = slowed(row_state(rows[k + 1]), duration_scale)
-        segment = tool_segment(tool, after, duration)
+        segment = kernels.tool_segment(tool, after, duration)
         n = substeps_for(duration, longest)
         h = duration / n
         for i in range(n):
-            middle = tool_at(segment, (i + 0.5) / n)
-            end = after if i == n - 1 else tool_at(segment, (i + 1.0) / n)
-            body = step(model, body, tool, middle, end, h)
+            middle = kernels.tool_at(segment, (i + 0.5) / n)
+            end = after if i == n - 1 else kernels.tool_at(segment, (i + 1.0) / n)
+            body = kernels.step(model, body, tool, middle, end, h)
             tool = end
             now = t + (i + 1.0) * h
             load = record_sample(
@@ -452,7 +445,7 @@ def _simulate_decay(
     update_peak(peaks, past, 7, t, turn)
     for i in range(count):
         before, since = turn, (i + 1.0) * h
-        body = step(model, body, tool, tool, tool, h)
+        body = kernels.step(model, body, tool, tool, tool, h)
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
         turn = turn_between(rest, body[1])
         update_peak(peaks, past, 7, t + since, turn)

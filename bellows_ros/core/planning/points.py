@@ -5,16 +5,9 @@ from dataclasses import replace
 import math
 from typing import Any
 
-from bellows_ros.core.geometry import tuples
+from bellows_ros.core.geometry import lie, tuples
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.lie import (
-    apply,
-    quaternion_conjugate,
-    quaternion_product,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-)
 from bellows_ros.core.model.simulation import tool_rows, ToolRows, write_row
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.signals.resampling import resample
@@ -93,7 +86,7 @@ def rows_of(
         from scipy.interpolate import CubicSpline
 
         t = (stamps_ns - stamps_ns[0]) / NS_PER_S
-        q = _near_quaternions(quaternion_to_rotation(poses[:, 3:]))
+        q = _near_quaternions(lie.quaternion_to_rotation(poses[:, 3:]))
         curve = CubicSpline(t, np.hstack([poses[:, :3], q]), bc_type='clamped')
         rows[:, 7:] = body_twists(q, curve(t, 1))[1]
     elif len(poses) >= DENSE:
@@ -102,11 +95,11 @@ def rows_of(
     if np.diff(stamps_ns).max() <= LONGEST_GAP_NS:
         return plan
     if acceleration is not None:
-        R, (linear, angular) = quaternion_to_rotation(poses[:, 3:]), np.hsplit(acceleration, 2)
+        R, (linear, angular) = lie.quaternion_to_rotation(poses[:, 3:]), np.hsplit(acceleration, 2)
         if twist_frame == 'world':
-            angular = apply(np.swapaxes(R, -1, -2), angular)
+            angular = lie.apply(np.swapaxes(R, -1, -2), angular)
         else:  # d/dt R v = R (dv/dt + w x v)
-            linear = apply(R, linear + np.cross(rows[:, 10:], rows[:, 7:10]))
+            linear = lie.apply(R, linear + np.cross(rows[:, 10:], rows[:, 7:10]))
         acceleration = np.hstack([linear, angular])
     fine = refined(plan.trajectory(), acceleration)
     return ToolRows(fine.stamps_ns, tool_rows(fine))
@@ -153,7 +146,7 @@ def plan_of_joints(
     fine = _without_gaps(stamps_ns)
     at = (fine - stamps_ns[0]) / NS_PER_S
     T, twist = arm.tool(curve(at), curve(at, 1))
-    poses = rotation_to_quaternion(T[:, :3, :3])
+    poses = lie.rotation_to_quaternion(T[:, :3, :3])
     return plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool', name=name)
 
 
@@ -164,7 +157,7 @@ def _without_gaps(stamps_ns: Stamps) -> Stamps:
 
 def _near_quaternions(rotation: Array) -> Array:
     """Return quaternions (N, 4), of q and -q the one that is near to that before."""
-    q = rotation_to_quaternion(rotation)
+    q = lie.rotation_to_quaternion(rotation)
     q[1:] *= np.cumprod(
         np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
@@ -174,12 +167,12 @@ def _path(motion: Trajectory) -> tuple[Array, Array]:
     """Return positions and quaternions (N, 7) of a motion, and their rates."""
     q, twist = _near_quaternions(motion.rotation), np.asarray(motion.twist)
     return np.hstack([motion.position, q]), np.hstack(
-        [apply(motion.rotation, twist[:, :3]), _spin(q, twist[:, 3:])])
+        [lie.apply(motion.rotation, twist[:, :3]), _spin(q, twist[:, 3:])])
 
 
 def _spin(q: Array, rate: Array) -> Array:
     """Return the rates of quaternions (N, 4) that body rates (N, 3) make."""
-    return 0.5 * quaternion_product(q, np.pad(rate, ((0, 0), (0, 1))))
+    return 0.5 * lie.quaternion_product(q, np.pad(rate, ((0, 0), (0, 1))))
 
 
 def curve_of(motion: Trajectory) -> Any:
@@ -200,9 +193,9 @@ def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
     The quaternions (N, 4) are of any length.
     """
     size = np.sum(q * q, axis=1)[:, None]
-    rotation = quaternion_to_rotation(q / np.sqrt(size))
-    angular = 2.0 * quaternion_product(quaternion_conjugate(q), rate[:, 3:])[:, :3] / size
-    return rotation, np.hstack([apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
+    rotation = lie.quaternion_to_rotation(q / np.sqrt(size))
+    angular = 2.0 * lie.quaternion_product(lie.quaternion_conjugate(q), rate[:, 3:])[:, :3] / size
+    return rotation, np.hstack([lie.apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
 
 
 def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:

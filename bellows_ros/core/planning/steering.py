@@ -13,50 +13,15 @@ from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.lie import (
-    adjoint,
-    exp_se3,
-    inverse_transform,
-    log_se3,
-    log_so3,
-    quaternion_to_rotation,
-    transform,
-)
-from bellows_ros.core.geometry.lie import (
-    apply as apply_all,
-)
 from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import resting_on_tool, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
-from bellows_ros.core.model.kernels import (
-    lip_relative_to_tool,
-    lip_strain,
-    ModelTuple,
-    moved_strains,
-    relaxed,
-    rotation_rate,
-    spring_frames,
-    spring_wrench,
-    stage_state,
-    State,
-    strain_rates,
-    with_rotation,
-    with_strains,
-    with_twist,
-    Wrench,
-)
-from bellows_ros.core.model.simulation import (
-    require_steps,
-    rest,
-    row_state,
-    state_row,
-    STILL,
-    tool_rows,
-    write_row,
-)
+from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.planning.limits import TooFastError
 from bellows_ros.core.planning.plan import PlanPrediction, predict, rest_after, SETTLED
 from bellows_ros.core.planning.points import body_twists, curve_of
@@ -148,11 +113,11 @@ def inverse_dynamics(
     cup, package, _ = model
     l1, zero = cup[0], (0.0, 0.0, 0.0)
     f, m = needed_wrench(model, body, dv, dw)
-    o_E_S, R, v_S, w_S = lip_relative_to_tool(
+    o_E_S, R, v_S, w_S = kernels.lip_relative_to_tool(
         package[1], tool[0], t3.rotation_matrix(tool[1]), zero, zero,
         body[0], t3.rotation_matrix(body[1]), body[2], body[3])
-    o = spring_frames(cup, o_E_S, R)
-    spring_f, spring_m = spring_wrench(o, R, cup[2], cup[4:], tool[4:])
+    o = kernels.spring_frames(cup, o_E_S, R)
+    spring_f, spring_m = kernels.spring_wrench(o, R, cup[2], cup[4:], tool[4:])
     a = t3.subtract(spring_f, f)
     b = t3.subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
     D = damper_jacobians(o, R, zero, zero, cup[3])[1]  # -D1, by blocks
@@ -165,14 +130,14 @@ def inverse_dynamics(
     v_ES = (v[0] - l1 * w[1], v[1] + l1 * w[0], v[2])
     w_E = t3.apply(R, t3.subtract(w_S, w))
     v_E = t3.subtract(t3.apply(R, t3.subtract(v_S, v_ES)), t3.cross(w_E, o_E_S))
-    return with_twist(tool, v_E, w_E)
+    return kernels.with_twist(tool, v_E, w_E)
 
 
 @kernel
 def reference_at(rows: Any, i: int) -> tuple[State, Vector, Vector]:
     """Return the state of a row (19,), or of the last one, and the rates of its twist."""
     row = rows[min(i, len(rows) - 1)]
-    return row_state(row), (row[13], row[14], row[15]), (row[16], row[17], row[18])
+    return simulation.row_state(row), (row[13], row[14], row[15]), (row[16], row[17], row[18])
 
 
 @kernel
@@ -189,12 +154,12 @@ def _invert_kernel(
     still, faded, fading = (0.0, 0.0, 0.0), 0, math.ceil(FADE / h)
     for k in range(len(out)):
         do, ds, sum_o, sum_s, stage = still, still, still, still, tool
-        dz = sum_z = moved_strains(tool[4:], -1.0, tool[4:])
+        dz = sum_z = kernels.moved_strains(tool[4:], -1.0, tool[4:])
         for i in range(4):  # of a step of RKMK4
             body, dv, dw = reference_at(reference, 2 * k + (i + 1) // 2)
             at = 0.5 * ((i + 1) // 2) * h
             stage = inverse_dynamics(
-                model, stage_state(tool, at, do, ds, still, still, dz), body, dv, dw)
+                model, kernels.stage_state(tool, at, do, ds, still, still, dz), body, dv, dw)
             if i == 0 and faded == 0 and 2 * k >= len(reference) - 1 and (
                     t3.dot(stage[2], stage[2]) < way * way and (
                         t3.dot(stage[3], stage[3]) < turn * turn)):
@@ -202,20 +167,21 @@ def _invert_kernel(
             if faded > 0:
                 s = min(1.0, (k - faded + 0.5 * ((i + 1) // 2)) / fading)
                 part = (1.0 - s) ** 3 * (1.0 + s * (3.0 + 6.0 * s))
-                stage = with_twist(stage, t3.scale(part, stage[2]), t3.scale(part, stage[3]))
+                v, w = t3.scale(part, stage[2]), t3.scale(part, stage[3])
+                stage = kernels.with_twist(stage, v, w)
             if i == 0:
-                write_row(out[k], stage)
-                write_row(package[k], body)
+                simulation.write_row(out[k], stage)
+                simulation.write_row(package[k], body)
                 if faded > 0 and k >= faded + fading:
                     return k + 1
-            do, ds = t3.apply(t3.rotation_matrix(stage[1]), stage[2]), rotation_rate(
+            do, ds = t3.apply(t3.rotation_matrix(stage[1]), stage[2]), kernels.rotation_rate(
                 t3.scale(at, ds), stage[3])
-            dz = strain_rates(model, stage, with_strains(body, stage[4:]))
+            dz = kernels.strain_rates(model, stage, kernels.with_strains(body, stage[4:]))
             weight = 1.0 if i % 3 == 0 else 2.0
             sum_o, sum_s = t3.add_scaled(sum_o, weight, do), t3.add_scaled(sum_s, weight, ds)
-            sum_z = moved_strains(sum_z, weight, dz)
-        tool = stage_state(tool, h / 6.0, sum_o, sum_s, still, still, sum_z)
-        tool = with_rotation(tool, t3.normalised(tool[1]))
+            sum_z = kernels.moved_strains(sum_z, weight, dz)
+        tool = kernels.stage_state(tool, h / 6.0, sum_o, sum_s, still, still, sum_z)
+        tool = kernels.with_rotation(tool, t3.normalised(tool[1]))
     return len(out)
 
 
@@ -287,19 +253,20 @@ def inverse(
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
     h = duration / count
     arrival = (LONGEST_ARRIVAL / rates[0] + FADE) / h
-    require_steps(count + 2.0 * arrival, MOST_STEPS)
+    simulation.require_steps(count + 2.0 * arrival, MOST_STEPS)
     if start is None:
         start = _tool_above(model, rows[0])
     out, package = np.empty((2, count + 2 + round(arrival), 13))
-    body = state_row(rows[0, :3], rows[0, 3:7])
-    start = relaxed(model[0], lip_strain(model, start, body), start)
+    body = simulation.state_row(rows[0, :3], rows[0, 3:7])
+    start = kernels.relaxed(model[0], kernels.lip_strain(model, start, body), start)
     states = _reference_states(rows, duration, count)
     found = _invert(model, start, states, h, rates[0] * np.array(ARRIVED), out, package)
     every = max(1, round(GRID / h))
     kept = np.append(np.arange(0, found - 1, every), found - 1)
     stamps = reference.stamps_ns[0] + np.round(kept * h * NS_PER_S).astype(np.int64)
-    tool, package = (Trajectory(stamps, rows[kept, :3], quaternion_to_rotation(rows[kept, 3:7]),
-                                rows[kept, 7:]) for rows in (out, package))
+    tool, package = (
+        Trajectory(stamps, rows[:, :3], lie.quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
+        for rows in (out[kept], package[kept]))
     if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
             PEAK_MOMENT_BENDING):
         raise _too_far()
@@ -356,21 +323,21 @@ def _tool_above(model: ModelTuple, body: Array) -> State:
     (l1, l0, K, P, *_), package, gravity = model
     model = (l1, l0, K, P), package, gravity
     rates = relaxation_rates(model)
-    shift = resting_on_tool(model, state_row(np.zeros(3), [0, 0, 0, 1]))[0]
-    o = body[:3] - quaternion_to_rotation(body[3:]) @ shift
+    shift = resting_on_tool(model, simulation.state_row(np.zeros(3), [0, 0, 0, 1]))[0]
+    o = body[:3] - lie.quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
     out = np.empty((2, 2 + round((2.0 * LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))
-    found = _invert(model, state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
+    found = _invert(model, simulation.state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
                     1e-4 * rates[0] * np.array(ARRIVED), *out)
-    return state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
+    return simulation.state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
 
 
 def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
     """Return the motion of the tool to which a package, hanging below it, is fixed."""
-    o, q = _tool_above(model, tool_rows(package)[0, :7])[:2]
-    T_B = transform(package.rotation[0], package.position[0])
-    T_E = transform(quaternion_to_rotation(np.array(q)), np.array(o))
-    return rigidly_moved(package, inverse_transform(T_B) @ T_E)
+    o, q = _tool_above(model, simulation.tool_rows(package)[0, :7])[:2]
+    T_B = lie.transform(package.rotation[0], package.position[0])
+    T_E = lie.transform(lie.quaternion_to_rotation(np.array(q)), np.array(o))
+    return rigidly_moved(package, lie.inverse_transform(T_B) @ T_E)
 
 
 def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
@@ -419,14 +386,14 @@ def modes_left(model: ModelTuple, prediction: PlanPrediction) -> list[SwingMode]
 
     From the model linearised at rest after the plan, slowest first; overdamped ones are left out.
     """
-    last = tool_rows(prediction.tool)[-1]
-    tool = state_row(last[:3], last[3:7])
-    hanging = rest(model, last)
+    last = simulation.tool_rows(prediction.tool)[-1]
+    tool = simulation.state_row(last[:3], last[3:7])
+    hanging = simulation.rest(model, last)
     values, vectors = np.linalg.eig(system_matrix(model, tool, hanging))
-    R = quaternion_to_rotation(np.array(hanging[1]))
+    R = lie.quaternion_to_rotation(np.array(hanging[1]))
     end = prediction.states[-1]
     shift = R.T @ (end[:3] - hanging[0])
-    turn = log_so3(R.T @ quaternion_to_rotation(end[3:7]))
+    turn = lie.log_so3(R.T @ lie.quaternion_to_rotation(end[3:7]))
     state = np.concatenate([shift, turn, end[7:], np.zeros(len(values) - 12)])  # relaxed
     sizes = np.linalg.solve(vectors, state)
     tilts = 2.0 * np.abs(sizes) * np.linalg.norm(vectors[3:6], axis=0)
@@ -474,7 +441,7 @@ def to_shape(modes: Sequence[SwingMode], method: str) -> list[SwingMode]:
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
     """Return the sum of delayed copies of a motion, quaternions added up and normalised."""
     duration, curve = float(tool.seconds[-1]), curve_of(tool)
-    require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MOST_STEPS)
+    simulation.require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MOST_STEPS)
     seconds = np.arange(math.ceil((duration + delays.max()) / GRID - 1e-9) + 1) * GRID
     at = np.clip(seconds - delays[:, None], 0.0, duration)
     rows, rates = (np.tensordot(sizes, of(at), 1) for of in (curve, curve.derivative()))
@@ -524,12 +491,13 @@ def steer(
 
     """
     twist = np.abs(np.asarray(plan.twist)[[0, -1]])
-    if (twist > np.repeat(STILL, 3)).any():
+    if (twist > np.repeat(simulation.STILL, 3)).any():
         raise BellowsError(
             f'The plan begins or ends in motion, at up to {twist[:, :3].max():.3g} m/s and '
             f'{twist[:, 3:].max():.3g} rad/s; expected rest. Give a plan from rest to rest.')
     if method == 'inverse':
-        first = None if of_package else state_row(*np.split(tool_rows(plan)[0], [3, 7]))
+        row = simulation.tool_rows(plan)[0]
+        first = None if of_package else simulation.state_row(*np.split(row, [3, 7]))
         return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
     tool = tool_above(model, plan) if of_package else plan
     modes = to_shape(modes_left(model, predict(model, None, tool, tail=0.0)), method)
@@ -544,23 +512,23 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     Where the tool tilts, so that it hangs differently at both, the one becomes the other with
     four continuous derivatives.
     """
-    T_E = transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
-    first, last = tool_rows(tool)[[0, -1]]
-    start = rest(model, first)
+    T_E = lie.transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
+    first, last = simulation.tool_rows(tool)[[0, -1]]
+    start = simulation.rest(model, first)
     rests = start, rest_after(model, first, start, last)
-    T_B = transform(quaternion_to_rotation(np.array([state[1] for state in rests])),
-                    np.array([state[0] for state in rests]))
-    T_E_B = inverse_transform(T_E) @ T_B
-    way = log_se3(inverse_transform(T_E_B[0]) @ T_E_B[1])
+    T_B = lie.transform(lie.quaternion_to_rotation(np.array([state[1] for state in rests])),
+                        np.array([state[0] for state in rests]))
+    T_E_B = lie.inverse_transform(T_E) @ T_B
+    way = lie.log_se3(lie.inverse_transform(T_E_B[0]) @ T_E_B[1])
     s = (tool.seconds / tool.seconds[-1])[:, None]
     step = s**5 * (126.0 + s * (-420.0 + s * (540.0 + s * (-315.0 + s * 70.0))))
     rate = 630.0 * s**4 * (1.0 - s) ** 4 / tool.seconds[-1]
-    found = rigidly_moved(tool, T_E_B[0] @ exp_se3(step * way))
+    found = rigidly_moved(tool, T_E_B[0] @ lie.exp_se3(step * way))
     return replace(found, twist=np.asarray(found.twist) + rate * way)
 
 
 def rigidly_moved(motion: Trajectory, T: Array) -> Trajectory:
     """Return the motion of frames at poses T (4, 4) or (N, 4, 4) on a moving body."""
-    moved = transform(motion.rotation, motion.position) @ T
-    twist = apply_all(adjoint(inverse_transform(T)), np.asarray(motion.twist))
+    moved = lie.transform(motion.rotation, motion.position) @ T
+    twist = lie.apply(lie.adjoint(lie.inverse_transform(T)), np.asarray(motion.twist))
     return Trajectory(motion.stamps_ns, moved[:, :3, 3], moved[:, :3, :3], twist)

@@ -4,13 +4,8 @@ from itertools import product
 import os
 from typing import NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    apply,
-    log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-)
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
@@ -48,7 +43,7 @@ class Convention(NamedTuple):
 
 def reordered(rotation: Array) -> Array:
     """Return rotations (N, 3, 3) whose quaternions were read as if w came last."""
-    return quaternion_to_rotation(np.roll(rotation_to_quaternion(rotation), -1, axis=-1))
+    return lie.quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(rotation), -1, axis=-1))
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
@@ -107,9 +102,9 @@ def _motion(
                        reordered(own.rotation) if unit.w_first else own.rotation)
                       for own, unit in zip(bodies, given, strict=True))
     back = np.swapaxes(R, 1, 2)
-    way, turned = apply(back, q - p), back @ Q
+    way, turned = lie.apply(back, q - p), back @ Q
     way = way / np.median(np.linalg.norm(way, axis=1))
-    turn = log_so3(turned[len(turned) // 2].T @ turned)
+    turn = lie.log_so3(turned[len(turned) // 2].T @ turned)
     spread = sum(float(np.linalg.norm(np.subtract(*np.percentile(x, (75, 25), axis=0))))
                  for x in (way, turn))
     return spread, 2.0 + float(np.mean(way[:, 2]) - np.mean(turned[:, 2, 2]))

@@ -6,18 +6,8 @@ It brings the package's poses into the frame of the tool's before anything else 
 
 from dataclasses import replace
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    inverse_transform,
-    log_so3,
-    mean_rotation,
-    nearest_rotation,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
@@ -40,9 +30,9 @@ def pose_of(text: str) -> Array:
 
 def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream:
     """Return the package's poses in the frame of the tool's, by the pose (7,) of their world."""
-    R = quaternion_to_rotation(pose[3:])
+    R = lie.quaternion_to_rotation(pose[3:])
     return replace(
-        package, frame_id=frame_id, position=pose[:3] + apply(R, package.position),
+        package, frame_id=frame_id, position=pose[:3] + lie.apply(R, package.position),
         rotation=R @ package.rotation)
 
 
@@ -80,13 +70,13 @@ def closed_form(
         R = turn_of(R_tool, R_package)
         # o_E + R_E (below - origin_to_lip + (dx, dy, 0)) = R o_M + o
         A = np.concatenate([np.tile(np.eye(3), (len(hand), 1, 1)), -R_tool[:, :, :2]], axis=2)
-        b = hand.position + apply(R_tool, below - origin_to_lip) - apply(R, eye.position)
+        b = hand.position + lie.apply(R_tool, below - origin_to_lip) - lie.apply(R, eye.position)
         position = np.linalg.lstsq(A.reshape(-1, 5), b.ravel(), rcond=1e-6)[0][:3]
     else:
-        R = mean_rotation(R_tool @ np.swapaxes(R_package, 1, 2))
-        position = np.mean(hand.position + apply(R_tool, below - origin_to_lip)
-                           - apply(R, eye.position), axis=0)
-    return np.concatenate([position, rotation_to_quaternion(R)])
+        R = lie.mean_rotation(R_tool @ np.swapaxes(R_package, 1, 2))
+        position = np.mean(hand.position + lie.apply(R_tool, below - origin_to_lip)
+                           - lie.apply(R, eye.position), axis=0)
+    return np.concatenate([position, lie.rotation_to_quaternion(R)])
 
 
 def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Array) -> Array:
@@ -95,18 +85,18 @@ def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Arr
 
     The motion is about a point (3,) and in axes of the levelled world, m and rad.
     """
-    level = transform(R_world_recorded, np.zeros(3))
-    R = exp_so3(theta[3:])
-    move = transform(R, middle + theta[:3] - R @ middle)
-    T = inverse_transform(level) @ move @ level @ transform(
-        quaternion_to_rotation(pose[3:]), pose[:3])
-    return np.concatenate([T[:3, 3], rotation_to_quaternion(T[:3, :3])])
+    level = lie.transform(R_world_recorded, np.zeros(3))
+    R = lie.exp_so3(theta[3:])
+    move = lie.transform(R, middle + theta[:3] - R @ middle)
+    T = lie.inverse_transform(level) @ move @ level @ lie.transform(
+        lie.quaternion_to_rotation(pose[3:]), pose[:3])
+    return np.concatenate([T[:3, 3], lie.rotation_to_quaternion(T[:3, :3])])
 
 
 def motion_of(pose: Array, middle: Array) -> Array:
     """Return the motion (6,) about a point (3,) that brings a world to its pose (7,), m, rad."""
-    R = quaternion_to_rotation(pose[3:])
-    return np.concatenate([pose[:3] + R @ middle - middle, log_so3(R)])
+    R = lie.quaternion_to_rotation(pose[3:])
+    return np.concatenate([pose[:3] + R @ middle - middle, lie.log_so3(R)])
 
 
 def motion_sentence(theta: Array, std: Array | None = None) -> str:
@@ -136,7 +126,7 @@ def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Traje
     way = np.linalg.norm(np.gradient(hand.position, axis=0), axis=1)
     turn = np.zeros(count)
     turn[1:] = np.linalg.norm(
-        log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:]), axis=1)
+        lie.log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:]), axis=1)
     speed = way / max(float(np.median(way)), 1e-9) + turn / max(float(np.median(turn)), 1e-9)
     slow = (speed <= np.quantile(speed, SLOWEST)) & hand.valid & eye.valid
     return hand.select(slow), eye.select(slow)
@@ -146,7 +136,7 @@ def turn_of(R_tool: Array, R_package: Array) -> Array:
     """Return the rotation between the worlds that makes both bodies rotate alike."""
     pairs = [(first, slice(first, None, len(R_tool) // 15 + 1))
              for first in range(0, len(R_tool), len(R_tool) // 15 + 1)]
-    a, b = (np.concatenate([log_so3(R[part] @ R[i].T) for i, part in pairs])
+    a, b = (np.concatenate([lie.log_so3(R[part] @ R[i].T) for i, part in pairs])
             for R in (R_tool, R_package))
     if np.quantile(np.linalg.norm(a, axis=1), 0.9) < LEAST_TURN:
         raise BellowsError(
@@ -154,4 +144,4 @@ def turn_of(R_tool: Array, R_package: Array) -> Array:
             'recording. Tilt and turn it, best with standstills in between, or give the seven '
             'numbers.'
         )
-    return nearest_rotation(a.T @ b)
+    return lie.nearest_rotation(a.T @ b)

@@ -17,15 +17,10 @@ from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
+from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.savgol import first_order, weights
 from bellows_ros.core.signals.timing import ArrivalStamps, MAD_TO_STD, Timing
-from bellows_ros.core.signals.trajectory import (
-    any_within,
-    NS_PER_S,
-    PoseStream,
-    Trajectory,
-    TwistStream,
-)
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
@@ -84,7 +79,7 @@ def ripple(poses: Trajectory, enough: float = np.inf) -> tuple[Array, Array]:
 
     """
     n = HALF_WINDOW
-    whole = ~any_within(~poses.valid, 2 * n + 1)
+    whole = ~trajectory.any_within(~poses.valid, 2 * n + 1)
     step = int(max(len(whole) // enough, 1))
     centres = n + step * np.flatnonzero(whole[::step])
     if not len(centres):
@@ -156,7 +151,7 @@ def colours_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
     It is white, or correlated over the time that makes the noise of poses a stride apart as much
     larger than that of neighbours, which is given, as it is.
     """
-    rate_hz = NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
+    rate_hz = trajectory.NS_PER_S / float(np.median(np.diff(poses.stamps_ns)))
     stride = max(round(WIDE_WINDOW * rate_hz / (2 * HALF_WINDOW)), 1)
     try:
         wide = noise_of(poses.select(slice(None, None, stride))) if stride > 1 else noise
@@ -216,7 +211,7 @@ def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) ->
     """
     step_ns = float(np.median(np.diff(measured_ns)))
     fractions = (wanted_ns - measured_ns[0]) % step_ns / step_ns
-    step_s = step_ns / NS_PER_S
+    step_s = step_ns / trajectory.NS_PER_S
     first, second = (np.pad(weights, ((0, 0), ends)) for ends in ((0, 1), (1, 0)))
     parts = []
     for s in np.quantile(fractions, (np.arange(PLACES) + 0.5) / PLACES).tolist():
@@ -524,7 +519,7 @@ class Recording:
 
     def since_start(self, stamps_ns: Stamps) -> Array:
         """Return times from the first recorded stamp, s (N,)."""
-        return (stamps_ns - self.start_ns) / NS_PER_S
+        return (stamps_ns - self.start_ns) / trajectory.NS_PER_S
 
     def as_json(self) -> dict[str, Any]:
         """Return the report on the recording, for a JSON file."""

@@ -8,14 +8,8 @@ so that arrays stay finite, and is invalid.
 
 from dataclasses import replace
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import (
-    apply,
-    dexp,
-    dexp_inverse,
-    exp_so3,
-    log_so3,
-)
 from bellows_ros.core.signals.timing import subdivided, Timing
 from bellows_ros.core.signals.trajectory import (
     checked_stamps,
@@ -101,8 +95,8 @@ def _geodesic(
     """Return positions and rotations at fractions s (M, 1) of the geodesics between samples."""
     start, end = trajectory.position[before], trajectory.position[after]
     R_start = trajectory.rotation[before]
-    turn = log_so3(np.swapaxes(R_start, -1, -2) @ trajectory.rotation[after])
-    return start + s * (end - start), R_start @ exp_so3(s * turn)
+    turn = lie.log_so3(np.swapaxes(R_start, -1, -2) @ trajectory.rotation[after])
+    return start + s * (end - start), R_start @ lie.exp_so3(s * turn)
 
 
 def _hermite(
@@ -119,15 +113,15 @@ def _hermite(
     origin = trajectory.position[before]
     step, step_rate = _cubic(
         s,
-        apply(R_start, start[:, :3]),
+        lie.apply(R_start, start[:, :3]),
         trajectory.position[after] - origin,
-        apply(R_end, end[:, :3]),
+        lie.apply(R_end, end[:, :3]),
     )
-    turn = log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
-    c, c_rate = _cubic(s, start[:, 3:], turn, apply(dexp_inverse(-turn), end[:, 3:]))
-    rotation = R_start @ exp_so3(c)
-    linear = apply(np.swapaxes(rotation, -1, -2), step_rate)
-    angular = apply(dexp(-c), c_rate)
+    turn = lie.log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
+    c, c_rate = _cubic(s, start[:, 3:], turn, lie.apply(lie.dexp_inverse(-turn), end[:, 3:]))
+    rotation = R_start @ lie.exp_so3(c)
+    linear = lie.apply(np.swapaxes(rotation, -1, -2), step_rate)
+    angular = lie.apply(lie.dexp(-c), c_rate)
     return origin + step, rotation, np.concatenate([linear, angular], axis=-1) / interval_s
 
 

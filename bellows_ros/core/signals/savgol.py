@@ -9,17 +9,8 @@ these increments (4.19, 4.44).
 from collections.abc import Callable
 from math import pi
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import (
-    apply,
-    d2exp,
-    dexp,
-    exp_so3,
-    log_quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_to_quaternion,
-)
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import (
     any_within,
@@ -178,16 +169,17 @@ def _filter_block(
     n = W.shape[1] // 2
     centre = slice(n, len(position) - n)
     # Component by component in memory, which the same arithmetic takes a third less time for.
-    position, quaternions = map(np.asfortranarray, (position, rotation_to_quaternion(rotation)))
+    quaternions = np.asfortranarray(lie.rotation_to_quaternion(rotation))
+    position = np.asfortranarray(position)
     (o, o_rate, o_rate2), _ = _fit(position, np.subtract, W)
     (e0, e1, e2), largest = _fit(quaternions, _turn, W)
-    R = exp_so3(e0) @ rotation[centre]
+    R = lie.exp_so3(e0) @ rotation[centre]
     R_inverse = np.swapaxes(R, -1, -2)
-    spatial_rate = apply(dexp(e0), e1)
-    spatial_rate2 = d2exp(e0, e1, e1) + apply(dexp(e0), e2)
-    v, w = apply(R_inverse, o_rate), apply(R_inverse, spatial_rate)
-    dv = apply(R_inverse, o_rate2) - np.cross(w, v)
-    dw = apply(R_inverse, spatial_rate2)
+    spatial_rate = lie.apply(lie.dexp(e0), e1)
+    spatial_rate2 = lie.d2exp(e0, e1, e1) + lie.apply(lie.dexp(e0), e2)
+    v, w = lie.apply(R_inverse, o_rate), lie.apply(R_inverse, spatial_rate)
+    dv = lie.apply(R_inverse, o_rate2) - np.cross(w, v)
+    dw = lie.apply(R_inverse, spatial_rate2)
     return (
         position[centre] + o,
         R,
@@ -226,7 +218,7 @@ def _fit(
 
 def _turn(ahead: Array, behind: Array) -> Array:
     """Return log(R_ahead R_behind^T) of quaternions, as in (4.45)."""
-    return log_quaternion(quaternion_product(ahead, quaternion_conjugate(behind)))
+    return lie.log_quaternion(lie.quaternion_product(ahead, lie.quaternion_conjugate(behind)))
 
 
 def filtered(values: Array, weights: Array, index: Stamps) -> Array:
@@ -292,15 +284,16 @@ def displaced(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
     if motion.twist is None:
         raise BellowsError('Samples need twists; filter the recording first.')
     R, v, w = motion.rotation, motion.twist[:, :3], motion.twist[:, 3:]
-    R_new = exp_so3(phi[0]) @ R
+    R_new = lie.exp_so3(phi[0]) @ R
     R_inverse = np.swapaxes(R_new, -1, -2)
-    v_new = apply(R_inverse, apply(R, v) + o[1])
-    w_new = apply(R_inverse, apply(R, w) + phi[1])
+    v_new = lie.apply(R_inverse, lie.apply(R, v) + o[1])
+    w_new = lie.apply(R_inverse, lie.apply(R, w) + phi[1])
     acceleration = None
     if motion.acceleration is not None:
         dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
-        linear = apply(R_inverse, apply(R, dv + np.cross(w, v)) + o[2]) - np.cross(w_new, v_new)
-        acceleration = np.hstack([linear, apply(R_inverse, apply(R, dw) + phi[2])])
+        linear = lie.apply(R_inverse, lie.apply(R, dv + np.cross(w, v)) + o[2])
+        linear -= np.cross(w_new, v_new)
+        acceleration = np.hstack([linear, lie.apply(R_inverse, lie.apply(R, dw) + phi[2])])
     return Trajectory(
         motion.stamps_ns, motion.position + o[0], R_new, np.hstack([v_new, w_new]),
         acceleration, motion.valid,

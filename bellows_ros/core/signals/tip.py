@@ -6,13 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    adjoint,
-    inverse_transform,
-    quaternion_to_rotation,
-    transform,
-)
 from bellows_ros.core.geometry.lie import apply as applied
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 import numpy as np
@@ -24,7 +19,7 @@ def tip_of(values: Mapping[str, Any]) -> Array | None:
     if not text:
         return None
     pose = np.array([float(part) for part in text.split()])
-    return transform(quaternion_to_rotation(pose[3:]), pose[:3])
+    return lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3])
 
 
 def at_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
@@ -35,12 +30,12 @@ def at_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
     return replace(
         motion, position=motion.position + applied(motion.rotation, tip[:3, 3]),
         rotation=motion.rotation @ tip[:3, :3],
-        twist=None if twist is None else twist @ adjoint(inverse_transform(tip)).T)
+        twist=None if twist is None else twist @ lie.adjoint(lie.inverse_transform(tip)).T)
 
 
 def from_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
     """Return the motion of the frame in which E, that moves so, has a pose (4, 4)."""
-    return at_tip(motion, None if tip is None else inverse_transform(tip))
+    return at_tip(motion, None if tip is None else lie.inverse_transform(tip))
 
 
 def streams_at_tip(

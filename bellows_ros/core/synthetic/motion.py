@@ -9,15 +9,8 @@ rotation vector phi in the tool's axes at the start.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import (
-    apply,
-    dexp,
-    exp_so3,
-    log_so3,
-    quaternion_to_rotation,
-    rpy_rotation,
-)
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -106,7 +99,7 @@ class Motion(ABC):
 
         """
         o, o_rate, R, w = self.state((stamps_ns - start_ns) / NS_PER_S)
-        twist = np.hstack([apply(np.swapaxes(R, -1, -2), o_rate), w])
+        twist = np.hstack([lie.apply(np.swapaxes(R, -1, -2), o_rate), w])
         return Trajectory(stamps_ns, o, R, twist)
 
     def at_rate(self, rate_hz: float, start_ns: int = 10**9) -> Trajectory:
@@ -153,8 +146,8 @@ class Vibration(Motion):
         return (
             self.start.position + value[:, :3],
             rate[:, :3],
-            self.start.rotation @ exp_so3(phi),
-            apply(dexp(-phi), rate[:, 3:]),
+            self.start.rotation @ lie.exp_so3(phi),
+            lie.apply(lie.dexp(-phi), rate[:, 3:]),
         )
 
 
@@ -268,9 +261,9 @@ class Waypoints(Motion):
             step, slope = smooth_step((t[now] - begin) / segment.move)[:2, :, None]
             slope = slope / segment.move
             way = segment.goal.position - here.position
-            turn = log_so3(here.rotation.T @ segment.goal.rotation)
+            turn = lie.log_so3(here.rotation.T @ segment.goal.rotation)
             position[now], velocity[now] = here.position + step * way, slope * way
-            rotation[now], body_rate[now] = here.rotation @ exp_so3(step * turn), slope * turn
+            rotation[now], body_rate[now] = here.rotation @ lie.exp_so3(step * turn), slope * turn
             begin, here = begin + segment.move + segment.hold, segment.goal
         return position, velocity, rotation, body_rate
 
@@ -310,7 +303,7 @@ class Planned(Motion):
         at, places = np.unique(stamps, return_inverse=True)
         found = resample(self.tool, at)
         R, twist = found.rotation, np.asarray(found.twist)
-        return (found.position[places], apply(R, twist[:, :3])[places], R[places],
+        return (found.position[places], lie.apply(R, twist[:, :3])[places], R[places],
                 twist[places, 3:])
 
 
@@ -361,8 +354,8 @@ def pose_from(settings: Settings) -> Pose:
         length = float(np.linalg.norm(quaternion))
         if abs(length - 1.0) > _UNIT_WITHIN:
             raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
-        return Pose(position, quaternion_to_rotation(quaternion / length))
-    return Pose(position, rpy_rotation(rpy))
+        return Pose(position, lie.quaternion_to_rotation(quaternion / length))
+    return Pose(position, lie.rpy_rotation(rpy))
 
 
 def _oscillation(

@@ -6,14 +6,9 @@ import re
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.synthetic import sensing
 from bellows_ros.core.synthetic.motion import Motion, motion_from
-from bellows_ros.core.synthetic.sensing import (
-    Sensor,
-    sensor_from,
-    twist_sensor_from,
-    TwistSensor,
-    WORLDS,
-)
+from bellows_ros.core.synthetic.sensing import Sensor, TwistSensor
 import numpy as np
 from numpy.random import default_rng, Generator, SeedSequence
 
@@ -99,7 +94,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
     """
     settings = Settings(motion)
     seed = settings.whole('seed', 0)
-    world = settings.choice('world', tuple(WORLDS), 'z_up')
+    world = settings.choice('world', tuple(sensing.WORLDS), 'z_up')
     moving = motion_from(settings, generator(seed, 'phases'))
     tool, package = settings.block('tool'), settings.block('package')
     tracked = np.zeros(3) if package.choice('frame', ('com', 'lip'), 'com') == 'com' else -com
@@ -107,9 +102,9 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
     releases, pickup = _releases(settings.block('release'), moving.duration)
     recipe = Recipe(
         motion=moving,
-        tool=sensor_from(tool),
-        tool_twist=twist_sensor_from(tool.block('twist')),
-        package=sensor_from(package, tracked + [*offset, 0.0]),
+        tool=sensing.sensor_from(tool),
+        tool_twist=sensing.twist_sensor_from(tool.block('twist')),
+        package=sensing.sensor_from(package, tracked + [*offset, 0.0]),
         world=world,
         frame_id=settings.text('frame_id', FRAME_IDS[world]),
         topics=_topics(settings.block('topics')),

@@ -5,28 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled,
-    apply,
-    apply_transposed,
-    dot,
-    exp_quaternion,
-    normalised,
-    Quaternion,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    Vector,
-)
-from bellows_ros.core.model.kernels import (
-    PackageTuple,
-    rotation_rate,
-    State,
-    weighted,
-    wrench_at_com,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.model import kernels
+from bellows_ros.core.model.kernels import PackageTuple, State
 
 ROTATION_PER_STEP, LONGEST_FLIGHT_STEP = 0.01, 0.02
 """Rotation (rad) per integration step of the flight, and the longest step (s)."""
@@ -55,10 +38,10 @@ def secant_root(low: float, high: float, above: float, below: float, least: floa
 @kernel
 def pushed_off(package: PackageTuple, body: State, impulse: float) -> State:
     """Return a state after an impulse (N s) along -z of S, at S."""
-    f, m = wrench_at_com(package[1], (0.0, 0.0, -impulse), (0.0, 0.0, 0.0))
+    f, m = kernels.wrench_at_com(package[1], (0.0, 0.0, -impulse), (0.0, 0.0, 0.0))
     return (
-        body[0], body[1], add_scaled(body[2], 1.0 / package[0], f),
-        add(body[3], apply(package[3], m)), *body[4:],
+        body[0], body[1], t3.add_scaled(body[2], 1.0 / package[0], f),
+        t3.add(body[3], t3.apply(package[3], m)), *body[4:],
     )
 
 
@@ -71,24 +54,24 @@ def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: flo
     """
     inertia, inverse = package[2], package[3]
     q = body[1]
-    R = rotation_matrix(q)
-    L = apply(R, apply(inertia, body[3]))
+    R = t3.rotation_matrix(q)
+    L = t3.apply(R, t3.apply(inertia, body[3]))
     k1 = body[3]
-    s2 = scale(0.5 * h, k1)
-    k2 = rotation_rate(s2, _spin(inverse, q, s2, L))
-    s3 = scale(0.5 * h, k2)
-    k3 = rotation_rate(s3, _spin(inverse, q, s3, L))
-    s4 = scale(h, k3)
-    k4 = rotation_rate(s4, _spin(inverse, q, s4, L))
-    q_later = normalised(
-        quaternion_product(q, exp_quaternion(scale(h, weighted(k1, k2, k3, k4)))))
-    R_later = rotation_matrix(q_later)
-    velocity = apply(R, body[2])
+    s2 = t3.scale(0.5 * h, k1)
+    k2 = kernels.rotation_rate(s2, _spin(inverse, q, s2, L))
+    s3 = t3.scale(0.5 * h, k2)
+    k3 = kernels.rotation_rate(s3, _spin(inverse, q, s3, L))
+    s4 = t3.scale(h, k3)
+    k4 = kernels.rotation_rate(s4, _spin(inverse, q, s4, L))
+    q_later = t3.normalised(
+        t3.quaternion_product(q, t3.exp_quaternion(t3.scale(h, kernels.weighted(k1, k2, k3, k4)))))
+    R_later = t3.rotation_matrix(q_later)
+    velocity = t3.apply(R, body[2])
     return (
-        add_scaled(add_scaled(body[0], h, velocity), 0.5 * h * h, gravity),
+        t3.add_scaled(t3.add_scaled(body[0], h, velocity), 0.5 * h * h, gravity),
         q_later,
-        apply_transposed(R_later, add_scaled(velocity, h, gravity)),
-        apply(inverse, apply_transposed(R_later, L)),
+        t3.apply_transposed(R_later, t3.add_scaled(velocity, h, gravity)),
+        t3.apply(inverse, t3.apply_transposed(R_later, L)),
         *body[4:],
     )
 
@@ -96,14 +79,14 @@ def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: flo
 @kernel
 def _spin(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
     """Return the body rate after a turn by sigma, with the angular momentum L in the world."""
-    R = rotation_matrix(quaternion_product(q, exp_quaternion(sigma)))
-    return apply(inverse, apply_transposed(R, L))
+    R = t3.rotation_matrix(t3.quaternion_product(q, t3.exp_quaternion(sigma)))
+    return t3.apply(inverse, t3.apply_transposed(R, L))
 
 
 @kernel
 def flight_step(body: State, rotation_per_step: float) -> float:
     """Return how long (s) a step of the flight may be."""
-    rate = math.sqrt(dot(body[3], body[3]))
+    rate = math.sqrt(t3.dot(body[3], body[3]))
     return max(SHORTEST_FLIGHT_STEP, min(LONGEST_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
 
 
@@ -123,16 +106,16 @@ def flight(
 @kernel
 def upward(gravity: Vector) -> Vector:
     """Return the direction against gravity; zero without gravity."""
-    return scale(-1.0 / max(math.sqrt(dot(gravity, gravity)), 1e-9), gravity)
+    return t3.scale(-1.0 / max(math.sqrt(t3.dot(gravity, gravity)), 1e-9), gravity)
 
 
 @kernel
 def lowest(box: Box, up: Vector, body: State) -> float:
     """Return the height (m) of the lowest corner of the box."""
     half, centre = box
-    u = apply_transposed(rotation_matrix(body[1]), up)
+    u = t3.apply_transposed(t3.rotation_matrix(body[1]), up)
     below = abs(u[0]) * half[0] + abs(u[1]) * half[1] + abs(u[2]) * half[2]
-    return dot(up, body[0]) + dot(u, centre) - below
+    return t3.dot(up, body[0]) + t3.dot(u, centre) - below
 
 
 @kernel

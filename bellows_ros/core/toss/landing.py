@@ -14,16 +14,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
+from bellows_ros.core.model import perturbed
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.layout import places_of
-from bellows_ros.core.model.perturbed import (
-    contributions,
-    deviations_of,
-    model_with,
-    NAMES,
-    parameter_vector,
-)
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.release import (
     changed_law,
@@ -145,9 +139,9 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
 def contributions_to(case: TossProblem, held: HeldMotion, nominal: Toss) -> Contributions:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
     until = nominal.release_time + MARGIN
-    names, parts = contributions(case.values, case.model, lambda model: case.figures(
+    names, parts = perturbed.contributions(case.values, case.model, lambda model: case.figures(
         case.with_numbers(model, case.release, until), nominal))
-    std, rows = list(deviations_of(case.values)[[NAMES.index(name) for name in names]]), []
+    std, rows = [perturbed.deviations_of(case.values)[perturbed.NAMES.index(n)] for n in names], []
     factor, of_cup = release_factor(case.values), len(names)
     for name, sigma, unit in zip(
             RELEASE_NAMES, np.linalg.norm(factor, axis=1), np.eye(8), strict=True):
@@ -184,11 +178,11 @@ class MonteCarlo(NamedTuple):
 def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
     """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
-    numbers, std = parameter_vector(case.values), deviations_of(case.values)
+    numbers, std = perturbed.parameter_vector(case.values), perturbed.deviations_of(case.values)
     factor = release_factor(case.values)
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):
-        model = model_with(
+        model = perturbed.model_with(
             case.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = changed(case.release, factor @ rng.standard_normal(8))
         try:

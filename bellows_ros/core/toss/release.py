@@ -23,64 +23,17 @@ from copy import copy
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.tuples import (
-    add_scaled,
-    apply_transposed,
-    dot,
-    log_quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    subtract,
-    unit,
-    Vector,
-)
-from bellows_ros.core.model.equilibrium import (
-    adapted,
-    largest_step,
-    moved,
-    substeps_for,
-    substeps_of,
-)
+from bellows_ros.core.geometry.tuples import Vector
+from bellows_ros.core.model import equilibrium, kernels, simulation
 from bellows_ros.core.model.grip import Grip, largest_peel_load
-from bellows_ros.core.model.kernels import (
-    extrapolated,
-    lip_relative_to_tool,
-    ModelTuple,
-    State,
-    step,
-    tool_at,
-    tool_segment,
-    ToolSegment,
-)
-from bellows_ros.core.model.simulation import (
-    body_row,
-    diverged,
-    require_steps,
-    row_length,
-    row_state,
-    stands,
-    steady_start,
-    tool_rows,
-    ToolRows,
-    write_row,
-)
+from bellows_ros.core.model.kernels import ModelTuple, State, ToolSegment
+from bellows_ros.core.model.simulation import body_row, row_state, ToolRows, write_row
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.core.toss.free_flight import (
-    Box,
-    COARSE_ROTATION_PER_STEP,
-    flight,
-    INSTANT,
-    land,
-    LONGEST_FLIGHT,
-    lowest,
-    pushed_off,
-    ROTATION_PER_STEP,
-    secant_root,
-    upward,
-)
+from bellows_ros.core.toss import free_flight
+from bellows_ros.core.toss.free_flight import Box
 from bellows_ros.errors import BellowsError, NoLandingError
 import numpy as np
 
@@ -150,10 +103,10 @@ def length_change(
     if law[5] <= 0.0 or since_valve < law[0]:
         return 0.0
     cup, package, _ = model
-    o_E_S, R_E_S, _, _ = lip_relative_to_tool(
-        package[1], tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3])
-    stretch = -apply_transposed(R_E_S, o_E_S)[2] - cup[1]
+    o_E_S, R_E_S, _, _ = kernels.lip_relative_to_tool(
+        package[1], tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
+        body[0], t3.rotation_matrix(body[1]), body[2], body[3])
+    stretch = -t3.apply_transposed(R_E_S, o_E_S)[2] - cup[1]
     stiffness, part = cup[2][0][8], max(0.0, stretch) / law[5]
     force = law[4] * (suction(law, since_valve) + part * part) - max(
         0.0, law[4] - stiffness * stretch)
@@ -184,12 +137,12 @@ def step_released(
     The nominal length is the mean of those at both ends: second order.
     """
     if law[5] <= 0.0 or since_valve + h <= law[0]:
-        return step(model, body, tool, tool_middle, tool_end, h)
+        return kernels.step(model, body, tool, tool_middle, tool_end, h)
     start = length_change(model, law, since_valve, tool, body)
     change, end = start, body
     for _ in range(3):
         opened = with_length(model, law, change)
-        end = step(opened, body, tool, tool_middle, tool_end, h)
+        end = kernels.step(opened, body, tool, tool_middle, tool_end, h)
         change = 0.5 * (start + length_change(model, law, since_valve + h, tool_end, end))
     return end
 
@@ -225,7 +178,7 @@ def _hold(
     write_row(states[j], body)
     loads[j] = load_at(model, grip, NO_LAW, 0.0, tool, body)
     for k in range(len(durations)):
-        segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
+        segment = kernels.tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
         for i in range(counts[k]):
             j += 1
             times[j] = start + durations[k] * (i + 1.0) / counts[k]
@@ -247,11 +200,12 @@ def _within(
 
     The segment begins a time (s) after the valve.
     """
-    tool = tool_at(segment, high)
-    middle = tool_at(segment, 0.5 * (low + high))
+    tool = kernels.tool_at(segment, high)
+    middle = kernels.tool_at(segment, 0.5 * (low + high))
     h = (high - low) * segment[0]
-    return tool, step_released(
-        model, law, since_valve + low * segment[0], body, tool_at(segment, low), middle, tool, h)
+    since_valve += low * segment[0]
+    before = kernels.tool_at(segment, low)
+    return tool, step_released(model, law, since_valve, body, before, middle, tool, h)
 
 
 @kernel
@@ -269,11 +223,11 @@ def find_release(
         if k < len(seconds):
             end, after = seconds[k], row_state(rows[k])
         else:
-            after = extrapolated(tool, until - start)
+            after = kernels.extrapolated(tool, until - start)
         duration = end - start
-        segment = tool_segment(tool, after, duration)
+        segment = kernels.tool_segment(tool, after, duration)
         part = min(1.0, (until - start) / duration)
-        n = substeps_for(part * duration, longest)
+        n = equilibrium.substeps_for(part * duration, longest)
         for i in range(n):
             before, last, caught, below, side = part * i / n, part * (i + 1.0) / n, False, 0.0, 0
             low, high, freed = max(before, (switched - start) / duration), last, body
@@ -296,9 +250,10 @@ def find_release(
                 else:
                     above, s = left, last
                     continue
-                if (high - low) * duration <= INSTANT:
+                if (high - low) * duration <= free_flight.INSTANT:
                     return start + high * duration, freed
-                s = secant_root(low, high, above, below, 0.5 * INSTANT / duration)
+                s = free_flight.secant_root(
+                    low, high, above, below, 0.5 * free_flight.INSTANT / duration)
             body = carried
         tool, start = after, end
     return -1.0, body
@@ -324,9 +279,10 @@ def write_toss(
                 seconds[k:k + 1], switched, seconds[k], longest)
             start = released
             if released >= 0.0:
-                body = pushed_off(model[1], body, law[2])
+                body = free_flight.pushed_off(model[1], body, law[2])
         if released >= 0.0:
-            body = flight(model[1], model[2], body, seconds[k] - start, COARSE_ROTATION_PER_STEP)
+            body = free_flight.flight(
+                model[1], model[2], body, seconds[k] - start, free_flight.COARSE_ROTATION_PER_STEP)
         write_row(out[k], body)
     return released
 
@@ -362,10 +318,10 @@ def toss_along(
         model, grip, release.law, start, tool, body, rows, seconds, switched, until, longest)
     if released < 0.0:
         return released, body, -1.0, body
-    body = pushed_off(package, body, release.law[2])
-    if lowest(release.box, upward(gravity), body) <= release.height:
+    body = free_flight.pushed_off(package, body, release.law[2])
+    if free_flight.lowest(release.box, free_flight.upward(gravity), body) <= release.height:
         return released, body, released, body
-    later, landed = land(package, gravity, release.box, release.height, body)
+    later, landed = free_flight.land(package, gravity, release.box, release.height, body)
     return released, body, released + later if later >= 0.0 else -1.0, landed
 
 
@@ -378,9 +334,9 @@ def figures(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vec
     in world axes (rad). Each lands at its own instant: the shift along the flight is projected
     out.
     """
-    up, moved = upward(gravity), subtract(landed[0], nominal[0])
-    turn = quaternion_product(landed[1], quaternion_conjugate(nominal[1]))
-    return add_scaled(moved, -dot(up, moved), up), log_quaternion(turn)
+    up, moved = free_flight.upward(gravity), t3.subtract(landed[0], nominal[0])
+    turn = t3.quaternion_product(landed[1], t3.quaternion_conjugate(nominal[1]))
+    return t3.add_scaled(moved, -t3.dot(up, moved), up), t3.log_quaternion(turn)
 
 
 @kernel
@@ -436,7 +392,8 @@ def toss_with_covariance(
         changed = Release(changed_law(release.law, size, column), release.box, release.height)
         found = toss_along(
             model, grip, changed, 0.0, tool,
-            moved(body, unit(j, size), unit(j - 3, size), unit(j - 6, size), unit(j - 9, size)),
+            equilibrium.moved(body, t3.unit(j, size), t3.unit(j - 3, size), t3.unit(j - 6, size),
+                              t3.unit(j - 9, size)),
             rows, seconds, 0.0, until, longest)
         if found[2] <= found[0]:
             return False, found
@@ -503,28 +460,29 @@ class HeldMotion:
     ) -> None:
         """Follow the plan."""
         self.model, self.grip, self.mode = model, grip or NO_GRIP, 'peel' if grip else 'delay'
-        rows, starts = tool_rows(tool), tool.seconds
+        rows, starts = simulation.tool_rows(tool), tool.seconds
         self.duration = float(starts[-1])
-        self.ends_at_rest = stands(rows[-1])
+        self.ends_at_rest = simulation.stands(rows[-1])
         if self.ends_at_rest:
             still = np.concatenate([rows[-1, :7], np.zeros(6)])
             rows = np.vstack([rows[:-1], still, still])
             starts = np.append(starts, self.duration + LONGEST_WAIT)
         count = min(max(2, int(np.searchsorted(starts, until)) + 1), len(starts))
-        self._longest = largest_step(model)
+        self._longest = equilibrium.largest_step(model)
         durations = np.diff(starts[:count])
-        counts = substeps_of(durations, self._longest)
-        require_steps(float(counts.sum()), MOST_STEPS)
+        counts = equilibrium.substeps_of(durations, self._longest)
+        simulation.require_steps(float(counts.sum()), MOST_STEPS)
         self._steps = int(counts.sum())
         self._plan = as_inputs(rows[:count], durations, counts)
-        self._follow(adapted(model, row_state(rows[0]), start or steady_start(model, tool)))
+        start = start or simulation.steady_start(model, tool)
+        self._follow(equilibrium.adapted(model, row_state(rows[0]), start))
 
     def _follow(self, start: State) -> None:
         """Fill in states and loads."""
         self.start = start
         self.times, self.loads = np.empty((2, self._steps + 1))
         tools = np.empty((self._steps + 1, 13))
-        states = np.empty((self._steps + 1, row_length(start)))
+        states = np.empty((self._steps + 1, simulation.row_length(start)))
         self.states = states[:, :13]
         try:
             _hold(self.model, self.grip, start, *self._plan, self.times, tools, states,
@@ -532,7 +490,7 @@ class HeldMotion:
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             states[-1] = math.nan
         if not np.isfinite(states[-1]).all():
-            raise diverged()
+            raise simulation.diverged()
         self._inputs = as_inputs(self.times, tools, states)
 
     def restarted_from(self, start: State) -> HeldMotion:
@@ -574,10 +532,10 @@ class HeldMotion:
             tool, since = row_state(tools[j]), time - float(times[j])
             if since > 0.0 and j + 1 < len(times):
                 duration = float(times[j + 1] - times[j])
-                segment = tool_segment(tool, row_state(tools[j + 1]), duration)
-                tool = tool_at(segment, since / duration)
+                segment = kernels.tool_segment(tool, row_state(tools[j + 1]), duration)
+                tool = kernels.tool_at(segment, since / duration)
             elif since > 0.0:
-                tool = extrapolated(tool, since)
+                tool = kernels.extrapolated(tool, since)
             write_row(rows[k], tool)
         write_toss(self.model, self.grip, release.law, self.start, rows, seconds, switched,
                    self._longest, out)
@@ -625,7 +583,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
                 if held.ends_at_rest else
                 'The plan ends earlier, in motion. Make it longer, or release earlier.'))
     if landing == released:
-        height = lowest(release.box, upward(held.model[2]), body)
+        height = free_flight.lowest(release.box, free_flight.upward(held.model[2]), body)
         raise NoLandingError(
             f'The lowest corner of the package is at {height:.4g} m at its release at '
             f'{released:.4g} s, but landing.height is {release.height:g} m: the floor is above '
@@ -633,7 +591,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
             'plan.')
     if landing < 0.0:
         raise NoLandingError(
-            f'The package does not land within {LONGEST_FLIGHT:g} s. Check gravity, '
+            f'The package does not land within {free_flight.LONGEST_FLIGHT:g} s. Check gravity, '
             'landing.height and release.impulse.')
     return Toss(released, body, landing, landed, held.mode)
 
@@ -693,5 +651,5 @@ def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:
     body, h = toss.release, (toss.landing_time - toss.release_time) / (count - 1)
     for k in range(count):
         write_row(out[k], body)
-        body = flight(package, gravity, body, h, ROTATION_PER_STEP)
+        body = free_flight.flight(package, gravity, body, h, free_flight.ROTATION_PER_STEP)
     return out

@@ -18,14 +18,8 @@ from functools import cached_property
 import math
 from typing import Any
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    log_quaternion,
-    log_so3,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_to_quaternion,
-)
 from bellows_ros.core.model.equilibrium import adapted, largest_step, moved
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -167,13 +161,13 @@ class Drop:
     def errors(self, states: Array) -> Array:
         """Return measured less predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
         position = self.package.position - states[:, :3]
-        turn = log_quaternion(quaternion_product(
-            quaternion_conjugate(states[:, 3:7]), self._orientation))
+        turn = lie.log_quaternion(lie.quaternion_product(
+            lie.quaternion_conjugate(states[:, 3:7]), self._orientation))
         return np.vstack([position.T, (self._slopes @ position).T, turn.T])
 
     @cached_property
     def _orientation(self) -> Array:
-        return rotation_to_quaternion(self.package.rotation)
+        return lie.rotation_to_quaternion(self.package.rotation)
 
     @cached_property
     def _slopes(self) -> Array:
@@ -718,6 +712,6 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
 
 def _stands(poses: Trajectory, times: float = 1.0) -> bool:
     """Return whether poses stay where they are, within so many times `STANDS`."""
-    turn = log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
+    turn = lie.log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
     return bool(np.abs(poses.position - poses.position.mean(axis=0)).max() < times * STANDS[0]
                 and np.abs(turn).max() < times * STANDS[1])

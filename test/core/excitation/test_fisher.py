@@ -1,10 +1,7 @@
 """The information of a motion, against the scatter of estimates."""
 
-from bellows_ros.core.excitation.fisher import (
-    motion_information,
-    standard_errors,
-    Tracking,
-)
+from bellows_ros.core.excitation import fisher
+from bellows_ros.core.excitation.fisher import Tracking
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -45,8 +42,8 @@ def stamps(rate_hz, duration, first=0.0):
 
 
 def expected(tool):
-    return standard_errors(
-        motion_information(cup_of(TRUTH), PACKAGE, 9.81, tool, TRACKING, STRUCTURE))
+    return fisher.standard_errors(
+        fisher.motion_information(cup_of(TRUTH), PACKAGE, 9.81, tool, TRACKING, STRUCTURE))
 
 
 def recorded(mover, duration):
@@ -87,4 +84,4 @@ def test_estimates_scatter_as_expected(draws, within):
 
 
 def test_without_information_there_is_no_standard_error():
-    assert standard_errors(np.diag([1.0, 0.0])).tolist() == [1.0, np.inf]
+    assert fisher.standard_errors(np.diag([1.0, 0.0])).tolist() == [1.0, np.inf]

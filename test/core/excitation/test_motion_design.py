@@ -2,17 +2,11 @@
 
 from dataclasses import replace
 
+from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation import motion_design as excitation
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation.fisher import response, standard_errors
-from bellows_ros.core.excitation.motion_design import (
-    design,
-    FourierMotion,
-    load_rows,
-    loads,
-    MotionObjective,
-    window,
-)
+from bellows_ros.core.excitation.motion_design import FourierMotion, MotionObjective
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, rpy_rotation
 from bellows_ros.core.model.cup_package import model_tuple
@@ -48,8 +42,8 @@ LIMITS = limits_from(CONTENT, 1.5)[0]
 
 
 def designed(guess=TRUTH, limits=LIMITS, duration=20.0, grip=None, seed=0):
-    return design(cup_of(guess), PACKAGE, 9.81, grip, STRUCTURE, limits, TRACKING, duration, seed,
-                  lambda what, part: None)
+    return motion_design.design(cup_of(guess), PACKAGE, 9.81, grip, STRUCTURE, limits, TRACKING,
+                                duration, seed, lambda what, part: None)
 
 
 @pytest.mark.parametrize('grip', [None, GRIP])
@@ -214,12 +208,12 @@ def test_small_loads_are_linear():
     motion = FourierMotion(LIMITS.start, 8.0, c)
     omega = 2.0 * np.pi * np.array([28 / 8.0])
     at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
-    rows = load_rows(response(model_of, TRUTH, TRUTH, at, omega, TRACKING), model_of(TRUTH),
-                     LIMITS, None, omega)
+    moves = response(model_of, TRUTH, TRUTH, at, omega, TRACKING)
+    rows = motion_design.load_rows(moves, model_of(TRUTH), LIMITS, None, omega)
     wave = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     expected = [np.linalg.norm((np.outer(wave, row[0] @ c[27])).real, axis=1).max()
                 for row in rows]
-    found = loads(motion, LIMITS, [model_of(TRUTH)], None)[0, :2]
+    found = motion_design.loads(motion, LIMITS, [model_of(TRUTH)], None)[0, :2]
     assert_allclose(found, expected, rtol=0.1)  # the ramps add a little
 
 
@@ -241,9 +235,9 @@ def test_small_motions_tell_what_the_linear_response_says():
 
 def test_ramps_begin_and_end_at_rest_without_jerk():
     """Let value, speed, acceleration and jerk be zero at both ends, and be derivatives."""
-    assert_allclose(window(np.array([0.0, 10.0]), 10.0), 0.0, atol=1e-9)
+    assert_allclose(motion_design.window(np.array([0.0, 10.0]), 10.0), 0.0, atol=1e-9)
     t = np.linspace(0.0, 10.0, 20_001)
-    W = window(t, 10.0)
+    W = motion_design.window(t, 10.0)
     for rate, value in zip(W[1:], W[:-1], strict=True):
         assert_allclose(rate[1:-1], np.gradient(value, t)[1:-1], atol=0.2)
 

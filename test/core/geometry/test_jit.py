@@ -26,13 +26,13 @@ import json
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model import cup_package as model
-from bellows_ros.core.model import simulation
+from bellows_ros.core.model import equilibrium, simulation
 cup, package = model.Cup.thesis(), model.Package(
     2.0, [[.01, .001, 0], [.001, .01, 0], [0, 0, .012]], [.01, 0, -.05])
 m = model.model_tuple(cup, package, 9.81)
 tool = ((0., 0., 0.), (0., 0., 0., 1.), (.1, .2, 0.), (.3, 0., .5))
 later = kernels.tool_at(kernels.tool_segment(tool, tool, .01), .5)
-body = simulation.static_equilibrium(m, tool)
+body = equilibrium.static_equilibrium(m, tool)
 for _ in range(50):
     body = kernels.advance(m, body, tool, later, .005, 2)
 print(json.dumps([jit.COMPILED, body]))

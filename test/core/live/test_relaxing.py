@@ -3,12 +3,7 @@
 from dataclasses import replace
 import math
 
-from bellows_ros.core.geometry.lie import (
-    exp_so3,
-    log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.uncertainty import Uncertainty
@@ -53,7 +48,7 @@ def tilted(t, angle=0.3):
     """Return the pose of a tool that is tilted within 0.2 s from 0.1 s on."""
     s = np.clip((t - 0.1) / 0.2, 0.0, 1.0)
     angle *= s**3 * (10 - 15 * s + 6 * s * s)
-    return rotation_to_quaternion(exp_so3(np.array([angle, 0.0, 0.0])))
+    return lie.rotation_to_quaternion(lie.exp_so3(np.array([angle, 0.0, 0.0])))
 
 
 def test_live_prediction_is_the_simulation_and_creeps_after_a_move():
@@ -74,8 +69,8 @@ def test_strains_relax_on_during_a_pause_of_the_poses():
         for ms in stamps_ms:
             last = predictor.on_pose(
                 ms * 1_000_000 + 1, 'world', (0.0, 0.0, 0.0), tuple(tilted(ms * 1e-3).tolist()))
-        R = quaternion_to_rotation(np.array(last[-1].quaternion_xyzw))
-        return log_so3(exp_so3(np.array([-0.3, 0.0, 0.0])) @ R)[0]
+        R = lie.quaternion_to_rotation(np.array(last[-1].quaternion_xyzw))
+        return lie.log_so3(lie.exp_so3(np.array([-0.3, 0.0, 0.0])) @ R)[0]
 
     every = [*range(0, 1200, 4), 1200]
     paused = [*range(0, 700, 4), *range(1000, 1200, 4), 1200]
@@ -115,9 +110,9 @@ def test_observer_follows_creep_without_an_alarm():
         (true,) = truth.on_pose(ms * 1_000_000 + 1, 'world', *pose)
         predictor.on_pose(ms * 1_000_000 + 1, 'world', *pose)
         if ms % 32 == 0:
-            q = rotation_to_quaternion(
-                quaternion_to_rotation(np.array(true.quaternion_xyzw))
-                @ exp_so3(2e-3 * rng.standard_normal(3)))
+            q = lie.rotation_to_quaternion(
+                lie.quaternion_to_rotation(np.array(true.quaternion_xyzw))
+                @ lie.exp_so3(2e-3 * rng.standard_normal(3)))
             predictor.on_measured(
                 ms * 1_000_000 + 1, 'world',
                 tuple((true.position + 3e-4 * rng.standard_normal(3)).tolist()), tuple(q.tolist()))

@@ -2,9 +2,8 @@
 
 import math
 
-from bellows_ros.core.live import screening
-from bellows_ros.core.live.screening import Screen
-from bellows_ros.core.signals.screening import BACKWARD_RUN, Verdict
+from bellows_ros.core.live.screening import JUMP_RUN, LARGEST_STOP, Screen
+from bellows_ros.core.signals.screening import BACKWARD_RUN, LARGEST_SPEED, Verdict
 import numpy as np
 import pytest
 
@@ -222,7 +221,7 @@ def test_rest_after_two_tools_is_believed_at_once_or_soon(place):
 def test_a_start_in_motion_is_believed_soon(period_ns, speed):
     driver = Driver(speed=speed, period_ns=period_ns)
     verdicts = driver.send(100)
-    assert sum(bool(v.refused) for v in verdicts) <= screening.JUMP_RUN
+    assert sum(bool(v.refused) for v in verdicts) <= JUMP_RUN
     assert verdicts[10:] == [GOOD] * 90 and not driver.screen.suspect
 
 
@@ -252,5 +251,5 @@ def test_sign_of_a_quaternion_is_no_jump():
 
 
 def test_limits_leave_room_for_every_arm():
-    assert screening.LARGEST_SPEED >= 10.0  # m/s; fast arms reach 4
-    assert screening.LARGEST_STOP >= 2 * 9.81
+    assert LARGEST_SPEED >= 10.0  # m/s; fast arms reach 4
+    assert LARGEST_STOP >= 2 * 9.81

@@ -4,14 +4,8 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import adjoint, inverse_transform
 from bellows_ros.core.geometry.tuples import unit
+from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.equilibrium import (
-    moved,
-    nominal_system_matrix,
-    resting_on_tool,
-    static_equilibrium,
-    system_matrix,
-)
 from bellows_ros.core.model.jacobians import (
     body_jacobians,
     parameter_jacobian,
@@ -156,11 +150,11 @@ def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
     cup, package = replace(random_cup(rng), relaxation=R), random_package(rng)
     model, plain = (model_tuple(each, package, 9.81) for each in (
         cup, replace(cup, relaxation=(0.0, 0.0))))
-    hangs, expected = static_equilibrium(model, STILL), static_equilibrium(plain, STILL)
+    hangs, expected = (equilibrium.static_equilibrium(each, STILL) for each in (model, plain))
     assert_allclose(np.hstack(hangs[:4]), np.hstack(expected), atol=1e-12)
     assert_allclose(np.hstack(lip_wrench(model, STILL, hangs)),
                     np.hstack(lip_wrench(plain, STILL, expected)), atol=1e-9)
-    step = moved(hangs, (0.0, 0.0, 1e-6), *((0.0, 0.0, 0.0),) * 3)
+    step = equilibrium.moved(hangs, (0.0, 0.0, 1e-6), *((0.0, 0.0, 0.0),) * 3)
     instant, static = (
         np.subtract(lip_wrench(each, STILL, there)[0], lip_wrench(each, STILL, here)[0])
         for each, there, here in ((model, step, hangs), (plain, step[:4], hangs[:4])))
@@ -200,7 +194,7 @@ def test_derivatives(seed):
         lambda x: accelerate(strains=x.reshape(2, 6)), z.ravel())
     near(np.hstack([R[0] * by_strain, R[1] * by_strain]), expected, 1e-12)
     zero = (0.0, 0.0, 0.0)
-    expected = np.transpose([np.subtract(*(np.hstack(lip_strain(*rows[:2], moved(
+    expected = np.transpose([np.subtract(*(np.hstack(lip_strain(*rows[:2], equilibrium.moved(
         rows[2], unit(j, d), unit(j - 3, d), zero, zero))) for d in (1e-6, -1e-6))) / 2e-6
         for j in range(6)])
     near(by_pose, expected, 1e-8)  # central differences
@@ -212,19 +206,19 @@ def test_nominal_motions_are_those_of_the_linearised_model(relaxation):
     cup = replace(random_cup(rng), relaxation=relaxation)
     model = model_tuple(cup, random_package(rng), (1.0, -2.0, -9.0))
     tool = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    near(nominal_system_matrix(model), system_matrix(
-        model, tool, resting_on_tool(model, tool)), 1e-12)
+    near(equilibrium.nominal_system_matrix(model), equilibrium.system_matrix(
+        model, tool, equilibrium.resting_on_tool(model, tool)), 1e-12)
 
 
 def test_modes_are_those_of_the_complex_stiffness():
     rng = np.random.default_rng(8)
     cup, package = replace(random_cup(rng), relaxation=R), random_package(rng)
-    values = np.linalg.eigvals(nominal_system_matrix(model_tuple(cup, package, 0.0)))
+    values = np.linalg.eigvals(equilibrium.nominal_system_matrix(model_tuple(cup, package, 0.0)))
     for s in values[np.abs(values.imag) > 1.0]:
         growth = sum(r * s * tau / (1.0 + s * tau) for r, tau in zip(
             cup.relaxation, cup.relaxation_times, strict=True))
         by_static, by_damping = (
-            nominal_system_matrix(model_tuple(Cup(K, P, cup.length), package, 0.0))[6:]
+            equilibrium.nominal_system_matrix(model_tuple(Cup(K, P, cup.length), package, 0.0))[6:]
             for K, P in ((cup.stiffness, np.zeros((6, 6))), (np.zeros((6, 6)), cup.damping)))
         A = s * s * np.eye(6) - (1.0 + growth) * by_static[:, :6] - s * by_damping[:, 6:]
         assert np.linalg.svd(A, compute_uv=False)[-1] < 1e-8 * abs(s) ** 2

@@ -1,15 +1,8 @@
 """Simulations of whole recordings against the rig's truth, equilibria, and clear errors."""
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
+from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.equilibrium import (
-    displaced,
-    largest_step,
-    linearise,
-    nominal_system_matrix,
-    static_equilibrium,
-    substeps_for,
-)
 from bellows_ros.core.model.kernels import body_acceleration
 from bellows_ros.core.model.simulation import lip_wrenches, simulate, state_row
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -42,7 +35,7 @@ def test_recordings_of_a_known_cup_are_reproduced(rig, name):
 
 def test_plate_under_a_level_tool_hangs_straight_and_lengthens_the_cup():
     cup = Cup.thesis()
-    rest = static_equilibrium(model_tuple(cup, PLATE, 9.81), LEVEL)
+    rest = equilibrium.static_equilibrium(model_tuple(cup, PLATE, 9.81), LEVEL)
     # axially the potential is 1/2 k z^2: the stretch is m g / k
     expected = -cup.length - 2.17 * 9.81 / 11530 - 0.03
     assert_allclose(rest[0], [0.0, 0.0, expected], atol=1e-12)
@@ -54,10 +47,10 @@ def test_equilibrium_of_a_tilted_tool_minimises_the_energy():
     tilt = np.deg2rad(60.0)
     tool = state_row((0, 0, 0), (np.sin(tilt / 2), 0, 0, np.cos(tilt / 2)), np.zeros(6))
     model = model_tuple(Cup.thesis(), PLATE, 9.81)
-    rest = static_equilibrium(model, tool)
+    rest = equilibrium.static_equilibrium(model, tool)
 
     def energy(x):
-        body = displaced(rest, tuple(0.01 * x[:3]), tuple(0.1 * x[3:]))
+        body = equilibrium.displaced(rest, tuple(0.01 * x[:3]), tuple(0.1 * x[3:]))
         poses = [transform(quaternion_to_rotation(np.array(q)), np.array(o))
                  for o, q, _, _ in (tool, body)]
         return oracle.energies(
@@ -71,11 +64,12 @@ def test_a_cup_too_soft_for_its_package_has_no_equilibrium():
     soft = Cup(np.diag([10.0, 10.0, 10.0, 1e-3, 1e-3, 1e-3]), np.zeros((6, 6)), 0.05)
     tilted = state_row((0, 0, 0), (np.sin(0.7), 0, 0, np.cos(0.7)), np.zeros(6))
     with pytest.raises(BellowsError, match=r'2\.17'):
-        static_equilibrium(model_tuple(soft, PLATE, 9.81), tilted)
+        equilibrium.static_equilibrium(model_tuple(soft, PLATE, 9.81), tilted)
 
 
 def test_modes_of_the_thesis_plate():
-    modes = np.linalg.eigvals(nominal_system_matrix(model_tuple(Cup.thesis(), PLATE, 0.0)))
+    model = model_tuple(Cup.thesis(), PLATE, 0.0)
+    modes = np.linalg.eigvals(equilibrium.nominal_system_matrix(model))
     frequencies = np.sort(np.abs(modes[modes.imag > 0])) / (2 * np.pi)
     assert_allclose(frequencies[0], np.sqrt(1.123 / 0.0173) / (2 * np.pi), rtol=1e-5)  # torsion
     axial = np.sqrt(11530 / 2.17) / (2 * np.pi)
@@ -85,12 +79,12 @@ def test_modes_of_the_thesis_plate():
 def test_slopes_predict_small_changes():
     rng = np.random.default_rng(4)
     model = model_tuple(Cup.thesis(), PLATE, 9.81)
-    tool, body = LEVEL, static_equilibrium(model, LEVEL)
-    jacobian = linearise(model, tool, body)
+    tool, body = LEVEL, equilibrium.static_equilibrium(model, LEVEL)
+    jacobian = equilibrium.linearise(model, tool, body)
     d, v, e, u = 1e-5 * rng.standard_normal((4, 6))
 
     def moved(state, pose, twist):
-        o, q, _, _ = displaced(state, tuple(pose[:3]), tuple(pose[3:]))
+        o, q, _, _ = equilibrium.displaced(state, tuple(pose[:3]), tuple(pose[3:]))
         return o, q, tuple(twist[:3]), tuple(twist[3:])
 
     ends = [
@@ -103,10 +97,10 @@ def test_slopes_predict_small_changes():
 
 def test_steps_are_short_enough_for_stiff_cups():
     stiff = Cup(100 * Cup.thesis().stiffness, Cup.thesis().damping, 0.0481)
-    longest = largest_step(model_tuple(stiff, PLATE, 9.81))
-    assert longest < largest_step(model_tuple(Cup.thesis(), PLATE, 9.81)) / 8
-    assert substeps_for(0.008, 0.0041) == 2
-    assert substeps_for(0.008, 0.1) == 1
+    longest = equilibrium.largest_step(model_tuple(stiff, PLATE, 9.81))
+    assert longest < equilibrium.largest_step(model_tuple(Cup.thesis(), PLATE, 9.81)) / 8
+    assert equilibrium.substeps_for(0.008, 0.0041) == 2
+    assert equilibrium.substeps_for(0.008, 0.1) == 1
     body = simulate(stiff, PLATE, still_tool(np.eye(4), 10**9, 125))
     assert np.ptp(body.position, axis=0).max() < 1e-12
 
@@ -127,7 +121,7 @@ def test_a_simulation_that_blows_up_says_so():
 def test_a_package_that_would_fall_over_has_no_equilibrium():
     on_top = Package(50.0, np.eye(3), (0.0, 0.0, 0.5))
     with pytest.raises(BellowsError):
-        static_equilibrium(model_tuple(Cup.thesis(), on_top, 9.81), LEVEL)
+        equilibrium.static_equilibrium(model_tuple(Cup.thesis(), on_top, 9.81), LEVEL)
 
 
 def test_the_wrench_at_the_lip_is_what_the_motion_needs():

@@ -4,15 +4,9 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.samples import envelope, Samples
+from bellows_ros.core.model import validity_range
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.validity_range import (
-    beyond,
-    Distance,
-    distance,
-    Envelope,
-    joined_envelopes,
-    known_envelope,
-)
+from bellows_ros.core.model.validity_range import Distance, Envelope
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, with_standstills
@@ -62,7 +56,7 @@ def test_ranges_are_those_of_the_motion():
 
 def test_several_recordings_widen_every_range():
     """Take the smallest and the largest of all."""
-    both = joined_envelopes(
+    both = validity_range.joined_envelopes(
         [envelope(samples(1.5, 2.0), LENGTH), envelope(samples(2.5, 5.0), LENGTH)])
     assert_allclose(both.mass, [1.5, 2.5])
     assert_allclose(both.rates[5], 0.1 * 2 * np.pi * 5.0, rtol=1e-3)
@@ -89,10 +83,11 @@ KNOWN = Envelope(
 def test_distance_is_one_on_the_edge():
     """Be 0 in the middle, 1 on the edge, and say which direction is left beyond it."""
     middle = np.array([0.0, 0.0, -0.002, 0.0, 0.0, 0.0])
-    assert distance(KNOWN, middle, np.zeros(6), 2.0).value == 0.0
+    assert validity_range.distance(KNOWN, middle, np.zeros(6), 2.0).value == 0.0
     edge = np.where(np.arange(6) == 4, 0.3, middle)
-    assert_allclose(distance(KNOWN, edge, np.zeros(6), 2.0).value, 1.0)
-    far = distance(KNOWN, np.where(np.arange(6) == 4, 0.45, middle), np.zeros(6), 2.0)
+    assert_allclose(validity_range.distance(KNOWN, edge, np.zeros(6), 2.0).value, 1.0)
+    beyond = np.where(np.arange(6) == 4, 0.45, middle)
+    far = validity_range.distance(KNOWN, beyond, np.zeros(6), 2.0)
     assert_allclose(far.value, 1.5)
     assert far.outside == ('bending about y is 25.8 degrees, seen -17.2 to 17.2 degrees',)
     assert 'bending about y' in far.text
@@ -100,14 +95,14 @@ def test_distance_is_one_on_the_edge():
 
 def test_a_mass_that_is_not_known_is_not_checked():
     known = Envelope([-0.01] * 6, [0.01] * 6, [1.0] * 6, np.zeros((2, 2)), [0.0, 0.0])
-    assert distance(known, np.zeros(6), np.zeros(6), 2.0) == Distance(0.0, ())
-    assert distance(known, [0.02] * 6, np.zeros(6), 2.0).value == pytest.approx(2.0)
-    assert beyond(known, known) == ()
+    assert validity_range.distance(known, np.zeros(6), np.zeros(6), 2.0) == Distance(0.0, ())
+    assert validity_range.distance(known, [0.02] * 6, np.zeros(6), 2.0).value == pytest.approx(2.0)
+    assert validity_range.beyond(known, known) == ()
 
 
 def test_the_farthest_is_named_first():
     """Sort what is outside."""
-    far = distance(KNOWN, np.zeros(6), np.array([0.2, 0, 0, 0, 0, 5.0]), 3.0)
+    far = validity_range.distance(KNOWN, np.zeros(6), np.array([0.2, 0, 0, 0, 0, 5.0]), 3.0)
     assert far.outside[0].startswith('the rate of torsion is 5 rad/s')
     assert far.outside[1] == 'the mass is 3 kg, seen 2'
     assert far.outside[2].startswith('the rate of displacement in x')
@@ -117,26 +112,26 @@ def test_the_farthest_is_named_first():
 def test_a_direction_at_rest_still_allows_for_noise():
     """Do not call a tenth of a millimetre an excursion where nothing moved."""
     still = Envelope(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros((2, 2)), np.ones(2))
-    assert distance(still, np.full(6, 1e-4), np.full(6, 1e-3), 1.05).value < 1.0
+    assert validity_range.distance(still, np.full(6, 1e-4), np.full(6, 1e-3), 1.05).value < 1.0
 
 
 def test_beyond_names_what_another_recording_leaves():
     """Say nothing about ranges inside, and the end that is farther outside."""
-    assert beyond(KNOWN, KNOWN) == ()
+    assert validity_range.beyond(KNOWN, KNOWN) == ()
     low = KNOWN.deflection_low.copy()
     low[5] = -0.2
     wider = Envelope(low, KNOWN.deflection_high, KNOWN.rates, KNOWN.frequencies, [2.0, 2.6])
-    assert beyond(KNOWN, wider) == (
+    assert validity_range.beyond(KNOWN, wider) == (
         'the mass is 2.6 kg, seen 2', 'torsion is -11.5 degrees, seen -5.73 to 5.73 degrees')
 
 
 def test_parameters_hold_it():
     """Come back from a parameter file as it was; know nothing where all is zero."""
     values = resolve(KNOWN.parameters())
-    back = known_envelope(values)
+    back = validity_range.known_envelope(values)
     for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
         np.testing.assert_array_equal(getattr(back, name), getattr(KNOWN, name))
-    assert known_envelope(resolve({})) is None
+    assert validity_range.known_envelope(resolve({})) is None
 
 
 def test_a_file_holds_at_least_what_was_seen():
@@ -144,8 +139,8 @@ def test_a_file_holds_at_least_what_was_seen():
     ends = np.random.default_rng(6).uniform(-1.0, 1.0, size=(500, 6))
     for low, high in zip(ends - 2.0, ends + 2.0, strict=True):
         seen = Envelope(low, high, high, high[:4].reshape(2, 2) + [0.0, 3.0], np.sort(high[:2]))
-        written = known_envelope(seen.parameters())
-        assert beyond(written, seen) == ()
+        written = validity_range.known_envelope(seen.parameters())
+        assert validity_range.beyond(written, seen) == ()
         for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
             assert_allclose(getattr(written, name), getattr(seen, name), rtol=2e-5)
 
@@ -165,11 +160,11 @@ def test_faster_motions_than_seen_are_beyond_and_slower_ones_are_not():
     frequencies = fast.frequencies.copy()
     frequencies[1] = [5.0, 9.0]
     faster = replace(fast, frequencies=frequencies)
-    phrases = beyond(slow, faster)
+    phrases = validity_range.beyond(slow, faster)
     assert len(phrases) == 1 and 'the rotation goes up to 9 Hz, seen' in phrases[0]
-    assert beyond(faster, slow) == ()
+    assert validity_range.beyond(faster, slow) == ()
     unknown = replace(slow, frequencies=np.zeros((2, 2)))
-    assert beyond(unknown, faster) == ()
+    assert validity_range.beyond(unknown, faster) == ()
 
 
 def test_standstills_widen_deflections_and_nothing_else():

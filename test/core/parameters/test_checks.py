@@ -4,13 +4,7 @@ from array import array
 
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.matrices import inertia_matrix, matrix
-from bellows_ros.core.parameters import checks as parameters
-from bellows_ros.core.parameters.checks import (
-    PACKAGE_PARAMETERS,
-    RECORDING_PARAMETERS,
-    resolve,
-    validate,
-)
+from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import lookup, PARAMETERS, parameters_of
 from bellows_ros.errors import BellowsError
 from hypothesis import given, strategies
@@ -44,7 +38,7 @@ def changed(values, index, value):
 def refused(name, value):
     """Return the message a value is refused with."""
     with pytest.raises(BellowsError) as error:
-        validate(name, value)
+        checks.validate(name, value)
     assert error.value.exit_code == 2
     return str(error.value)
 
@@ -58,12 +52,12 @@ def test_every_parameter_says_what_it_is(parameter):
     if parameter.default is None:
         assert parameter.example
     else:
-        assert validate(parameter.name, parameter.default) == parameter.default
+        assert checks.validate(parameter.name, parameter.default) == parameter.default
         assert isinstance(parameter.default, PYTHON[parameter.kind])
 
 
 def test_the_default_cup_is_that_of_the_thesis():
-    values = resolve({})
+    values = checks.resolve({})
     stiffness, damping = matrix(values['cup.stiffness']), matrix(values['cup.damping'])
     assert_array_equal(stiffness, np.diag([6417, 6417, 11530, 3.868, 3.868, 1.123]))
     assert_array_equal(damping, np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]))
@@ -81,23 +75,23 @@ def test_parameters_are_found_by_their_user():
 
 
 def test_resolve_fills_in_defaults_but_not_the_package():
-    values = resolve({'gravity.magnitude': 9})
+    values = checks.resolve({'gravity.magnitude': 9})
     assert values['gravity.magnitude'] == 9.0
     assert isinstance(values['gravity.magnitude'], float)
     assert values['filter.tool.half_window'] == 0
-    assert not set(RECORDING_PARAMETERS) & set(values)
+    assert not set(checks.RECORDING_PARAMETERS) & set(values)
     known = {**PACKAGE, 'recording.package_frame': 'lip'}
-    assert set(resolve(known, RECORDING_PARAMETERS)) == set(PARAMETERS)
+    assert set(checks.resolve(known, checks.RECORDING_PARAMETERS)) == set(PARAMETERS)
 
 
 def test_gravity_alone_is_its_magnitude():
-    assert resolve({'gravity': 9})['gravity.magnitude'] == 9.0
-    assert 'gravity' not in resolve({'gravity': 9})
+    assert checks.resolve({'gravity': 9})['gravity.magnitude'] == 9.0
+    assert 'gravity' not in checks.resolve({'gravity': 9})
 
 
 def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
     with pytest.raises(BellowsError) as error:
-        resolve({'package.com': [0, 0, 0]}, PACKAGE_PARAMETERS)
+        checks.resolve({'package.com': [0, 0, 0]}, checks.PACKAGE_PARAMETERS)
     message = str(error.value)
     assert 'package.mass: 2.17  # kg' in message
     assert 'package.inertia: [' in message
@@ -143,7 +137,7 @@ def test_a_wrong_name_in_a_group_is_shown_the_group(name, known):
 
 def test_unknown_names_are_refused_with_the_nearest_known():
     with pytest.raises(BellowsError, match=r"'package.mas'.*mean 'package.mass'"):
-        resolve({'package.mas': 1.0})
+        checks.resolve({'package.mas': 1.0})
     with pytest.raises(BellowsError, match=r'topics\.\*'):
         lookup('zzzzzzzzzz')
     with pytest.raises(BellowsError):
@@ -170,7 +164,7 @@ def test_unknown_names_are_refused_with_the_nearest_known():
     ],
 )
 def test_values_are_brought_to_their_normal_form(name, value, normal):
-    result = validate(name, value)
+    result = checks.validate(name, value)
     assert result == normal
     assert type(result) is type(normal)
     if isinstance(normal, tuple):
@@ -224,7 +218,7 @@ def test_values_are_refused_with_the_reason(name, value, reason):
     message = refused(name, value)
     assert name in message
     with pytest.raises(BellowsError, match=reason):
-        validate(name, value)
+        checks.validate(name, value)
 
 
 def test_matrices_must_be_symmetric():
@@ -232,7 +226,7 @@ def test_matrices_must_be_symmetric():
     assert 'not symmetric: row 1, column 4 is 0.25, row 4, column 1 is 0' in message
     rounded = np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
     rounded[0, 4], rounded[4, 0] = 12.3456789012, 12.3456789013
-    assert validate('cup.stiffness', list(rounded.ravel()))
+    assert checks.validate('cup.stiffness', list(rounded.ravel()))
 
 
 def test_stiffness_must_be_positive_definite():
@@ -242,9 +236,9 @@ def test_stiffness_must_be_positive_definite():
 
 
 def test_damping_must_be_positive_semidefinite():
-    assert validate('cup.damping', [0] * 36) == (0.0,) * 36
+    assert checks.validate('cup.damping', [0] * 36) == (0.0,) * 36
     singular = np.outer(np.arange(6.0), np.arange(6.0))
-    assert validate('cup.damping', list(singular.ravel()))
+    assert checks.validate('cup.damping', list(singular.ravel()))
     assert 'eigenvalue is -0.001,' in refused('cup.damping', changed(IDENTITY, 7, -1e-3))
 
 
@@ -277,16 +271,16 @@ def test_inertia_of_any_body_is_taken(points):
         return  # all on one line, no body
     xx, xy, xz, yy, yz, zz = moments[np.triu_indices(3)]
     values = [xx, yy, zz, xy, xz, yz]
-    assert validate('package.inertia', values) == tuple(values)
+    assert checks.validate('package.inertia', values) == tuple(values)
     assert_array_equal(inertia_matrix(values), moments)
 
 
 def test_the_filter_needs_enough_samples_for_its_order():
-    assert resolve({'filter.tool.half_window': 2, 'filter.tool.order': 4})
+    assert checks.resolve({'filter.tool.half_window': 2, 'filter.tool.order': 4})
     with pytest.raises(BellowsError, match=r'filter\.tool\.order.*5'):
-        resolve({'filter.tool.half_window': 2, 'filter.tool.order': 5})
+        checks.resolve({'filter.tool.half_window': 2, 'filter.tool.order': 5})
     with pytest.raises(BellowsError, match=r'filter\.package\.order.*6'):
-        resolve({'filter.package.half_window': 1})
+        checks.resolve({'filter.package.half_window': 1})
 
 
 def test_the_table_cannot_be_changed():
@@ -313,9 +307,9 @@ anything = strategies.recursive(
 @given(strategies.sampled_from(sorted(PARAMETERS)), anything)
 def test_any_value_is_either_normal_or_refused(name, value):
     try:
-        normal = validate(name, value)
+        normal = checks.validate(name, value)
     except BellowsError as error:
         assert len(str(error)) < 1000
     else:
-        assert validate(name, normal) == normal
-        assert isinstance(normal, PYTHON[parameters.PARAMETERS[name].kind])
+        assert checks.validate(name, normal) == normal
+        assert isinstance(normal, PYTHON[PARAMETERS[name].kind])

@@ -3,28 +3,14 @@
 import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
+from bellows_ros.core.model import perturbed
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.perturbed import (
-    deviations_of,
-    mean_square,
-    model_with,
-    parameter_vector,
-)
 from bellows_ros.core.model.simulation import tool_rows
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
 from bellows_ros.core.planning.plan import PlanSimulation, predict, rest
 from bellows_ros.core.planning.points import curve_of
-from bellows_ros.core.planning.steering import (
-    hanging,
-    impulses,
-    inverse,
-    is_smooth,
-    modes_left,
-    steer,
-    SwingMode,
-    to_shape,
-)
+from bellows_ros.core.planning.steering import SwingMode
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -97,7 +83,7 @@ def angle(R, reference):
 def test_the_inverse_moves_the_package_as_wanted(move):
     """Within 0.05 mm of its path, at rest when the plan is, and not swinging afterwards."""
     plan = move.plan()
-    found = steer(MODEL, plan, 'inverse')
+    found = steering.steer(MODEL, plan, 'inverse')
     t, T = followed(found.tool)
     wanted = CubicSpline(found.package.seconds, found.package.position)
     at = np.minimum(t, found.package.seconds[-1])
@@ -111,9 +97,9 @@ def test_the_inverse_moves_the_package_as_wanted(move):
     assert angle(arrived[:, :3, :3], quaternion_to_rotation(np.array(goal[1]))).max() < 0.01
     assert_allclose(found.tool.position[-1], plan.position[-1], atol=1e-5)
     smooth = isinstance(move, Smooth)
-    assert (found.smoothed == 0.0) == smooth and is_smooth(curve_of(found.package))
+    assert (found.smoothed == 0.0) == smooth and steering.is_smooth(curve_of(found.package))
     if smooth:
-        halfway = hanging(MODEL, plan).position[len(plan) // 2]
+        halfway = steering.hanging(MODEL, plan).position[len(plan) // 2]
         assert_allclose(wanted(0.5 * plan.seconds[-1]), halfway, atol=1e-7)
 
 
@@ -121,8 +107,8 @@ def test_the_inverse_moves_the_package_as_wanted(move):
 def test_four_continuous_derivatives_are_distinguished_from_fewer(order, smooth):
     move = Smooth([0.6, 0.1, 0.0], [0.0, 0.0, 0.3], 0.6)
     move.order = order
-    assert is_smooth(curve_of(move.plan())) == smooth
-    assert is_smooth(curve_of(move.plan(500))) == smooth
+    assert steering.is_smooth(curve_of(move.plan())) == smooth
+    assert steering.is_smooth(curve_of(move.plan(500))) == smooth
 
 
 def test_shaping_is_as_in_the_table():
@@ -138,12 +124,12 @@ def test_shaping_is_as_in_the_table():
                 *(math.degrees(each.figures()['swing_left'])
                   for each in (found, run.with_model(softer).predict(1.0))))
 
-    assert_allclose(row(plan, hanging(MODEL, plan))[1:3], (27.4, 14.4), atol=0.1)
-    zv, zvd = (steer(MODEL, plan, name) for name in ('zv', 'zvd'))
+    assert_allclose(row(plan, steering.hanging(MODEL, plan))[1:3], (27.4, 14.4), atol=0.1)
+    zv, zvd = (steering.steer(MODEL, plan, name) for name in ('zv', 'zvd'))
     assert [len(each.modes) for each in (zv, zvd)] == [1, 1]
     assert_allclose(row(zv.tool, zv.package), (0.155, 14.0, 0.27, 0.74), atol=0.05)
     assert_allclose(row(zvd.tool, zvd.package), (0.310, 8.7, 0.04, 0.05), atol=0.02)
-    found = steer(MODEL, plan, 'inverse')
+    found = steering.steer(MODEL, plan, 'inverse')
     _, tilt, swing, soft = row(found.tool, found.package)
     assert tilt < 0.004 and swing < 0.01
     assert_allclose(soft, 1.83, atol=0.05)  # where zvd leaves 0.05; see the next test
@@ -153,7 +139,7 @@ def test_shaping_is_as_in_the_table():
 def test_smoothing_is_what_makes_the_inverse_of_a_quintic_depend_on_the_cup(monkeypatch):
     """Inverted as it is, the quintic of the table leaves less with K 5 % softer: 0.85 deg."""
     monkeypatch.setattr(steering, 'SMOOTHED', 0.0)
-    tool = steer(MODEL, SLIDE.plan(), 'inverse').tool
+    tool = steering.steer(MODEL, SLIDE.plan(), 'inverse').tool
     t, T = followed(tool, SOFTER, 0.3)
     swing, end = angle(T[:, :3, :3], T[0, :3, :3]), float(tool.seconds[-1])
     left = max(swing[t > end].max(), np.interp(end, t, swing))
@@ -169,7 +155,7 @@ def test_with_an_identified_cup_little_is_left(move):
     K = np.diag([5395.0, 5395.0, 9192.3, 4.1967, 4.1967, 1.34956])
     P = np.diag([53.4, 53.4, 24.64, 0.05964, 0.05964, 0.099989])
     known = model_tuple(Cup(K, P, CUP.length), PACKAGE, 9.81)
-    tool = steer(known, move.plan(), 'inverse').tool
+    tool = steering.steer(known, move.plan(), 'inverse').tool
     assert math.degrees(predict(MODEL, None, tool).figures()['swing_left']) <= 0.15
 
 
@@ -177,7 +163,7 @@ def test_with_an_identified_cup_little_is_left(move):
 def test_impulses_cancel_a_mode(method):
     """Sum of A exp(-s t) is zero at the mode's s; for ZVD its derivative by s, too."""
     modes = [SwingMode(3.2, 0.1, 1.0), SwingMode(11.0, 0.4, 0.5)]
-    delays, sizes = impulses(modes, method)
+    delays, sizes = steering.impulses(modes, method)
     assert_allclose(sizes.sum(), 1.0)
     assert (sizes > 0.0).all()
     for mode in modes:
@@ -191,7 +177,7 @@ def test_impulses_cancel_a_mode(method):
 
 def test_modes_are_those_of_mass_and_spring():
     """With the centre of mass on the axis the axial mode is on its own; so is torsion."""
-    modes = modes_left(MODEL, predict(MODEL, None, SLIDE.plan(), tail=0.0))
+    modes = steering.modes_left(MODEL, predict(MODEL, None, SLIDE.plan(), tail=0.0))
     for k, d, m in ((9200.0, 24.0, 1.8), (1.35, 0.1, 0.00984)):
         frequency, damping = math.sqrt(k / m) / (2 * math.pi), d / (2 * math.sqrt(k * m))
         near = min(modes, key=lambda mode: abs(mode.frequency - frequency))
@@ -201,7 +187,7 @@ def test_modes_are_those_of_mass_and_spring():
 
 def test_modes_alike_are_one():
     modes = (3.0, 0.1, 0.1), (3.1, 0.2, 0.3), (5.0, 0.1, 0.001), (11.0, 0.4, 0.1)
-    found = to_shape([SwingMode(*mode) for mode in modes], 'zv')
+    found = steering.to_shape([SwingMode(*mode) for mode in modes], 'zv')
     assert_allclose(found, [(3.075, 0.175, 0.25), (11.0, 0.4, 0.1)])
 
 
@@ -209,14 +195,14 @@ def test_modes_alike_are_one():
 def test_a_mode_that_decays_before_its_shaper_ends_is_left_alone(method):
     """At 0.998 of the critical damping 5 degrees decay to 0.5 in 0.2 s; the shaper takes 4 s."""
     slow, light = SwingMode(2.0, 0.998, math.radians(5.0)), SwingMode(2.5, 0.1, math.radians(5.0))
-    assert impulses([slow], method)[0][-1] > 3.0
-    assert to_shape([slow, light], method) == [light]
+    assert steering.impulses([slow], method)[0][-1] > 3.0
+    assert steering.to_shape([slow, light], method) == [light]
 
 
 @pytest.mark.parametrize('move', [SLIDE, Smooth([0.2, 0.0, 0.1], [0.0, 0.4, 0.0], 0.8)])
 def test_the_inverse_ends_without_a_step_of_its_twist(move):
     """At 1 kHz its last 0.1 s ask for less acceleration and jerk than any arm would notice."""
-    tool = steer(MODEL, move.plan(), 'inverse').tool
+    tool = steering.steer(MODEL, move.plan(), 'inverse').tool
     end = resample(tool, tool.stamps_ns[-1] + 1_000_000 * np.arange(-100, 1))
     twist = np.pad(end.twist, ((0, 3), (0, 0)))
     assert not np.asarray(tool.twist)[-1].any()
@@ -228,8 +214,8 @@ def test_the_inverse_ends_without_a_step_of_its_twist(move):
 def test_a_plan_of_the_package_is_one(method):
     """What moves the package as wanted moves it as wanted when the package's motion is given."""
     plan = Smooth([0.3, 0.0, 0.0], [0.0, 0.0, 0.5], 0.6).plan()
-    wanted = hanging(MODEL, plan)
-    of_tool, of_package = (steer(MODEL, each, method, of is not None)
+    wanted = steering.hanging(MODEL, plan)
+    of_tool, of_package = (steering.steer(MODEL, each, method, of is not None)
                            for each, of in ((plan, None), (wanted, True)))
     assert_allclose(of_package.tool.position[[0, -1]], plan.position[[0, -1]], atol=2e-5)
     assert_allclose(of_package.tool.position, of_tool.tool.position, atol=2e-5)
@@ -237,7 +223,7 @@ def test_a_plan_of_the_package_is_one(method):
 
 def test_a_tool_that_tilts_ends_where_it_was_sent():
     plan = Smooth([0.2, 0.0, 0.1], [0.0, 0.4, 0.0], 0.8).plan()
-    found = steer(MODEL, plan, 'inverse').tool
+    found = steering.steer(MODEL, plan, 'inverse').tool
     assert_allclose(found.position[-1], plan.position[-1], atol=1e-4)
     assert angle(found.rotation[-1], plan.rotation[-1]) < 0.02
 
@@ -245,23 +231,25 @@ def test_a_tool_that_tilts_ends_where_it_was_sent():
 def test_what_cannot_be_steered_is_refused():
     plan = SLIDE.plan()
     with pytest.raises(BellowsError):
-        steer(MODEL, plan.select(slice(0, 200)), 'zv')
+        steering.steer(MODEL, plan.select(slice(0, 200)), 'zv')
     undamped = model_tuple(Cup(CUP.stiffness, 0.0 * CUP.damping, CUP.length), PACKAGE, 9.81)
     with pytest.raises(BellowsError):
-        inverse(undamped, hanging(undamped, plan))
+        steering.inverse(undamped, steering.hanging(undamped, plan))
     with pytest.raises(BellowsError, match=r'\b45\b'):
-        steer(MODEL, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.3).plan(), 'inverse')
+        steering.steer(MODEL, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.3).plan(), 'inverse')
 
 
 def test_the_expected_swing_is_that_of_monte_carlo():
     """100 draws have a root mean square to 7 %; the second order of the rest is a few percent."""
-    tool = steer(MODEL, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.6).plan(500), 'inverse').tool
+    plan = Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.6).plan(500)
+    tool = steering.steer(MODEL, plan, 'inverse').tool
     run = PlanSimulation(MODEL, None, tool, tail=0.5)
 
     def swing(model):
         return run.with_model(model).predict(1.0).figures()['swing_left']
 
     rng = np.random.default_rng(3)
-    draws = parameter_vector(VALUES) + deviations_of(VALUES) * rng.standard_normal((100, 52))
-    drawn = math.sqrt(np.mean([swing(model_with(MODEL, numbers)) ** 2 for numbers in draws]))
-    assert_allclose(math.sqrt(mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)
+    std = perturbed.deviations_of(VALUES)
+    draws = perturbed.parameter_vector(VALUES) + std * rng.standard_normal((100, 52))
+    drawn = math.sqrt(np.mean([swing(perturbed.model_with(MODEL, each)) ** 2 for each in draws]))
+    assert_allclose(math.sqrt(perturbed.mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)

@@ -1,20 +1,8 @@
 """The transform between the world of the tool's poses and that of the package's."""
 
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    inverse_transform,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.checks import validate
-from bellows_ros.core.recording.package_world import (
-    closed_form,
-    in_tool_world,
-    pose_of,
-    shifted_pose,
-)
+from bellows_ros.core.recording import package_world
 from bellows_ros.core.recording.recording import require_one_frame
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
@@ -22,7 +10,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-T_BASE_MOCAP = transform(exp_so3(np.array([0.3, -1.1, 2.0])), np.array([1.2, -0.7, 0.3]))
+T_BASE_MOCAP = lie.transform(lie.exp_so3(np.array([0.3, -1.1, 2.0])), np.array([1.2, -0.7, 0.3]))
 LENGTH = 0.05
 
 
@@ -30,13 +18,14 @@ def rigid(marker, aside):
     """Return streams of two bodies that hang together, the package as motion capture sees it."""
     t = np.arange(0.0, 6.0, 0.01)
     turn = np.stack([0.3 * np.sin(1.1 * t), 0.2 * np.sin(1.7 * t), 0.5 * np.sin(0.7 * t)], 1)
-    R = exp_so3(turn)
+    R = lie.exp_so3(turn)
     o = np.stack([0.1 * np.sin(t), 0.1 * np.cos(0.8 * t), 0.05 * np.sin(1.3 * t)], 1)
     stamps = 1_700_000_000_000_000_100 + np.round(1e9 * t).astype(np.int64)  # in no float
-    T = inverse_transform(T_BASE_MOCAP) @ transform(R, o + apply(R, np.array(aside) - [
+    T = lie.inverse_transform(T_BASE_MOCAP) @ lie.transform(R, o + lie.apply(R, np.array(aside) - [
         0.0, 0.0, LENGTH]))
     return (PoseStream('tool', 'base', stamps, o, R),
-            PoseStream('package', 'mocap', stamps, T[:, :3, 3], T[:, :3, :3] @ exp_so3(marker)))
+            PoseStream('package', 'mocap', stamps, T[:, :3, 3],
+                       T[:, :3, :3] @ lie.exp_so3(marker)))
 
 
 @pytest.mark.parametrize(('marker', 'aside'), [
@@ -44,13 +33,13 @@ def rigid(marker, aside):
 def test_the_closed_form_is_exact_for_a_rigid_cup(marker, aside):
     """Find the transform as well as poses are interpolated between others 10 ms apart."""
     tool, package = rigid(np.array(marker), aside)
-    pose = closed_form(
+    pose = package_world.closed_form(
         tool.trajectory(), package.trajectory(), LENGTH, np.zeros(3), any(marker))
     assert_allclose(
-        transform(quaternion_to_rotation(pose[3:]), pose[:3]), T_BASE_MOCAP, atol=1e-7)
-    moved = in_tool_world(package, pose, 'base')
+        lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3]), T_BASE_MOCAP, atol=1e-7)
+    moved = package_world.in_tool_world(package, pose, 'base')
     assert moved.frame_id == 'base'
-    lip = tool.position + apply(tool.rotation, np.array(aside) - [0.0, 0.0, LENGTH])
+    lip = tool.position + lie.apply(tool.rotation, np.array(aside) - [0.0, 0.0, LENGTH])
     assert_allclose(moved.position, lip, atol=1e-7)
 
 
@@ -59,26 +48,28 @@ def test_nothing_that_turns_tells_no_turn_between_the_worlds():
     still = PoseStream('tool', 'base', tool.stamps_ns, tool.position,
                        np.tile(np.eye(3), (len(tool), 1, 1)))
     with pytest.raises(BellowsError):
-        closed_form(still.trajectory(), package.trajectory(), LENGTH, np.zeros(3), True)
+        package_world.closed_form(
+            still.trajectory(), package.trajectory(), LENGTH, np.zeros(3), True)
 
 
 def test_a_small_motion_of_the_world_moves_what_is_seen_in_it():
     _, package = rigid(np.zeros(3), np.zeros(3))
-    pose = np.concatenate([T_BASE_MOCAP[:3, 3], rotation_to_quaternion(T_BASE_MOCAP[:3, :3])])
-    level, middle = exp_so3(np.array([np.pi / 2, 0.0, 0.0])), np.array([0.1, 0.2, 0.3])
+    pose = np.concatenate([T_BASE_MOCAP[:3, 3], lie.rotation_to_quaternion(T_BASE_MOCAP[:3, :3])])
+    level, middle = lie.exp_so3(np.array([np.pi / 2, 0.0, 0.0])), np.array([0.1, 0.2, 0.3])
     theta = np.array([1e-3, 2e-3, -3e-3, 0.01, -0.02, 0.03])
     before, after = (
-        apply(level, in_tool_world(package, p, 'base').position)
-        for p in (pose, shifted_pose(pose, level, middle, theta)))
+        lie.apply(level, package_world.in_tool_world(package, p, 'base').position)
+        for p in (pose, package_world.shifted_pose(pose, level, middle, theta)))
     assert_allclose(
-        after, middle + theta[:3] + apply(exp_so3(theta[3:]), before - middle), atol=1e-12)
+        after, middle + theta[:3] + lie.apply(lie.exp_so3(theta[3:]), before - middle), atol=1e-12)
 
 
 def test_two_frames_are_refused_with_the_remedy():
     tool, package = rigid(np.zeros(3), np.zeros(3))
     with pytest.raises(BellowsError):
         require_one_frame(tool, package)
-    require_one_frame(tool, in_tool_world(package, pose_of('0 0 0 0 0 0 1'), 'base'))
+    pose = package_world.pose_of('0 0 0 0 0 0 1')
+    require_one_frame(tool, package_world.in_tool_world(package, pose, 'base'))
 
 
 def test_the_parameter_takes_numbers_in_any_form_and_nothing_else():

@@ -3,18 +3,9 @@
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.synthetic import sensing
 from bellows_ros.core.synthetic.motion import sample_stamps
-from bellows_ros.core.synthetic.sensing import (
-    Faults,
-    measure_poses,
-    measure_twists,
-    schedule,
-    Sensor,
-    sensor_from,
-    twist_sensor_from,
-    TwistSensor,
-    WORLDS,
-)
+from bellows_ros.core.synthetic.sensing import Faults, Sensor, TwistSensor
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -22,7 +13,7 @@ import pytest
 
 EPOCH_NS = 1_700_000_000_000_000_000
 DURATION, REST = 20.0, 2.0
-Z_UP, MOTIVE = WORLDS['z_up'], WORLDS['motive_y_up']
+Z_UP, MOTIVE = sensing.WORLDS['z_up'], sensing.WORLDS['motive_y_up']
 # (4.1) as printed: from Motive's frame M to the world A.
 A_R_M = np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
 
@@ -32,7 +23,7 @@ def draw(seed=0):
 
 
 def plan_of(sensor, seed=0):
-    return schedule(sensor, DURATION, REST, EPOCH_NS, draw(seed))
+    return sensing.schedule(sensor, DURATION, REST, EPOCH_NS, draw(seed))
 
 
 def tumbling(stamps_ns):
@@ -48,7 +39,7 @@ def measured(sensor, world=Z_UP, seed=0):
     """Return plan, truth and what is recorded of it."""
     plan = plan_of(sensor, seed)
     truth = tumbling(plan.sampled_ns)
-    return plan, truth, measure_poses(truth, sensor, plan, world, draw(seed + 100))
+    return plan, truth, sensing.measure_poses(truth, sensor, plan, world, draw(seed + 100))
 
 
 def turned(R, other):
@@ -152,9 +143,10 @@ def test_jitter_moves_stamps_and_keeps_their_order():
 @pytest.mark.parametrize('world', ['z_up', 'motive_y_up'])
 def test_twists_are_in_the_axes_that_were_asked_for(world):
     marker = np.array([0.1, -0.4, 0.9])
-    plan, truth, poses = measured(Sensor('tool', 100.0, marker=marker), WORLDS[world])
+    plan, truth, poses = measured(Sensor('tool', 100.0, marker=marker), sensing.WORLDS[world])
     for frame in ('world', 'tool'):
-        twists = measure_twists(truth, TwistSensor(frame), marker, plan, WORLDS[world], draw())
+        twists = sensing.measure_twists(
+            truth, TwistSensor(frame), marker, plan, sensing.WORLDS[world], draw())
         # Whatever the world, turned by the recorded pose both are the velocities in marker axes.
         R_T = np.swapaxes(poses.rotation, -1, -2) if frame == 'world' else np.eye(3)
         seen = exp_so3(marker).T
@@ -166,9 +158,9 @@ def test_twist_noise_and_gaps():
     sensor = Sensor('tool', 500.0, dropouts=Faults(3, 0.1))
     plan = plan_of(sensor)
     truth = tumbling(plan.sampled_ns)
-    exact = measure_twists(truth, TwistSensor(), np.zeros(3), plan, Z_UP, draw())
+    exact = sensing.measure_twists(truth, TwistSensor(), np.zeros(3), plan, Z_UP, draw())
     sensor = TwistSensor('world', 2e-3, 5e-3)
-    noisy = measure_twists(truth, sensor, np.zeros(3), plan, Z_UP, draw())
+    noisy = sensing.measure_twists(truth, sensor, np.zeros(3), plan, Z_UP, draw())
     count = len(noisy)
     assert count == 10_001 - 150
     within = 5.0 / np.sqrt(2.0 * count)
@@ -202,7 +194,7 @@ def test_alignment_at_rest_removes_what_was_put_in(pickup):
         plan.sampled_ns, tool.position + apply(tool.rotation, o_E_S), tool.rotation @ R_E_S
     )
     recorded = [
-        measure_poses(truth, sensor, plan, Z_UP, draw())
+        sensing.measure_poses(truth, sensor, plan, Z_UP, draw())
         for truth, sensor in ((tool, tool_sensor), (plate, plate_sensor))
     ]
     position, rotation = aligned(*recorded)
@@ -230,8 +222,8 @@ def test_the_laboratory_recording_is_what_this_model_records(rig):
         lever = stream.position @ A_R_M.T - body.position
         origin = np.median(apply(np.swapaxes(body.rotation, -1, -2), lever), axis=0)
         sensor = Sensor(role, 360.0, origin=origin, marker=marker)
-        plan = schedule(sensor, (len(body) - 0.5) / 360.0, 2.0, 0, draw())
-        poses = measure_poses(body, sensor, plan, MOTIVE, draw())
+        plan = sensing.schedule(sensor, (len(body) - 0.5) / 360.0, 2.0, 0, draw())
+        poses = sensing.measure_poses(body, sensor, plan, MOTIVE, draw())
 
         off = poses.position - stream.position
         turn = turned(poses.rotation, stream.rotation)
@@ -264,13 +256,13 @@ SENSOR = {'rate_hz': 100.0}
 def test_a_wrong_setting_is_refused_by_name(content, message):
     with pytest.raises(BellowsError) as caught:
         settings = Settings(content, 'tool')
-        sensor_from(settings)
+        sensing.sensor_from(settings)
         settings.done()
     assert message in str(caught.value)
 
 
 def test_twist_settings():
-    assert twist_sensor_from(Settings({})) == TwistSensor('world', 0.0, 0.0)
-    assert twist_sensor_from(Settings({'publish': False})) is None
+    assert sensing.twist_sensor_from(Settings({})) == TwistSensor('world', 0.0, 0.0)
+    assert sensing.twist_sensor_from(Settings({'publish': False})) is None
     with pytest.raises(BellowsError, match="'frame'.*'body'"):
-        twist_sensor_from(Settings({'frame': 'body'}))
+        sensing.twist_sensor_from(Settings({'frame': 'body'}))

@@ -5,15 +5,8 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.toss.landing import (
-    aim,
-    changed,
-    contributions_to,
-    coverage,
-    draw,
-    release_factor,
-    TossProblem,
-)
+from bellows_ros.core.toss import landing
+from bellows_ros.core.toss.landing import TossProblem
 from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -47,10 +40,10 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, i
     if not COMPILED:
         pytest.skip('a thousand interpreted tosses take too long; see numba')
     nominal = toss(held, case.release, case.switched)
-    covariance = contributions_to(case, held, nominal).covariance
-    drawn = draw(case, nominal, count)
+    covariance = landing.contributions_to(case, held, nominal).covariance
+    drawn = landing.draw(case, nominal, count)
     assert drawn.failed == 0
-    assert abs(coverage(covariance, drawn.figures) - 0.95) <= inside
+    assert abs(landing.coverage(covariance, drawn.figures) - 0.95) <= inside
     linear, counted = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(drawn.covariance))
     assert linear[2] < 1e-12  # on the floor
     np.testing.assert_allclose(linear[[0, 1, 3, 4, 5]], counted[[0, 1, 3, 4, 5]], rtol=within)
@@ -59,10 +52,10 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, i
 def test_a_millisecond_later_is_what_the_flight_makes_of_it(case, held):
     """The part of the delay is the difference of two tosses so far apart in time."""
     nominal = toss(held, case.release, case.switched)
-    parts = contributions_to(case, held, nominal)
+    parts = landing.contributions_to(case, held, nominal)
     part = parts.parts[parts.names.index('release.delay')]
     late, early = (
-        toss(held, changed(case.release, by * np.eye(8)[0]), case.switched)
+        toss(held, landing.changed(case.release, by * np.eye(8)[0]), case.switched)
         for by in (1e-5, -1e-5))
     slope = np.subtract(late.landing[0], early.landing[0]) / 2e-5
     np.testing.assert_allclose(part[:2], 5e-4 * slope[:2], rtol=1e-3)
@@ -93,7 +86,7 @@ def test_aims_as_near_as_a_scan_of_all_times(case, held, target, turned):
     best = rough[np.argmin([distance(t) for t in rough])]
     fine = np.arange(max(0.0, best - every), best + every, 1e-5 if COMPILED else 1e-3)
     best = fine[np.argmin([distance(t) for t in fine])]
-    found = aim(held, case.release, target, wanted)
+    found = landing.aim(held, case.release, target, wanted)
     assert abs(found.switched - best) <= (1e-4 if COMPILED else 1e-3)
     assert found.distance == pytest.approx(
         np.hypot(*np.subtract(toss(held, case.release, found.switched).landing[0][:2], target)),
@@ -103,14 +96,14 @@ def test_aims_as_near_as_a_scan_of_all_times(case, held, target, turned):
 def test_refuses_to_aim_where_nothing_lands(case, held):
     """The floor is above the package all the time."""
     with pytest.raises(BellowsError):
-        aim(held, case.release._replace(height=5.0), (1.0, 0.0))
+        landing.aim(held, case.release._replace(height=5.0), (1.0, 0.0))
 
 
 def test_what_cannot_be_tossed_is_counted(case):
     """A valve that may not open in time fails now and then, and the rest counts."""
     nominal = toss(HeldMotion(case.model, case.grip, case.tool), case.release, case.switched)
     loose = case._replace(values={**case.values, 'release.delay_std': 0.4})
-    drawn = draw(loose, nominal, 12, seed=1)
+    drawn = landing.draw(loose, nominal, 12, seed=1)
     assert 0 < drawn.failed < 12
     assert len(drawn.figures) == 12 - drawn.failed
 
@@ -120,8 +113,8 @@ def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
     values = {**resolve(tosses.values()), 'release.opening': 0.02, 'release.closing': 20.0,
               'release.closing_std': 0.5}
     inside, near, far = (
-        np.diag(release_factor({**values, 'release.mass_range': (0.1, heaviest)}))
+        np.diag(landing.release_factor({**values, 'release.mass_range': (0.1, heaviest)}))
         for heaviest in (2.0, 1.8 / 1.1, 1.8 / 1.21))
-    np.testing.assert_allclose(inside, np.diag(release_factor(values)))
+    np.testing.assert_allclose(inside, np.diag(landing.release_factor(values)))
     np.testing.assert_allclose(far - inside, 2.0 * (near - inside), rtol=1e-9)
     assert (near[:2] > 1.15 * inside[:2]).all() and inside[4] == 0.5
