@@ -25,7 +25,7 @@ ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'l
 UPWARD = {'bellows_ros/workflows/result.py': 'plots'}
 """A result draws itself when it is asked to: matplotlib is optional."""
 CORE_NEEDS = {'numpy', 'scipy', 'numba', 'llvmlite', 'bellows_ros'}
-MOST_MODULES = 68  # of the package, folders not counted, for a plain `bellows identify`
+MOST_MODULES = 60  # of the package, folders not counted, for a plain `bellows identify`
 LONGEST_START = 0.3  # s of the processor, of `bellows --help`
 
 

@@ -34,7 +34,7 @@ import numpy as np
 from .domain import isolate
 
 if TYPE_CHECKING:
-    from bellows_ros.nodes.demo_player import Exchange
+    from bellows_ros.nodes.bag_player import Exchange
 
 IDENTIFICATION, VALIDATION = 'identification', 'validation'
 KNOWN = 'package.yaml'
@@ -114,7 +114,7 @@ def _predict_live(
     """
     with tempfile.TemporaryDirectory(prefix='bellows_log_') as logs:
         isolate(logs)
-        from bellows_ros.nodes.demo_player import converse, POSES, TWISTS
+        from bellows_ros.nodes.bag_player import converse, POSES, TWISTS
 
         names = {settings['topics.tool_pose']: POSES, settings['topics.tool_twist']: TWISTS}
         messages, _ = read_messages(bag, names)

@@ -15,8 +15,8 @@ from .outputs import Outputs
 from .tool_inputs import SensorInput
 from ..core.geometry.tuples import rotation_matrix
 from ..core.live import health, LivePredictor, Prediction
+from ..core.live.health import Window
 from ..core.live.load import Load
-from ..core.live.timing import Window
 
 HARDWARE = 'suction cup'
 TOPIC = '/diagnostics'

@@ -15,11 +15,9 @@ from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
 from ..core.model.simulation import tool_rows, ToolRows
 from ..core.planning.arm import Arm, read_arm
-from ..core.planning.joint_path import joint_excess, JointPath, Joints
 from ..core.planning.limits import NO_LIMITS, stretched
-from ..core.planning.points import plan_of_joints, timed
-from ..core.signals.tip import tip_of
-from ..core.signals.trajectory import NS_PER_S, Trajectory
+from ..core.planning.points import joint_excess, JointPath, Joints, plan_of_joints, timed
+from ..core.signals.trajectory import NS_PER_S, tip_of, Trajectory
 from ..errors import BellowsError
 from ..files.joint_plans import joint_plan, JointPlan
 

@@ -18,10 +18,10 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .conversions import stamp_to_ns, write_odometry
+from .guarding import Worker
 from .joint_planning import JointPlanning
 from .outputs import Topic
 from .tool_inputs import OVERRIDABLE
-from .worker import Worker
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import Level, number, Status
 from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
@@ -33,8 +33,7 @@ from ..core.model.validity_range import known_envelope
 from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation, predict
 from ..core.planning.points import rows_of
 from ..core.planning.steering import steer
-from ..core.signals.tip import at_tip, from_tip, tip_of
-from ..core.signals.trajectory import NS_PER_S, Trajectory
+from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
 from ..errors import BellowsError
 from ..files.plan_messages import (
     decode_multi_dof,

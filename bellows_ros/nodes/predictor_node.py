@@ -33,7 +33,7 @@ from ..core.live.uncertainty import warm_up_uncertainty
 from ..core.model.cup_package import cup_of, package_of
 from ..core.model.grip import grip_of
 from ..core.parameters.table import short
-from ..core.signals.tip import tip_of
+from ..core.signals.trajectory import tip_of
 from ..errors import BellowsError
 
 TICK = 0.02

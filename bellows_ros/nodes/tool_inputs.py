@@ -12,9 +12,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from .conversions import quaternion_xyzw, stamp_to_ns, vector
 from .guarding import GuardedNode
-from ..core.live.health import InputSeen, Mismatch
+from ..core.live.health import Arrivals, InputSeen, Mismatch
 from ..core.live.samples import PoseSample
-from ..core.live.timing import Arrivals
 from ..core.live.transforms import Chain
 from ..errors import BellowsError
 

@@ -11,11 +11,10 @@ from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import write_header, write_quaternion, write_stamp, write_vector
-from .markers import marker, NAMESPACE
-from .outputs import Topic
+from .guarding import Worker
+from .outputs import marker, NAMESPACE, Topic
 from .planning import Planning
 from .tool_inputs import OVERRIDABLE
-from .worker import Worker
 from ..core.geometry.arrays import Array
 from ..core.live import Prediction
 from ..core.live.flight import Flight, Landing, PATH_POINTS

@@ -20,16 +20,22 @@ from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.fastest import Fastest, fastest
-from bellows_ros.core.planning.joint_path import joint_excess, Joints
 from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanPrediction, PlanSimulation
-from bellows_ros.core.planning.points import plan_of, plan_of_joints, timed
+from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.signals.resampling import on_grid
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.timing import timing
-from bellows_ros.core.signals.tip import at_tip, from_tip, tip_of
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.core.signals.trajectory import (
+    at_tip,
+    from_tip,
+    NS_PER_S,
+    PoseStream,
+    tip_of,
+    Trajectory,
+    TwistStream,
+)
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag

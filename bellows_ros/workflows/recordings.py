@@ -23,7 +23,13 @@ from bellows_ros.core.recording.recording import (
     require_one_frame,
     TimeOffset,
 )
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import (
+    NS_PER_S,
+    PoseStream,
+    streams_at_tip,
+    tip_of,
+    TwistStream,
+)
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
@@ -105,10 +111,8 @@ def load(
             f"Topic '{empty[0]}' has no messages from recording.start to recording.end.")
     tool, twist = streams['tool_pose'], streams.get('tool_twist')
     if values.get('tool_pose.offset'):
-        from bellows_ros.core.signals import tip  # late: rare
-
-        tool, twist = tip.streams_at_tip(
-            tool, twist, tip.tip_of(values), values['tool_twist.frame'] == 'world')
+        tool, twist = streams_at_tip(
+            tool, twist, tip_of(values), values['tool_twist.frame'] == 'world')
     recording = _prepared(tool, streams['package_pose'], twist, settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(digests(path)) if with_digest else ()
@@ -222,8 +226,8 @@ def _registered(
         registered,
         regripped,
     )
+    from bellows_ros.core.recording.alignment import rough_offset
     from bellows_ros.core.recording.package_world import in_tool_world, pose_of, shifted_pose
-    from bellows_ros.core.signals.clocks import rough_offset
 
     world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
     wanted = {'time_offset': values['fit.time_offset'], 'package_world': world == ESTIMATE,

@@ -23,7 +23,7 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
-from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
+from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
 from bellows_ros.core.synthetic.sensing import (
     measure_poses,
     measure_twists,
@@ -31,7 +31,6 @@ from bellows_ros.core.synthetic.sensing import (
     schedule,
     WORLDS,
 )
-from bellows_ros.core.synthetic.tossing import Thrown, tossed, Truth
 from bellows_ros.core.toss.landing import release_factor
 from bellows_ros.core.toss.release import RELEASE_NAMES, release_of
 from bellows_ros.errors import BellowsError

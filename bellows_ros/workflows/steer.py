@@ -11,10 +11,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.perturbed import deviations_of, mean_square
 from bellows_ros.core.parameters.settings import Settings
-from bellows_ros.core.planning.joint_path import joint_excess
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
 from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED
-from bellows_ros.core.planning.points import timed
+from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError

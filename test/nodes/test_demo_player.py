@@ -6,9 +6,9 @@ from typing import Any
 
 from bellows_ros.files.bag_folder import Channel, Message
 from bellows_ros.files.messages import encode, LAYOUTS
-from bellows_ros.nodes import demo_player
+from bellows_ros.nodes import bag_player
+from bellows_ros.nodes.bag_player import converse, POSES
 from bellows_ros.nodes.conversions import stamp_to_ns
-from bellows_ros.nodes.demo_player import converse, POSES
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -71,7 +71,7 @@ def late(ros: Any) -> Iterator[Late]:
 def test_late_answers_to_probes_are_no_predictions(
         late: Late, monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for the answers to the recording, however many to probes come during it."""
-    monkeypatch.setattr(demo_player, 'ANSWER_TIMEOUT', 60.0)
+    monkeypatch.setattr(bag_player, 'ANSWER_TIMEOUT', 60.0)
     stamps = START + 20 * MS * np.arange(COUNT)
     topic = Channel('/arm', 'geometry_msgs/msg/PoseStamped', 'cdr')
     rows = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (COUNT, 1))

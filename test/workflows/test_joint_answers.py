@@ -5,8 +5,7 @@ import time
 from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
 from bellows_ros.core.planning.arm import read_arm
-from bellows_ros.core.planning.joint_path import Joints
-from bellows_ros.core.planning.points import plan_of_joints, quintic
+from bellows_ros.core.planning.points import Joints, plan_of_joints, quintic
 from bellows_ros.files.joint_plans import JointPlan
 from bellows_ros.files.plan_messages import PlanMessage
 from bellows_ros.files.plans import plans_in

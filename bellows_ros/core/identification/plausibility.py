@@ -5,8 +5,8 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.recording.alignment import ALIKE, turn_correlation
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.clocks import ALIKE, turn_correlation
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 import numpy as np
 

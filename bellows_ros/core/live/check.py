@@ -1,15 +1,15 @@
-"""Check parameter values together, by computing with them."""
+"""Check parameter values together, by computing with them, and pressures against them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 from typing import Any
 
 from bellows_ros.core.live.load import equivalent_box, Load
 from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.live.uncertainty import Uncertainty
-from bellows_ros.core.live.vacuum import check_thresholds
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
 from bellows_ros.errors import BellowsError
@@ -51,3 +51,27 @@ def check_live(values: Mapping[str, Any]) -> None:
             f'The prediction fails with these parameters ({error}). Check package.*, cup.*, '
             'envelope.* and their units.'
         ) from None
+
+
+def is_held(pressure: float, was_held: bool, values: Mapping[str, Any]) -> bool:
+    """Return whether the package is held, by absolute pressure (Pa), with hysteresis."""
+    if was_held:
+        return bool(pressure <= values['vacuum.detach_above'])
+    return bool(pressure < values['vacuum.attach_below'])
+
+
+def why_no_pressure(pressure: float) -> str:
+    """Return why a number is not an absolute pressure, or ''."""
+    if not math.isfinite(pressure):
+        return 'nan'
+    return 'negative' if pressure < 0.0 else ''
+
+
+def check_thresholds(values: Mapping[str, Any]) -> None:
+    """Raise BellowsError where the pressure for attaching lies above that for detaching."""
+    low, high = values['vacuum.attach_below'], values['vacuum.detach_above']
+    if low > high:
+        raise BellowsError(
+            f'vacuum.attach_below is {low:g} Pa, above vacuum.detach_above, {high:g} Pa. The '
+            'pressure falls when a package is picked up, so attach_below must be the lower one.'
+        )

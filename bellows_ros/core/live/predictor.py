@@ -20,8 +20,7 @@ from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import FrameChange, Screen
-from bellows_ros.core.live.tool_twist import PoseHistory
-from bellows_ros.core.live.twist_check import BACK, measured, TwistCheck
+from bellows_ros.core.live.tool_twist import BACK, measured, PoseHistory, TwistCheck
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, State

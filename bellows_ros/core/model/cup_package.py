@@ -11,13 +11,13 @@ from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple, Strains
-from bellows_ros.core.model.matrices import (
+from bellows_ros.core.model.structure import (
     check_inertia,
     inertia_matrix,
     matrix,
+    RELAXATION_TIMES,
     require_symmetric,
 )
-from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import blocks
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.layout import composed, places_of, SINGLE, UPPER
-from bellows_ros.core.model.matrices import inertia_matrix, matrix
+from bellows_ros.core.model.structure import inertia_matrix, matrix
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model import matrices
+from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import table
 from bellows_ros.core.parameters.table import Parameter, Value
 from bellows_ros.errors import BellowsError
@@ -247,9 +247,9 @@ def require(given: Mapping[str, object], required: Iterable[str]) -> None:
 
 
 _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
-    'package.inertia': lambda p, value: matrices.check_inertia(matrices.inertia_matrix(value)),
-    'cup.stiffness': lambda p, value: matrices.require_stiffness(matrices.matrix(value), p.name),
-    'cup.damping': lambda p, value: matrices.require_damping(matrices.matrix(value), p.name),
+    'package.inertia': lambda p, value: structure.check_inertia(structure.inertia_matrix(value)),
+    'cup.stiffness': lambda p, value: structure.require_stiffness(structure.matrix(value), p.name),
+    'cup.damping': lambda p, value: structure.require_damping(structure.matrix(value), p.name),
     'cup.layout': lambda p, value: _require_layout(value),
     'gravity.direction': lambda p, value: require_direction(value),
     'release.correlation': lambda p, value: require_correlation(value),

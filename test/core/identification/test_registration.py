@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.signals.clocks import rough_offset
+from bellows_ros.core.recording.alignment import rough_offset
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import _prepared, prepare_settings

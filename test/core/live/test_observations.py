@@ -3,11 +3,20 @@
 import math
 
 from bellows_ros.core.live import health, LivePredictor, REFUSALS, RESTARTS
-from bellows_ros.core.live.health import InputSeen, Level, Mismatch, PredictionSeen
+from bellows_ros.core.live.check import check_thresholds, is_held, why_no_pressure
+from bellows_ros.core.live.health import (
+    Arrivals,
+    InputSeen,
+    KEPT,
+    Level,
+    Mismatch,
+    PredictionSeen,
+    Quantiles,
+    Rhythm,
+    Window,
+)
 from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load, Safety
 from bellows_ros.core.live.samples import ORIGIN, Prediction
-from bellows_ros.core.live.timing import Arrivals, KEPT, Quantiles, Rhythm, Window
-from bellows_ros.core.live.vacuum import check_thresholds, is_held, why_no_pressure
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError

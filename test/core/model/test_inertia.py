@@ -3,7 +3,7 @@
 from contextlib import nullcontext
 
 from bellows_ros.core.model.cup_package import box_inertia, Package
-from bellows_ros.core.model.matrices import check_inertia
+from bellows_ros.core.model.structure import check_inertia
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.errors import BellowsError
 import numpy as np

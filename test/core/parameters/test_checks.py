@@ -3,7 +3,7 @@
 from array import array
 
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.matrices import inertia_matrix, matrix
+from bellows_ros.core.model.structure import inertia_matrix, matrix
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import lookup, PARAMETERS, parameters_of
 from bellows_ros.errors import BellowsError

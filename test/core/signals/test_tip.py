@@ -5,8 +5,14 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.planning.arm import Arm, Joint
-from bellows_ros.core.signals.tip import at_tip, from_tip, streams_at_tip, tip_of
-from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import (
+    at_tip,
+    from_tip,
+    PoseStream,
+    streams_at_tip,
+    tip_of,
+    TwistStream,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
