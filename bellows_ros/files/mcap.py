@@ -40,6 +40,7 @@ _MESSAGE_HEAD = np.dtype([
 _SHORTEST_MESSAGE = _MESSAGE_HEAD.itemsize - _RECORD_HEAD.size
 _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
+_CUT_HEAD = 'a message is damaged, as it is shorter than its head'
 _SKIP_STEP = 2**20
 _TOGETHER = 2**20  # bytes of messages outside chunks that are read at once
 _LARGEST_TIME = np.uint64(2**63 - 1)
@@ -140,7 +141,8 @@ class _Scan:
         try:
             for kind, body in records:
                 if kind == _MESSAGE:
-                    _require_head(len(body))
+                    if len(body) < _SHORTEST_MESSAGE:
+                        raise DamagedError(_CUT_HEAD)
                     alone += _RECORD_HEAD.pack(kind, len(body)) + body
                 if alone and (kind != _MESSAGE or len(alone) > _TOGETHER):
                     together, alone = bytes(alone), bytearray()
@@ -163,7 +165,8 @@ class _Scan:
                 if size > end - at - head or kind in (0, _CHUNK):
                     raise DamagedError('a record inside a chunk is damaged')
                 if kind == _MESSAGE:
-                    _require_head(size)
+                    if size < _SHORTEST_MESSAGE:
+                        raise DamagedError(_CUT_HEAD)
                     starts.append(at)
                 else:
                     before, starts = starts, []
@@ -232,12 +235,6 @@ class _Scan:
         self._counts.setdefault(topic, 0)
         if self._wanted(topic):
             self._wanted_channels.add(number)
-
-
-def _require_head(size: int) -> None:
-    """Refuse a message of a size that is less than that of its head."""
-    if size < _SHORTEST_MESSAGE:
-        raise DamagedError(f'a message is damaged: of its head it has {size} bytes')
 
 
 def _exactly(file: BinaryIO, size: int) -> bytes:
