@@ -211,8 +211,12 @@ class Cell:
             out[k] = [(int(self.stamps[k]), pose)]
         return out
 
-    def run(self, after=None):
-        """Let the observer follow; give its alarms (cause, s since the fault)."""
+    def run(self, after=None, before=None):
+        """
+        Let the observer follow; give its alarms (cause, s since the fault).
+
+        Calls before(seen) with each measurement, and after(k) when sample k of the tool is done.
+        """
         made, rng = self.made, self.rng
         noisy = [with_noise(rng, state, TOOL_NOISE) for state in self.tool]
         start = truth(noisy[:1])[0] if self.lost is None else truth(
@@ -221,7 +225,10 @@ class Cell:
         for k in range(1, len(noisy)):
             made.follow(int(self.stamps[k]), noisy[k - 1], noisy[k])
             for stamp_ns, pose in self.seen.get(k, []):
-                made.see(made.sensor.measurement(stamp_ns, *pose))
+                seen = made.sensor.measurement(stamp_ns, *pose)
+                if before is not None:
+                    before(seen)
+                made.see(seen)
             if after is not None:
                 after(k)
         return [(alarm.cause, (alarm.stamp_ns - int(self.stamps[0])) * 1e-9 - self.at)
