@@ -1,12 +1,16 @@
 """What holds for all commands: help, versions, exit codes, streams, start-up."""
 
+import argparse
+import importlib
 import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
 
 import bellows_ros
 from bellows_ros.cli.app import command_parser, COMMANDS
+from bellows_ros.cli.options import Output
 import pytest
 
 from .conftest import contents, MOTION, write_yaml
@@ -149,3 +153,20 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(workshop, tmp_path, user_enviro
     os.close(terminal)
     assert b'Interrupted' in shown and b'Traceback' not in shown
     assert contents(tmp_path) == before
+
+
+def test_every_output_is_known_as_one():
+    """Have all options that name what is written checked: those with FILE, and BAG and NAME."""
+    outputs = {}
+    for command in COMMANDS:
+        parser = argparse.ArgumentParser()
+        importlib.import_module(f'bellows_ros.cli.{command}').add_arguments(parser)
+        for action in parser._actions:
+            if action.metavar in ('FILE', 'NAME', 'BAG') and action.type not in (Path, None):
+                assert isinstance(action.type, type) and issubclass(action.type, Output)
+                outputs.setdefault(command, []).append(action.option_strings[0])
+            elif action.metavar in ('FILE', 'BAG'):
+                assert action.type is Path, (command, action)
+    assert outputs['identify'] == ['--out', '--json', '--report']
+    assert outputs['info'] == ['--write-params', '--json']
+    assert set(COMMANDS) == set(outputs)

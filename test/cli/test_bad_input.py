@@ -1,20 +1,32 @@
-"""Everything a user can get wrong has its own message, ends with 2, and touches no output."""
+"""What a command refuses: it says what is wrong, ends with 2, and changes no file."""
 
-from typing import Any
+import shlex
+import shutil
 
 from bellows_ros.files.bag_writer import Recorded, write_bag
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 import yaml
 
 from .conftest import contents, diagonal, PACKAGE, STIFFNESS, TOPICS, write_yaml
+from .test_plan import TRANSPORT
+from ..conftest import ROOT
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 RATE_HZ = 200.0
 START_NS = 1_700_000_000_000_000_000
-BEFORE = 'what was there before'
-
-Case = tuple[dict[str, Any], list[str]]
+BAGS = ROOT / 'bags'
+SHORT = {
+    'CELL': '--params package.yaml', 'CUP': '--params cup.yaml', 'GRIP': '--set '
+    'cup.lip_radius=0.03 --set vacuum.holding=60000', 'BAGS': f'{BAGS}', 'EXCITE':
+    'excite --params cup.yaml --out new --csv new.csv --limits', 'TOSS':
+    f'toss {BAGS}/throw.yaml --params {BAGS}/tossing.yaml --json new.json', 'STEER':
+    'steer --params cup.yaml --json new.json --out new --method', 'PLAN':
+    'plan --params cup.yaml --json new.json --out new', 'STATIC': 'static --params package.yaml',
+    'IDENTIFY': 'identify recording --params package.yaml'}
+"""What lines begin with or share; the cell is what stands in the folder."""
 
 
 def still(topic, seconds, start_s=0.0, kind=POSE):
@@ -28,236 +40,226 @@ def still(topic, seconds, start_s=0.0, kind=POSE):
     return Recorded(topic, kind, stamps_ns, values)
 
 
-def bag_of(folder, *recorded):
-    """Write a recording."""
-    write_bag(folder / 'bad', recorded)
-    return folder / 'bad'
-
-
-# ---- recordings ---------------------------------------------------------------------------------
-
-def missing(folder, good):
-    """Name a recording that is not there."""
-    return folder / 'bad'
-
-
-def empty_folder(folder, good):
-    """Make a folder without anything."""
-    (folder / 'bad').mkdir()
-    return folder / 'bad'
-
-
-def empty_bag(folder, good):
-    """Make a recording whose metadata knows topics but no message was recorded."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import get_typestore, Stores
-
-    with Writer(folder / 'bad', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        writer.add_connection('/tool_arm/pose', POSE, typestore=get_typestore(Stores.ROS2_JAZZY))
-    return folder / 'bad'
-
-
-def no_recording(folder, good):
-    """Name a file that is something else."""
+def write_bad_bags(folder):
+    """Write recordings that cannot be used."""
+    (folder / 'hollow').mkdir()
     (folder / 'bad.mcap').write_text('certainly not a recording')
-    return folder / 'bad.mcap'
+    with Writer(folder / 'empty', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection('/tool_arm/pose', POSE, typestore=get_typestore(Stores.ROS2_JAZZY))
+    tool, twist = still('/tool_arm/pose', 5.0), still('/tool_arm/twist', 5.0, kind=TWIST)
+    write_bag(folder / 'other', [still('/arm/pose', 5.0), still('/box/pose', 5.0)])
+    write_bag(folder / 'twists', [
+        still('/tool_arm/pose', 5.0, kind=TWIST), twist, still('/package/pose', 5.0)])
+    write_bag(folder / 'apart', [tool, twist, still('/package/pose', 5.0, start_s=60.0)])
 
 
-def other_topics(folder, good):
-    """Record under other names."""
-    return bag_of(folder, still('/arm/pose', 5.0), still('/box/pose', 5.0))
+def write_bad_files(folder):
+    """Write parameters, motions and limits that are wrong."""
+    known = {**PACKAGE, **TOPICS}
+    stiffness = diagonal((*STIFFNESS[:5], -1.0))
+    write_yaml(folder / 'indefinite.yaml', {**known, 'cup.stiffness': stiffness})
+    write_yaml(folder / 'unknown.yaml', {**known, 'package.weight': 1.8})
+    write_yaml(folder / 'massless.yaml', {n: v for n, v in known.items() if n != 'package.mass'})
+    (folder / 'torn.yaml').write_text('package: [1, 2')
+    (folder / 'sentence.yaml').write_text('just a sentence')
+    motion = yaml.safe_load((folder / 'motion.yaml').read_text())
+    write_yaml(folder / 'dance.yaml', {**motion, 'kind': 'dance'})
+    write_yaml(folder / 'transport.yaml', TRANSPORT)
+    write_yaml(folder / 'point.yaml', {**TRANSPORT, 'waypoints': {'poses': []}})
+    quick = {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.2}]}
+    write_yaml(folder / 'fast.yaml', {**TRANSPORT, 'waypoints': quick})
+    limits = yaml.safe_load((ROOT / 'config' / 'limits_example.yaml').read_text())
+    write_yaml(folder / 'arm.yaml', limits)
+    write_yaml(folder / 'noiseless.yaml', {**limits, 'tracking': {'tool': {'rate_hz': 500.0}}})
+    write_yaml(folder / 'speedless.yaml', {**limits, 'linear': None})
+    write_yaml(folder / 'misspelt.yaml', {**limits, 'bendig': 1.0})
+    write_yaml(folder / 'linar.yaml', {'linar': {'speed': 1.0}})
+    write_yaml(folder / 'safe.yaml', {'safety_factor': 1.0})
 
 
-def other_type(folder, good):
-    """Record twists where poses belong."""
-    return bag_of(
-        folder, still('/tool_arm/pose', 5.0, kind=TWIST),
-        still('/tool_arm/twist', 5.0, kind=TWIST), still('/package/pose', 5.0))
-
-
-def apart_in_time(folder, good):
-    """Record the package a minute after the tool."""
-    return bag_of(
-        folder, still('/tool_arm/pose', 5.0), still('/tool_arm/twist', 5.0, kind=TWIST),
-        still('/package/pose', 5.0, start_s=60.0))
-
-
-BAD_BAGS = {
-    'missing': (missing, ['bad', 'not']),
-    'empty folder': (empty_folder, ['bad']),
-    'empty bag': (empty_bag, ['bad', 'no message']),
-    'no recording': (no_recording, ['bad.mcap', 'neither an MCAP nor an SQLite file']),
-    'wrong topic': (other_topics, [
-        "Topic '/tool_arm/pose' is not in", '/arm/pose', '/box/pose', 'Set topics.tool_pose']),
-    'wrong type': (other_type, [
-        "Topic '/tool_arm/pose'", TWIST, 'accepted are', POSE, '/package/pose']),
-    'apart in time': (apart_in_time, ['/package/pose', '60']),
-}
-
-
-# ---- parameters ---------------------------------------------------------------------------------
-
-BAD_PARAMETERS = {
-    'no mass': (
-        {'package.mass': None},
-        ['package.mass', 'without a default', 'package.mass: 2.17', 'kg']),
-    'inertia of no body': (
-        {'package.inertia': [0.001, 0.001, 0.010, 0.0, 0.0, 0.0]},
-        ['package.inertia', '0.01', 'at most the sum of the other two', 'kg m^2']),
-    'negative inertia': (
-        {'package.inertia': [-0.001, 0.001, 0.001, 0.0, 0.0, 0.0]},
-        ['package.inertia', 'above zero']),
-    'K of 35 numbers': (
-        {'cup.stiffness': diagonal(STIFFNESS)[:35]},
-        ['cup.stiffness must be a list of 36 numbers', 'got 35']),
-    'K not definite': (
-        {'cup.stiffness': diagonal((*STIFFNESS[:5], -1.0))},
-        ['cup.stiffness is not positive definite', '-1']),
-    'unknown name': (
-        {'package.weight': 1.8},
-        ["Unknown parameter 'package.weight'", 'Did you mean', 'parameters.yaml, line']),
-    'near name': (
-        {'filter.tool.half_windows': 20},
-        ["Did you mean 'filter.tool.half_window'?"]),
-    'wrong kind': (
-        {'package.mass': 'heavy'},
-        ['package.mass must be a number', 'kg', 'heavy']),
-    'NaN': (
-        {'package.mass': float('nan')},
-        ['package.mass must be a number', 'nan']),
-}
-
-
-@pytest.fixture
-def outputs(tmp_path):
-    """Give a folder with outputs of before."""
-    folder = tmp_path / 'outputs'
-    folder.mkdir()
-    for name in ('cup.yaml', 'fit.json', 'replay.json'):
-        (folder / name).write_text(BEFORE)
+@pytest.fixture(scope='module')
+def cell(bellows, workshop, tmp_path_factory):
+    """Give a folder with a recording, what is known of it, results, and much that is wrong."""
+    folder = tmp_path_factory.mktemp('cell')
+    shutil.copytree(workshop, folder, dirs_exist_ok=True)
+    known = (folder / 'package.yaml').read_text()
+    (folder / 'bags.yaml').write_text(
+        f"{known}bags: ['recording']\nstatic.bags: ['recording']\n")
+    done = bellows(
+        'identify', 'recording', '--params', 'package.yaml', '--json', 'fit.json', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
+    (folder / 'link').symlink_to('recording')
+    (folder / 'sources').mkdir()
+    shutil.copy(folder / 'poses.tum', folder / 'sources')
+    write_bad_bags(folder)
+    write_bad_files(folder)
     return folder
 
 
-def check_refusal(done, outputs, before, words):
-    """Check exit code, message and that nothing was touched."""
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ''
-    assert done.stderr.startswith('bellows: ')
-    assert 'Traceback' not in done.stderr
-    for word in words:
-        assert word in done.stderr
-    assert contents(outputs) == before
+def words_of(line):
+    """Return the words of a line, with what is short for others."""
+    words = shlex.split(' '.join(SHORT.get(word, word) for word in line.split()))
+    return [word.replace('BAGS', f'{BAGS}') for word in words]
 
 
-def identify_command(bag, parameters, outputs):
-    """Return arguments that write both outputs."""
-    return ['identify', bag, '--params', parameters,
-            '--out', outputs / 'cup.yaml', '--json', outputs / 'fit.json']
+def check_refusal(bellows, folder, line, words):
+    """Check exit code, message, and that nothing was touched."""
+    before = contents(folder)
+    done = bellows(*words_of(line), cwd=folder)
+    assert (done.returncode, done.stdout) == (2, ''), done.stderr
+    assert done.stderr.startswith('bellows') and 'Traceback' not in done.stderr
+    for each in words.split(' ... '):
+        assert each in ' '.join(done.stderr.split())
+    assert contents(folder) == before
 
 
-def replay_command(bag, parameters, outputs):
-    """Return arguments that write the scores."""
-    return ['replay', bag, '--params', parameters, '--json', outputs / 'replay.json']
+@pytest.mark.parametrize('line', [
+    'info recording --json recording/recording.mcap',
+    'info recording --write-params recording/new.yaml',
+    'info recording/recording.mcap --json recording/metadata.yaml',
+    'info link --json recording/recording.mcap',
+    'info recording --json link/recording.mcap',
+    'IDENTIFY --out recording/recording.mcap',
+    'IDENTIFY --out package.yaml',
+    'IDENTIFY --report recording/page.html',
+    'IDENTIFY --set output.json=recording/recording.mcap',
+    'identify --params bags.yaml --json recording/recording.mcap',
+    'identify --params bags.yaml --set bags=x --json recording/metadata.yaml',
+    'structures recording CELL --json recording/metadata.yaml',
+    'structures --params bags.yaml --json recording/metadata.yaml',
+    'static recording CELL --out recording/recording.mcap',
+    'static --params bags.yaml --json recording/recording.mcap',
+    'compare fit.json fit.json --json fit.json',
+    'replay recording CUP --json recording/recording.mcap',
+    'replay recording CUP --report cup.yaml',
+    'simulate CUP --motion motion.yaml --out new --json motion.yaml',
+    'plot motion recording CELL --out recording/motion.png',
+    'plot motion recording CELL --out x.png --json package.yaml',
+    'view recording CUP --out recording/view.rrd',
+    'convert recording --topic /package/pose --out recording/package.tum',
+    'convert poses.tum --topic /p --out poses.tum',
+    'convert sources/poses.tum --topic /p --out sources --force',
+    'export cup.yaml --to sdf --out cup.yaml',
+])
+def test_output_that_is_read_is_refused(bellows, cell, line):
+    check_refusal(bellows, cell, line, 'input ... Give a name elsewhere')
 
 
-COMMANDS = {'identify': identify_command, 'replay': replay_command}
+@pytest.mark.parametrize(('line', 'words'), [
+    ('IDENTIFY --out no/cup.yaml', "no/cup.yaml' ... does not exist"),
+    ('IDENTIFY --json sources', "'sources' is a folder"),
+    ('PLAN transport.yaml --plot plan.txt', 'must end in .png, .svg or .pdf'),
+    ('simulate CUP --motion motion.yaml --out -', 'is for text'),
+    ('plot motion recording CELL --out -', 'is for text'),
+    ('export cup.yaml --to c --out - --json -', 'has room for one'),
+    ('view recording CUP --out a.png', 'must end in .rrd'),
+    ('plot motion recording CUP --out a.gif', 'must end in .png, .svg or .pdf'),
+    ('plot animation recording CUP --out a.png', 'must end in .gif or .mp4'),
+    ('STEER zv transport.yaml --plot plan.avi', '.pdf, .gif or .mp4'),
+])
+def test_output_that_cannot_be_written_is_refused(bellows, cell, line, words):
+    check_refusal(bellows, cell, line, words)
 
 
-@pytest.mark.parametrize('command', COMMANDS)
-@pytest.mark.parametrize('name', BAD_BAGS)
-def test_a_bad_recording(name, command, bellows, workshop, outputs, tmp_path):
-    """Say what is wrong with a recording."""
-    make, words = BAD_BAGS[name]
-    bag = make(tmp_path, workshop / 'recording')
-    before = contents(outputs)
-    done = bellows(*COMMANDS[command](bag, workshop / 'cup.yaml', outputs))
-    check_refusal(done, outputs, before, words)
+@pytest.mark.parametrize(('line', 'words'), [
+    ('identify CELL', 'No recording is given ... bags'),
+    ('structures CELL', 'bags is empty'),
+    ('STATIC', 'No static recording is given'),
+    ('info none --write-params new.yaml', 'does not exist'),
+    ('plot motion none CUP --out a.png', 'does not exist'),
+    ('identify none CELL', "'none' does not exist"),
+    ('identify hollow CELL', 'hollow'),
+    ('identify empty CELL', 'empty ... no message'),
+    ('identify bad.mcap CELL', 'bad.mcap ... neither an MCAP nor an SQLite file'),
+    ('replay bad.mcap CUP', 'bad.mcap ... neither an MCAP nor an SQLite file'),
+    ('identify other CELL', "'/tool_arm/pose' is not in ... /arm/pose, /box/pose ... Set topics."),
+    ('identify twists CELL', f"Topic '/tool_arm/pose' ... {TWIST} ... accepted are {POSE}"),
+    ('identify apart CELL', '/package/pose ... 60'),
+    ('replay apart CUP', '/package/pose ... 60'),
+    ('compare cup.yaml cup.yaml', 'cup.yaml'),
+    ('convert none.csv --out x', 'is not a file'),
+    ('convert recording --out x.tum', 'Name one with --topic'),
+    ('convert recording --out x', 'is already a recording'),
+    ('export none.yaml --to sdf --out x', 'none.yaml'),
+    ('PLAN no.yaml', "'no.yaml' does not exist"),
+    ('PLAN point.yaml', "Setting 'waypoints.poses'"),
+    ('PLAN transport.yaml --topic /x', "--topic /x: 'transport.yaml' ... Leave --topic out"),
+    (f'plan {"a" * 5000} CUP', 'a'),
+    ('STEER zv no.yaml', "'no.yaml' does not exist"),
+    ('STEER inverse fast.yaml', 'bend the cup by more than 45 degrees'),
+    ('simulate CUP --motion dance.yaml --out new', "'kind' ... multi_sine ... dance"),
+])
+def test_input_that_cannot_be_used_is_refused(bellows, cell, line, words):
+    check_refusal(bellows, cell, line, words)
 
 
-@pytest.mark.parametrize('command', COMMANDS)
-@pytest.mark.parametrize('name', BAD_PARAMETERS)
-def test_a_bad_parameter(name, command, bellows, workshop, outputs, tmp_path):
-    """Say which parameter is wrong, and what it must be."""
-    change, words = BAD_PARAMETERS[name]
-    values = {**PACKAGE, **TOPICS, **change}
-    values = {key: value for key, value in values.items() if value is not None}
-    before = contents(outputs)
-    file = write_yaml(tmp_path / 'parameters.yaml', values)
-    done = bellows(*COMMANDS[command](workshop / 'recording', file, outputs))
-    check_refusal(done, outputs, before, words)
+@pytest.mark.parametrize(('line', 'words'), [
+    ('identify recording --params massless.yaml',
+     'package.mass ... without a default ... package.mass: 2.17 ... kg'),
+    ('plan transport.yaml', 'package.mass ... bellows info ... --write-params'),
+    ('replay recording --params indefinite.yaml',
+     'cup.stiffness is not positive definite ... -1'),
+    ('replay recording --params unknown.yaml',
+     "unknown.yaml, line ... Unknown parameter 'package.weight' ... Did you mean"),
+    ('export motion.yaml --to sdf --out x', 'Unknown parameter'),
+    ('identify recording --params torn.yaml', 'torn.yaml, line ... not valid YAML'),
+    ('identify recording --params sentence.yaml', "sentence.yaml ... Give 'name: value' lines"),
+    ('IDENTIFY --set fit.structure', "--set takes NAME=VALUE, got 'fit.structure'"),
+    ('IDENTIFY --set fit.structur=full', "--set fit.structur: Unknown ... 'fit.structure'"),
+    ('IDENTIFY --set fit.structure=round', "axisymmetric_coupled, diagonal, full ... 'round'"),
+    ('IDENTIFY --set package.mass=-1', 'package.mass must be a number, above 0 ... (kg) ... -1'),
+    ('IDENTIFY --set package.mass=1,8', 'package.mass must be a number ... 1,8'),
+    ('IDENTIFY --set "package.com=[0, 0]"', 'package.com must be a list of 3 numbers ... got 2'),
+    ('IDENTIFY --set recording.align_at_rest=perhaps', 'true or false ... perhaps'),
+    ('STATIC m0 m1 --mass 1', '1 masses are given for 2 recordings'),
+    ('STATIC m0 --mass -1', 'package.mass'),
+    ('STATIC BAGS/static --mass 1.8', 'two or more different masses'),
+    ('info recording --from soon', 'recording.start'),
+    ('PLAN transport.yaml --set plan.frame=base', "expected plan.frame, 'base'"),
+    ('PLAN transport.yaml --fastest', 'cannot be found'),
+    ('PLAN transport.yaml GRIP --set vacuum.holding=0.6', '60000'),
+    ('STEER zv transport.yaml --limits no.yaml', "'no.yaml' does not exist"),
+    ('STEER zv transport.yaml --limits safe.yaml', 'set cup.lip_radius'),
+    ('STEER zv transport.yaml --limits linar.yaml', "Did you mean 'linear'?"),
+    ('EXCITE misspelt.yaml --time 6', "Did you mean 'bending'?"),
+    ('EXCITE noiseless.yaml --time 6', "'tracking.tool.noise' must have position"),
+    ('EXCITE speedless.yaml --time 6', "'linear.speed' is missing; it must be a number, above 0"),
+    ('EXCITE arm.yaml --time 4', 'expected 5 to 120 s'),
+    ('EXCITE arm.yaml --time 6 --seed -1', 'from 0 on'),
+    ('plot animation recording CUP --out a.gif --from 90', 'recording covers'),
+    ('plot motion recording CUP --out a.png --from 3 --to 2', 'above 3 s'),
+    ('plot motion recording CUP --out a.png --to -1', '--to must be above 0 s'),
+    ('plot spectra recording CUP --out a.png --to 3', 'Leave out --from and --to'),
+    ('replay recording CUP --calibrate-alarms', '--observe'),
+    ('replay recording CUP --calibrate-alarms --observe package/pose --out alarms.yaml --set '
+     'recording.end=0.7', ''),
+    ('TOSS --release 30', 'outside the plan'),
+    ('TOSS --release 3 --set landing.height=5.0', 'the floor is above'),
+    ('TOSS --release 3 --set package.size=0,0,0', 'package.size is'),
+    ('TOSS --release 3 --set release.tau=-0.01', 'release.tau must be a number, at least 0'),
+    ('TOSS --release nan', 'expected finite numbers'),
+    ('TOSS --target 1 inf', 'expected finite numbers'),
+    ('TOSS --target 1 0 --target-rotation 0 0 0 0', 'a quaternion of length 1'),
+    ('TOSS --target 1900 150', 'mm?'),
+    ('TOSS --release 3 --monte-carlo -3', 'expected 2 tosses or more'),
+    ('TOSS', 'Neither a time nor a target'),
+    ('TOSS --release 3 --target-rotation 0 0 0 1', 'but no target'),
+    ('TOSS --target 1 0 --set gravity.direction=0,1,0', 'not along -z'),
+])
+def test_values_that_are_not_allowed_are_refused(bellows, cell, line, words):
+    check_refusal(bellows, cell, line, words)
 
 
-@pytest.mark.parametrize(
-    ('text', 'words'),
-    [
-        ('package: [1, 2', ['parameters.yaml, line', 'not valid YAML']),
-        ('just a sentence', ['parameters.yaml', "Give 'name: value' lines"]),
-        ('', ['parameters.yaml', "Give 'name: value' lines"]),
-        ('package:\n  mass: 1.0\n  mass: 2.0\n', ['line 3', 'given twice']),
-    ],
-)
-def test_a_bad_parameter_file(text, words, bellows, workshop, outputs, tmp_path):
-    """Name file and line."""
-    file = tmp_path / 'parameters.yaml'
-    file.write_text(text)
-    before = contents(outputs)
-    done = bellows(*identify_command(workshop / 'recording', file, outputs))
-    check_refusal(done, outputs, before, words)
-
-
-@pytest.mark.parametrize(
-    ('override', 'words'),
-    [
-        ('fit.structure', ["--set takes NAME=VALUE, got 'fit.structure'"]),
-        ('fit.structur=full', ['--set fit.structur: Unknown parameter', "'fit.structure'"]),
-        ('fit.structure=round',
-         ['one of axisymmetric, axisymmetric_coupled, diagonal, full', "'round'"]),
-        ('package.mass=-1', ['package.mass must be a number, above 0', '(kg)', 'got -1']),
-        ('package.mass=1,8', ['package.mass must be a number', '1,8']),
-        ('package.com=[0, 0]', ['package.com must be a list of 3 numbers', 'got 2']),
-        ('filter.tool.half_window=2.5', ['filter.tool.half_window', '2.5']),
-        ('recording.align_at_rest=perhaps', ['true or false', 'perhaps']),
-    ],
-)
-def test_a_bad_override(override, words, bellows, workshop, outputs):
-    """Treat --set like a line of the file."""
-    before = contents(outputs)
-    command = identify_command(workshop / 'recording', workshop / 'package.yaml', outputs)
-    check_refusal(bellows(*command, '--set', override), outputs, before, words)
-
-
-def test_no_recording_at_all(bellows, workshop, outputs):
-    """Ask for one."""
-    before = contents(outputs)
-    done = bellows('identify', '--params', workshop / 'package.yaml')
-    check_refusal(done, outputs, before, ['No recording is given', 'bags'])
-
-
-@pytest.mark.parametrize('option', ['--out', '--json'])
-def test_an_output_that_cannot_be_written_is_found_before_the_work(
-    option, bellows, workshop, outputs
-):
-    """Refuse a folder that is not there, and a folder in the place of the file."""
-    before = contents(outputs)
-    for bad, words in ((outputs / 'no' / 'file', 'does not exist'), (outputs, 'is a folder')):
-        done = bellows('identify', workshop / 'missing', '--params', workshop / 'package.yaml',
-                       option, bad)
-        check_refusal(done, outputs, before, [words, str(bad)])
-
-
-@pytest.mark.parametrize(
-    ('change', 'words'),
-    [
-        ({'kind': 'dance'}, ["'kind'", 'multi_sine', 'dance']),
-        ({'duraton': 3.0}, ["Unknown setting 'duraton'", "'duration'"]),
-        ({'duration': -1.0}, ["'duration'", '-1']),
-    ],
-)
-def test_a_bad_motion(change, words, bellows, workshop, outputs, tmp_path):
-    """Name the setting, and make no recording."""
-    before = contents(outputs)
-    motion = {**yaml.safe_load((workshop / 'motion.yaml').read_text()), **change}
-    done = bellows(
-        'simulate', '--params', workshop / 'cup.yaml', '--out', outputs / 'new',
-        '--motion', write_yaml(tmp_path / 'motion.yaml', motion))
-    check_refusal(done, outputs, before, words)
+@pytest.mark.parametrize(('line', 'option', 'name'), [
+    ('export cup.yaml --to c', '--out', 'x.h'), ('IDENTIFY', '--out', 'x.yaml'),
+    ('info recording', '--write-params', 'x.yaml'),
+    ('simulate CUP --motion motion.yaml --out x --force', '--json', 'x.json')])
+def test_text_goes_to_stdout_where_its_name_is_a_dash(bellows, cell, tmp_path, line, option, name):
+    """Write the very text of the file and nothing else there, and no file of this name."""
+    here = {'x': tmp_path / 'x', **{path.name: path for path in cell.iterdir()}}
+    line = [str(here.get(word, word)) for word in words_of(line)]
+    assert bellows(*line, option, name, cwd=tmp_path).returncode == 0
+    done = bellows(*line, option, '-', cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, (tmp_path / name).read_text())
+    assert 'Wrote -' not in done.stderr and not (tmp_path / '-').exists()

@@ -37,10 +37,3 @@ def test_what_matters_exits_with_1(bellows, fits):
     (line,) = [line for line in done.stdout.splitlines() if line.startswith('  K rx')]
     assert '-20.00 %' in line and '*' in line
     assert 'The difference matters' in done.stdout
-
-
-def test_a_file_that_is_no_result_exits_with_2(bellows, workshop):
-    """Say what it is not."""
-    done = bellows('compare', workshop / 'cup.yaml', workshop / 'cup.yaml')
-    assert (done.returncode, done.stdout) == (2, '')
-    assert 'cup.yaml' in done.stderr

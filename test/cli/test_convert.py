@@ -58,21 +58,3 @@ def test_cups_go_out_with_a_word_on_what_is_lost(name, bellows, workshop, tmp_pa
     assert json.loads(done.stdout)['not_expressed']
     assert 'left out in' in done.stderr
     assert (tmp_path / 'model').read_text().endswith('\n')
-
-
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        (['convert', 'recording', '--out', 'x.tum'], 'Name one with --topic'),
-        (['convert', 'recording', '--out', 'x'], 'is already a recording'),
-        (['convert', 'none.csv', '--out', 'x'], 'is not a file'),
-        (['export', 'none.yaml', '--to', 'sdf', '--out', 'x'], 'none.yaml'),
-        (['export', 'motion.yaml', '--to', 'sdf', '--out', 'x'], 'Unknown parameter'),
-    ],
-)
-def test_bad_input_ends_with_2_and_writes_nothing(arguments, words, bellows, workshop, tmp_path):
-    """Say what is wrong."""
-    arguments = [str(tmp_path / a) if a.startswith('x') else a for a in arguments]
-    done = bellows(*arguments, cwd=workshop)
-    assert done.returncode == 2 and words in done.stderr, done.stderr
-    assert 'Traceback' not in done.stderr and list(tmp_path.iterdir()) == []

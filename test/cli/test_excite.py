@@ -52,23 +52,6 @@ def test_designs_and_writes(bellows, workshop, limits, tmp_path):
     assert again.returncode == 0 and 'swing left at the end' in again.stdout
 
 
-@pytest.mark.parametrize('change, time, message', [
-    ({'tracking': {'tool': {'rate_hz': 500.0}}}, 6, "'tracking.tool.noise' must have position"),
-    ({'linear': None}, 6, "'linear.speed' is missing; it must be a number, above 0 (m/s)"),
-    ({}, 4, 'expected 5 to 120 s'),
-    ({}, '6 --seed -1', 'from 0 on'),
-    ({'bendig': 1.0}, 6, "Did you mean 'bending'?"),
-])
-def test_bad_input_is_refused(bellows, workshop, tmp_path, change, time, message):
-    """Say what is wrong, and write nothing."""
-    file = write_yaml(tmp_path / 'arm.yaml', LIMITS | change)
-    before = contents(tmp_path)
-    done = bellows('excite', '--params', workshop / 'cup.yaml', '--limits', file, '--time',
-                   *str(time).split(), '--out', 'motion', '--csv', 'm.csv', cwd=tmp_path)
-    assert done.returncode == 2 and message in ' '.join(done.stderr.split())
-    assert contents(tmp_path) == before
-
-
 @pytest.mark.stress
 def test_a_series_is_three_plans_in_order(bellows, workshop, limits, tmp_path):
     """Write standstills, the motion and one for validation, each from rest and within limits."""

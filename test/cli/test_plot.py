@@ -51,24 +51,3 @@ def test_the_numbers_of_a_picture_are_given(bellows, workshop, tmp_path):
     content = json.loads(done.stdout)
     assert content['what'] == 'deflection'
     assert len(content['seconds']) == len(content['deflection']) == len(content['load']) > 1000
-
-
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        (['motion', 'recording', '--out', 'a.gif'], 'must end in .png, .svg or .pdf'),
-        (['animation', 'recording', '--out', 'a.png'], 'must end in .gif or .mp4'),
-        (['motion', 'none', '--out', 'a.png'], 'does not exist'),
-        (['animation', 'recording', '--out', 'a.gif', '--from', '90'], 'recording covers'),
-        (['motion', 'recording', '--out', 'a.png', '--from', '3', '--to', '2'], 'above 3 s'),
-        (['motion', 'recording', '--out', 'a.png', '--to', '-1'], '--to must be above 0 s'),
-        (['spectra', 'recording', '--out', 'a.png', '--to', '3'], 'Leave out --from and --to'),
-        (['portrait', 'recording', '--out', 'a.png'], 'invalid choice'),
-    ],
-)
-def test_bad_input_ends_with_2_and_draws_nothing(arguments, words, bellows, workshop, tmp_path):
-    """Say what is wrong."""
-    arguments = [str(tmp_path / a) if a.startswith('a.') else a for a in arguments]
-    done = bellows('plot', *arguments, '--params', 'cup.yaml', cwd=workshop)
-    assert done.returncode == 2 and words in done.stderr, done.stderr
-    assert 'Traceback' not in done.stderr and list(tmp_path.iterdir()) == []

@@ -93,17 +93,3 @@ def test_a_bad_prediction_is_a_no_and_names_its_cause(changes, words, code, bell
                    *(part for change in changes for part in ('--set', change)), cwd=workshop)
     assert done.returncode == code
     assert re.search(words, ' '.join(done.stderr.split()))
-
-
-def test_calibrating_alarms_takes_a_camera_and_enough_of_it(bellows, workshop):
-    """Refuse without a topic, and where the recording is too short; write nothing then."""
-    arguments = ('replay', 'recording', '--params', 'cup.yaml', '--calibrate-alarms')
-    done = bellows(*arguments, cwd=workshop)
-    assert done.returncode == 2
-    assert '--observe' in done.stderr
-    done = bellows(
-        *arguments, '--observe', 'package/pose', '--out', 'alarms.yaml', '--set',
-        'recording.end=0.7', cwd=workshop)
-    assert done.returncode == 2
-    assert 'Traceback' not in done.stderr
-    assert not (workshop / 'alarms.yaml').exists()

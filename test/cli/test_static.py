@@ -47,17 +47,3 @@ def test_length_and_spring_in_words_and_files(bellows, workshop, weights, tmp_pa
     found = read_parameters(tmp_path / 'l0.yaml')['cup.length']
     assert abs(found - PACKAGE['cup.length']) < 1e-4
     assert json.loads((tmp_path / 'static.json').read_text())['spring']['passed'] is True
-
-
-@pytest.mark.parametrize(('arguments', 'words'), [
-    ([], 'No static recording is given'),
-    (['m0', 'm1', '--mass', '1'], '1 masses are given for 2 recordings'),
-    (['m0', '--mass', '-1'], 'package.mass'),
-    (['m0', '--mass', '0.6'], 'two or more different masses'),
-    (['nothing', '--mass', '0.6'], 'nothing'),
-])
-def test_mistakes_are_explained(arguments, words, bellows, workshop, weights):
-    """Say what is wrong, and end with 2."""
-    done = bellows('static', *arguments, '--params', workshop / 'package.yaml', cwd=weights)
-    assert (done.returncode, done.stdout) == (2, '')
-    assert words in done.stderr and 'Traceback' not in done.stderr

@@ -6,7 +6,7 @@ from bellows_ros.files.bags import topics
 import numpy as np
 import pytest
 
-from .conftest import contents, write_yaml
+from .conftest import write_yaml
 from .test_plan import TRANSPORT
 
 STDS = ('--set', 'package.mass_std=0.01', '--set', 'package.com_std=0.001,0.001,0.001',
@@ -80,30 +80,3 @@ def test_an_animation_shows_planned_and_steered(bellows, workshop, transport, tm
     with image.open(tmp_path / 'steer.gif') as picture:
         expected = 48.0 * (json.loads(done.stdout)['duration'] + 0.5)
         assert abs(picture.n_frames - expected) <= 1.0
-
-
-@pytest.mark.parametrize(('options', 'words'), [
-    (('no.yaml', '--method', 'zv'), "'no.yaml' does not exist"),
-    (('plan.yaml',), '--method'),
-    (('plan.yaml', '--method', 'zvdd'), 'invalid choice'),
-    (('plan.yaml', '--method', 'zv', '--plot', 'plan.avi'), '.pdf, .gif or .mp4'),
-    (('plan.yaml', '--method', 'zv', '--limits', 'no.yaml'), "'no.yaml' does not exist"),
-    (('plan.yaml', '--method', 'zv', '--limits', 'bad.yaml'), "Did you mean 'linear'"),
-    (('plan.yaml', '--method', 'zv', '--limits', 'safe.yaml'), 'set cup.lip_radius'),
-    (('fast.yaml', '--method', 'inverse'), 'bend the cup by more than 45 degrees'),
-])
-def test_bad_input_ends_with_2_and_writes_nothing(
-    bellows, workshop, transport, tmp_path, options, words
-):
-    """Say what is wrong."""
-    (tmp_path / 'plan.yaml').write_bytes(transport.read_bytes())
-    write_yaml(tmp_path / 'bad.yaml', {'linar': {'speed': 1.0}})
-    write_yaml(tmp_path / 'safe.yaml', {'safety_factor': 1.0})
-    quick = {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.2}]}
-    write_yaml(tmp_path / 'fast.yaml', {**TRANSPORT, 'waypoints': quick})
-    before = contents(tmp_path)
-    done = bellows('steer', *options, '--params', workshop / 'cup.yaml', '--json', 'steer.json',
-                   '--out', 'steered', cwd=tmp_path)
-    assert done.returncode == 2, done.stdout + done.stderr
-    assert words in ' '.join(done.stderr.split())
-    assert contents(tmp_path) == before

@@ -18,10 +18,3 @@ def test_summary_and_json(bellows, workshop, tmp_path):
     assert 'nan' not in done.stdout and '\x1b' not in done.stdout
     content = json.loads((tmp_path / 'structures.json').read_text())
     assert content['structures']['advised'] == 'axisymmetric'
-
-
-def test_no_recording_is_explained(bellows, workshop):
-    """Say that none is given, and end with 2."""
-    done = bellows('structures', '--params', workshop / 'package.yaml')
-    assert (done.returncode, done.stdout) == (2, '')
-    assert 'bags is empty' in done.stderr
