@@ -28,6 +28,7 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,7 +48,6 @@ __all__ = [
     'steer', 'toss', 'write_cup', 'write_parameters',
 ]
 
-File = str | os.PathLike[str]
 Parameters = Mapping[str, object] | File
 """Parameters by name, as `read_parameters` and `parameters_of` return them, or their file."""
 

@@ -42,16 +42,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     result = compare_files(arguments.before, arguments.after)
     options.put_json(arguments.json, result)
-    _say(result, console)
+    _print_result(result, console)
     console.wrote(arguments.json)
     return NOT_USABLE if result.fits.matters else OK
 
 
-def _say(result: 'ResultComparison', console: Console) -> None:
+def _print_result(result: 'ResultComparison', console: Console) -> None:
     """Print the tables and the verdict."""
     from bellows_ros.core.parameters.table import short
 
-    console.say(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
+    console.line(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
     for title, changes in (
         ('Parameters', result.fits.parameters),
         ('Motion of the package of A on each cup', result.fits.effects),
@@ -59,8 +59,8 @@ def _say(result: 'ResultComparison', console: Console) -> None:
         console.table(_change_rows(changes), title=title)
     console.paragraph(*verdict(result))
     if result.settings:
-        console.say()
-        console.say('Made differently:')
+        console.line()
+        console.line('Made differently:')
         for difference in result.settings:
             before, after = ('-' if value is None else short(value, SETTING_WIDTH)
                              for value in (difference.before, difference.after))

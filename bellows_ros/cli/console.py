@@ -81,7 +81,7 @@ class Console:
         if self._signals:
             raise KeyboardInterrupt
 
-    def say(self, text: str = '', style: str = '') -> None:
+    def line(self, text: str = '', style: str = '') -> None:
         """Print a line of the result; without one it is empty, but never two, nor first."""
         if not text:
             self._gap = self._begun
@@ -102,22 +102,22 @@ class Console:
         for text in texts:
             indent = text[:len(text) - len(text.lstrip())]
             for line in _wrapped(text.strip(), indent, 2 * indent):
-                self.say(line, style)
+                self.line(line, style)
 
     def wrote(self, *files: str, then: Sequence[str] = ()) -> None:
         """Name the files that were written, leaving out '' and '-', and say what comes next."""
         named = [file for file in files if file not in ('', '-')]
         for line in (*(f'Wrote {file}.' for file in named), *(then if named else ())):
-            self.say(line)
+            self.line(line)
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
         """Print rows in columns between empty lines; all but the first right-aligned if wanted."""
-        self.say()
+        self.line()
         if title:
-            self.say(title, 'bold')
+            self.line(title, 'bold')
         for line in aligned(rows, right):
-            self.say(f'  {line}'.rstrip())
-        self.say()
+            self.line(f'  {line}'.rstrip())
+        self.line()
 
     def warn(self, *texts: str) -> None:
         """Print warnings."""

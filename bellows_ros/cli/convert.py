@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             done = convert.to_bag(
                 bodies, arguments.out, arguments.storage, arguments.force, span)
     options.put_json(arguments.json, done)
-    _say(done, console)
+    _print_result(done, console)
     console.wrote(arguments.json)
     console.wrote(done.out, then=() if text else (
         'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
@@ -143,12 +143,12 @@ def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -
                 'the link of the tool: --tool-link LINK.')
 
 
-def _say(done: 'Conversion', console: Console) -> None:
+def _print_result(done: 'Conversion', console: Console) -> None:
     """Print what was converted and what was left out."""
     for body in done.bodies:
         left = ', '.join(f'{count} {reason}' for reason, count in body.left_out.items())
-        console.say(f'{body.topic}: {body.poses} poses of {body.source}'
-                    + (f'; left out: {left}' if left else ''))
+        console.line(f'{body.topic}: {body.poses} poses of {body.source}'
+                     + (f'; left out: {left}' if left else ''))
     if done.world != 'z_up':
-        console.say(f'Its world has y up: set recording.world to {done.world}.')
+        console.line(f'Its world has y up: set recording.world to {done.world}.')
     console.warn(*done.notes)

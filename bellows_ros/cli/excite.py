@@ -84,20 +84,20 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: excite(
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
             arguments.beside, arguments.seed, progress, arguments.series, arguments.hold),
-        _say, lambda found: write_motion(
+        _print_result, lambda found: write_motion(
             arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
 
 
-def _say(found: 'DesignedMotion', console: Console) -> None:
+def _print_result(found: 'DesignedMotion', console: Console) -> None:
     """Print the expected errors and the active limits."""
     from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
 
     motion = found.design.motion
-    console.say(f'A motion of {motion.duration:g} s', 'bold')
+    console.line(f'A motion of {motion.duration:g} s', 'bold')
     held = math.degrees(math.hypot(*motion.tilt))
-    console.say(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name}'
-                + (f'; at the end {motion.hold:g} s at a tilt of {held:.0f} degrees)'
-                   if motion.hold else ')'), 'dim')
+    console.line(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name}'
+                 + (f'; at the end {motion.hold:g} s at a tilt of {held:.0f} degrees)'
+                    if motion.hold else ')'), 'dim')
     rows = [['entry', 'expected', '', *(f'{Path(name).stem}' for name in found.beside)]]
     parts = column([100.0 * error / abs(value) if value else 0.0
                     for value, error in zip(found.guess, found.errors, strict=True)])
@@ -113,14 +113,14 @@ def _say(found: 'DesignedMotion', console: Console) -> None:
         console.paragraph(
             'The expected values are standard errors if the guess is right; the other columns '
             'are the errors of other motions, as multiples of these.')
-    _say_series(found, console)
+    _print_series(found, console)
     console.table([['limit', 'taken', 'share in limiting the motion']] + [
         [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
         for name, ratio in found.design.ratios.items()])
     console.warn(*found.warnings)
 
 
-def _say_series(found: 'DesignedMotion', console: Console) -> None:
+def _print_series(found: 'DesignedMotion', console: Console) -> None:
     """Print what to record, in order, and what each recording identifies."""
     from bellows_ros.core.identification.result import LARGEST_ERROR
 
@@ -132,7 +132,7 @@ def _say_series(found: 'DesignedMotion', console: Console) -> None:
         'The motion above. It identifies K and P.',
         'Moves from pose to pose, as quick as the limits allow. Keep this recording out of the '
         'fit, and validate the cup with it.')
-    console.say('Record in this order', 'bold')
+    console.line('Record in this order', 'bold')
     for (name, (motion, _)), text in zip(found.series.items(), purposes, strict=True):
         console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')
     rows = [['standard error', *found.series]]
@@ -145,5 +145,5 @@ def _say_series(found: 'DesignedMotion', console: Console) -> None:
     console.table(rows, right=True)
     console.paragraph('Each column is for this recording alone, with the nominal length known; '
                       '- is not identifiable. Then identify the cup from all of them:')
-    console.say('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
-    console.say('      --set validation.bags=RECORDING_3 --report page.html')
+    console.line('  bellows identify RECORDING_2 --params PARAMS --set static.bags=RECORDING_1 \\')
+    console.line('      --set validation.bags=RECORDING_3 --report page.html')

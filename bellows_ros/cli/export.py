@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.put_json(arguments.json, {
         'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
     console.wrote(arguments.out, arguments.json)
-    console.say(f'What differs or is left out in {target.name}:')
+    console.line(f'What differs or is left out in {target.name}:')
     for sentence in lost:
         console.paragraph(f'  - {sentence}')
     return OK

@@ -99,8 +99,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         write_page(result, page)
     if options.STDOUT in (cup_file, json_file, page):
         console.keep_stdout_free()
-    _say(result, console)
-    console.say()
+    _print_result(result, console)
+    console.line()
     console.wrote(json_file, page)
     if not usable:
         kept = f'its file was {"written because of --force" if written else "not written"}'
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             '  bellows replay BAG ' + ' '.join(
                 f'--params {file}' for file in (*arguments.params, cup_file))))
     else:
-        console.say('The cup was not written to a file; give --out cup.yaml to keep it.')
+        console.line('The cup was not written to a file; give --out cup.yaml to keep it.')
     return OK if usable else NOT_USABLE
 
 
@@ -134,17 +134,18 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
             written += [arguments.out]
         options.put_json(arguments.json, {
             **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
-    _say_release(result, console)
+    _print_release(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK
 
 
-def _say_release(result: 'ReleaseResult', console: Console) -> None:
+def _print_release(result: 'ReleaseResult', console: Console) -> None:
     """Print the law with its errors, and how it explains the drops of each mass."""
     from bellows_ros.workflows.release import UNITS
 
     fit, milli = result.fit, 1e3
-    console.say(f'Release identified from {len(fit.drops)} drops in {listed(result.bags)}', 'bold')
+    drops = many(len(fit.drops), 'drop')
+    console.line(f'Release identified from {drops} in {listed(result.bags)}', 'bold')
     rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
     for k in fit.free:
         name = list(UNITS)[k]
@@ -185,16 +186,16 @@ def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]
     return {**values, **{name: value for name, value in named.items() if value}}
 
 
-def _say(result: 'Identification', console: Console) -> None:
+def _print_result(result: 'Identification', console: Console) -> None:
     """Print the cup, and the samples and findings behind it."""
     from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 
     fit, verdict = result.fit, result.verdict
     causes, sentences = (verdict.cause, verdict.sentences) if verdict else ((), ())
     console.paragraph(*causes)
-    console.say(f'Cup identified from {listed(result.bags)}', 'bold')
-    console.say(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
-    console.say()
+    console.line(f'Cup identified from {listed(result.bags)}', 'bold')
+    console.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
+    console.line()
     for simulated in verdict.simulated if verdict else ():
         if not all(map(math.isfinite, simulated.rms)):
             console.paragraph(simulated.sentence)
@@ -204,15 +205,15 @@ def _say(result: 'Identification', console: Console) -> None:
             *((name, *(f'{1e3 * x:.3g}' for x in values))
               for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
             right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
-    say_cup(fit, console)
-    _say_samples(result, console)
+    print_cup(fit, console)
+    _print_samples(result, console)
     console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
     console.paragraph(*result.findings[len(sentences):])
     console.paragraph(*result.refusals, style='red')
     console.warn(*result.warnings)
 
 
-def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
+def print_cup(fit: 'Fit', console: Console, title: str = '') -> None:
     """Print K and P with standard errors, a line per direction; with couplings all entries."""
     from bellows_ros.core.identification.result import UNITS
     from bellows_ros.core.model.structure import AXES, structure_named
@@ -237,7 +238,7 @@ def say_cup(fit: 'Fit', console: Console, title: str = '') -> None:
             'The first error is from these recordings alone, the second with what was given '
             '(package.*_std, cup.length_std, recording.*_std): with mass, inertia, K and P larger '
             'by one factor the motion is the same.')
-    say_relaxation(fit.relaxation, fit.relaxation_std, console)
+    print_relaxation(fit.relaxation, fit.relaxation_std, console)
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]
@@ -252,7 +253,7 @@ def _in_percent(error: float, value: float) -> str:
     return f'± {100.0 * error / abs(value):.2g} %' if math.isfinite(error) and value else ''
 
 
-def say_relaxation(
+def print_relaxation(
     strengths: tuple[float, float], errors: tuple[float, float], console: Console
 ) -> None:
     """Print how the rubber relaxes, if it does."""
@@ -262,7 +263,7 @@ def say_relaxation(
         console.paragraph(f'The rubber relaxes: {numbers}. K is the static stiffness.')
 
 
-def _say_samples(result: 'Identification', console: Console) -> None:
+def _print_samples(result: 'Identification', console: Console) -> None:
     """Print how many samples were used, and what was wrong with the poses of each topic."""
     fit = result.fit
     console.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in UNKNOWN], found.settings,
             [f'How to read {found.path}, as found by bellows info; check it.']))
-    _say(found, console)
+    _print_result(found, console)
     console.wrote(arguments.json)
     console.wrote(arguments.write_params, then=(
         'Fill in the package there, then:',
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
-def _say(found: 'Info', console: Console) -> None:
+def _print_result(found: 'Info', console: Console) -> None:
     """Print the topics, their roles and notes."""
     from bellows_ros.core.recording.alignment import SHORTEST_REST
 
@@ -70,7 +70,7 @@ def _say(found: 'Info', console: Console) -> None:
     for topic in found.topics:
         for line in _facts(topic):
             console.paragraph(f'  {topic.name}: {line}')
-    console.say()
+    console.line()
     for role, guess in (('tool', found.tool), ('package', found.package), ('twist', found.twist)):
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
         name = f'probably {guess.topic}' if guess else 'not found'
@@ -80,9 +80,9 @@ def _say(found: 'Info', console: Console) -> None:
             f'Valve    probably {found.valve}: the only std_msgs/Bool (topics.valve).')
     if world := found.settings.get('recording.world'):
         axes = 'z up' if world == 'z_up' else "Motive's, y up"
-        console.say(f'World    probably {axes} (recording.world: {world}).')
+        console.line(f'World    probably {axes} (recording.world: {world}).')
     if found.rest_s is not None and found.rest_s >= SHORTEST_REST:
-        console.say(f'Both stand still for the first {found.rest_s:.1f} s.')
+        console.line(f'Both stand still for the first {found.rest_s:.1f} s.')
     console.paragraph(*found.notes)
 
 

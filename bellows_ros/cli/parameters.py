@@ -48,13 +48,13 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         console.wrote(arguments.json)
         return OK
     for parameter in chosen:
-        console.say(parameter.name, 'bold')
+        console.line(parameter.name, 'bold')
         users = ' and '.join(parameter.used_by)
         facts = f'{parameter.constraint}; {parameter.default_text}; {users}'
         for text in (facts, parameter.description):
             for line in textwrap.wrap(
                     text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT):
-                console.say(line)
+                console.line(line)
     return OK
 
 

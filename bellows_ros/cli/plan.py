@@ -48,17 +48,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: plan(
             arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
             arguments.fastest),
-        _say, lambda report: write_prediction(
+        _print_result, lambda report: write_prediction(
             arguments.out, report.source, report.driven[0], report.driven[1], arguments.force),
         good=lambda report: report.holds)
 
 
-def _say(report: 'PlanReport', console: Console) -> None:
+def _print_result(report: 'PlanReport', console: Console) -> None:
     """Print the figures and their meaning."""
     source = report.source
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
-    console.say(f'Plan {source.path}', 'bold')
-    console.say(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
+    console.line(f'Plan {source.path}', 'bold')
+    console.line(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
     console.table(figure_rows(report))
     console.warn(*report.warnings)
     if report.fastest and report.driven[2]:
@@ -67,7 +67,7 @@ def _say(report: 'PlanReport', console: Console) -> None:
             f'{report.driven[0].seconds[-1]:.3f} s; --out writes that motion.')
     if not report.warnings:
         known = any(source.values['envelope.rates'])
-        console.say('The grip holds' + (
+        console.line('The grip holds' + (
             ', within the validity range.' if known else
             '. The validity range of the cup is unknown.'), 'green')
 

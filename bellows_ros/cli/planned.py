@@ -37,7 +37,7 @@ def add_plan_options(
 def run_plan_command(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
-    say: Callable[[Any, Console], None],
+    print_result: Callable[[Any, Console], None],
     write: Callable[[Any], None] | None = None, film: Callable[[Any], None] | None = None,
     good: Callable[[Any], bool] = lambda result: True,
 ) -> int:
@@ -52,7 +52,7 @@ def run_plan_command(
         From parameters by name and a progress to a `workflows.result.CommandResult`.
     write : callable
         Writes a result as the recording `out`.
-    say : callable
+    print_result : callable
         Print the result.
     film : callable
         Writes a film of a result as `plot`.
@@ -88,7 +88,7 @@ def run_plan_command(
                 options.put_json(arguments.json, {
                     **result.as_json(), 'version': __version__,
                     'provenance': provenance(plans, arguments.params)})
-    say(result, console)
+    print_result(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))
     return OK if good(result) else NOT_USABLE

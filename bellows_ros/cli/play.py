@@ -72,17 +72,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         played = play(messages, names, arguments.rate, arguments.stamps == 'now', arguments.loop,
                       progress)
     options.put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)})
-    _say(played, console)
+    _print_result(played, console)
     return OK
 
 
-def _say(played: 'Played', console: Console) -> None:
+def _print_result(played: 'Played', console: Console) -> None:
     """Print what was sent."""
     width = max(map(len, played.messages))
     for name, count in played.messages.items():
-        console.say(f'  {name:{width}}  {count} messages')
-    console.say(f'Played in {played.duration:.1f} s; the latest message was '
-                f'{1e3 * played.latest:.1f} ms late.')
+        console.line(f'  {name:{width}}  {count} messages')
+    console.line(f'Played in {played.duration:.1f} s; the latest message was '
+                 f'{1e3 * played.latest:.1f} ms late.')
     if not played.heard:
         console.warn(
             'No subscriber was connected at the start. Start the predictor first, in the same '

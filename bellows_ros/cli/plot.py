@@ -114,24 +114,19 @@ def _drawn(
     progress: Progress,
 ) -> Any:
     """Read, draw and write; return what the picture shows."""
+    from bellows_ros.plots import recording
     from bellows_ros.plots.animation import write_animation
     from bellows_ros.plots.plan import margin_figure
     from bellows_ros.plots.prediction import prediction_figure
-    from bellows_ros.plots.recording import (
-        deflection_figure,
-        motion_figure,
-        path_figure,
-        residual_figure,
-        spectra_figure,
-    )
     from bellows_ros.plots.style import write_figure
     from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
 
     replay = partial(replayed, progress=progress)
     kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
-        'motion': (motion, motion_figure), 'path': (motion, path_figure),
-        'deflection': (loads, deflection_figure), 'residuals': (loads, residual_figure),
-        'margin': (margins, margin_figure), 'spectra': (spectra, spectra_figure),
+        'motion': (motion, recording.motion_figure), 'path': (motion, recording.path_figure),
+        'deflection': (loads, recording.deflection_figure),
+        'residuals': (loads, recording.residual_figure),
+        'margin': (margins, margin_figure), 'spectra': (spectra, recording.spectra_figure),
         'prediction': (replay, lambda shown, note, theme: prediction_figure(
             shown.seconds, shown.live, 'Package: predicted, and measured',
             f'relative to the tool; {note}', theme)),

@@ -109,26 +109,26 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             write_text(arguments.report, replay_report(result, arguments.params))
             written += [arguments.report]
         options.put_json(arguments.json, result.as_json(limit, arguments.params))
-    _say(result, limit, arguments, console)
+    _print_result(result, limit, arguments, console)
     failing = result.validation.failing(limit)
     worse = failing if arguments.limit is not None else result.validation.worse_than_noise
     return NOT_USABLE if worse else OK
 
 
-def _say(
+def _print_result(
     result: 'Replay', limit: float, arguments: argparse.Namespace, console: Console
 ) -> None:
     """Print the errors per axis and their meaning."""
     from bellows_ros.workflows.recordings import offset_sentence
 
     rest = result.validation.start == 'equilibrium'
-    console.say(f'Replay of {arguments.bag}', 'bold')
+    console.line(f'Replay of {arguments.bag}', 'bold')
     console.paragraph(
         '(package relative to the tool, predicted minus measured; from '
         f'{"static equilibrium" if rest else "the measured state"})', style='dim')
     console.table(_error_rows(result), right=True)
     console.paragraph(LEGEND, style='dim')
-    console.say()
+    console.line()
     found = result.validation
     console.paragraph(
         found.verdict(limit),
@@ -144,12 +144,12 @@ def _say(
             f'The live prediction took {result.live.took:.2f} s, '
             f'{result.live.real_time_factor:.0f} times faster than real time.')
     if result.observed:
-        _say_observed(result.observed, console)
+        _print_observed(result.observed, console)
     console.warn(*result.warnings)
     console.wrote(arguments.json, arguments.report, arguments.out)
 
 
-def _say_observed(found: 'Observed', console: Console) -> None:
+def _print_observed(found: 'Observed', console: Console) -> None:
     """Print the gain by measured poses, and alarms."""
     from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 

@@ -58,28 +58,28 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         report = simulate_recording(
             values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
     options.put_json(arguments.json, report)
-    _say(report, console)
+    _print_result(report, console)
     console.wrote(arguments.json)
     return OK
 
 
-def _say(report: 'SimulationReport', console: Console) -> None:
+def _print_result(report: 'SimulationReport', console: Console) -> None:
     """Print what was recorded."""
-    console.say(f'Recorded {report.duration_s:g} s to {report.bag}', 'bold')
+    console.line(f'Recorded {report.duration_s:g} s to {report.bag}', 'bold')
     width = max(map(len, report.messages))
     for topic, count in report.messages.items():
         kinds = Counter(event.kind for event in report.events if event.topic == topic)
         put_in = [many(count, kind) for kind, count in kinds.items()]
-        console.say(f'  {topic:{width}}  {count:6} messages'
-                    + (f', with {" and ".join(put_in)}' if put_in else ''))
-    console.say(f'The cup bends by up to {math.degrees(report.largest_bending_rad):.1f} degrees, '
-                f'at {report.largest_bending_time_s:.2f} s.')
+        console.line(f'  {topic:{width}}  {count:6} messages'
+                     + (f', with {" and ".join(put_in)}' if put_in else ''))
+    console.line(f'The cup bends by up to {math.degrees(report.largest_bending_rad):.1f} degrees, '
+                 f'at {report.largest_bending_time_s:.2f} s.')
     if report.margin:
         console.paragraph(report.margin.sentence)
     if report.tosses:
         late = [1e3 * (toss.release_time - toss.valve_time) for toss in report.tosses]
-        console.say(f'{len(late)} tosses, released {min(late):.1f} to {max(late):.1f} ms after '
-                    'the valve.')
+        console.line(f'{len(late)} tosses, released {min(late):.1f} to {max(late):.1f} ms after '
+                     'the valve.')
     if report.truth:
-        console.say(f'The true motion: {report.truth}')
+        console.line(f'The true motion: {report.truth}')
     console.warn(*report.warnings)

@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             written += [arguments.out]
         options.put_json(
             arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
-    _say(result, console)
+    _print_result(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK if result.spring is None or result.spring.passed else NOT_USABLE
 
@@ -87,13 +87,13 @@ def _bags(
     return list(zip(map(str, bags), each, strict=True)) or static_bags(resolve(settings))
 
 
-def _say(result: 'StaticResult', console: Console) -> None:
+def _print_result(result: 'StaticResult', console: Console) -> None:
     """Print standstills, length and spring."""
     console.table(_standstill_rows(result), right=True, title='Standstills')
     if result.creep:
         console.paragraph(result.creep)
-        console.say()
-    _say_length(result, console)
+        console.line()
+    _print_length(result, console)
     if result.spring is not None:
         console.table(
             _spring_rows(result.spring), right=True,
@@ -147,19 +147,19 @@ def _column(
     return ['-' if text == 'nan' else f'{text} {name}' for text in texts]
 
 
-def _say_length(result: 'StaticResult', console: Console) -> None:
+def _print_length(result: 'StaticResult', console: Console) -> None:
     """Print the nominal length, or why it is not identifiable."""
     length = result.length
     if length is None:
         console.paragraph(f'No nominal length: {result.no_length}')
         return
-    console.say('Nominal length', 'bold')
-    console.say(f'  l0 {length.text}')
+    console.line('Nominal length', 'bold')
+    console.line(f'  l0 {length.text}')
     console.paragraph(
         f'  {"straight line" if len(length.coefficients) == 2 else "cubic"} through '
         f'{len(length.loads)} standstills.')
     if math.isfinite(length.pick_std):
-        console.say(f'  scatter from pick to pick {1e3 * length.pick_std:.2f} mm')
+        console.line(f'  scatter from pick to pick {1e3 * length.pick_std:.2f} mm')
     beyond = length.linear_load < float(length.loads.max())
     console.paragraph(
         f'  Axial stiffness {length.stiffness:.3g} N/m; linear up to '

@@ -66,12 +66,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: steer_plan(
             arguments.plan, values, arguments.method, arguments.limits or '',
             str(arguments.urdf or ''), arguments.topic),
-        _say, write, film)
+        _print_result, write, film)
 
 
-def _say(report: 'SteerReport', console: Console) -> None:
+def _print_result(report: 'SteerReport', console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
-    console.say(f'Plan {report.source.path}, steered by {report.method}', 'bold')
+    console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows = [(
         'motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled',
         'safety')]

@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 
 from . import options
 from .console import Console, NOT_USABLE, OK
-from .identify import say_relaxation
+from .identify import print_relaxation
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identify import StructureAdvice
@@ -42,12 +42,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         result = structures(settings, progress)
     options.put_json(arguments.json, result)
-    _say(result, console)
+    _print_result(result, console)
     console.wrote(arguments.json)
     return OK if result.selection.fits else NOT_USABLE
 
 
-def _say(result: 'StructureAdvice', console: Console) -> None:
+def _print_result(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
     from bellows_ros.report.cup import excitation_rows, parameter_rows, structure_rows
     from bellows_ros.workflows.identification import excitation_json, selection_json
@@ -67,8 +67,8 @@ def _say(result: 'StructureAdvice', console: Console) -> None:
         f'{selection.samples} samples, equivalent to {selection.effective_samples:.0f} '
         'independent ones.'
     )
-    console.say()
+    console.line()
     relaxation = result.recordings[0].relaxation
-    say_relaxation(relaxation.strengths, relaxation.std, console)
+    print_relaxation(relaxation.strengths, relaxation.std, console)
     console.paragraph(*selection.advice)
     console.warn(*result.warnings)

@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.plan, values, arguments.release, arguments.target,
             arguments.target_rotation, arguments.monte_carlo, progress,
             str(arguments.urdf or ''), arguments.topic),
-        _say, lambda result: write_toss(arguments.out, result, arguments.force),
+        _print_result, lambda result: write_toss(arguments.out, result, arguments.force),
         good=lambda result: result.reached)
 
 
@@ -91,7 +91,7 @@ def _require_numbers(arguments: argparse.Namespace) -> None:
                 f'--target is {given} m; expected at most {FARTHEST:g} m. Is it in mm?')
 
 
-def _say(result: 'TossResult', console: Console) -> None:
+def _print_result(result: 'TossResult', console: Console) -> None:
     """Print release, landing, its uncertainty, and the largest contribution."""
     import numpy as np
 
@@ -100,37 +100,37 @@ def _say(result: 'TossResult', console: Console) -> None:
     speed = math.hypot(*found.release[2])
     x, y, _ = found.landing[0]
     std = np.sqrt(np.diag(result.covariance))
-    console.say('Toss', 'bold')
+    console.line('Toss', 'bold')
     mode = 'its lip peels' if found.release_mode == 'peel' else (
         'its suction is blown off' if case.release.law[5] else 'after the delay')
-    console.say(
+    console.line(
         f'  valve     {case.switched:.4f} s; lets go {late:.1f} ms later ({mode}) at '
         f'{speed:.2f} m/s')
     turned = math.degrees(float(np.linalg.norm(std[3:])))
-    console.say(f'  landing   {found.landing_time:.4f} s at x {with_error(x, std[0], "m")}, '
-                f'y {with_error(y, std[1], "m")}')
+    console.line(f'  landing   {found.landing_time:.4f} s at x {with_error(x, std[0], "m")}, '
+                 f'y {with_error(y, std[1], "m")}')
     unsure = f'turned ± {turned:.2g} deg, ' if turned else ''
-    console.say(f'            {unsure}tumbling at {found.tumbling:.2f} rad/s')
+    console.line(f'            {unsure}tumbling at {found.tumbling:.2f} rad/s')
     if result.aim is not None:
         before = result.distance_as_asked
         gain = '' if before is None else f', instead of {MILLI * before:.1f} mm with --release'
         angle = f', {math.degrees(result.aim.angle):.1f} deg' if result.aim.angle else ''
-        console.say(f'  target    {MILLI * result.aim.distance:.2f} mm{angle} away{gain}')
+        console.line(f'  target    {MILLI * result.aim.distance:.2f} mm{angle} away{gain}')
     if result.drawn is not None:
         counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
         from bellows_ros.core.toss.landing import coverage
 
         inside = 100.0 * coverage(result.covariance, result.drawn.figures)
-        console.say(
+        console.line(
             f'  drawn     {len(result.drawn.figures)} tosses: x {counted[0]:.1f} mm, y '
             f'{counted[1]:.1f} mm; {inside:.1f} % in the 95 % ellipse; {result.drawn.failed} '
             'failed')
-    console.say()
-    _say_budget(result, console)
+    console.line()
+    _print_budget(result, console)
     console.warn(*result.warnings)
 
 
-def _say_budget(result: 'TossResult', console: Console) -> None:
+def _print_budget(result: 'TossResult', console: Console) -> None:
     """Print the contributions to the uncertainty, and which to reduce first."""
     groups = result.groups()
     if not groups:

@@ -12,7 +12,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.cli.console import Console, NOT_USABLE, OK, percent, Progress, run_guarded
-from bellows_ros.cli.identify import say_cup
+from bellows_ros.cli.identify import print_cup
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
@@ -77,17 +77,17 @@ def run(bags: Path, out: Path, console: Console) -> int:
             f"Output folder '{out}' cannot be made: {error.strerror}. Give another with --out."
         ) from None
     known, bag = read_parameters(bags / KNOWN), bags / IDENTIFICATION
-    console.say(f'1. Identify the cup from {bag}', 'bold')
+    console.line(f'1. Identify the cup from {bag}', 'bold')
     with console.progress() as progress:
         found = identify(resolve({**known, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
     save(found, out / 'cup.yaml', out / 'fit.json')
     settings = resolve({**known, **found.parameters()}, PACKAGE_PARAMETERS)
     bag = bags / VALIDATION
-    console.say(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
+    console.line(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
     with console.progress() as progress:
         exchange = _predict_live(bag, settings, [out / 'cup.yaml', bags / KNOWN], out, progress)
-    console.say('3. Compare its poses with the measured ones', 'bold')
+    console.line('3. Compare its poses with the measured ones', 'bold')
     comparison = compare_recorded(
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
     seconds = recorded.since_start(comparison.stamps_ns)
@@ -95,11 +95,11 @@ def run(bags: Path, out: Path, console: Console) -> int:
         write_figure(out / name, prediction_figure(
             seconds, comparison, 'Package: predicted live, and measured',
             'relative to the tool; the cup was identified from another recording', theme))
-    lost = _say(found.fit, comparison.scores, exchange, recorded.noise.package, console)
-    console.say()
+    lost = _print_result(found.fit, comparison.scores, exchange, recorded.noise.package, console)
+    console.line()
     names = [*PICTURES.values(), 'cup.yaml', 'fit.json']
-    console.say(f'Wrote {", ".join(names)} to {out}, after {time.monotonic() - start:.0f} s.')
-    console.say('Next, look at a recording of yours: bellows info BAG')
+    console.line(f'Wrote {", ".join(names)} to {out}, after {time.monotonic() - start:.0f} s.')
+    console.line('Next, look at a recording of yours: bellows info BAG')
     return NOT_USABLE if lost else OK
 
 
@@ -122,26 +122,26 @@ def _predict_live(
             return converse(messages, names, require_alive, progress)
 
 
-def _say(
+def _print_result(
     fit: Fit, scores: Scores, exchange: 'Exchange', noise: Noise, console: Console
 ) -> int:
     """Print the cup, the errors, the latency and the messages; return how many were lost."""
-    say_cup(fit, console, 'The cup, with standard errors')
+    print_cup(fit, console, 'The cup, with standard errors')
     title = 'The package relative to the tool, predicted live minus measured (RMS)'
     console.table([('axis', 'error', 'of the motion'), *(
         (name, f'{MILLI * rms:.3f} {unit}', percent(part)) for name, unit, rms, part in zip(
             AXES, MILLI_UNITS, scores.rms, scores.nrmse, strict=True))], right=True, title=title)
-    console.say(f'  (the measured poses themselves have noise: {MILLI * noise.position:.2g} mm, '
-                f'{MILLI * noise.rotation:.2g} mrad)')
-    console.say()
+    console.line(f'  (the measured poses themselves have noise: {MILLI * noise.position:.2g} mm, '
+                 f'{MILLI * noise.rotation:.2g} mrad)')
+    console.line()
     median, high = np.percentile(exchange.latency, (50, 99)) * MICRO
-    console.say(f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '
-                f'p99 {high:.0f} us')
+    console.line(f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '
+                 f'p99 {high:.0f} us')
     poses, twists = (exchange.sent[name] for name in ('tool_arm/pose', 'tool_arm/twist'))
     answers = exchange.predicted.stamps_ns
     lost = poses - len(answers)
-    console.say(f'Messages in {np.ptp(answers) / NS_PER_S:.0f} s: {poses} poses and {twists} '
-                f'twists to the node, {len(answers)} predictions back, {lost or "none"} lost')
+    console.line(f'Messages in {np.ptp(answers) / NS_PER_S:.0f} s: {poses} poses and {twists} '
+                 f'twists to the node, {len(answers)} predictions back, {lost or "none"} lost')
     return lost
 
 

@@ -5,8 +5,11 @@ from pathlib import Path
 
 from bellows_ros.errors import BellowsError
 
+File = str | os.PathLike[str]
+"""The name of a file or folder."""
 
-def read_text(path: str | os.PathLike[str], largest: int, what: str = 'File') -> str:
+
+def read_text(path: File, largest: int, what: str = 'File') -> str:
     """
     Return the content of a text file in UTF-8 of at most so many bytes.
 

@@ -21,12 +21,13 @@ import tempfile
 import zlib
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 
 # Of renameat2(2): names are relative to the working folder; both files exist and change places.
 _HERE, _EXCHANGE = -100, 2
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: File, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all, to '-' on stdout; see `write_bytes`."""
     if path == '-':
         sys.stdout.write(text)
@@ -34,7 +35,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         write_bytes(path, text.encode())
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+def write_bytes(path: File, data: bytes) -> None:
     """
     Write a file, whole or not at all.
 
@@ -69,7 +70,7 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
             beside.unlink()
 
 
-def require_file_target(path: str | os.PathLike[str]) -> Path:
+def require_file_target(path: File) -> Path:
     """
     Return where a file will be written, before any work is put into its content.
 
@@ -88,7 +89,7 @@ def require_file_target(path: str | os.PathLike[str]) -> Path:
 
 
 @contextmanager
-def new_folder(path: str | os.PathLike[str], replace: bool = False) -> Iterator[Path]:
+def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
     """
     Provide a place for a folder that appears under its name only when it is complete.
 
@@ -129,7 +130,7 @@ def new_folder(path: str | os.PathLike[str], replace: bool = False) -> Iterator[
         raise _failed(path, error) from None
 
 
-def require_folder_target(path: str | os.PathLike[str]) -> Path:
+def require_folder_target(path: File) -> Path:
     """
     Return where a folder will be written, before any work is put into its content.
 
@@ -142,7 +143,7 @@ def require_folder_target(path: str | os.PathLike[str]) -> Path:
     return _require_target(path, follow=False)
 
 
-def _require_target(path: str | os.PathLike[str], follow: bool) -> Path:
+def _require_target(path: File, follow: bool) -> Path:
     """Return where an output will be, of a link itself or what it leads to."""
     try:
         target = Path(path).resolve() if follow else Path(os.path.abspath(path))
@@ -199,7 +200,7 @@ def _sync(path: Path) -> None:
             os.close(descriptor)
 
 
-def _failed(path: str | os.PathLike[str], error: Exception) -> BellowsError:
+def _failed(path: File, error: Exception) -> BellowsError:
     """Return the error for output that cannot be written."""
     reason = getattr(error, 'strerror', None) or str(error)
     return BellowsError(
@@ -217,7 +218,7 @@ def hidden_name() -> str:
     return f'{PREFIX}{os.getpid()}-{_machine()}-{secrets.token_hex(4)}.tmp'
 
 
-def remove_abandoned(folder: str | os.PathLike[str]) -> None:
+def remove_abandoned(folder: File) -> None:
     """Remove from a folder what processes of this machine left there that are dead by now."""
     pattern = re.compile(rf'{re.escape(PREFIX)}(\d{{1,9}})-{_machine()}-\w+\.tmp')
     with suppress(OSError), os.scandir(folder) as entries:

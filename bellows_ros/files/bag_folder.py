@@ -11,7 +11,7 @@ from typing import Any, BinaryIO, cast, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import safe_yaml
+from bellows_ros.files import File, safe_yaml
 import lz4.frame
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -114,7 +114,7 @@ class Listing(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def listing(path: str | os.PathLike[str]) -> Listing:
+def listing(path: File) -> Listing:
     """
     Return the files of a recording.
 
@@ -144,9 +144,7 @@ def listing(path: str | os.PathLike[str]) -> Listing:
     )
 
 
-def require_no_input(
-    path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]
-) -> None:
+def require_no_input(path: File, inputs: Iterable[File]) -> None:
     """
     Refuse output that is an input, lies in a recording that is one, or has one in it.
 
@@ -166,7 +164,7 @@ def require_no_input(
                 f"Output '{path}' would change the input '{name}'. Give a name elsewhere.")
 
 
-def _real(path: str | os.PathLike[str]) -> Path:
+def _real(path: File) -> Path:
     """Return a path with all links resolved."""
     try:
         return Path(os.path.realpath(path))
@@ -299,7 +297,7 @@ def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes
     return b''.join(pieces)
 
 
-def digests(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+def digests(path: File) -> list[dict[str, Any]]:
     """
     Return name, size and SHA-256 of a file, or of every file in a folder, in order of names.
 
@@ -321,9 +319,7 @@ def digests(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     return found
 
 
-def recording_digest(
-    path: str | os.PathLike[str], files: Sequence[Mapping[str, Any]] = ()
-) -> str:
+def recording_digest(path: File, files: Sequence[Mapping[str, Any]] = ()) -> str:
     """
     Return the SHA-256 of a recording's stored messages, independent of place and storage.
 

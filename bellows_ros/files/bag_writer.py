@@ -7,14 +7,13 @@ The same content, name and rosbags version give the same bytes.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import heapq
-import os
 from pathlib import Path
 import sqlite3
 from typing import Any, Literal
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, mcap, messages
+from bellows_ros.files import atomic, File, mcap, messages
 from bellows_ros.files.bag_folder import METADATA, STORED
 import numpy as np
 from rosbags.interfaces import Connection
@@ -109,7 +108,7 @@ class Encoded:
 
 
 def write_bag(
-    path: str | os.PathLike[str],
+    path: File,
     recorded: Sequence[Recorded | Encoded],
     storage: str = 'mcap',
     zstd: bool = False,

@@ -9,14 +9,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from itertools import chain
-import os
 from pathlib import Path
 import shutil
 from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
-from bellows_ros.files import mcap, messages
+from bellows_ros.files import File, mcap, messages
 from bellows_ros.files.bag_folder import (
     Batch,
     Channel,
@@ -90,7 +89,7 @@ class _Bag:
 
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: File) -> None:
         """Find its files; raise BellowsError if there are none."""
         self.path = Path(path)
         self._listed = listing(path)
@@ -131,7 +130,7 @@ class _Bag:
                 'message.', *self.notes, 'Record while the topics are published.']))
 
 
-def topics(path: str | os.PathLike[str], notes: list[str] | None = None) -> list[TopicCount]:
+def topics(path: File, notes: list[str] | None = None) -> list[TopicCount]:
     """
     Return the topics of a recording, by name.
 
@@ -156,9 +155,7 @@ def topics(path: str | os.PathLike[str], notes: list[str] | None = None) -> list
     return sorted(TopicCount(t.name, t.type_name, n) for t, n in bag.counts.items())
 
 
-def read_messages(
-    path: str | os.PathLike[str], names: Collection[str] = ()
-) -> tuple[list[Message], list[str]]:
+def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message], list[str]]:
     """
     Return the messages of topics as they were recorded, in the order of their log times.
 
@@ -201,7 +198,7 @@ def read_messages(
     return sorted(whole, key=lambda message: message.log_time_ns), bag.notes
 
 
-def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dict[str, Stream]:
+def read_streams(path: File, wanted: Mapping[str, str]) -> dict[str, Stream]:
     """Return the streams of a recording, all that are wanted; see `read_contents`."""
     contents = read_contents(path, wanted)
     for problem in contents.problems.values():
@@ -209,7 +206,7 @@ def read_streams(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> dic
     return contents.streams
 
 
-def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Contents:
+def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     """
     Read the streams of a recording.
 
@@ -266,7 +263,7 @@ def read_contents(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Co
 
 
 def messages_of(
-    path: str | os.PathLike[str], types: Collection[str], topic: str = ''
+    path: File, types: Collection[str], topic: str = ''
 ) -> Iterator[tuple[str, str, int, bytes]]:
     """
     Yield topic, type, log time (ns) and CDR of messages of some types, in the order of the files.

@@ -16,7 +16,6 @@ from collections.abc import Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass
 from datetime import datetime, UTC
-import os
 from pathlib import Path
 import re
 from typing import TextIO
@@ -24,6 +23,7 @@ from typing import TextIO
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.trajectory_files import numbers
 import numpy as np
 
@@ -72,9 +72,7 @@ class MotiveBody:
     unseen: int
 
 
-def read_motive(
-    path: str | os.PathLike[str], fewest_markers: int = FEWEST_MARKERS
-) -> tuple[MotiveBody, ...]:
+def read_motive(path: File, fewest_markers: int = FEWEST_MARKERS) -> tuple[MotiveBody, ...]:
     """
     Read the rigid bodies of a Motive CSV export.
 
@@ -103,7 +101,7 @@ def read_motive(
         raise BellowsError(f"'{path}' is no CSV file: {error}.") from None
 
 
-def is_motive(path: str | os.PathLike[str]) -> bool:
+def is_motive(path: File) -> bool:
     """Return whether a file begins like an export of Motive."""
     with Path(path).open('rb') as file:
         return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')

@@ -9,7 +9,6 @@ decimal point.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import difflib
 from fnmatch import fnmatchcase
-import os
 from pathlib import Path
 import textwrap
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import safe_yaml
+from bellows_ros.files import File, safe_yaml
 
 NODES = ('identifier', 'predictor')
 _SECTION = 'ros__parameters'
@@ -40,7 +39,7 @@ Group = dict[str, Any]
 """Parameters and further groups whose names begin alike."""
 
 
-def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> dict[str, Value]:
+def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     """
     Read a parameter file.
 
@@ -94,11 +93,7 @@ def read_parameters(path: str | os.PathLike[str], node: str | None = None) -> di
     return values
 
 
-def write_parameters(
-    path: str | os.PathLike[str],
-    values: Mapping[str, object],
-    header: Sequence[str] = (),
-) -> None:
+def write_parameters(path: File, values: Mapping[str, object], header: Sequence[str] = ()) -> None:
     """
     Write a parameter file that all ROS nodes take with --params-file, whole or not at all.
 

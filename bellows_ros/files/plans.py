@@ -8,7 +8,6 @@ what lies between the points, is not decided here.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +18,7 @@ from bellows_ros.core.planning.arm import Arm, read_arm
 from bellows_ros.core.planning.points import require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import read_text, safe_yaml
+from bellows_ros.files import File, read_text, safe_yaml
 from bellows_ros.files.bags import decoded, message_types, messages_of
 from bellows_ros.files.joint_plans import durations_of, joint_plan, JointPlan, lists_of, ns_of
 from bellows_ros.files.plan_messages import decode_multi_dof, MULTI_DOF, PATH, PlanMessage
@@ -38,9 +37,7 @@ class NoArmError(BellowsError):
     """Joints are given, but not the arm they belong to."""
 
 
-def plans_in(
-    path: str | os.PathLike[str], topic: str = ''
-) -> list[tuple[str, PlanMessage | JointPlan]]:
+def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | JointPlan]]:
     """
     Return the plans in a recording, each with its topic, in the order of the files.
 
@@ -141,7 +138,7 @@ def encode_joints(plan: JointPlan) -> bytes:
     return bytes(store.serialize_cdr(Message(header, list(plan.names), points), JOINTS))
 
 
-def recorded_joints(path: str | os.PathLike[str], arm: Arm) -> PlanMessage:
+def recorded_joints(path: File, arm: Arm) -> PlanMessage:
     """
     Return the tool poses of recorded joint states, with twists if they have velocities.
 
@@ -168,9 +165,7 @@ def recorded_joints(path: str | os.PathLike[str], arm: Arm) -> PlanMessage:
     return _recorded(stamps, T, twist if rates else None, arm.root)
 
 
-def joints_or_tf(
-    path: str | os.PathLike[str], urdf: str | os.PathLike[str], tool_link: str
-) -> PlanMessage:
+def joints_or_tf(path: File, urdf: File, tool_link: str) -> PlanMessage:
     """
     Return the tool poses of recorded joint states and a URDF, or else of transforms.
 
@@ -200,9 +195,7 @@ def _recorded(stamps: Stamps, T: Array, twist: Array | None, frame: str) -> Plan
         None if twist is None else twist[first])
 
 
-def arm_of(
-    urdf: str | os.PathLike[str], tool_link: str, recording: str | os.PathLike[str] = ''
-) -> Arm:
+def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
     """
     Return the arm of a URDF file, or of the /robot_description in a recording.
 
@@ -227,7 +220,7 @@ def arm_of(
         '--urdf FILE.')
 
 
-def read_yaml(path: str | os.PathLike[str]) -> Mapping[str, Any]:
+def read_yaml(path: File) -> Mapping[str, Any]:
     """Return the content of a YAML file; points of a message have attributes."""
     content = safe_yaml.load_records(Path(path), ('points', 'poses'), LARGEST_YAML)
     if not isinstance(content, Mapping):

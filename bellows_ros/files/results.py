@@ -20,7 +20,7 @@ from typing import Any
 from bellows_ros import __version__
 from bellows_ros.core.identification.result import POSE_UNITS, UNITS
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, read_text
+from bellows_ros.files import atomic, File, read_text
 from bellows_ros.files.bag_folder import digests
 import numpy as np
 
@@ -86,7 +86,7 @@ WITHOUT = ('settings', 'provenance', 'units')
 """Mappings whose numbers have their units in their names, or none."""
 
 
-def write_json(path: str | os.PathLike[str], content: Any) -> None:
+def write_json(path: File, content: Any) -> None:
     """
     Write a result as JSON, whole or not at all.
 
@@ -111,7 +111,7 @@ def format_json(content: Any) -> str:
     return _text(plain(content), '') + '\n'
 
 
-def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_result(path: File) -> dict[str, Any]:
     """
     Read the result of a fit.
 
@@ -139,7 +139,7 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
     return dict(content)
 
 
-def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
+def read_json(path: File, remedy: str = '') -> Any:
     """Return the content of a JSON file; raise BellowsError if it cannot be read."""
     text = read_text(path, LARGEST_FILE, 'Result')
     try:
@@ -151,7 +151,7 @@ def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
 
 
 @contextmanager
-def content_of(*paths: str | os.PathLike[str]) -> Iterator[None]:
+def content_of(*paths: File) -> Iterator[None]:
     """
     Say of results that hold something else than a fit writes which files they are.
 
@@ -250,10 +250,7 @@ def _text(value: Any, indent: str) -> str:
 TOOLS = ('numpy', 'scipy', 'numba', 'rosbags')
 
 
-def provenance(
-    recordings: Iterable[str | os.PathLike[str]],
-    parameter_files: Iterable[str | os.PathLike[str]] = (),
-) -> dict[str, Any]:
+def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ()) -> dict[str, Any]:
     """
     Return what a result depends on besides its settings, the same for the same files.
 

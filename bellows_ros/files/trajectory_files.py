@@ -9,14 +9,13 @@ rows of a pose's matrix in a line, and the times (s) in another file.
 from array import array
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
-import os
 from pathlib import Path
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, read_text
+from bellows_ros.files import atomic, File, read_text
 import numpy as np
 
 LARGEST_FILE = 2**31
@@ -30,7 +29,7 @@ NO_ROTATION = 0.01
 """R^T R of a KITTI pose may differ from I by this much; R is then made a rotation."""
 
 
-def read_trajectory(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
+def read_trajectory(path: File) -> tuple[Stamps, Array]:
     """Read a EuRoC file, which ends in .csv, or a KITTI or TUM file; see `read_tum`."""
     if Path(path).suffix.lower() == '.csv':
         return read_euroc(path)
@@ -38,7 +37,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     return read_kitti(path) if len(lines[0][1]) == 12 else read_tum(path)
 
 
-def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
+def read_kitti(path: File) -> tuple[Stamps, Array]:
     """
     Read the poses of a KITTI file, and their times (s) from a file beside it.
 
@@ -68,7 +67,7 @@ def read_kitti(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     return stamps, np.hstack([rows[:, :, 3], rotation_to_quaternion(u @ v)])
 
 
-def read_tum(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
+def read_tum(path: File) -> tuple[Stamps, Array]:
     """
     Read a TUM file.
 
@@ -88,13 +87,13 @@ def read_tum(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
     return _stamps(path, lines, 's'), numbers(path, lines, range(1, 8))
 
 
-def read_euroc(path: str | os.PathLike[str]) -> tuple[Stamps, Array]:
+def read_euroc(path: File) -> tuple[Stamps, Array]:
     """Read the poses of a EuRoC ground-truth or estimate file; see `read_tum`."""
     lines = _lines(path, ',', 8)
     return _stamps(path, lines, 'ns'), numbers(path, lines, (1, 2, 3, 5, 6, 7, 4))
 
 
-def write_tum(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) -> None:
+def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
     """
     Write a TUM file, whole or not at all.
 
@@ -121,7 +120,7 @@ def write_tum(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) ->
     atomic.write_text(path, '\n'.join([head, *lines]) + '\n')
 
 
-def write_euroc(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) -> None:
+def write_euroc(path: File, stamps_ns: Stamps, values: Array) -> None:
     """
     Write a EuRoC file with velocities, whole or not at all.
 
@@ -148,8 +147,7 @@ def write_euroc(path: str | os.PathLike[str], stamps_ns: Stamps, values: Array) 
 
 
 def write_urscript(
-    path: str | os.PathLike[str], seconds: Array, position: Array, rotation_vector: Array,
-    frame: str,
+    path: File, seconds: Array, position: Array, rotation_vector: Array, frame: str
 ) -> None:
     """
     Write a program for a Universal Robots arm that moves the tool through evenly timed poses.
@@ -192,9 +190,7 @@ def write_urscript(
     atomic.write_text(path, '\n'.join(lines) + '\n')
 
 
-def _lines(
-    path: str | os.PathLike[str], separator: str | None, fewest: int = 1, most: int = 10**6
-) -> Lines:
+def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6) -> Lines:
     """Return the numbers and cells of the lines that are no comments."""
     lines = [
         (number, [cell.strip() for cell in line.split(separator)])
@@ -210,14 +206,14 @@ def _lines(
     return lines
 
 
-def _unlike(path: str | os.PathLike[str], number: int, what: str) -> BellowsError:
+def _unlike(path: File, number: int, what: str) -> BellowsError:
     """Return the error for a line that does not hold what it must."""
     return BellowsError(
         f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'; "
         "a EuRoC line is 'time_ns, x, y, z, qw, qx, qy, qz, ...'.")
 
 
-def _stamps(path: str | os.PathLike[str], lines: Lines, unit: str) -> Stamps:
+def _stamps(path: File, lines: Lines, unit: str) -> Stamps:
     """Return the times at the beginning of lines, in s or ns; none goes through a float."""
     factor = {'s': NS_PER_S, 'ns': 1}[unit]
     stamps = []
@@ -233,9 +229,7 @@ def _stamps(path: str | os.PathLike[str], lines: Lines, unit: str) -> Stamps:
     return np.array(stamps, dtype=np.int64)
 
 
-def numbers(
-    path: str | os.PathLike[str], lines: Iterable[tuple[int, list[str]]], columns: Sequence[int]
-) -> Array:
+def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequence[int]) -> Array:
     """Return some columns (N, columns) of lines, each with its number."""
     values = array('d')
     for number, cells in lines:

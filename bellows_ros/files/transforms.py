@@ -6,7 +6,6 @@ and the others are interpolated there.
 """
 
 from collections.abc import Mapping
-import os
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
@@ -14,6 +13,7 @@ from bellows_ros.core.geometry.lie import inverse_transform, quaternion_to_rotat
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.bags import decoded, messages_of
 import numpy as np
 
@@ -36,7 +36,7 @@ class Link(NamedTuple):
     bad: int = 0
 
 
-def read_transforms(path: str | os.PathLike[str]) -> dict[str, Link]:
+def read_transforms(path: File) -> dict[str, Link]:
     """
     Return the links of all frames in a recording by name; a fixed link counts once.
 

@@ -5,7 +5,6 @@ from contextlib import suppress
 from functools import partial
 import io
 from itertools import chain
-import os
 import shutil
 import subprocess
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
+from bellows_ros.files import File
 from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 from bellows_ros.workflows.steer import SteerReport
@@ -38,7 +38,7 @@ VIEW = {'elev': 14.0, 'azim': -60.0}
 
 
 def write_animation(
-    path: str | os.PathLike[str], replayed: Replayed, note: str, theme: str = 'light',
+    path: File, replayed: Replayed, note: str, theme: str = 'light',
     progress: Progress | None = None, speed: float = 1.0,
 ) -> None:
     """
@@ -78,7 +78,7 @@ def write_animation(
 
 
 def write_steering(
-    path: str | os.PathLike[str], report: SteerReport, note: str, theme: str = 'light',
+    path: File, report: SteerReport, note: str, theme: str = 'light',
     progress: Progress | None = None, speed: float = 1.0,
 ) -> None:
     """Write a motion as planned and as steered, side by side; see `write_animation`."""
@@ -123,7 +123,7 @@ class View(NamedTuple):
 
 
 def _write(
-    path: str | os.PathLike[str], views: Sequence[View], title: str, note: str, theme: str,
+    path: File, views: Sequence[View], title: str, note: str, theme: str,
     progress: Progress | None, speed: float,
 ) -> None:
     """Write views side by side, from the first time to the last of all."""

@@ -9,18 +9,7 @@ from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS, Spectrum
 from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
-from .panels import (
-    BELOW_HEAD,
-    broken,
-    legend,
-    Line,
-    MILLI,
-    picture,
-    row,
-    six,
-    six_lines,
-    six_pairs,
-)
+from . import panels
 from .style import THEMES
 
 
@@ -44,12 +33,12 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
     """
     start = int(np.argmax(motion.valid))
 
-    def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Line:
+    def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Any:
         turned = log_so3(rotation @ rotation[start].T)
-        moved = broken(np.hstack([position - position[start], turned]), motion.valid)
-        return Line(name, colour, width, motion.seconds, MILLI * moved)
+        moved = panels.broken(np.hstack([position - position[start], turned]), motion.valid)
+        return panels.Line(name, colour, width, motion.seconds, panels.MILLI * moved)
 
-    figure = six_lines('Motion in the world, from the start', note, theme, (
+    figure = panels.six_lines('Motion in the world, from the start', note, theme, (
         line('tool', 'measured', 3.0, motion.tool_position, motion.tool_rotation),
         line('package', 'predicted', 0.9, motion.package_position, motion.package_rotation),
     ), 'time (s)')
@@ -84,14 +73,14 @@ def spectra_figure(
 
     """
     hertz = spectra.frequency_hz[1:]
-    lines = [Line('measured', 'measured', 2.2, hertz, MILLI * spectra.measured[1:])]
+    lines = [panels.Line('measured', 'measured', 2.2, hertz, panels.MILLI * spectra.measured[1:])]
     if spectra.error is not None:
-        lines.append(Line(
-            'predicted minus measured', 'error', 1.1, hertz, MILLI * spectra.error[1:]))
+        lines.append(panels.Line(
+            'predicted minus measured', 'error', 1.1, hertz, panels.MILLI * spectra.error[1:]))
     if one_step:
-        lines.append(Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
-                          MILLI * np.sqrt(one_step.density[1:])))
-    return six_lines(
+        lines.append(panels.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
+                                 panels.MILLI * np.sqrt(one_step.density[1:])))
+    return panels.six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
         [f'{unit}/√Hz' for unit in MILLI_UNITS], log=True)
 
@@ -116,8 +105,8 @@ def samples_figure(recording: Recording, note: str, theme: str = 'light') -> Any
     """
     seconds = recording.since_start(recording.package.stamps_ns)
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    with picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
-        panel, = row(figure, left=0.14)
+    with panels.picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
+        panel, = panels.row(figure, left=0.14)
         rows = ((recording.valid, colours.measured),
                 (~recording.measured_tool.valid, colours.predicted),
                 (~recording.measured_package.valid, colours.predicted))
@@ -156,12 +145,13 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
 
     """
     usable = np.flatnonzero(motion.valid)
-    with picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (figure, colours):
-        legend(figure, (('tool tip E', colours.measured, 3.0),
-                        ('package B', colours.predicted, 1.2)))
+    with panels.picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
+            figure, colours):
+        panels.legend(figure, (('tool tip E', colours.measured, 3.0),
+                               ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
-        tool = broken(motion.tool_position, motion.valid)
-        package = broken(motion.package_position, motion.valid)
+        tool = panels.broken(motion.tool_position, motion.valid)
+        package = panels.broken(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4)
         space.plot(*package.T, color=colours.predicted, linewidth=1.0)
         for i in usable[:: max(1, len(usable) // 40)]:  # some forty
@@ -199,13 +189,15 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     """
     usable = np.flatnonzero(loads.valid)
     shown = usable[:: max(1, len(usable) // MOST_POINTS)]
-    with picture('Load on the cup against its deflection', note, theme) as (figure, colours):
-        legend(figure, (('needed by the motion', colours.measured, 4.0),
-                        ('stiffness of the cup', colours.predicted, 1.4)))
-        for axis, panel in enumerate(six(figure, UNITS)):
+    title = 'Load on the cup against its deflection'
+    with panels.picture(title, note, theme) as (figure, colours):
+        panels.legend(figure, (('needed by the motion', colours.measured, 4.0),
+                               ('stiffness of the cup', colours.predicted, 1.4)))
+        for axis, panel in enumerate(panels.six(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             kind, scale, unit = (
-                ('force', MILLI, 'mm') if axis < 3 else ('moment', np.rad2deg(1.0), 'degrees'))
+                ('force', panels.MILLI, 'mm') if axis < 3 else (
+                    'moment', np.rad2deg(1.0), 'degrees'))
             panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
@@ -234,15 +226,16 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    load, residual = (broken(x, loads.valid) for x in (loads.load, loads.residual))
-    with picture('Load on the cup, and the unexplained part', note, theme) as (figure, colours):
-        legend(figure, (('needed by the motion', colours.measured, 2.4),
-                        ('unexplained', colours.error, 1.0)))
+    load, residual = (panels.broken(x, loads.valid) for x in (loads.load, loads.residual))
+    title = 'Load on the cup, and the unexplained part'
+    with panels.picture(title, note, theme) as (figure, colours):
+        panels.legend(figure, (('needed by the motion', colours.measured, 2.4),
+                               ('unexplained', colours.error, 1.0)))
         rms = np.sqrt(np.nanmean(residual**2, axis=0))
         parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
-        six_pairs(
-            figure, colours, [Line('', 'measured', 1.8, loads.seconds, load)], residual,
+        panels.six_pairs(
+            figure, colours, [panels.Line('', 'measured', 1.8, loads.seconds, load)], residual,
             [f'unexplained RMS {own:.2g} {unit}, {part:.2g} % of the load'
              for own, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
-            -0.155, **BELOW_HEAD, hspace=0.24, wspace=0.26)
+            -0.155, **panels.BELOW_HEAD, hspace=0.24, wspace=0.26)
     return figure

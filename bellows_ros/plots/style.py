@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from html import escape
 import io
-import os
 from pathlib import Path
 import re
 from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import require_pictures
+from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
 
 DPI = 150
@@ -106,9 +106,7 @@ def _settings(theme: Theme) -> dict[Any, Any]:
 PICTURES, FILMS = ('.png', '.svg', '.pdf'), ('.gif', '.mp4')
 
 
-def require_picture(
-    path: str | os.PathLike[str], allowed: tuple[str, ...] = PICTURES
-) -> str:
+def require_picture(path: File, allowed: tuple[str, ...] = PICTURES) -> str:
     """Return the format of a picture or film by its name's ending; refuse one not allowed."""
     ending = Path(path).suffix.lower()
     if ending not in allowed:
@@ -117,7 +115,7 @@ def require_picture(
     return ending.lstrip('.')
 
 
-def write_figure(path: str | os.PathLike[str], figure: Any) -> None:
+def write_figure(path: File, figure: Any) -> None:
     """Write a figure in the format of the name's ending, whole or not at all."""
     ending = require_picture(path)
     data = io.BytesIO()

@@ -10,7 +10,6 @@ Rerun has a timeline for it to be played, and every quantity under a path:
 The deflection is that of the predicted lip from where it is without load.
 """
 
-import os
 from pathlib import Path
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import install
+from bellows_ros.files import File
 from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
@@ -42,7 +42,7 @@ COLOURS = THEMES['dark']
 XYZ_COLOURS = ((232, 88, 88), (86, 190, 96), (92, 138, 255))
 
 
-def write_view(path: str | os.PathLike[str], replayed: Replayed, note: str) -> None:
+def write_view(path: File, replayed: Replayed, note: str) -> None:
     """
     Write a replay as a recording of Rerun, whole or not at all.
 
@@ -102,7 +102,7 @@ def open_view(replayed: Replayed, note: str) -> None:
         )
 
 
-def require_viewer(path: str | os.PathLike[str] = '') -> Any:
+def require_viewer(path: File = '') -> Any:
     """Return Rerun's module, with its blueprints; refuse its absence and another ending."""
     if path and Path(path).suffix.lower() != ENDING:
         raise BellowsError(f"View '{path}' must end in {ENDING}.")

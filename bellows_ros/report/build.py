@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 import json
-import os
 from typing import Any
 
 from bellows_ros.core.identification.reduction import SEED as EXCITATION_SEED
@@ -12,6 +11,7 @@ from bellows_ros.core.model.validity_range import Envelope, FIELDS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES, CONFIDENT, MILLI_UNITS, SMALL
 from bellows_ros.errors import UnstableError
+from bellows_ros.files import File
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import format_json, provenance
 from bellows_ros.plots.plan import margin_figure
@@ -24,26 +24,7 @@ from bellows_ros.workflows.recordings import offset_sentence, values_of_each
 from bellows_ros.workflows.replay import Replay, validated
 import numpy as np
 
-from .cup import (
-    cup_content,
-    envelope_content,
-    excitation_content,
-    iteration_content,
-    selection_content,
-    standstill_content,
-)
-from .page import (
-    bullets,
-    figure,
-    folded,
-    heading,
-    page,
-    paragraph,
-    percent,
-    section,
-    table,
-    warnings,
-)
+from . import cup, page
 
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Entries of package.inertia in the tensor."""
@@ -81,48 +62,48 @@ def identification_report(
     origin['recordings'] = [*origin['recordings'],
                             *provenance([v.bag for v in validations])['recordings']]
     sections = [
-        section('Cup', paragraph('The fit can be used.' if content['usable'] else
-                                 f'The fit cannot be used: {refusals or "the warnings say why."}'),
-                *(paragraph(v.sentence) for v in validations),
-                warnings(content['warnings']), bullets(content.get('findings', ())),
-                *cup_content(content)),
-        section('Validity range', *envelope_content(content)),
-        *(section(f'Not used in the fit: {v.bag}', *motion_content(v)) for v in validations),
-        *(section(f'Used in the fit: {recording.name}', *_simulated(own, recording))
+        page.section(
+            'Cup', page.paragraph(
+                'The fit can be used.' if content['usable'] else
+                f'The fit cannot be used: {refusals or "the warnings say why."}'),
+            *(page.paragraph(v.sentence) for v in validations), page.warnings(content['warnings']),
+            page.bullets(content.get('findings', ())), *cup.cup_content(content)),
+        page.section('Validity range', *cup.envelope_content(content)),
+        *(page.section(f'Not used in the fit: {v.bag}', *motion_content(v)) for v in validations),
+        *(page.section(f'Used in the fit: {recording.name}', *_simulated(own, recording))
           for own, recording in zip(values_of_recordings(content), recordings, strict=True)),
-        section('Excitation', *excitation_content(content['excitation'], spectra)),
-        *([section('Iteration', *iteration_content(content['iterations']))]
+        page.section('Excitation', *cup.excitation_content(content['excitation'], spectra)),
+        *([page.section('Iteration', *cup.iteration_content(content['iterations']))]
           if content.get('iterations') else []),
-        *(section(f'Samples of {bag}', *samples_content(recording))
+        *(page.section(f'Samples of {bag}', *samples_content(recording))
           for bag, recording in zip(bags, recordings, strict=True)),
-        *(section(f'Samples of {v.bag}', *samples_content(v.recording)) for v in validations),
-        *([section('Standstills', *standstill_content(content))] if content.get('static') else []),
-        *([section('Structures', *selection_content(content['structures']))]
+        *(page.section(f'Samples of {v.bag}', *samples_content(v.recording)) for v in validations),
+        *([page.section('Standstills', *cup.standstill_content(content))]
+          if content.get('static') else []),
+        *([page.section('Structures', *cup.selection_content(content['structures']))]
           if content.get('structures') else []),
-        section('Provenance', *_origin(origin, settings)),
+        page.section('Provenance', *_origin(origin, settings)),
     ]
     title = f'Cup identified from {", ".join(bags)}'
-    return page(title, f'{method}, {content["structure"]}', sections)
+    return page.page(title, f'{method}, {content["structure"]}', sections)
 
 
-def replay_report(
-    found: Replay, parameter_files: Sequence[str | os.PathLike[str]] = ()
-) -> str:
+def replay_report(found: Replay, parameter_files: Sequence[File] = ()) -> str:
     """Return the page of a replay."""
     sections = [
-        section(
-            'Free simulation', bullets(offset_sentence(found.bag, found.time_offset)),
+        page.section(
+            'Free simulation', page.bullets(offset_sentence(found.bag, found.time_offset)),
             *motion_content(found)),
-        *([section(f'With {found.observed.topic}', *observed_content(found.observed))]
+        *([page.section(f'With {found.observed.topic}', *observed_content(found.observed))]
           if found.observed else []),
-        section('Samples', *samples_content(found.recording)),
-        section('Provenance', *_origin(
+        page.section('Samples', *samples_content(found.recording)),
+        page.section('Provenance', *_origin(
             provenance([found.bag], parameter_files), found.values)),
     ]
-    return page(f'Replay of {found.bag}', 'free simulation from start to end', sections)
+    return page.page(f'Replay of {found.bag}', 'free simulation from start to end', sections)
 
 
-def write_page(result: Identification, path: str | os.PathLike[str]) -> None:
+def write_page(result: Identification, path: File) -> None:
     """
     Write the page of an identification for which the parameter output.report was set.
 
@@ -164,7 +145,7 @@ def _simulated(values: Mapping[str, Any], recording: Recording) -> list[str]:
     try:
         return motion_content(validated(values, recording))
     except UnstableError as error:
-        return [paragraph(f'This cup cannot be simulated: {error}', 'quiet')]
+        return [page.paragraph(f'This cup cannot be simulated: {error}', 'quiet')]
 
 
 def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str]:
@@ -180,9 +161,9 @@ def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> list[
     versions.append(('seeds of made-up noise', seeds))
     rows = [(name, _setting(value)) for name, value in settings.items()]
     return [
-        table(('', 'path', 'file', 'bytes', 'SHA-256'), files, (0, 1, 2, 4)),
-        table(('', 'version or seed'), versions, (0, 1)),
-        folded('All settings', table(('parameter', 'value'), rows, (0, 1))),
+        page.table(('', 'path', 'file', 'bytes', 'SHA-256'), files, (0, 1, 2, 4)),
+        page.table(('', 'version or seed'), versions, (0, 1)),
+        page.folded('All settings', page.table(('parameter', 'value'), rows, (0, 1))),
     ]
 
 
@@ -203,11 +184,11 @@ def motion_content(replayed: Replay) -> list[str]:
     found, bag = replayed.validation, replayed.bag
     start = 'static equilibrium' if found.start == 'equilibrium' else 'the measured state'
     return [
-        paragraph(found.verdict()),
-        *([paragraph(replayed.margin.sentence), figure(margin_figure(replayed.margins, bag))]
-          if replayed.margin else []),
-        warnings(replayed.warnings),
-        paragraph(
+        page.paragraph(found.verdict()),
+        *([page.paragraph(replayed.margin.sentence),
+           page.figure(margin_figure(replayed.margins, bag))] if replayed.margin else []),
+        page.warnings(replayed.warnings),
+        page.paragraph(
             f'The model ran freely from {start} to the end, with only the motion of the tool as '
             f'input. {found.scores.samples} samples are compared. Coordinates are those of the '
             'centre of mass B in the axes of the tool E: position, and rotation vector. NRMSE '
@@ -215,20 +196,20 @@ def motion_content(replayed: Replay) -> list[str]:
             'without the noise.'
         ),
         _score_table(found),
-        figure(prediction_figure(
+        page.figure(prediction_figure(
             replayed.recording.since_start(found.stamps_ns), found, 'Measured and simulated',
             f'{bag}, relative to the tool')),
-        heading('Spectra'),
-        paragraph(
+        page.heading('Spectra'),
+        page.paragraph(
             'Amplitude spectral densities of the motion, of the error of the free simulation, '
             'and of the one-step prediction errors, for which every sample corrects the model, '
             "scaled to the noise of the package's poses: their spectrum is flat if only noise "
             'remains. Lost samples of motion and error are interpolated.', 'quiet'),
-        figure(spectra_figure(
+        page.figure(spectra_figure(
             Spectra(found.motion.frequency, np.sqrt(found.motion.density),
                     np.sqrt(found.spectrum.density)),
             bag, one_step=found.one_step.spectrum if found.one_step else None)),
-        heading('Whiteness'),
+        page.heading('Whiteness'),
         *_whiteness(found, bag),
     ]
 
@@ -244,9 +225,9 @@ def _score_table(found: Validation) -> str:
         word = 'good' if found.scores.nrmse[i] <= LIMIT else f'above {100 * LIMIT:g} %'
         rows.append((
             name, *(f'{MILLI * value:.3g} {unit}' for value in numbers),
-            percent(found.scores.nrmse[i]), percent(found.model_error[i]),
+            page.percent(found.scores.nrmse[i]), page.percent(found.model_error[i]),
             word if found.moves[i] else 'moves too little'))
-    return table(head, rows, (0, 7))
+    return page.table(head, rows, (0, 7))
 
 
 def _whiteness(found: Validation, bag: str) -> list[str]:
@@ -255,13 +236,13 @@ def _whiteness(found: Validation, bag: str) -> list[str]:
     if found.one_step:
         tests.append(('one step', found.one_step.whiteness))
     content = [
-        paragraph(
+        page.paragraph(
             f'Portmanteau test of Ljung and Box over {found.whiteness.lags} lags. White: a '
             f'probability of {CONFIDENT:g} or more; nearly white: less, but no autocorrelation '
             f'of {SMALL:g} or more; else coloured. The errors of a free simulation may be '
             "coloured even for a perfect cup, because the tool's noise excites the cup's modes. "
             'One-step prediction errors are white if the model explains all but noise.', 'quiet'),
-        table(
+        page.table(
             ('errors', 'axis', 'Q', 'probability', 'largest autocorrelation', 'verdict'),
             [(name, AXES[i], f'{test.statistic[i]:.1f}',
               f'{test.p_value[i]:.3f}' if test.p_value[i] >= 1e-3 else 'below 0.001',
@@ -269,11 +250,11 @@ def _whiteness(found: Validation, bag: str) -> list[str]:
              for name, test in tests for i in range(6)], (0, 1, 5)),
     ]
     if found.one_step:
-        content.append(paragraph(
+        content.append(page.paragraph(
             f'Chi² per degree of freedom of the one-step errors: {found.one_step.chi2:.4f} (1 if '
             'model and noise explain everything).'))
     shown = found.one_step.whiteness if found.one_step else found.whiteness
-    content.append(figure(whiteness_figure(shown, bag)))
+    content.append(page.figure(whiteness_figure(shown, bag)))
     return content
 
 
@@ -284,13 +265,13 @@ def observed_content(found: Observed) -> list[str]:
         for i, (name, unit) in enumerate(zip(AXES, MILLI_UNITS, strict=True))
     ]
     return [
-        paragraph(
+        page.paragraph(
             'RMS error at each instant of three causal estimates: the prediction from the tool '
             'alone, the newest measured pose alone, and the corrected prediction. '
             + found.sentence),
-        warnings([f'Alarm at {line}' for line in found.alarm_lines]),
-        table(('axis', *found.ways), rows),
-        figure(errors_figure(found.ways, f'relative to the tool, with {found.topic}')),
+        page.warnings([f'Alarm at {line}' for line in found.alarm_lines]),
+        page.table(('axis', *found.ways), rows),
+        page.figure(errors_figure(found.ways, f'relative to the tool, with {found.topic}')),
     ]
 
 
@@ -307,11 +288,11 @@ def samples_content(recording: Recording) -> list[str]:
             stream.recorded.name, str(len(stream.recorded)), f'{stream.timing.rate_hz:.6g} Hz',
             ', '.join(refused) or '0', str(stream.marked), gaps, str(stream.overlapping_gap)))
     return [
-        figure(samples_figure(
+        page.figure(samples_figure(
             recording, f'{np.count_nonzero(recording.valid)} of {len(recording.valid)} samples '
             'are used; a lost pose rejects all samples whose filter window contains it')),
-        table(
+        page.table(
             ('topic', 'poses', 'rate', 'refused', 'outliers', 'gaps', 'left out by the filter'),
             rows),
-        bullets(report.warnings, 'warning'),
+        page.bullets(report.warnings, 'warning'),
     ]

@@ -10,10 +10,9 @@ from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.results import attributes, content_of, read_result
 import numpy as np
-
-Path = str | os.PathLike[str]
 
 NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
                 'cup.damping')
@@ -66,7 +65,7 @@ class ResultComparison:
         }
 
 
-def compare_files(before: Path, after: Path) -> ResultComparison:
+def compare_files(before: File, after: File) -> ResultComparison:
     """
     Compare two result files of identifications.
 

@@ -14,6 +14,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.motive import FEWEST_MARKERS, is_motive, read_motive
@@ -103,8 +104,7 @@ class Conversion:
 
 
 def bodies_in_files(
-    sources: Sequence[str | os.PathLike[str]], names: Sequence[str] = (),
-    fewest_markers: int = FEWEST_MARKERS,
+    sources: Sequence[File], names: Sequence[str] = (), fewest_markers: int = FEWEST_MARKERS
 ) -> list[Body]:
     """
     Return the bodies in trajectory files.
@@ -142,9 +142,7 @@ def bodies_in_files(
     return found
 
 
-def tool_of_joints(
-    bag: str | os.PathLike[str], tool_link: str, urdf: str = '', topic: str = ''
-) -> list[Body]:
+def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -> list[Body]:
     """
     Return the tool of a recording with joint states or transforms, and its poses and twists.
 
@@ -183,7 +181,7 @@ def tool_of_joints(
 
 
 def bodies_in_transforms(
-    bag: str | os.PathLike[str], tool_frame: str, package_frame: str, world_frame: str = '',
+    bag: File, tool_frame: str, package_frame: str, world_frame: str = '',
     names: Sequence[str] = (),
 ) -> list[Body]:
     """
@@ -223,8 +221,7 @@ def bodies_in_transforms(
 
 
 def bodies_in_recording(
-    bag: str | os.PathLike[str], names: Sequence[str] = (), millimetres: bool = False,
-    w_first: bool = False,
+    bag: File, names: Sequence[str] = (), millimetres: bool = False, w_first: bool = False
 ) -> list[Body]:
     """
     Return poses of a recording converted to m and to quaternions with w last, the rest copied.
@@ -265,9 +262,7 @@ def bodies_in_recording(
                     for (name, kind), messages in others.items()]
 
 
-def _copied(
-    topic: str, kind: str, messages: Sequence[tuple[int, bytes]], bag: str | os.PathLike[str]
-) -> Body:
+def _copied(topic: str, kind: str, messages: Sequence[tuple[int, bytes]], bag: File) -> Body:
     """Return messages of a recording as they are."""
     times, contents = zip(*messages, strict=True)
     return Body(
@@ -275,7 +270,7 @@ def _copied(
 
 
 def to_bag(
-    bodies: Sequence[Body], out: str | os.PathLike[str], storage: str = 'mcap',
+    bodies: Sequence[Body], out: File, storage: str = 'mcap',
     replace: bool = False, span: Mapping[str, Any] = FULL_RANGE,
 ) -> Conversion:
     """
@@ -341,8 +336,7 @@ def _topic_of(name: str) -> str:
 
 
 def to_tum(
-    bag: str | os.PathLike[str], out: str | os.PathLike[str], topic: str = '',
-    span: Mapping[str, Any] = FULL_RANGE,
+    bag: File, out: File, topic: str = '', span: Mapping[str, Any] = FULL_RANGE
 ) -> Conversion:
     """
     Write the poses of a topic of a recording as a TUM file.

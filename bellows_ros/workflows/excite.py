@@ -42,6 +42,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.sensing import sensor_from
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.atomic import new_folder
 from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag
 from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_message, PlanMessage
@@ -153,7 +154,7 @@ def _rounded_up(factor: float) -> str:
 
 def excite(
     settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
-    urdf: str = '', beside: Sequence[str | os.PathLike[str]] = (), seed: int = 0,
+    urdf: str = '', beside: Sequence[File] = (), seed: int = 0,
     progress: Progress | None = None, with_series: bool = False, hold: float = HOLD,
 ) -> DesignedMotion:
     """
@@ -254,8 +255,7 @@ def tracking_from(settings: Settings) -> Tracking:
 
 
 def write_motion(
-    path: str | os.PathLike[str], found: DesignedMotion, csv: str = '', urscript: str = '',
-    replace: bool = False,
+    path: File, found: DesignedMotion, csv: str = '', urscript: str = '', replace: bool = False
 ) -> None:
     """
     Write the motion as a recording with a plan, and as CSV and URScript where wanted.
@@ -275,7 +275,7 @@ def write_motion(
         return plan_message(
             each.at_rate(POINT_RATE), 0, frame, 'tool', found.values['tool_twist.frame'])
 
-    def write(file: str | os.PathLike[str], each: Motion) -> None:
+    def write(file: File, each: Motion) -> None:
         write_bag(file, [Encoded('/tool_arm/plan', MULTI_DOF, np.array([NS_PER_S]),
                                  [encode_multi_dof(plan_of(each))])], replace=replace)
 

@@ -22,6 +22,7 @@ from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
 from bellows_ros.core.signals.timing import at_sampling, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
+from bellows_ros.files import File
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.files.messages import BOOL
 from bellows_ros.files.transforms import read_transforms, TF
@@ -138,9 +139,7 @@ class Info:
         return {**vars(self), 'valve': self.valve, 'version': __version__}
 
 
-def info(
-    path: str | os.PathLike[str], span: Mapping[str, Any] = MappingProxyType({})
-) -> Info:
+def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     """
     Look into a recording.
 
@@ -178,7 +177,7 @@ def info(
     return _assigned(path, described, poses, twists, span, notes)
 
 
-def _frames_note(path: str | os.PathLike[str]) -> str:
+def _frames_note(path: File) -> str:
     """Return which frames move in the transforms, and how to make a recording with poses."""
     links = read_transforms(path)
     moving = sorted(name for name, link in links.items() if len(link.stamps_ns) > 1)
@@ -233,7 +232,7 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
 
 
 def _assigned(
-    path: str | os.PathLike[str], described: tuple[TopicInfo, ...],
+    path: File, described: tuple[TopicInfo, ...],
     poses: Mapping[str, PoseStream], twists: Mapping[str, TwistStream], span: Mapping[str, Any],
     notes: list[str],
 ) -> Info:

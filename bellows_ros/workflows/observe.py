@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
-import os
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
@@ -20,6 +19,7 @@ from bellows_ros.core.recording.recording import Recording, require_one_frame
 from bellows_ros.core.signals.residuals import compare, Comparison
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.results import attributes
 from bellows_ros.workflows.alarm_calibration import AlarmCalibration, calibrated_alarms
@@ -133,7 +133,7 @@ class Observed:
 
 
 def observed(
-    bag: str | os.PathLike[str], recording: Recording, messages: Messages,
+    bag: File, recording: Recording, messages: Messages,
     values: Mapping[str, Any], topic: str, calibrate_alarms: bool = False,
 ) -> Observed:
     """

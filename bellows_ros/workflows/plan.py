@@ -38,19 +38,11 @@ from bellows_ros.core.signals.trajectory import (
 )
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File, plan_messages
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.joint_plans import JointPlan
 from bellows_ros.files.parameter_files import with_chosen_cup
-from bellows_ros.files.plan_messages import (
-    encode_multi_dof,
-    encode_path,
-    MULTI_DOF,
-    PATH,
-    plan_message,
-    PlanMessage,
-    require_frame,
-)
 from bellows_ros.files.plans import (
     arm_of,
     encode_joints,
@@ -96,7 +88,7 @@ ENDS_IN_MOTION = (
     'The plan ends in motion, so the swing after its end is unknown.')
 
 
-MotionSource = str | os.PathLike[str] | Trajectory
+MotionSource = File | Trajectory
 """A file with a motion, or the motion of E."""
 
 
@@ -404,9 +396,7 @@ def plan_with_cup(
     return read_plan(path, values, urdf, topic)
 
 
-def read_plan(
-    path: str | os.PathLike[str], values: Mapping[str, Any], urdf: str = '', topic: str = ''
-) -> Source:
+def read_plan(path: File, values: Mapping[str, Any], urdf: str = '', topic: str = '') -> Source:
     """
     Return the plan in a file, from recording.start to recording.end; see `plan`.
 
@@ -417,7 +407,7 @@ def read_plan(
 
     """
     source = _read_plan(Path(path), values, urdf, topic)
-    require_frame(source.frame_id, values)
+    plan_messages.require_frame(source.frame_id, values)
     recorded = [] if source.recorded_ns is None else [source.recorded_ns]
     chosen = inside([source.tool.stamps_ns, *recorded], values)[0]
     if (points := np.count_nonzero(chosen)) < 2:
@@ -469,7 +459,8 @@ def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> Non
 
 
 def _checked(
-    read: PlanMessage | JointPlan, values: Mapping[str, Any], urdf: str, recording: Any
+    read: plan_messages.PlanMessage | JointPlan, values: Mapping[str, Any], urdf: str,
+    recording: Any,
 ) -> Source:
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
@@ -553,8 +544,7 @@ def _measured(
 
 
 def write_prediction(
-    path: str | os.PathLike[str], source: Source, tool: Trajectory, states: Array,
-    replace_bag: bool = False,
+    path: File, source: Source, tool: Trajectory, states: Array, replace_bag: bool = False
 ) -> None:
     """
     Write a motion of the tool, and the package along it, as a recording.
@@ -584,9 +574,10 @@ def write_prediction(
     """
     frame, axes = source.frame_id or 'world', source.values['tool_twist.frame']
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
-    plan = plan_message(from_tip(tool, tip_of(source.values)), 0, frame, 'tool', axes)
-    package = plan_message(ToolRows(stamps, states).trajectory(), start, frame,
-                           source.values['frames.package'], axes)
+    tip = from_tip(tool, tip_of(source.values))
+    plan = plan_messages.plan_message(tip, 0, frame, 'tool', axes)
+    package = plan_messages.plan_message(ToolRows(stamps, states).trajectory(), start, frame,
+                                         source.values['frames.package'], axes)
     joints = []
     if source.joints is not None:
         found = source.joints.along(tool, source.tool)
@@ -596,10 +587,10 @@ def write_prediction(
     write_bag(path, [
         *(Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
             *joints,
-            ('/tool_arm/plan', MULTI_DOF, encode_multi_dof(plan)),
-            ('/package/plan', MULTI_DOF, encode_multi_dof(package)),
-            ('/package/plan_path', PATH,
-             encode_path(start, frame, package.times_ns, package.poses)))),
+            ('/tool_arm/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(plan)),
+            ('/package/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(package)),
+            ('/package/plan_path', plan_messages.PATH,
+             plan_messages.encode_path(start, frame, package.times_ns, package.poses)))),
         Recorded('/tool_arm/pose', POSE, stamps, plan.poses, frame),
         Recorded('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
         Recorded('/package/pose', POSE, stamps, package.poses, frame),

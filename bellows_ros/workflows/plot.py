@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-import os
 from typing import Any, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
@@ -16,6 +15,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import interpolated, relative_coordinates, score, spectrum
 from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress
 from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
 import numpy as np
@@ -148,7 +148,7 @@ Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 Group = TypeVar('Group', MeasuredMotion, Loads, Margins, Replayed, Live)
 
 
-def motion(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> MeasuredMotion:
+def motion(bag: File, settings: Mapping[str, object]) -> MeasuredMotion:
     """
     Return tool and package of a recording as measured.
 
@@ -167,7 +167,7 @@ def _motion(recording: Recording) -> MeasuredMotion:
     )
 
 
-def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bool) -> Spectra:
+def spectra(bag: File, settings: Mapping[str, object], cup: bool) -> Spectra:
     """
     Return the spectra of a recording and, with a cup, of the prediction error.
 
@@ -190,7 +190,7 @@ def spectra(bag: str | os.PathLike[str], settings: Mapping[str, object], cup: bo
     return Spectra(measured.frequency, np.sqrt(measured.density), error)
 
 
-def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
+def loads(bag: File, settings: Mapping[str, object]) -> Loads:
     """Return the load of the cup in a recording, by inverse dynamics, and its deflection."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
@@ -222,9 +222,7 @@ def loads(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Loads:
 
 
 def replayed(
-    bag: str | os.PathLike[str],
-    settings: Mapping[str, object],
-    progress: Progress | None = None,
+    bag: File, settings: Mapping[str, object], progress: Progress | None = None
 ) -> Replayed:
     """Return a replay with the poses of all bodies."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
@@ -244,7 +242,7 @@ def replayed(
     )
 
 
-def margins(bag: str | os.PathLike[str], settings: Mapping[str, object]) -> Margins:
+def margins(bag: File, settings: Mapping[str, object]) -> Margins:
     """Return the safety factors of the grip in a free simulation of a recording; see `Replay`."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     return validated(values, load(bag, values)).margins

@@ -31,6 +31,7 @@ from bellows_ros.core.signals.trajectory import (
     TwistStream,
 )
 from bellows_ros.errors import BellowsError, NoTopicError
+from bellows_ros.files import File
 from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import read_parameters
@@ -74,8 +75,7 @@ class Failed:
 
 
 def load(
-    path: str | os.PathLike[str], values: Mapping[str, Any], name: str = '',
-    with_digest: bool = False,
+    path: File, values: Mapping[str, Any], name: str = '', with_digest: bool = False
 ) -> Recording:
     """
     Read a recording and prepare it.

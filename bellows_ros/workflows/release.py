@@ -10,15 +10,9 @@ from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.toss import release_fit
 from bellows_ros.core.toss.landing import as_law
 from bellows_ros.core.toss.release import law_of, RELEASE_NAMES
-from bellows_ros.core.toss.release_fit import (
-    Drop,
-    drops_of,
-    fit_release,
-    parameters_of,
-    ReleaseFit,
-)
 from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
@@ -50,7 +44,7 @@ class ReleaseResult:
 
     """
 
-    fit: ReleaseFit
+    fit: release_fit.ReleaseFit
     bags: tuple[str, ...]
     used: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -85,7 +79,7 @@ class ReleaseResult:
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the release file."""
-        return parameters_of(self.fit)
+        return release_fit.parameters_of(self.fit)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -133,17 +127,17 @@ def identify_release(
     bags = tuple(os.fspath(bag) for bag in values['bags'])
     each = values_of_each(values)
     valves = [_valves(bag, own) for bag, own in zip(bags, each, strict=True)]
-    drops, used, left_out = list[Drop](), list[str](), list[str]()
+    drops, used, left_out = list[release_fit.Drop](), list[str](), list[str]()
     for number, (bag, own) in enumerate(zip(bags, each, strict=True)):
         progress(f'looking for drops in {bag}', 0.5 * number / len(bags))
         model = model_tuple(cup_of(own), package_of(own), own['gravity.magnitude'])
-        found, not_used = drops_of(load(bag, own), model, grip_of(own), valves[number])
+        found, not_used = release_fit.drops_of(load(bag, own), model, grip_of(own), valves[number])
         drops += found
         used += [bag] * len(found)
         left_out += [f'{bag}, {text}' for text in not_used]
     progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
-        fit = fit_release(drops, law_of(values), as_law(np.array(
+        fit = release_fit.fit_release(drops, law_of(values), as_law(np.array(
             [values[f'{name}_std'] for name in RELEASE_NAMES])))
     except UndeterminedError as error:
         raise type(error)(' '.join([str(error), *(f'Not used: {t}.' for t in left_out)])) from None

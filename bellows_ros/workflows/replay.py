@@ -21,15 +21,10 @@ from bellows_ros.core.model.validity_range import beyond, known_envelope
 from bellows_ros.core.parameters.checks import implausible, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
-from bellows_ros.core.signals.residuals import (
-    AXES,
-    Comparison,
-    relative_coordinates,
-    Spectrum,
-    Whiteness,
-)
+from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
+from bellows_ros.files import File
 from bellows_ros.files.results import provenance, with_units
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
@@ -42,7 +37,7 @@ MAX_LISTED = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Live(Comparison):
+class Live(residuals.Comparison):
     """
     The live prediction from recorded messages, compared with the recording.
 
@@ -172,18 +167,18 @@ class Replay(CommandResult):
         """The verdict on the cup by a recording not used in the fit."""
         found = self.validation
         errors = [f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
-            AXES, found.moves, found.scores.nrmse, strict=True) if moves]
+            residuals.AXES, found.moves, found.scores.nrmse, strict=True) if moves]
         return (f'Validated on {self.bag}, error over motion: {", ".join(errors) or "unknown"}. '
                 f'{found.verdict()}')
 
     def as_json(
-        self, limit: float = LIMIT, parameter_files: Sequence[str | os.PathLike[str]] = ()
+        self, limit: float = LIMIT, parameter_files: Sequence[File] = ()
     ) -> dict[str, Any]:
         """Return the content of the JSON file."""
         found = self.validation
         return with_units({
             'bag': self.bag,
-            'axes': AXES,
+            'axes': residuals.AXES,
             **vars(found.scores),
             'nrmse': found.scores.nrmse,
             'noise_rms': found.noise,
@@ -209,7 +204,7 @@ class Replay(CommandResult):
 
 
 def replay(
-    bag: str | os.PathLike[str],
+    bag: File,
     settings: Mapping[str, object],
     progress: Progress | None = None,
     observe: str = '',
@@ -301,7 +296,7 @@ def _stretch(values: Mapping[str, Any], relative: Array) -> float:
 
 def _why_unstable(values: Mapping[str, Any], recording: Recording) -> str:
     """Return the mass that the recorded stretch stands for, where it is another; else ''."""
-    seen = relative_coordinates(recording.measured_tool, recording.measured_package)
+    seen = residuals.relative_coordinates(recording.measured_tool, recording.measured_package)
     stretch = _stretch(values, seen[recording.measured])
     stiffness = cup_of(values).stiffness[2, 2]
     mass, given = stiffness * stretch / values['gravity.magnitude'], values['package.mass']
@@ -375,7 +370,7 @@ def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
         **{name: count for name, count in on_the_way.items() if count}}
 
 
-def _coloured_json(whiteness: Whiteness, spectrum: Spectrum) -> dict[str, Any]:
+def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum) -> dict[str, Any]:
     """Return the whiteness and the spectrum of errors."""
     return {
         'lags': whiteness.lags,

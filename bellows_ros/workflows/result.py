@@ -1,9 +1,9 @@
 """What the results of workflows have in common: they draw and write themselves."""
 
-import os
 from typing import Any
 
 from bellows_ros.extras import require_pictures
+from bellows_ros.files import File
 from bellows_ros.files.results import write_json
 
 
@@ -14,7 +14,7 @@ class CommandResult:
         """Return all figures by name, SI units, null for unknown values."""
         raise NotImplementedError
 
-    def to_json(self, path: str | os.PathLike[str]) -> None:
+    def to_json(self, path: File) -> None:
         """
         Write all figures as JSON, whole or not at all.
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from dataclasses import replace as changed
 import io
 import math
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,19 +21,13 @@ from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.synthetic import sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
-from bellows_ros.core.synthetic.sensing import (
-    measure_poses,
-    measure_twists,
-    Schedule,
-    schedule,
-    WORLDS,
-)
 from bellows_ros.core.toss.landing import release_factor
 from bellows_ros.core.toss.release import RELEASE_NAMES, release_of
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic
+from bellows_ros.files import atomic, File
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.workflows.plan import bending, read_plan
@@ -110,10 +103,10 @@ class SimulationReport:
 def simulate_recording(
     parameters: Mapping[str, object],
     motion: Mapping[str, object],
-    out: str | os.PathLike[str],
+    out: File,
     progress: Progress | None = None,
     replace: bool = False,
-    plan: str | os.PathLike[str] = '',
+    plan: File = '',
 ) -> SimulationReport:
     """
     Simulate a held package, and write the recording of a tracking system.
@@ -161,13 +154,13 @@ def simulate_recording(
     truth_file = None if not recipe.truth else atomic.require_file_target(
         bag.with_name(f'{bag.name}_truth.npz'))
     plans = {
-        name: schedule(
+        name: sensing.schedule(
             sensor, recipe.motion.duration, recipe.motion.rest_duration, recipe.start_ns,
             generator(recipe.seed, f'{name} plan'))
         for name, sensor in (('tool', recipe.tool), ('package', recipe.package))}
     say(f'simulating {recipe.motion.duration:g} s')
     truth = _simulated(values, recipe, plans)
-    recorded = _recorded(recipe, plans, truth, WORLDS[recipe.world] @ R_world_level)
+    recorded = _recorded(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
     say(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
     write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
@@ -192,7 +185,7 @@ def simulate_recording(
 
 
 def _simulated(
-    values: Mapping[str, Any], recipe: Recipe, plans: Mapping[str, Schedule]
+    values: Mapping[str, Any], recipe: Recipe, plans: Mapping[str, sensing.Schedule]
 ) -> Truth:
     """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
     motion, cup, package = recipe.motion, cup_of(values), package_of(values)
@@ -223,7 +216,7 @@ def _simulated(
 
 
 def _recorded(
-    recipe: Recipe, plans: Mapping[str, Schedule], truth: Truth, world: Array
+    recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, world: Array
 ) -> list[Recorded | Encoded]:
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
@@ -233,14 +226,14 @@ def _recorded(
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, tracked)):
         late_ns = round(sensor.latency * NS_PER_S)  # messages are received so much later
-        poses = measure_poses(body, sensor, plan, world, generator(seed, name))
+        poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
         recorded.append(Recorded(
             recipe.topics[f'{name}_pose'], POSE, poses.stamps_ns,
             np.hstack([poses.position, rotation_to_quaternion(poses.rotation)]), recipe.frame_id,
             log_times_ns=poses.stamps_ns + late_ns))
         if name == 'tool' and recipe.tool_twist:
-            twists = measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
-                                    generator(seed, 'tool twist'))
+            twists = sensing.measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
+                                            generator(seed, 'tool twist'))
             recorded.append(Recorded(
                 recipe.topics['tool_twist'], TWIST, poses.stamps_ns, twists, recipe.frame_id,
                 log_times_ns=poses.stamps_ns + late_ns))
@@ -256,7 +249,7 @@ def _recorded(
 
 
 def _truth_bytes(
-    cup: Cup, recipe: Recipe, plans: Mapping[str, Schedule], truth: Truth, turn: Array
+    cup: Cup, recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, turn: Array
 ) -> bytes:
     """
     Return an .npz file with the true motion at the times at which the package was sampled.

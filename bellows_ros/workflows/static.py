@@ -18,6 +18,7 @@ from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, res
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.files import File
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import attributes, with_units
 from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, values_of_each
@@ -284,9 +285,7 @@ def _same(one: Recording, other: Recording) -> bool:
         for name in ('stamps_ns', 'position'))
 
 
-def save_length(
-    result: StaticResult, path: str | os.PathLike[str]
-) -> None:
+def save_length(result: StaticResult, path: File) -> None:
     """
     Write the estimated nominal length as a parameter file.
 

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import safe_yaml
+from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.plan import MotionSource, NO_GRIP, plan_with_cup, Source, standing
 from bellows_ros.workflows.result import CommandResult
@@ -157,7 +156,7 @@ class SteerReport(CommandResult):
 
 def steer_plan(
     path: MotionSource, settings: Mapping[str, object], method: str,
-    limits: str | os.PathLike[str] | Mapping[str, object] = '', urdf: str = '', topic: str = '',
+    limits: File | Mapping[str, object] = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """
     Steer a plan of the tool, or of the package, so that the package does not swing.

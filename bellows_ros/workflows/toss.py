@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
-import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -12,19 +11,10 @@ from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.core.parameters.checks import implausible
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
-from bellows_ros.core.toss.landing import (
-    Aim,
-    aim,
-    beyond_masses,
-    Contributions,
-    contributions_to,
-    coverage,
-    draw,
-    MonteCarlo,
-    TossProblem,
-)
+from bellows_ros.core.toss import landing
 from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.plan import MotionSource, plan_with_cup, Source, write_prediction
 from bellows_ros.workflows.result import CommandResult
@@ -56,15 +46,15 @@ class TossResult(CommandResult):
     """A toss of a plan, with all that was asked of it."""
 
     source: Source
-    case: TossProblem
+    case: landing.TossProblem
     held: HeldMotion
     toss: Toss
-    parts: Contributions
-    aim: Aim | None
+    parts: landing.Contributions
+    aim: landing.Aim | None
     asked: Toss | None
     """With a target, the toss at the given time."""
     target: tuple[float, float] | None
-    drawn: MonteCarlo | None
+    drawn: landing.MonteCarlo | None
 
     @property
     def covariance(self) -> Array:
@@ -131,7 +121,7 @@ class TossResult(CommandResult):
             content['monte_carlo'] = {
                 'count': len(self.drawn.figures), 'failed': self.drawn.failed,
                 'covariance': self.drawn.covariance.tolist(),
-                'part_in_ellipse': coverage(self.covariance, self.drawn.figures)}
+                'part_in_ellipse': landing.coverage(self.covariance, self.drawn.figures)}
         return with_units(content)
 
     @property
@@ -144,7 +134,7 @@ class TossResult(CommandResult):
     @property
     def reached(self) -> bool:
         """Whether the target, if there is one, is in the 95 % ellipse of the landing."""
-        return self.aim is None or self.target is None or bool(coverage(
+        return self.aim is None or self.target is None or bool(landing.coverage(
             self.covariance + TOLERANCE**2 * np.eye(6),
             np.subtract([self.toss.landing[0][:2]], self.target)))
 
@@ -161,7 +151,7 @@ class TossResult(CommandResult):
             found.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
                 'the valve, whatever the load; release.tau has no effect.')
-        if beyond_masses(self.case.values):
+        if landing.beyond_masses(self.case.values):
             lightest, heaviest = self.case.values['release.mass_range']
             found.append(
                 f'package.mass is {self.case.values["package.mass"]:.3g} kg, but release.* was '
@@ -184,9 +174,7 @@ def _budget(shares: list[Share]) -> list[dict[str, Any]]:
              'contribution_deg': float(np.degrees(s.radians))} for s in shares]
 
 
-def write_toss(
-    path: str | os.PathLike[str], result: TossResult, replace_bag: bool = False
-) -> None:
+def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> None:
     """
     Write tool and package, held, parting and flying to its landing, as `write_prediction` does.
 
@@ -261,14 +249,15 @@ def toss_plan(
     if target is not None:
         asked = None if switched is None else toss(held, release, switched)
         wanted = None if target_rotation is None else quaternion_to_rotation(target_rotation)
-        found = aim(held, release, target, wanted)
+        found = landing.aim(held, release, target, wanted)
         switched = found.switched
     assert switched is not None
     nominal = toss(held, release, switched)
-    case = TossProblem(source.values, source.model, source.grip, source.tool, release, switched)
+    case = landing.TossProblem(
+        source.values, source.model, source.grip, source.tool, release, switched)
     progress('working out how sure the landing is')
-    parts = contributions_to(case, held, nominal)
+    parts = landing.contributions_to(case, held, nominal)
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
-    drawn = draw(case, nominal, monte_carlo) if monte_carlo else None
+    drawn = landing.draw(case, nominal, monte_carlo) if monte_carlo else None
     return TossResult(source, case, held, nominal, parts, found, asked, target, drawn)

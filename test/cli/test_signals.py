@@ -125,7 +125,7 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
     def work(console):
         with suppress(KeyboardInterrupt):
             signal.raise_signal(number)
-        console.say('It goes on.')
+        console.line('It goes on.')
         return 0
 
     before = {n: signal.getsignal(n) for n in (signal.SIGINT, *ENDING)}
