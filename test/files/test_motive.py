@@ -15,43 +15,6 @@ ABOUT = ('Format Version,1.23,Take Name,shake,Capture Frame Rate,360.000000,Expo
          'Coordinate Space,Global')
 
 
-def export(path, about=ABOUT, scale=1.0, quality=True):
-    """Write two bodies, three markers each; a pose is missing and a marker is bad."""
-    kinds, names, quantities, axes = [], [], [], []
-    for body in ('Tool', 'Plate'):
-        for quantity, letters in (('Rotation', 'XYZW'), ('Position', 'XYZ')):
-            for axis in letters:
-                kinds.append('Rigid Body')
-                names.append(body)
-                quantities.append(quantity)
-                axes.append(axis)
-        kinds.append('Rigid Body')
-        names.append(body)
-        quantities.append('Mean Marker Error')
-        axes.append('')
-        for marker in range(3 if quality else 0):
-            for quantity, axis in (('Position', 'X'), ('Marker Quality', '')):
-                kinds.append('Rigid Body Marker')
-                names.append(f'{body}:Marker{marker + 1}')
-                quantities.append(quantity)
-                axes.append(axis)
-    rows = [about, '', ',Type,' + ','.join(kinds), ',Name,' + ','.join(names),
-            ',ID,' + ','.join('1' for _ in kinds), ',,' + ','.join(quantities),
-            'Frame,Time (Seconds),' + ','.join(axes)]
-    for frame in range(4):
-        cells = [str(frame), f'{frame / RATE:.6f}']
-        for number, body in enumerate(('Tool', 'Plate')):
-            pose = [0.0, 0.0, 0.6, 0.8, *(scale * np.array([0.1, 1.2 - number * 0.1, frame]))]
-            missing = body == 'Plate' and frame == 2
-            cells += ['' if missing else repr(float(x)) for x in pose] + ['0.0001']
-            for marker in range(3 if quality else 0):
-                bad = body == 'Tool' and frame == 1 and marker == 2
-                cells += ['0.1', '0.42' if bad else '0.998']
-        rows.append(','.join(cells))
-    path.write_text('\r\n'.join(rows) + '\r\n', encoding='utf-8-sig')
-    return path
-
-
 @dataclass(frozen=True)
 class Column:
     """A column of a table as Motive lays it out, with a cell for each frame."""
@@ -78,18 +41,18 @@ def layout(path, columns, settings, timecode=False):
     for frame in range(len(columns[0].cells)):
         rows.append([str(frame), f'{frame / RATE:.6f}', *(['15:26:46:12.02'] if timecode else []),
                      *(c.cells[frame] for c in columns)])
-    with path.open('w', newline='', encoding='utf-8') as file:
+    with path.open('w', newline='', encoding='utf-8-sig') as file:
         csv.writer(file, lineterminator='\r\n').writerows(rows)
     return path
 
 
-def pose(name, kind='Rigid Body'):
-    """Return the columns of a body that stands still in two frames, with its mean marker error."""
-    found = [Column(kind, name, 'Rotation', axis, (value, value))
-             for axis, value in zip('XYZW', ('0', '0.6', '0', '-0.8'), strict=True)]
-    found += [Column(kind, name, 'Position', axis, (value, value))
-              for axis, value in zip('XYZ', ('100', '1200', '5'), strict=True)]
-    return [*found, Column(kind, name, 'Mean Marker Error', '', ('0.02', '0.02'))]
+def pose(name, rows=2 * [(0.0, 0.6, 0.0, -0.8, 100.0, 1200.0, 5.0)], kind='Rigid Body'):
+    """Return the columns of a body, one row a frame or None, with its mean marker error."""
+    axes = [('Rotation', axis) for axis in 'XYZW'] + [('Position', axis) for axis in 'XYZ']
+    found = [Column(kind, name, quantity, axis, tuple(
+        '' if row is None else repr(float(row[i])) for row in rows))
+        for i, (quantity, axis) in enumerate(axes)]
+    return [*found, Column(kind, name, 'Mean Marker Error', '', ('0.02',) * len(rows))]
 
 
 def marker(kind, name, cells, quality=False):
@@ -97,6 +60,19 @@ def marker(kind, name, cells, quality=False):
     found = [Column(kind, name, 'Position', axis, cells, 'Tool') for axis in 'XYZ']
     quantity = [Column(kind, name, 'Marker Quality', '', cells, 'Tool')] if quality else []
     return found + quantity
+
+
+def export(path, about=ABOUT, scale=1.0, quality=True):
+    """Write two bodies, three markers each, in four frames; a pose is missing, a marker bad."""
+    columns = []
+    for number, body in enumerate(('Tool', 'Plate')):
+        rows = [(0.0, 0.0, 0.6, 0.8, 0.1 * scale, (1.2 - 0.1 * number) * scale, frame * scale)
+                for frame in range(4)]
+        columns += pose(body, rows if body == 'Tool' else [*rows[:2], None, rows[3]])
+        for k in range(3 if quality else 0):
+            cells = ('0.998', '0.42' if (body, k) == ('Tool', 2) else '0.998', '0.998', '0.998')
+            columns += marker('Rigid Body Marker', f'{body}:Marker{k + 1}', cells, True)
+    return layout(path, columns, about)
 
 
 V22 = ('Format Version,1.22,Take Name,Take 2018-10-04 01.43.11 PM_001,Capture Frame Rate,360,'
@@ -120,7 +96,7 @@ V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.0
 )
 def test_all_layouts_are_read(settings, timecode, start, tmp_path):
     """Find poses by their heads, among skeletons, markers and time codes, in millimetres."""
-    columns = [*pose('Hip', 'Bone'), *pose('Tool'), *marker('Marker', 'Unlabeled 1', ('1', ''))]
+    columns = [*pose('Hip', kind='Bone'), *pose('Tool'), *marker('Marker', 'Loose 1', ('1', ''))]
     (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, settings, timecode))
     np.testing.assert_allclose(tool.values[0], [0.1, 1.2, 0.005, 0.0, 0.6, 0.0, -0.8])
     assert tool.stamps_ns[0] == np.datetime64(start, 'ns').astype(int)
