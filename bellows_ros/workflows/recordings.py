@@ -43,7 +43,7 @@ Progress = Callable[[str, float], None]
 NO_OFFSET = (
     'The time offset between tool and package is not identifiable from this recording; its '
     'stamps were used unchanged. Record a motion that is richer in all directions, with clocks '
-    'that differ by less than 100 ms.'
+    'that differ by less than 200 ms.'
 )
 """Used if a time offset is wanted and not identifiable."""
 

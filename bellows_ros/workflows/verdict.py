@@ -11,7 +11,7 @@ from bellows_ros.core.identification.plausibility import (
     DOUBTED,
     Finding,
     implausible_inputs,
-    LEAST_OFFSET,
+    ROUGH,
 )
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
@@ -257,7 +257,7 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     name, theta, std = found.name, found.theta, found.std
     if name == 'time_offset':
         side = 'behind' if theta[0] > 0.0 else 'ahead of'
-        if abs(theta[0]) > LEAST_OFFSET:
+        if std[0] >= ROUGH:
             return (f'The stamps of the tool are about {abs(theta[0]):.2f} s {side} those of the '
                     'package', 'Stamp both by one clock, or set fit.time_offset: true.')
         return (f'The stamps of the tool are {_size(theta[0], std[0])} ms {side} those of the '

@@ -201,7 +201,7 @@ def _worlds(given: Given) -> list[Array]:
 
 BLOCKS = {
     'time_offset': Block('time_offset', variations.time_offset, (1e-4,), lambda given:
-                         RASTER * np.arange(-10, 11)[:, None], 100.0, True),
+                         RASTER * np.arange(-20, 21)[:, None], 100.0, True),
     'com': Block('com', variations.com, (1e-5,) * 3, lambda given:
                  np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
     'length': Block('length', variations.length, (1e-5,), lambda given:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.identification.samples import require_hanging
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.recording.alignment import ALIKE, turn_correlation
 from bellows_ros.core.recording.recording import Recording
@@ -34,8 +35,12 @@ INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 
 NONE = np.empty(0)
 
-LEAST_OFFSET = 0.2
-"""Smallest offset of clocks (s) that shows without a fit; smaller ones are fitted."""
+SWINGING = -0.2, 0.05
+"""Offsets (s) by when both bodies turn alike that a swing may feign: no package turns before its
+tool. Clocks that are less apart are fitted."""
+
+SWING = 0.07
+"""Usual time (s) by which a package turns after its tool."""
 
 ROUGH = 0.05
 """Standard deviation of an offset by when both bodies turn alike (s), as the package swings."""
@@ -127,11 +132,13 @@ def _clocks(own: Recording) -> Finding | None:
     lags, alike = turn_correlation(own.aligned_tool, own.aligned_package)
     if not len(lags):
         return None
-    best, near = int(np.argmax(alike)), np.abs(lags) <= LEAST_OFFSET
-    if alike[best] < 2.0 * ALIKE or abs(lags[best]) <= LEAST_OFFSET or (
+    best, near = int(np.argmax(alike)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
+    if alike[best] < 2.0 * ALIKE or near[best] or (
             near.any() and np.max(alike[near]) > PERIODIC * alike[best]):
         return None
-    return Finding('time_offset', '', lags[[best]], np.array([ROUGH]))
+    if 0.0 < lags[best] < -SWINGING[0]:
+        require_hanging(own)  # a tool taken for the package turns later, too
+    return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 
 
 def _twists(own: Recording) -> Finding | None:

@@ -13,7 +13,7 @@ from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-LARGEST_OFFSET = 0.1
+LARGEST_OFFSET = 0.2
 """Largest time offset considered, s ..."""
 
 SLIPPING = 0.3

@@ -264,7 +264,7 @@ def _aside(own, size):
 
 
 def _far_clocks(own):
-    own.late = either(own.rng, *((0.13, 1.0) if own.rng.random() < 0.5 else (1.0, 8.0)))
+    own.late = either(own.rng, *((0.11, 1.0) if own.rng.random() < 0.5 else (1.0, 8.0)))
 
 
 def _quaternions(own):
