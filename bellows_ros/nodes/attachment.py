@@ -34,6 +34,8 @@ class Attachment:
         Takes True to attach, False to detach, and why; returns whether it is done.
     hear : callable
         Takes each pressure in the cup, Pa; of several sensors the highest of cups that hold.
+    on_held : callable
+        Takes of each message of the vacuum whether the cup holds, before anything is changed.
     on_open : callable
         Is called when other cups of a gripper hold.
 
@@ -50,10 +52,11 @@ class Attachment:
 
     def __init__(
         self, node: GuardedNode, values: Mapping[str, Any], change: Callable[[bool, str], bool],
-        hear: Callable[[float], None], on_open: Callable[[], None],
+        hear: Callable[[float], None], on_held: Callable[[bool], None],
+        on_open: Callable[[], None],
     ) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
-        self._change, self._hear, self._on_open = change, hear, on_open
+        self._change, self._hear, self._join, self._on_open = change, hear, on_held, on_open
         self.open_cups: tuple[int, ...] = ()
         self._pressures: dict[int, float] = {}  # by cup, of those that hold
         self._seen: set[int] = set()  # cups with a sensor
@@ -127,6 +130,7 @@ class Attachment:
 
     def _follow(self, held: bool) -> None:
         """Follow the vacuum when it changes; a node that is not active yet does so once it is."""
+        self._join(held)
         changed, self._said = held != self._said, held
         if changed and held != self.held:
             self.held = held

@@ -97,14 +97,14 @@ class Observing:
                 'recording.package_world to the pose of the first frame in the second, as '
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
-        self._log_alarms()
+        self.log_alarms()
         payload = live.observer and live.observer.payload
         if payload and self._estimated.wanted:
             message = InertiaStamped()
             write_payload(message, self._values['frames.lip'], payload)
             self._estimated.publish(message)
 
-    def _log_alarms(self) -> None:
+    def log_alarms(self) -> None:
         """Log the alarms since the last call, and go on without the cups that are lost."""
         alarms = self._live.observer.alarms if self._live and self._live.observer else []
         fresh, self._said = alarms[self._said:], len(alarms)

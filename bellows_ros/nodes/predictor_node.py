@@ -133,7 +133,7 @@ class PredictorNode(ManagedNode):
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self._attachment = Attachment(
-            self, values, self._attach, self._on_pressure, self._on_open_cups)
+            self, values, self._attach, self._on_pressure, self._on_vacuum, self._on_open_cups)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._planning = Planning(self, lambda: self._last)
         self._tossing = Tossing(self, self._on_valve, self._planning)
@@ -337,6 +337,11 @@ class PredictorNode(ManagedNode):
         self._planning.grip = load.grip
         if not flight.state:
             flight.grip = load.grip
+
+    def _on_vacuum(self, held: bool) -> None:
+        """Join the vacuum with what a camera sees."""
+        self._live.hear_vacuum(held)
+        self._observing.log_alarms()
 
     def _attach(self, held: bool, why: str) -> bool:
         """Attach or detach the package; return whether the node is active."""

@@ -137,3 +137,38 @@ def test_counts_begin_again_with_the_observer(make_partner: Callable[..., Partne
     assert report(0).level == Level.ERROR
     predictor._live.switch_valve(False, start_ns)
     assert report(0).level == report(1).level == Level.WARN
+
+
+@pytest.mark.parametrize('moves', [True, False])
+def test_vacuum_that_breaks_down_in_motion_is_a_loss(
+        make_partner: Callable[..., Partner], capfd: pytest.CaptureFixture[str],
+        moves: bool) -> None:
+    """Raise one alarm at once, before the camera sees anything; at rest it is a release."""
+    from geometry_msgs.msg import PoseStamped
+    from sensor_msgs.msg import FluidPressure
+
+    partner = make_partner({**PACKAGE, 'vacuum.signal': 'pressure'})
+    predictor, live = partner.predictor, partner.predictor._live
+    vacuum = partner.node.create_publisher(FluidPressure, 'vacuum/pressure', 10)
+    assert partner.ros.spin_until(vacuum.get_subscription_count)
+    vacuum.publish(FluidPressure(fluid_pressure=40e3))
+    assert partner.ros.spin_until(lambda: live.attached)
+    start_ns, speed = time.time_ns(), 0.3 * moves
+    for k in range(1, 50):
+        partner.send_pose(start_ns + k * 4_000_000, (speed * k * 4e-3, 0.0, 0.0))
+        partner.send_twist(start_ns + k * 4_000_000, (speed, 0.0, 0.0))
+    partner.wait_for_poses(49)
+    held = partner.poses[-1]
+    message = stamped(PoseStamped(), start_ns + 49 * 4_000_000)
+    message.pose = held.pose
+    predictor._observing._on_measured(message)
+    for _ in range(3):
+        vacuum.publish(FluidPressure(fluid_pressure=100e3))
+    assert partner.ros.spin_until(lambda: not live.attached)
+    predictor._observing._on_measured(message)
+    assert [alarm.cause for alarm in live.observer.alarms] == ['lost'] * moves
+    assert predictor._outputs._said == ('alarm: lost' if moves else 'detached')
+    said = capfd.readouterr().err
+    assert said.count('Alarm, lost: The package is lost') == moves
+    assert said.count('Second likeliest: leak, odds 1000 to 1') == moves
+    assert 'Detached (vacuum)' in said

@@ -41,6 +41,9 @@ LONGEST_BURST_NS = 100_000_000
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""
 
+MOVES = 0.02, 0.1
+"""Speed (m/s) or rate (rad/s) of the tool from which on no package is released."""
+
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
     'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'twist_nan', 'twist_too_fast',
@@ -121,6 +124,7 @@ class LivePredictor:
         self.poses_in = self.twists_in = self.predictions = self.twists_estimated = 0
         self.coasted = 0
         self.attached = True
+        self._has_vacuum = False
         self.flight: Flight | None = None
         self._twist_frame_id: str | None = None
         self._twist_frame_change = FrameChange()
@@ -377,6 +381,14 @@ class LivePredictor:
             observer.counts['not_held'] += 1
         else:
             self._package.see(seen)
+
+    def hear_vacuum(self, is_held: bool) -> None:
+        """Join what is measured with the vacuum: whether the cup holds by it; see `observe`."""
+        observer, sample = self._package.observer, self._package.sample
+        breaks, self._has_vacuum = self._has_vacuum and not is_held, is_held
+        if observer is not None and not (self.flight is not None and self.flight.state):
+            speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
+            observer.hear_vacuum(is_held, breaks, speed > MOVES[0] or rate > MOVES[1])
 
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""

@@ -108,7 +108,18 @@ CUP_MESSAGE = (
     'Cup {:.0f} of cup.layout, at x {:.0f} mm, y {:.0f} mm, holds no more (lost: {} % of its '
     'wrench): check its lip and its vacuum, and add it to cup.open.')
 
-LOST = 4
+OF_LEAK, LOST, OF_CAMERA = 1, 4, 5
+
+OUT_OF_REACH_ODDS = 100.0
+"""So much likelier poses where no cup can hold a package are if it is lost than if it is not."""
+
+VACUUM_ODDS = 1000.0
+"""So much likelier a vacuum breaks down if the package is lost, and stays if it is not."""
+
+SEES_ANOTHER = (
+    'The vacuum stays, but the camera sees the package where the cup cannot hold it: check the '
+    'camera, and the marker on the package.')
+
 AMBIGUOUS = {
     ('wear', 'payload'), ('payload', 'wear'),
 }
@@ -334,9 +345,24 @@ class Alarms:
         P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
         return mean + P @ (known.numbers[columns] - J @ mean), P, columns
 
-    def lost(self, stamp_ns: int) -> Alarm:
-        """Return that the package is lost."""
-        return Alarm(stamp_ns, CAUSES[LOST].name, 1.0, 0.0, '', math.inf, CAUSES[LOST].message)
+    def lost(
+        self, stamp_ns: int, is_held: bool | None, is_seen: bool = True, reach: float = 0.0
+    ) -> Alarm:
+        """
+        Return the alarm on poses out of reach (m), if they are seen, and on the vacuum, if known.
+
+        The odds of a lost package to a camera that sees something else, or to a leak, are those of
+        the shares, times `OUT_OF_REACH_ODDS` for the poses, times or by `VACUUM_ODDS`.
+        """
+        second = CAUSES[OF_CAMERA if is_seen else OF_LEAK]
+        odds = CAUSES[LOST].share / second.share * (OUT_OF_REACH_ODDS if is_seen else 1.0)
+        if is_held is not None:
+            odds *= VACUUM_ODDS ** (1 - 2 * is_held)
+        if odds < 1.0:
+            return Alarm(stamp_ns, second.name, reach, 0.0, CAUSES[LOST].name, 1.0 / odds,
+                         SEES_ANOTHER + _runner_up(CAUSES[LOST].name, 1.0 / odds))
+        return Alarm(stamp_ns, CAUSES[LOST].name, 1.0, 0.0, second.name, odds,
+                     CAUSES[LOST].message + _runner_up(second.name, odds))
 
 
 def _sentence(cause: Cause, size: Array, P: Array) -> str:

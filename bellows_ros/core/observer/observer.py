@@ -198,6 +198,7 @@ class Observer:
         self._ahead: list[Measurement] = []
         self._asked: Estimate | None = None  # for, last
         self._lag_ns = 0  # of the newest measurement, when it came
+        self._vacuum: tuple[int, bool] | None = None  # when heard, on the tool's clock; it holds
         self.alarms: list[Alarm] = []
 
     def set_model(self, model: ModelTuple, longest_step: float, reach: float) -> None:
@@ -333,7 +334,25 @@ class Observer:
         usual_ns = last_ns - seen[-2].stamp_ns
         if stamp_ns - last_ns > SILENT * usual_ns + self._lag_ns:
             self._known[-1] = known._replace(away=2)
-            self._raise(self._alarms.lost(stamp_ns))
+            if not (is_held := self._is_held_since(last_ns)):  # else one wrong pose, then none
+                self._raise(self._alarms.lost(stamp_ns, is_held))
+
+    def hear_vacuum(self, is_held: bool, breaks: bool, moves: bool) -> None:
+        """
+        Join what is measured with the vacuum of the cup.
+
+        Where it breaks down the package is lost, unless the tool is at rest, as for a release, and
+        no pose is out of reach.
+        """
+        self._vacuum = self._track.newest_ns, is_held
+        if breaks and self._known and self._alarms:
+            is_seen = self._known[-1].away > 0
+            if moves or is_seen:
+                self._raise(self._alarms.lost(self._track.newest_ns, False, is_seen))
+
+    def _is_held_since(self, stamp_ns: int) -> bool | None:
+        """Return whether the vacuum holds at a stamp or later; None if it was not heard since."""
+        return self._vacuum[1] if self._vacuum and self._vacuum[0] >= stamp_ns else None
 
     def _drop_old(self, before_ns: int) -> None:
         """Discard estimates that nothing can change any more, except the last of them."""
@@ -466,7 +485,9 @@ class Observer:
     def _away(self, known: Estimate, stamp_ns: int) -> Estimate:
         """Count a pose out of reach; a package that was within reach is lost after two."""
         if known.away == 1 and self._alarms is not None:
-            self._raise(self._alarms.lost(stamp_ns))
+            first_ns = self._seen[bisect_left(self._seen, (stamp_ns,)) - 1].stamp_ns
+            self._raise(self._alarms.lost(
+                stamp_ns, self._is_held_since(first_ns), reach=self._reach))
         return known._replace(away=known.away + 1 if known.away or self._is_near(known) else 0)
 
     def _is_near(self, known: Estimate) -> bool:

@@ -271,3 +271,56 @@ def test_payload_is_kept_for_this_package_alone():
     made.start(int(stamps[0]), tool[0], body[0])
     assert made.payload.mass == PACKAGE.mass
     assert made.payload.mass_std == pytest.approx(0.1 * PACKAGE.mass)
+
+
+def watched(away, vacuum, moves=True):
+    """
+    Let the last poses be out of reach, and the vacuum be heard after some of the poses.
+
+    vacuum has whether the cup holds, after the last pose (0), the one before (-1) ...
+    """
+    stamps, tool, body, seen = scene(3, 1.2)
+    made = observer(alarm__false_per_hour=1.0)
+    gone = sorted(seen)[len(seen) - away:]
+    made.start(stamps[0], tool[0], body[0])
+    for k in range(1, len(tool)):
+        made.follow(stamps[k], tool[k - 1], tool[k])
+        if k in seen:
+            pose = shifted(seen[k], 0.0, 0.0, -0.5) if k in gone else seen[k]
+            made.see(measured(made, stamps[k], pose))
+            held = vacuum.get(sorted(seen).index(k) + 1 - len(seen))
+            if held is not None:
+                made.hear_vacuum(held, not held, moves)
+    return made
+
+
+@pytest.mark.parametrize(('away', 'vacuum', 'moves', 'cause', 'second', 'odds'), [
+    (2, {}, True, 'lost', 'camera', 50.0),
+    (2, {-3: True}, True, 'lost', 'camera', 50.0),  # heard before only
+    (2, {-1: True}, True, 'camera', 'lost', 20.0),
+    (2, {-1: False}, False, 'lost', 'camera', 50e3),
+    (2, {0: False}, True, 'lost', 'camera', 50.0),  # after two poses nothing new is raised
+    (0, {0: False}, True, 'lost', 'leak', 1e3),
+])
+def test_lost_package_is_joined_with_the_vacuum(away, vacuum, moves, cause, second, odds):
+    """Add what poses out of reach and the vacuum say, as one alarm."""
+    (alarm,) = watched(away, vacuum, moves).alarms
+    assert (alarm.cause, alarm.second) == (cause, second)
+    assert alarm.odds == pytest.approx(odds)
+    assert f'Second likeliest: {second}, odds {odds:.0f} to 1' in alarm.message
+
+
+def test_vacuum_that_ends_at_rest_is_a_release():
+    """Raise no alarm where no pose is out of reach."""
+    assert not watched(0, {0: False}, moves=False).alarms
+    assert watched(0, {0: False}, moves=True).alarms
+
+
+def test_one_wrong_pose_is_no_loss_while_the_vacuum_holds():
+    """Raise no alarm where a camera falls silent after a pose out of reach, but the cup holds."""
+    for vacuum, causes in (({}, ['lost']), ({0: True}, [])):
+        made = watched(1, vacuum)
+        still = made._known[-1].tool
+        for _ in range(40):
+            made.follow(made._track.newest_ns + PERIOD_NS, still, still)
+        assert [alarm.cause for alarm in made.alarms] == causes
