@@ -44,7 +44,11 @@ def test_designs_and_writes(bellows, workshop, limits, tmp_path):
     stamps, poses = read_euroc(tmp_path / 'm.csv')
     assert len(plan.times_ns) == 15001 and np.array_equal(stamps, plan.times_ns)
     assert np.abs(poses - plan.poses).max() < 1e-8
-    lines = [x for x in (tmp_path / 'm.script').read_text().splitlines() if '  to(p[' in x]
+    program = (tmp_path / 'm.script').read_text()
+    before, confirmed, moves = program.partition('blocking=True)\n')
+    assert 'popup(' in before and confirmed and moves.lstrip().startswith('movej(')
+    assert 'movej' not in before and '  to(p[' not in before
+    lines = [x for x in moves.splitlines() if '  to(p[' in x]
     row = [float(x) for x in lines[500].split('[')[1].rstrip('])').split(',')]
     assert len(lines) == 1876 and np.abs(np.array(row[:3]) - plan.poses[4000, :3]).max() < 1e-6
     assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
