@@ -21,5 +21,5 @@ ROUNDS = {
     'disks': Round(disks, short=20),
     'fits': Round(fits, patience=120.0, short=10),
     **({'messages': Round(messages, patience=60.0, short=4),
-        'requests': Round(requests, patience=90.0, short=3)} if find_spec('rclpy') else {}),
+        'requests': Round(requests, patience=300.0, short=3)} if find_spec('rclpy') else {}),
 }
