@@ -102,16 +102,20 @@ def line(seed: int, duration: float) -> tuple[str, Array]:
     about = f'| {seed} | {"yes" if seed % 2 else "no"} | {"50 ms" if seed % 4 > 1 else "none"} | '
     try:
         recording = _prepared(tool, package, None, prepare_settings(values), values)
-        found = fit([recording], values).fit
+        both = fit([recording], values).fit
+        found = both.exactly_given
     except BellowsError as error:
-        return f'{about} refused: {str(error)[:60]} | | |', np.empty(0)
+        return f'{about} refused: {str(error)[:60]} | | | |', np.empty(0)
     z = np.diag((found.stiffness - cup.stiffness) / np.where(
         found.stiffness_std > 0.0, found.stiffness_std, np.inf))[[0, 2, 3, 5]]
-    verdict = verdict_of(found, [recording], values['cup.length'], values)
+    verdict = verdict_of(both, [recording], values['cup.length'], values)
     refused = verdict is not None and bool(verdict.refusals)
-    sizes = np.diag(100.0 * found.stiffness_std / cup.stiffness.max(axis=1))[[0, 2, 3, 5]]
+    sizes, with_given = (
+        np.diag(100.0 * own.stiffness_std / cup.stiffness.max(axis=1))[[0, 2, 3, 5]]
+        for own in (found, both))
     return (f'{about}{" ".join(f"{x:.1f}" for x in z)} | '
             f'{" ".join(f"{x:.2g}" for x in sizes)} | '
+            f'{" ".join(f"{x:.2g}" for x in with_given)} | '
             f'{"refused" if refused or not found.usable else "accepted"} | '
             f'{time.process_time() - began:.0f} |'), z[np.isfinite(sizes)]
 
@@ -124,7 +128,8 @@ def main() -> None:
     parser.add_argument('--duration', type=float, default=26.0, help='of the motion, s')
     arguments = parser.parse_args()
     print('| recording | tilts | noise over | K x, z, rx, rz off by (standard errors) | '
-          'standard errors % | verdict | CPU s |\n|---|---|---|---|---|---|---|')
+          'standard errors % | with what was given % | verdict | CPU s |\n'
+          '|---|---|---|---|---|---|---|---|')
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.runs):
         text, z = line(seed, arguments.duration)

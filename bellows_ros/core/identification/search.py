@@ -98,8 +98,11 @@ LEAST_SHARE, LONGEST_SHARE = 0.05, 4.0
 SETTLED = 0.03
 """Part by which the noise of slow poses may change in the last step."""
 
-MOST_NEAR_STEPS, MOST_STEPS = 10, 30
-"""Of a stage, and of the last one."""
+MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
+"""Of a stage, of the last one, and of that where more than noise is left."""
+
+MISFIT = 1.5
+"""Chi^2 per difference above which that is so."""
 
 NEAR, ENOUGH = 3.0, 3e-3
 """Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
@@ -393,7 +396,10 @@ class Search:
             damping, share, settled = 1e-2 if forgets else 0.0, 1.0, True
             last: Array = np.zeros(len(theta))
             end = NEAR if forgets else ENOUGH
-            for _ in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
+            expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
+            for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
+                if number >= MOST_OF_MISFIT and squares(parts) > MISFIT * expected:
+                    break
                 step, free = np.zeros(len(theta)), self.unbounded(theta, g)
                 step[free] = np.linalg.solve(
                     (H + damping * np.diag(np.diag(H)))[np.ix_(free, free)], g[free])
@@ -405,7 +411,6 @@ class Search:
                     share = min(1.5 * share, LONGEST_SHARE)
                 there, way = self.moved(theta, step, share), self.length_of(step, H)
                 new = self.system(there, forgets)
-                expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
                 if not squares(new[0]) < RISES * max(squares(parts), expected):  # or nan
                     damping = max(10.0 * damping, 1e-2)
                     continue
