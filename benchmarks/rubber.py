@@ -65,9 +65,7 @@ def _rates(model: Any, r: Any, tau: Any, tool: Any, body: Any, z: Array, dz: Arr
     """Return the rate of the body twist, and write those of the internal strains (5, 6)."""
     cup, package, gravity = model
     R_A_B = rotation_matrix(body[1])
-    o_E_S, R, v, w = lip_relative_to_tool(
-        package[1], tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], R_A_B, body[2], body[3])
+    o_E_S, R, v, w = lip_relative_to_tool(package[1], tool, body)
     o, l1 = spring_frames(cup, o_E_S, R), cup[0]
     a, b = strain(o, R)
     h = np.array([a[0], a[1], a[2], b[0], b[1], b[2]])

@@ -7,12 +7,11 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
-from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple, State
+from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
 from bellows_ros.core.model.validity_range import Distance, distance, known_envelope
 import numpy as np
 
@@ -33,19 +32,9 @@ class Deflection(NamedTuple):
     """Rate of the lip relative to the tool, in lip axes, rad/s."""
 
 
-@kernel
-def _lip(com: Vector, tool: State, body: State) -> tuple[Vector, Matrix, Vector, Vector]:
-    """Return E_o_S, E_R_S and the twist of the lip relative to the tool."""
-    return lip_relative_to_tool(
-        com,
-        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
-    )
-
-
 def deflection(model: ModelTuple, prediction: Prediction) -> Deflection:
     """Return the displacement of the lip from its nominal pose (0, 0, -l0) in the tool."""
-    o, R, v, w = _lip(model[1][1], prediction.tool, prediction.body)
+    o, R, v, w = lip_relative_to_tool(model[1][1], prediction.tool, prediction.body)
     return Deflection((o[0], o[1], o[2] + model[0][1]), R, v, w)
 
 
@@ -149,9 +138,9 @@ class Load:
         if len(self.grip) == 3:
             peel, slip, peeling, slipping = *safety_factors(self.grip, f, m), 0, 0
         else:
+            lip = lip_relative_to_tool(model[1][1], prediction.tool, prediction.body)
             peel, slip, peeling, slipping = least_factors(
-                self.grip, model[0], *_lip(model[1][1], prediction.tool, prediction.body),
-                prediction.strains, f, m)
+                self.grip, model[0], *lip, prediction.strains, f, m)
         for mode, (factor, row) in enumerate(((peel, peeling), (slip, slipping))):
             if self._safety is None or factor < self._safety.factor:
                 self._safety = Safety(factor, mode_name(self.grip, mode, row))

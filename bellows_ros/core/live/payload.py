@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import dot, rotation_matrix
+from bellows_ros.core.geometry.tuples import dot
 from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.live.uncertainty import Modes, modes_of, Settling
 from bellows_ros.core.model import equilibrium, kernels
@@ -47,10 +47,7 @@ def advance_and_hold(
     cup, package, _ = model
     if substeps > 0:
         body = kernels.advance(model, body, before, now, duration, substeps)
-    o_lip, R_lip, v_lip, w_lip = kernels.lip_relative_to_tool(
-        package[1], now[0], rotation_matrix(now[1]), now[2], now[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3],
-    )
+    o_lip, R_lip, v_lip, w_lip = kernels.lip_relative_to_tool(package[1], now, body)
     f, m = wrench = kernels.cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
     v, w = body[2], body[3]
     total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]

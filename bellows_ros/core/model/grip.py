@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import Matrix, rotation_matrix, Vector
+from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import CupTuple, ModelTuple, State, Strains
 from bellows_ros.core.model.layout import cup_of_gripper, is_single, places_of, wrench_at
@@ -92,9 +92,7 @@ def least_factors(
 def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -> float:
     """Return the suction force (N) of each cup at or below which the first one peels."""
     cup, package, _ = model
-    o, R, v, w = kernels.lip_relative_to_tool(
-        package[1], tool[0], rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], rotation_matrix(body[1]), body[2], body[3])
+    o, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
     if len(grip) == 3:
         f, m = kernels.cup_wrench(cup, o, R, v, w, body[4:])
         return peel_load(grip[1], f, m)
@@ -159,9 +157,7 @@ def _write_factors(
     """Write the factors of every row."""
     for k in range(len(tool)):
         at, held = row_state(tool[k]), row_state(body[k])
-        o, R, v, w = kernels.lip_relative_to_tool(
-            model[1][1], at[0], rotation_matrix(at[1]), at[2], at[3],
-            held[0], rotation_matrix(held[1]), held[2], held[3])
+        o, R, v, w = kernels.lip_relative_to_tool(model[1][1], at, held)
         f, m = kernels.cup_wrench(model[0], o, R, v, w)
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = least_factors(
             grip, model[0], o, R, v, w, (), f, m)

@@ -214,11 +214,7 @@ def ends_of_spring(
     The tool's twist is X(E_H_S1)^-1 E_v_AE, in S axes.
     """
     cup, package, _ = model
-    o_E_S, R, v, w = kernels.lip_relative_to_tool(
-        package[1],
-        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
-    )
+    o_E_S, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
     l1 = cup[0]
     o_E_S1 = t3.add_scaled(o_E_S, l1, (R[2], R[5], R[8]))
     com = package[1]

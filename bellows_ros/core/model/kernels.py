@@ -150,22 +150,21 @@ def wrench_at_com(com: Vector, f: Vector, m: Vector) -> Wrench:
 
 @kernel
 def lip_relative_to_tool(
-    com: Vector,
-    o_A_E: Vector, R_A_E: Matrix, v_E: Vector, w_E: Vector,
-    o_A_B: Vector, R_A_B: Matrix, v_B: Vector, w_B: Vector,
+    com: Vector, tool: State, body: State
 ) -> tuple[Vector, Matrix, Vector, Vector]:
     """
     Return E_o_S, E_R_S and the body twist S_v_ES of the lip relative to the tool.
 
     S_v_ES = X(S_H_B) B_v_AB - X(E_H_S)^-1 E_v_AE.
     """
+    R_A_E, R_A_B = t3.rotation_matrix(tool[1]), t3.rotation_matrix(body[1])
     R_E_S = t3.multiply_transposed(R_A_E, R_A_B)
-    o_A_S = t3.subtract(o_A_B, t3.apply(R_A_B, com))
-    o_E_S = t3.apply_transposed(R_A_E, t3.subtract(o_A_S, o_A_E))
-    v_S = t3.add(v_B, t3.cross(com, w_B))
-    v_tool = t3.apply_transposed(R_E_S, t3.add(v_E, t3.cross(w_E, o_E_S)))
-    w_tool = t3.apply_transposed(R_E_S, w_E)
-    return o_E_S, R_E_S, t3.subtract(v_S, v_tool), t3.subtract(w_B, w_tool)
+    o_A_S = t3.subtract(body[0], t3.apply(R_A_B, com))
+    o_E_S = t3.apply_transposed(R_A_E, t3.subtract(o_A_S, tool[0]))
+    v_S = t3.add(body[2], t3.cross(com, body[3]))
+    v_tool = t3.apply_transposed(R_E_S, t3.add(tool[2], t3.cross(tool[3], o_E_S)))
+    w_tool = t3.apply_transposed(R_E_S, tool[3])
+    return o_E_S, R_E_S, t3.subtract(v_S, v_tool), t3.subtract(body[3], w_tool)
 
 
 @kernel
@@ -190,11 +189,7 @@ def newton_euler(
 def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
     """Return the wrench of the cup on the package at the lip, in S axes, for a state."""
     cup, package, _ = model
-    o_E_S, R_E_S, v_ES, w_ES = lip_relative_to_tool(
-        package[1],
-        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
-    )
+    o_E_S, R_E_S, v_ES, w_ES = lip_relative_to_tool(package[1], tool, body)
     return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES, body[4:])
 
 
@@ -202,11 +197,7 @@ def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
 def lip_strain(model: ModelTuple, tool: State, body: State) -> Strain:
     """Return the strain h of the cup (3.18) for a state."""
     cup, package, _ = model
-    o_E_S, R_E_S, _, _ = lip_relative_to_tool(
-        package[1],
-        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
-    )
+    o_E_S, R_E_S, _, _ = lip_relative_to_tool(package[1], tool, body)
     return strain(spring_frames(cup, o_E_S, R_E_S), R_E_S)
 
 

@@ -351,11 +351,7 @@ def record_sample(
 ) -> float:
     """Write wrench and loads of a state, update the peaks, and return the larger load."""
     cup, package, _ = model
-    o, R, v, w = kernels.lip_relative_to_tool(
-        package[1],
-        tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], t3.rotation_matrix(body[1]), body[2], body[3],
-    )
+    o, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
     f, m = kernels.cup_wrench(cup, o, R, v, w, body[4:])
     peel, slip, peeling, slipping = least_factors(grip, cup, o, R, v, w, body[4:], f, m)
     loads[0] = 1.0 / peel if peel > 0.0 else math.inf

@@ -114,8 +114,7 @@ def inverse_dynamics(
     l1, zero = cup[0], (0.0, 0.0, 0.0)
     f, m = needed_wrench(model, body, dv, dw)
     o_E_S, R, v_S, w_S = kernels.lip_relative_to_tool(
-        package[1], tool[0], t3.rotation_matrix(tool[1]), zero, zero,
-        body[0], t3.rotation_matrix(body[1]), body[2], body[3])
+        package[1], kernels.with_twist(tool, zero, zero), body)
     o = kernels.spring_frames(cup, o_E_S, R)
     spring_f, spring_m = kernels.spring_wrench(o, R, cup[2], cup[4:], tool[4:])
     a = t3.subtract(spring_f, f)

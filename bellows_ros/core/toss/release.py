@@ -103,9 +103,7 @@ def length_change(
     if law[5] <= 0.0 or since_valve < law[0]:
         return 0.0
     cup, package, _ = model
-    o_E_S, R_E_S, _, _ = kernels.lip_relative_to_tool(
-        package[1], tool[0], t3.rotation_matrix(tool[1]), tool[2], tool[3],
-        body[0], t3.rotation_matrix(body[1]), body[2], body[3])
+    o_E_S, R_E_S, _, _ = kernels.lip_relative_to_tool(package[1], tool, body)
     stretch = -t3.apply_transposed(R_E_S, o_E_S)[2] - cup[1]
     stiffness, part = cup[2][0][8], max(0.0, stretch) / law[5]
     force = law[4] * (suction(law, since_valve) + part * part) - max(

@@ -91,10 +91,10 @@ def test_relative_motion_of_arrays_is_that_of_the_kernel(exact):
     _, package, samples, _ = exact
     o, R, v = lip_relative(samples.tool, samples.package, package.com)
     for k in (0, 300, 900):
-        parts = [
-            tuple(x.ravel().tolist()) for t in (samples.tool, samples.package)
-            for x in (t.position[k], t.rotation[k], t.twist[k, :3], t.twist[k, 3:])]
-        expected = lip_relative_to_tool(tuple(package.com.tolist()), *parts)
+        states = [
+            state_row(t.position[k], rotation_to_quaternion(t.rotation[k]), t.twist[k])
+            for t in (samples.tool, samples.package)]
+        expected = lip_relative_to_tool(tuple(package.com.tolist()), *states)
         for got, wanted in zip(
                 (o[k], R[k].ravel(), v[k, :3], v[k, 3:]), expected, strict=True):
             assert_allclose(got, wanted, atol=1e-13)
