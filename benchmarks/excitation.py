@@ -16,12 +16,12 @@ from typing import Any
 
 from bellows_ros.core.excitation import motion_design as excitation
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
-from bellows_ros.core.excitation.commissioning import everyday
 from bellows_ros.core.excitation.fisher import motion_information, standard_errors, Tracking
 from bellows_ros.core.excitation.motion_design import (
     all_ratios,
     cups_near,
     design,
+    everyday,
     MotionObjective,
 )
 from bellows_ros.core.geometry.arrays import Array

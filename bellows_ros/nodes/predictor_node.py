@@ -18,10 +18,9 @@ from .attachment import Attachment
 from .command import origin_of
 from .conversions import quaternion_xyzw, stamp_to_ns, TOOL_POSES, vector
 from .diagnostics import Diagnostics
-from .managed import ManagedNode
 from .observing import Observing
 from .outputs import Outputs
-from .parameters import QOS_PREFIX, Values
+from .parameters import ManagedNode, QOS_PREFIX, Values
 from .planning import Planning
 from .tool_inputs import SensorInput, TransformInput
 from .tossing import Tossing

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.excitation.arm_limits import limits_from
-from bellows_ros.core.excitation.commissioning import everyday, standstills
 from bellows_ros.core.excitation.fisher import (
     motion_information,
     standard_errors,
@@ -18,10 +17,12 @@ from bellows_ros.core.excitation.motion_design import (
     cups_near,
     Design,
     design,
+    everyday,
     HOLD,
     LOADS,
     RAMP,
     REST,
+    standstills,
 )
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3

@@ -7,10 +7,13 @@ softer and a stiffer one (`GUESS_FACTORS`). The largest ratio of a signal to its
 over limits and time, divides the coefficients, so that only their shape is searched; p grows in
 stages. After each stage the whole model simulates the motion, and corrects the limits of the loads
 in the linear one. The most informative stage is scaled until no limit is violated.
+
+Beside the exciting motion stand recordings of standstills before it, and of a validation after it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -18,14 +21,14 @@ from bellows_ros.core.excitation import fisher
 from bellows_ros.core.excitation.arm_limits import ArmLimits, CHECK_RATE
 from bellows_ros.core.excitation.fisher import Response, Tracking
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import hat, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import exp_so3, hat, log_so3, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.planning.plan import PlanSimulation
-from bellows_ros.core.synthetic.motion import Motion, Pose, Vibration
+from bellows_ros.core.synthetic.motion import Motion, MoveAndHold, Pose, Vibration, Waypoints
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -446,3 +449,89 @@ def _within(
     raise BellowsError(
         f'No motion meets the limits: even at rest, {worst} is {ratios[worst]:.3g} times its '
         'limit. Raise the limit, or start in another pose.')
+
+
+STANDSTILL, STOPS = 3.0, (0.0, 0.3)
+"""Durations (s): one standstill, and the stops between moves."""
+
+WORKSPACE_SHARE = 0.9
+"""Fraction of the workspace and of the rotations that the standstills cover."""
+
+SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
+"""Peak speed, acceleration and jerk of the smooth step from 0 to 1 within one second."""
+
+SLOWER, MOST_SLOWER = 1.15, 30
+
+
+def standstills(
+    limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
+) -> Waypoints:
+    """Return standstills upright and tilted to both sides, within the limits with any model."""
+    tilt = WORKSPACE_SHARE * limits.turn[:2]
+    turns = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0)]
+
+    def slowed(factor: float) -> Waypoints:
+        poses = [Pose(limits.start.position, limits.start.rotation @ exp_so3(
+            [x * tilt[0] / factor, y * tilt[1] / factor, 0.0])) for x, y in turns]
+        return _through(poses, limits, factor, itertools.repeat(STANDSTILL))
+
+    return _slowed_within(slowed, limits, models, grip)
+
+
+def everyday(
+    limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None, duration: float, seed: int,
+) -> Waypoints:
+    """Return moves from pose to pose, as quick as the limits let them be, for about a time (s)."""
+    rng = np.random.default_rng(seed)
+    draws = rng.uniform(-1.0, 1.0, (500, 6))
+    middle = 0.5 * (limits.lower + limits.upper)
+    reach = 0.5 * (limits.upper - limits.lower)
+    poses = [Pose(middle + WORKSPACE_SHARE * reach * draw[:3], limits.start.rotation @ exp_so3(
+        WORKSPACE_SHARE * limits.turn * draw[3:])) for draw in draws]
+
+    def slowed(factor: float) -> Waypoints:
+        whole = _through(poses, limits, factor, itertools.cycle(STOPS))
+        ends = REST + np.cumsum([s.move + s.hold for s in whole.segments])
+        count = max(1, int(np.searchsorted(ends, duration - 1.0)))
+        back = [*poses[:count], limits.start]
+        return _through(back, limits, factor, itertools.chain(
+            itertools.islice(itertools.cycle(STOPS), count), [1.0]))
+
+    return _slowed_within(slowed, limits, models, grip)
+
+
+def _through(
+    poses: Sequence[Pose], limits: ArmLimits, factor: float, holds: Iterable[float]
+) -> Waypoints:
+    """Return moves from the start through poses, slower than the arm can by a factor."""
+    segments, here = [], limits.start
+    for pose, hold in zip(poses, holds, strict=False):
+        way = float(np.linalg.norm(pose.position - here.position))
+        angle = float(np.linalg.norm(log_so3(here.rotation.T @ pose.rotation)))
+        shortest = max(
+            (steep * size / most) ** (1.0 / order)
+            for order, steep, size, most in zip(
+                2 * (1, 2, 3), 2 * SMOOTH_STEP_PEAKS, [way] * 3 + [angle] * 3,
+                limits.rates.values(),
+                strict=True))
+        segments.append(MoveAndHold(pose, max(0.05, 1.001 * factor * shortest), hold))
+        here = pose
+    return Waypoints(limits.start, REST, tuple(segments))
+
+
+def _slowed_within(
+    slowed: Callable[[float], Waypoints], limits: ArmLimits, models: Sequence[ModelTuple],
+    grip: Grip | None,
+) -> Waypoints:
+    """Return the first of ever slower motions that is within the limits."""
+    factor, ratios = 1.0, {'': 1.0}
+    for _ in range(MOST_SLOWER):
+        motion = slowed(factor)
+        ratios = all_ratios(motion, limits, models, grip)
+        if max(ratios.values()) <= 1.0:
+            return motion
+        factor *= SLOWER
+    worst = max(ratios, key=lambda name: ratios[name])
+    raise BellowsError(
+        f'No standstills or moves meet the limits: {worst} is {ratios[worst]:.3g} times its '
+        'limit, even slowly. Raise the limit, or start in another pose.')
