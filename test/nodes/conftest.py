@@ -1,6 +1,5 @@
 """A predictor and a partner that sends it messages and keeps what it publishes, over DDS."""
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import importlib.util
 from typing import Any
@@ -47,9 +46,7 @@ class Partner:
     twists: list[Any] = field(default_factory=list)
     wrenches: list[Any] = field(default_factory=list)
 
-    def connect(
-        self, inputs: Mapping[str, str], outputs: Mapping[str, str], with_twists: bool
-    ) -> None:
+    def connect(self, inputs, outputs, with_twists):
         """Make the topics, and wait until each has found its other end."""
         from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 
@@ -75,13 +72,7 @@ class Partner:
             and all(writer.get_subscription_count() for writer in writers)
         ), 'no discovery on this machine'
 
-    def send_pose(
-        self,
-        stamp_ns: int,
-        position: Sequence[float] = ORIGIN,
-        xyzw: Sequence[float] = UPRIGHT,
-        frame_id: str = 'world',
-    ) -> None:
+    def send_pose(self, stamp_ns, position=ORIGIN, xyzw=UPRIGHT, frame_id='world'):
         """Send a pose of the tool."""
         from geometry_msgs.msg import PoseStamped
 
@@ -94,9 +85,7 @@ class Partner:
         q.x, q.y, q.z, q.w = map(float, xyzw)
         self.pose_writer.publish(message)
 
-    def send_twist(
-        self, stamp_ns: int, linear: Sequence[float] = ORIGIN, angular: Sequence[float] = ORIGIN
-    ) -> None:
+    def send_twist(self, stamp_ns, linear=ORIGIN, angular=ORIGIN):
         """Send a twist of the tool."""
         from geometry_msgs.msg import TwistStamped
 
@@ -108,18 +97,18 @@ class Partner:
         w.x, w.y, w.z = map(float, angular)
         self.twist_writer.publish(message)
 
-    def wait_for_poses(self, count: int) -> None:
+    def wait_for_poses(self, count):
         """Spin until so many predictions have come."""
         assert self.ros.spin_until(lambda: len(self.poses) >= count), (
             f'{len(self.poses)} of {count} predictions')
 
-    def wait_for_inputs(self, poses: int) -> None:
+    def wait_for_inputs(self, poses):
         """Spin until the predictor has taken so many poses, refused ones too."""
         live = self.predictor._live
         assert self.ros.spin_until(lambda: live.poses_in >= poses), f'{live.poses_in} of {poses}'
 
 
-def topics_of(predictor: Any) -> list[Any]:
+def topics_of(predictor):
     """Return what knows whether somebody listens, of each topic about the package."""
     from bellows_ros.nodes.outputs import Topic
 
@@ -133,12 +122,12 @@ OUTPUTS = {'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wren
 
 
 @pytest.fixture
-def make_predictor(ros: Any) -> Callable[..., Any]:
+def make_predictor(ros):
     """Give a function that makes a predictor node with the given parameters, and spins it."""
     from bellows_ros.nodes.predictor_node import PredictorNode
     from rclpy.parameter import Parameter
 
-    def make(given: Mapping[str, object] | None = None, **options: Any) -> Any:
+    def make(given=None, **options):
         values = PACKAGE if given is None else given
         overrides = [Parameter(name, value=value) for name, value in values.items()]
         node = PredictorNode(context=ros.context, parameter_overrides=overrides, **options)
@@ -149,17 +138,11 @@ def make_predictor(ros: Any) -> Callable[..., Any]:
 
 
 @pytest.fixture
-def make_partner(ros: Any, make_predictor: Callable[..., Any]) -> Callable[..., Partner]:
+def make_partner(ros, make_predictor):
     """Give a function that makes a predictor and a partner connected with it."""
     from rclpy.node import Node
 
-    def make(
-        given: Mapping[str, object] | None = None,
-        inputs: Mapping[str, str] = INPUTS,
-        outputs: Mapping[str, str] = OUTPUTS,
-        with_twists: bool = True,
-        **options: Any,
-    ) -> Partner:
+    def make(given=None, inputs=INPUTS, outputs=OUTPUTS, with_twists=True, **options):
         predictor = make_predictor(given, **options)
         node = Node('partner', context=ros.context)
         ros.executor.add_node(node)

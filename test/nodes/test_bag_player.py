@@ -1,7 +1,5 @@
 """Playing recordings to ROS: real messages over DDS, in their time."""
 
-from collections.abc import Callable
-from pathlib import Path
 import threading
 import time
 from typing import Any
@@ -20,7 +18,7 @@ POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(tmp_path_factory):
     """Give a recording of poses and twists with the same stamps, received some ms later."""
     stamps = START + PERIOD_NS * np.arange(COUNT)
     poses = np.column_stack([np.arange(COUNT), np.zeros((COUNT, 5)), np.ones(COUNT)])
@@ -33,12 +31,12 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def heard(ros: Any) -> Any:
+def heard(ros):
     """Give a function that listens while something is played, and returns what came and when."""
     from geometry_msgs.msg import PoseStamped, TwistStamped
     from rclpy.node import Node
 
-    def listen(topics: tuple[str, str], work: Callable[[], Any], count: int) -> Any:
+    def listen(topics, work, count):
         got: dict[str, list[tuple[float, Any]]] = {name: [] for name in topics}
         node = Node('listener', context=ros.context)
         ros.executor.add_node(node)
@@ -58,7 +56,7 @@ def heard(ros: Any) -> Any:
     return listen
 
 
-def test_messages_come_as_recorded_and_in_time(bag: Path, heard: Any) -> None:
+def test_messages_come_as_recorded_and_in_time(bag, heard):
     """Send the very stamps and numbers, at twice the speed, under another name."""
     messages, notes = read_messages(bag)
     names = {'/tool/pose': '/a', '/tool/twist': '/b'}
@@ -76,7 +74,7 @@ def test_messages_come_as_recorded_and_in_time(bag: Path, heard: Any) -> None:
     assert np.all(sent - begun >= due)  # a busy machine makes some late, and none early
 
 
-def test_stamps_of_now_keep_pairs_and_intervals(bag: Path, heard: Any) -> None:
+def test_stamps_of_now_keep_pairs_and_intervals(bag, heard):
     """Move all stamps to the time of playing by one and the same, but for the rate."""
     messages, _ = read_messages(bag)
     names = {'/tool/pose': '/a', '/tool/twist': '/b'}
@@ -89,7 +87,7 @@ def test_stamps_of_now_keep_pairs_and_intervals(bag: Path, heard: Any) -> None:
     assert before - LATER_NS < stamps[0] < 1e9 * poses[0][0]
 
 
-def test_a_stamp_is_replaced_in_either_order_of_bytes() -> None:
+def test_a_stamp_is_replaced_in_either_order_of_bytes():
     """Change eight bytes, and read the old ones first."""
     for order, name in ((b'\x00\x00\x00\x00', 'big'), (b'\x00\x01\x00\x00', 'little')):
         data = order + (7).to_bytes(4, name) + (5).to_bytes(4, name) + b'rest'
@@ -99,7 +97,7 @@ def test_a_stamp_is_replaced_in_either_order_of_bytes() -> None:
         assert new == order + (9).to_bytes(4, name) + (8).to_bytes(4, name) + b'rest'
 
 
-def test_topics_that_are_not_there_are_refused(bag: Path) -> None:
+def test_topics_that_are_not_there_are_refused(bag):
     """Name what is there."""
     with pytest.raises(BellowsError, match='/nothing.*/tool/pose'):
         read_messages(bag, ['nothing'])

@@ -1,7 +1,5 @@
 """The commands as a user types them: help without ROS, plain errors, an orderly end."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -37,7 +35,7 @@ sys.exit(main({arguments!r}))
 """
 
 
-def run(environment: dict[str, str], root: Path, *command: str) -> Any:
+def run(environment, root, *command):
     """Run Python to its end."""
     return subprocess.run(
         [sys.executable, *command], env=environment, cwd=root, capture_output=True, text=True,
@@ -45,7 +43,7 @@ def run(environment: dict[str, str], root: Path, *command: str) -> Any:
 
 
 @pytest.mark.parametrize('name', MODULES)
-def test_help_shows_everything(name: str) -> None:
+def test_help_shows_everything(name):
     """Name each topic, service and parameter, with unit."""
     text = help_text(MODULES[name].INTERFACE)
     unbroken = ' '.join(text.split())
@@ -60,7 +58,7 @@ def test_help_shows_everything(name: str) -> None:
 
 
 @pytest.mark.parametrize('name', MODULES)
-def test_help_needs_no_ros(name: str, root: Path, user_environment: dict[str, str]) -> None:
+def test_help_needs_no_ros(name, root, user_environment):
     """Answer from the table alone."""
     done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=['--help']))
     assert done.returncode == 0, done.stderr
@@ -68,11 +66,9 @@ def test_help_needs_no_ros(name: str, root: Path, user_environment: dict[str, st
 
 
 @pytest.mark.parametrize('name', MODULES)
-def test_help_comes_at_once(
-        name: str, root: Path, user_environment: dict[str, str],
-        cpu_of_children: Callable[[], float]) -> None:
+def test_help_comes_at_once(name, root, user_environment, cpu_of_children):
     """Answer with little work, in one of many starts: what else the machine does adds to it."""
-    def took() -> float:
+    def took():
         before = cpu_of_children()
         done = run(user_environment, root, '-m', f'bellows_ros.nodes.{name}', '--help')
         assert done.returncode == 0, done.stderr
@@ -82,8 +78,7 @@ def test_help_comes_at_once(
 
 
 @pytest.mark.parametrize('name', MODULES)
-def test_missing_ros_is_said_plainly(
-        name: str, root: Path, user_environment: dict[str, str]) -> None:
+def test_missing_ros_is_said_plainly(name, root, user_environment):
     """Say how to get it, without a traceback."""
     done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=[]))
     assert done.returncode == 2
@@ -91,7 +86,7 @@ def test_missing_ros_is_said_plainly(
     assert 'Traceback' not in done.stderr
 
 
-def test_what_is_not_set_ends_with_2(root: Path, user_environment: dict[str, str]) -> None:
+def test_what_is_not_set_ends_with_2(root, user_environment):
     """Print what is missing and no traceback, the last moments of the process included."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     done = run(user_environment, root, '-m', 'bellows_ros.nodes.predictor', '--ros-args')
@@ -109,8 +104,7 @@ def test_what_is_not_set_ends_with_2(root: Path, user_environment: dict[str, str
     (['a\x1b[31mb'], "Unknown argument 'a?[31mb'"),
     (['package.yaml'], "Unknown argument 'package.yaml'"),
 ])
-def test_what_the_user_can_put_right_ends_with_2(
-        arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_the_user_can_put_right_ends_with_2(arguments, words, capfd):
     """Print what is wrong and no traceback."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     assert predictor.main(arguments) == 2
@@ -119,8 +113,7 @@ def test_what_the_user_can_put_right_ends_with_2(
     assert 'Traceback' not in said
 
 
-def test_a_file_that_ros_would_read_for_minutes_is_refused(
-        tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_ros_would_read_for_minutes_is_refused(tmp_path, capfd):
     """Refuse 10 MB of parameters at once."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     file = tmp_path / 'large.yaml'
@@ -132,7 +125,7 @@ def test_a_file_that_ros_would_read_for_minutes_is_refused(
 
 
 @pytest.fixture
-def running(root: Path, user_environment: dict[str, str]) -> Iterator['subprocess.Popen[str]']:
+def running(root, user_environment):
     """Give a predictor in a process of its own."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     process = subprocess.Popen(
@@ -146,8 +139,7 @@ def running(root: Path, user_environment: dict[str, str]) -> Iterator['subproces
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_process_predicts_and_ends_in_order(
-        number: signal.Signals, running: 'subprocess.Popen[str]', ros: Any) -> None:
+def test_process_predicts_and_ends_in_order(number, running, ros):
     """Answer a pose over DDS; on Ctrl-C or SIGTERM say what came and went and end with 0."""
     from geometry_msgs.msg import PoseStamped
     from rclpy.node import Node
@@ -177,9 +169,7 @@ def test_process_predicts_and_ends_in_order(
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_process_ends_at_once_while_it_compiles(
-        number: signal.Signals, root: Path, tmp_path: Path, user_environment: dict[str, str]
-) -> None:
+def test_process_ends_at_once_while_it_compiles(number, root, tmp_path, user_environment):
     """End before the node is made, with 0 and without a word."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     pytest.importorskip('numba', reason='nothing is compiled without numba')
@@ -201,7 +191,7 @@ def test_process_ends_at_once_while_it_compiles(
     assert 0 < compiled < 40, 'it went on compiling'
 
 
-def send(writer: Any, message: Any) -> None:
+def send(writer, message):
     """Send the pose of a tool that stands still, with a stamp 20 ms after the last."""
     message.header.stamp.nanosec += 20_000_000
     message.header.stamp.sec += message.header.stamp.nanosec // 1_000_000_000
@@ -209,7 +199,7 @@ def send(writer: Any, message: Any) -> None:
     writer.publish(message)
 
 
-def test_the_last_argument_with_a_parameter_is_its_origin(root: Path, tmp_path: Path) -> None:
+def test_the_last_argument_with_a_parameter_is_its_origin(root, tmp_path):
     """Say which file the package is from, as a cup file may hold another one."""
     other = tmp_path / 'other.yaml'
     other.write_text('camera:\n  ros__parameters:\n    odd: [1, "a"]\n')

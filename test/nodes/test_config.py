@@ -1,10 +1,7 @@
 """The configuration files that are shipped: read by us, taken by ROS, units on every line."""
 
-from collections.abc import Callable
-from pathlib import Path
 import re
 import runpy
-from typing import Any
 
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.table import parameters_of
@@ -16,7 +13,7 @@ NAMES = ('predictor', 'identifier', 'cup_thesis')
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_every_value_has_its_unit(name: str, root: Path) -> None:
+def test_every_value_has_its_unit(name, root):
     """Find a comment on every line that holds a value."""
     lines = (root / 'config' / f'{name}.yaml').read_text().splitlines()
     for line in lines:
@@ -26,7 +23,7 @@ def test_every_value_has_its_unit(name: str, root: Path) -> None:
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_our_reader_takes_it(name: str, root: Path) -> None:
+def test_our_reader_takes_it(name, root):
     """Read every file with the checks of the table."""
     values = read_parameters(root / 'config' / f'{name}.yaml')
     if name == 'cup_thesis':
@@ -48,7 +45,7 @@ def test_our_reader_takes_it(name: str, root: Path) -> None:
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_defaults_shown_are_the_defaults(name: str, root: Path) -> None:
+def test_defaults_shown_are_the_defaults(name, root):
     """Show in the files what holds without them, where there is a default."""
     chosen = {'bags', 'output.parameters', 'output.json'}
     values = read_parameters(root / 'config' / f'{name}.yaml')
@@ -57,7 +54,7 @@ def test_defaults_shown_are_the_defaults(name: str, root: Path) -> None:
             assert values[parameter.name] == parameter.default, parameter.name
 
 
-def test_documented_commands_name_the_package_after_the_cup(root: Path) -> None:
+def test_documented_commands_name_the_package_after_the_cup(root):
     """Let the package of the user prevail over the one that a cup file holds."""
     pages = [*root.glob('*.md'), *root.glob('docs/**/*.md'), *root.glob('config/*.yaml')]
     text = '\n'.join([*INTERFACE.examples, *(page.read_text() for page in pages)])
@@ -69,7 +66,7 @@ def test_documented_commands_name_the_package_after_the_cup(root: Path) -> None:
         assert first.startswith('cup') and last in ('package.yaml', 'predictor.yaml')
 
 
-def test_launch_file_gives_the_package_after_the_cup(root: Path) -> None:
+def test_launch_file_gives_the_package_after_the_cup(root):
     """Let the package of the user prevail there, too, and do without a cup."""
     chosen = runpy.run_path(str(root / 'launch' / 'predictor.launch.py'))['parameter_files']
 
@@ -78,8 +75,7 @@ def test_launch_file_gives_the_package_after_the_cup(root: Path) -> None:
 
 
 def test_package_of_the_user_prevails_over_that_of_the_cup_file(
-        make_predictor: Callable[..., Any], tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch) -> None:
+        make_predictor, tmp_path, monkeypatch):
     """Start the node as its help shows, with files of two different packages."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     package = {'package.inertia': [0.01, 0.01, 0.01, 0.0, 0.0, 0.0],
@@ -94,8 +90,7 @@ def test_package_of_the_user_prevails_over_that_of_the_cup_file(
     assert node.get_parameter('cup.length').value == 0.046
 
 
-def test_predictor_starts_with_its_files(
-        root: Path, make_predictor: Callable[..., Any]) -> None:
+def test_predictor_starts_with_its_files(root, make_predictor):
     """Give the real node both files, as a user would."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     files = [root / 'config' / f'{name}.yaml' for name in ('cup_thesis', 'predictor')]
@@ -109,8 +104,7 @@ def test_predictor_starts_with_its_files(
     assert node.given == set(expected)
 
 
-def test_predictor_starts_with_the_file_of_the_identifier(
-        root: Path, make_predictor: Callable[..., Any]) -> None:
+def test_predictor_starts_with_the_file_of_the_identifier(root, make_predictor):
     """Serve both nodes with one file."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     node = make_predictor({}, cli_args=[

@@ -14,7 +14,7 @@ PREDICTION = Prediction(
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(0, 10**9 - 1))
-def test_stamp_survives_the_round_trip(sec: int, nanosec: int) -> None:
+def test_stamp_survives_the_round_trip(sec, nanosec):
     """Keep every nanosecond, as no double does."""
     back = Time()
     conversions.write_stamp(back, conversions.stamp_to_ns(Time(sec=sec, nanosec=nanosec)))
@@ -22,12 +22,12 @@ def test_stamp_survives_the_round_trip(sec: int, nanosec: int) -> None:
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(10**9, 2**32 - 1))
-def test_stamp_that_is_none(sec: int, nanosec: int) -> None:
+def test_stamp_that_is_none(sec, nanosec):
     """Give no stamp for a second or more of nanoseconds."""
     assert conversions.stamp_to_ns(Time(sec=sec, nanosec=nanosec)) == conversions.NO_STAMP
 
 
-def test_prediction_becomes_three_messages() -> None:
+def test_prediction_becomes_three_messages():
     """Put each part where it belongs."""
     pose, twist, wrench = PoseStamped(), TwistStamped(), WrenchStamped()
     conversions.write_pose(pose, 'base', PREDICTION)

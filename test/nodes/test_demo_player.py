@@ -1,6 +1,5 @@
 """The player of the demonstration, before a predictor that answers late; real DDS."""
 
-from collections.abc import Iterator
 from threading import Event, Thread
 from typing import Any
 
@@ -22,7 +21,7 @@ LATE = 2 * COUNT
 class Late:
     """Answers one probe at once and again during the recording, and poses only after the last."""
 
-    def __init__(self, ros: Any) -> None:
+    def __init__(self, ros):
         """Make the topics and the service of a predictor."""
         from geometry_msgs.msg import PoseStamped
         from rclpy.node import Node
@@ -36,7 +35,7 @@ class Late:
         node.create_subscription(PoseStamped, 'tool_arm/pose', self._take, 1000)
         node.create_service(Trigger, 'predictor/reset', lambda _, response: response)
 
-    def _take(self, pose: Any) -> None:
+    def _take(self, pose):
         """Answer a pose of the tool, or hold it back."""
         if stamp_to_ns(pose.header.stamp) < START:
             self._probe = self._probe or pose
@@ -52,11 +51,11 @@ class Late:
 
 
 @pytest.fixture
-def late(ros: Any) -> Iterator[Late]:
+def late(ros):
     """Give a predictor that is spun beside the test."""
     late, stop = Late(ros), Event()
 
-    def work() -> None:
+    def work():
         while not stop.is_set():
             ros.executor.spin_once(timeout_sec=0.05)
 
@@ -68,8 +67,7 @@ def late(ros: Any) -> Iterator[Late]:
     assert not thread.is_alive()
 
 
-def test_late_answers_to_probes_are_no_predictions(
-        late: Late, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_late_answers_to_probes_are_no_predictions(late, monkeypatch):
     """Wait for the answers to the recording, however many to probes come during it."""
     monkeypatch.setattr(bag_player, 'ANSWER_TIMEOUT', 60.0)
     stamps = START + 20 * MS * np.arange(COUNT)

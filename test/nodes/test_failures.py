@@ -1,8 +1,6 @@
 """What must not end the node: exceptions in its callbacks, negative times, odd parameters."""
 
-from collections.abc import Callable
 from operator import attrgetter
-from typing import Any
 
 import pytest
 from rclpy.parameter import Parameter
@@ -15,16 +13,16 @@ START = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
-def listener(ros: Any) -> Listener:
+def listener(ros):
     """Give a monitor."""
     return Listener(ros)
 
 
-def break_once(thing: Any, name: str) -> None:
+def break_once(thing, name):
     """Let a method raise when it is called the next time, and work again then."""
     sound = getattr(thing, name)
 
-    def fail(*arguments: Any) -> Any:
+    def fail(*arguments):
         setattr(thing, name, sound)
         raise ZeroDivisionError('\x1b[31mbroken' + 'x' * 1000)
 
@@ -32,8 +30,7 @@ def break_once(thing: Any, name: str) -> None:
 
 
 def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
-        make_partner: Callable[..., Any], listener: Listener,
-        capfd: pytest.CaptureFixture[str]) -> None:
+        make_partner, listener, capfd):
     """Lose the message in which it failed, and nothing else."""
     partner = make_partner(with_twists=False)
     live = partner.predictor._live
@@ -51,8 +48,7 @@ def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
 
 
 @pytest.mark.parametrize('name', ['coast', 'phase', 'flush'])
-def test_a_timer_or_service_that_fails_goes_on(
-        name: str, make_partner: Callable[..., Any]) -> None:
+def test_a_timer_or_service_that_fails_goes_on(name, make_partner):
     """Tick, report and answer again the next time."""
     from std_srvs.srv import Trigger
 
@@ -72,8 +68,7 @@ def test_a_timer_or_service_that_fails_goes_on(
     partner.wait_for_poses(2)
 
 
-def test_a_negative_time_is_left_out(
-        make_predictor: Callable[..., Any], ros: Any, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_negative_time_is_left_out(make_predictor, ros, capfd):
     """Keep the time as it was, count what was left out, and say it once."""
     from rclpy.node import Node
     from rosgraph_msgs.msg import Clock
@@ -84,7 +79,7 @@ def test_a_negative_time_is_left_out(
     writer = node.create_publisher(Clock, '/clock', 10)
     assert ros.spin_until(writer.get_subscription_count)
 
-    def tell(seconds: int) -> None:
+    def tell(seconds):
         message = Clock()
         message.clock.sec = seconds
         writer.publish(message)
@@ -106,8 +101,7 @@ ALL_PAIRS = (0, 0, 1, 1, 2, 2, 0, 2, 1, 0)  # of levels that follow each other
 
 
 def test_every_pair_of_severities_is_reported_and_logged(
-        make_partner: Callable[..., Any], listener: Listener, monkeypatch: pytest.MonkeyPatch,
-        capfd: pytest.CaptureFixture[str]) -> None:
+        make_partner, listener, monkeypatch, capfd):
     """Log each line at each level after each other, and let no prediction start again for it."""
     from bellows_ros.core.live.load import Safety
     from bellows_ros.nodes import diagnostics
@@ -141,7 +135,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
     ('_outputs', 'publish_more'), ('_outputs', 'publish_state'), ('_planning', 'follow'),
     ('_tossing', 'publish')])
 def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
-        part: str, name: str, make_partner: Callable[..., Any], listener: Listener) -> None:
+        part, name, make_partner, listener):
     """Publish the pose of each sample, in the motion that it has."""
     from bellows_ros.core.live import LivePredictor
     from bellows_ros.core.model.cup_package import cup_of, package_of
@@ -150,7 +144,7 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
     predictor = partner.predictor
     thing = attrgetter(part)(predictor)
 
-    def fail(*arguments: Any) -> Any:
+    def fail(*arguments):
         raise ZeroDivisionError('broken')
 
     setattr(thing, name, fail)
@@ -167,8 +161,7 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
     assert not predictor._live.restarts['failure']
 
 
-def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(
-        make_partner: Callable[..., Any]) -> None:
+def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(make_partner):
     """Count it, and go on with the motion and with the next work."""
     partner = make_partner(with_twists=False)
     predictor, done = partner.predictor, []
@@ -182,9 +175,7 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(
     assert predictor._last is not None and not predictor._live.restarts['failure']
 
 
-def test_another_fault_of_the_same_line_is_logged(
-        make_predictor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch,
-        capfd: pytest.CaptureFixture[str]) -> None:
+def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, capfd):
     """Log bad quaternions though a silent topic, which is as bad, has just been logged."""
     from bellows_ros.nodes import diagnostics
 
@@ -209,8 +200,7 @@ ENVELOPE = {
 
 @pytest.mark.parametrize('live', [False, True], ids=['at start', 'live'])
 @pytest.mark.parametrize('name', ENVELOPE)
-def test_an_envelope_without_a_mass_is_watched(
-        name: str, live: bool, make_partner: Callable[..., Any]) -> None:
+def test_an_envelope_without_a_mass_is_watched(name, live, make_partner):
     """Judge what is known, and not the mass, of which nothing is."""
     given = {name: ENVELOPE[name]}
     partner = make_partner({**PACKAGE, **({} if live else given)}, with_twists=False)

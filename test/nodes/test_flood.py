@@ -1,13 +1,11 @@
 """A flood of messages at 20 kHz, valid or not, at a predictor in a process of its own."""
 
-from collections.abc import Iterator
 import math
 import os
 from pathlib import Path
 import subprocess
 import sys
 import time
-from typing import Any
 
 import pytest
 
@@ -24,7 +22,7 @@ KINDS = ('valid', 'valid', 'not finite', 'standing stamp', 'not readable')
 class Victim:
     """A predictor in another process, and what is sent to it."""
 
-    def __init__(self, ros: Any, process: 'subprocess.Popen[str]') -> None:
+    def __init__(self, ros, process):
         """Join the graph and wait for the other."""
         from geometry_msgs.msg import PoseStamped
         from rclpy.node import Node
@@ -43,19 +41,19 @@ class Victim:
         assert ros.spin_until(
             lambda: reader.get_publisher_count() and self._writer.get_subscription_count())
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message):
         """Keep the stamp of an answer, which must be finite."""
         assert math.isfinite(message.pose.position.x + message.pose.orientation.w)
         self.answers.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
-    def send(self, after_ns: int, x: float = 0.0) -> None:
+    def send(self, after_ns, x=0.0):
         """Send a pose with a stamp so much later than the last."""
         self._ns += after_ns
         self._pose.header.stamp.sec, self._pose.header.stamp.nanosec = divmod(self._ns, 10**9)
         self._pose.pose.position.x = x
         self._writer.publish(self._pose)
 
-    def flood(self, kind: str) -> float:
+    def flood(self, kind):
         """Send many messages of a kind, and return how many a second it was."""
         from rclpy.serialization import serialize_message
 
@@ -71,7 +69,7 @@ class Victim:
                           math.nan if kind == 'not finite' else 0.0)
         return COUNT / (time.monotonic() - begin)
 
-    def is_back(self) -> bool:
+    def is_back(self):
         """Send poses at 500 Hz, and tell whether each is answered from 0.2 s on."""
         self.ros.spin_until(lambda: False, 0.3)  # what is in the queues is worked off
         sent = []
@@ -82,14 +80,14 @@ class Victim:
         expected = set(sent[100:])
         return bool(self.ros.spin_until(lambda: expected <= set(self.answers[-200:]), 10.0))
 
-    def memory(self) -> int:
+    def memory(self):
         """Return how many bytes of memory the predictor has."""
         pages = int(Path(f'/proc/{self.process.pid}/statm').read_text().split()[1])
         return pages * os.sysconf('SC_PAGE_SIZE')
 
 
 @pytest.fixture
-def victim(ros: Any, root: Path, user_environment: dict[str, str]) -> Iterator[Victim]:
+def victim(ros, root, user_environment):
     """Give a predictor that runs."""
     parameters = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
     process = subprocess.Popen(
@@ -103,7 +101,7 @@ def victim(ros: Any, root: Path, user_environment: dict[str, str]) -> Iterator[V
         process.communicate()
 
 
-def test_a_flood_neither_kills_nor_grows_nor_leaves_a_trace(victim: Victim) -> None:
+def test_a_flood_neither_kills_nor_grows_nor_leaves_a_trace(victim):
     """Survive each flood with the memory it had, and answer each pose afterwards."""
     memory, rates = [], []
     for kind in KINDS:

@@ -1,13 +1,10 @@
 """A gripper of several cups at a live node, over DDS."""
 
-from collections.abc import Callable
-from typing import Any
 
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.parameters.checks import gravity_of, resolve
 import numpy as np
-import pytest
 
 from .conftest import ORIGIN, PACKAGE, UPRIGHT
 from ..core.observer.cases import truth
@@ -21,19 +18,18 @@ GRIPPER = {
 STILL = (ORIGIN, UPRIGHT, ORIGIN, ORIGIN)
 
 
-def model_without(opened: list[int]) -> Any:
+def model_without(opened):
     """Return the model without some cups."""
     values = resolve({**GRIPPER, 'cup.open': opened})
     return model_tuple(cup_of(values), package_of(values), gravity_of(values))
 
 
-def rest(opened: list[int]) -> Any:
+def rest(opened):
     """Return the package at rest under an upright tool in the origin, without some cups."""
     return static_equilibrium(model_without(opened), STILL)
 
 
-def test_cup_of_a_gripper_without_vacuum_is_left_out(
-        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_cup_of_a_gripper_without_vacuum_is_left_out(make_partner, capfd):
     """By sensors of single cups: the package comes to hang from those that hold."""
     from bellows_ros.nodes.conversions import stamp_to_ns
     from sensor_msgs.msg import FluidPressure
@@ -43,14 +39,14 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(
         FluidPressure, 'vacuum/pressure', 10)
     assert partner.ros.spin_until(vacuum.get_subscription_count)
 
-    def breathe(cup: int, below: float) -> None:
+    def breathe(cup, below):
         message = FluidPressure(fluid_pressure=101325.0 - below)
         message.header.frame_id = f'gripper_cup_{cup}'
         vacuum.publish(message)
 
     stamp_ns = START
 
-    def hang(opened: list[int]) -> None:
+    def hang(opened):
         nonlocal stamp_ns
         for _ in range(400):
             stamp_ns += 10_000_000
@@ -81,8 +77,7 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(
     assert partner.ros.spin_until(lambda: node._live.attached is False)
 
 
-def test_cup_that_a_camera_finds_lost_is_left_out(
-        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_cup_that_a_camera_finds_lost_is_left_out(make_partner, capfd):
     """Name it by its index and place, and let the package hang from the others until the next."""
     from geometry_msgs.msg import PoseStamped
     from std_srvs.srv import Trigger

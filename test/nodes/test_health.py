@@ -1,6 +1,5 @@
 """What a predictor says about bad company: diagnostics, coasting, floods, clocks; real DDS."""
 
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import math
 from threading import Event, Thread
@@ -22,7 +21,7 @@ BURSTS = 50  # at most, until this machine has not paused for longer than is bri
 class Listener:
     """Keeps the newest diagnostics."""
 
-    def __init__(self, ros: Any) -> None:
+    def __init__(self, ros):
         """Subscribe."""
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.node import Node
@@ -33,25 +32,25 @@ class Listener:
         self.reader = self.node.create_subscription(
             DiagnosticArray, '/diagnostics', self._take, 10)
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message):
         """Keep each line by its name."""
         self.lines.update({status.name: status for status in message.status})
 
-    def sees(self, name: str, level: bytes, words: str) -> bool:
+    def sees(self, name, level, words):
         """Wait until a line has this level and words."""
-        def there() -> bool:
+        def there():
             line = self.lines.get(f'predictor: {name}')
             return line is not None and line.level == level and words in line.message
 
         return bool(self.ros.spin_until(there))
 
-    def value(self, name: str, key: str) -> str:
+    def value(self, name, key):
         """Return a value of a line."""
         return {v.key: v.value for v in self.lines[f'predictor: {name}'].values}[key]
 
 
 @pytest.fixture
-def listener(ros: Any, monkeypatch: pytest.MonkeyPatch) -> Listener:
+def listener(ros, monkeypatch):
     """Give a monitor, of nodes that report five times a second."""
     from bellows_ros.nodes import predictor_node
 
@@ -59,22 +58,22 @@ def listener(ros: Any, monkeypatch: pytest.MonkeyPatch) -> Listener:
     return Listener(ros)
 
 
-def now_ns() -> int:
+def now_ns():
     """Return the time of day."""
     return time.time_ns()
 
 
-def stamp_ns(message: Any) -> int:
+def stamp_ns(message):
     """Return the stamp of a message."""
     return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
 
 @contextmanager
-def sending(partner: Any, period: float = 0.002, **options: Any) -> Iterator[None]:
+def sending(partner, period=0.002, **options):
     """Send poses from a thread, as a driver does, until the block is left."""
     stop = Event()
 
-    def work() -> None:
+    def work():
         while not stop.wait(period):
             partner.send_pose(now_ns(), **options)
 
@@ -87,7 +86,7 @@ def sending(partner: Any, period: float = 0.002, **options: Any) -> Iterator[Non
         thread.join()
 
 
-def send_burst(partner: Any) -> int:
+def send_burst(partner):
     """Send poses, 2 ms apart, until it settles; return the last stamp when all are answered."""
     before, begin, count = len(partner.poses), now_ns(), 60
     for k in range(count):
@@ -96,12 +95,12 @@ def send_burst(partner: Any) -> int:
     return begin + (count - 1) * 2 * MS
 
 
-def is_lost(partner: Any) -> bool:
+def is_lost(partner):
     """Tell whether the pause since the last pose is longer than is bridged."""
     return bool(partner.predictor._live.phase(time.monotonic_ns()) == 'lost')
 
 
-def test_nobody_silent_and_good(make_partner: Callable[..., Any], listener: Listener) -> None:
+def test_nobody_silent_and_good(make_partner, listener):
     """Name an absent and a silent driver in words, then the rate of a good one."""
     partner = make_partner(with_twists=False)
     assert listener.sees('tool pose', ERROR, 'is silent: no message so far')
@@ -119,8 +118,7 @@ def test_nobody_silent_and_good(make_partner: Callable[..., Any], listener: List
     assert listener.sees('tool pose', ERROR, 'Nobody publishes /tool_arm/pose')
 
 
-def test_qos_mismatch_is_named(
-        make_predictor: Callable[..., Any], listener: Listener) -> None:
+def test_qos_mismatch_is_named(make_predictor, listener):
     """Say which policy does not match and what to set."""
     from geometry_msgs.msg import PoseStamped
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -133,8 +131,7 @@ def test_qos_mismatch_is_named(
         'tool pose', ERROR, 'Set qos_overrides./tool_arm/pose.subscription.reliability')
 
 
-def test_another_type_on_the_topic_is_named(
-        make_predictor: Callable[..., Any], listener: Listener) -> None:
+def test_another_type_on_the_topic_is_named(make_predictor, listener):
     """Say what the driver sends and which parameter takes it."""
     from geometry_msgs.msg import TransformStamped
     import rclpy
@@ -151,8 +148,7 @@ def test_another_type_on_the_topic_is_named(
     context.try_shutdown()
 
 
-def test_a_tool_whose_z_points_down_is_said(
-        make_partner: Callable[..., Any], listener: Listener) -> None:
+def test_a_tool_whose_z_points_down_is_said(make_partner, listener):
     """Call it what it is where the driver's tool frame is the usual one, z out of the flange."""
     partner = make_partner(with_twists=False)
     with sending(partner, xyzw=(1.0, 0.0, 0.0, 0.0)):
@@ -161,9 +157,7 @@ def test_a_tool_whose_z_points_down_is_said(
         assert listener.sees('prediction', OK, 'Predicting.')
 
 
-def test_what_lacks_for_long_is_logged_once(
-        make_predictor: Callable[..., Any], listener: Listener, monkeypatch: pytest.MonkeyPatch,
-        capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_lacks_for_long_is_logged_once(make_predictor, listener, monkeypatch, capfd):
     """Log an absent driver when it has lasted, and not each second."""
     from bellows_ros.nodes import diagnostics
     from diagnostic_msgs.msg import DiagnosticArray
@@ -179,8 +173,7 @@ def test_what_lacks_for_long_is_logged_once(
     assert log.count('[WARN]') == log.count('Nobody publishes /tool_arm/pose') == 1
 
 
-def test_refused_messages_are_counted_in_the_diagnostics(
-        make_partner: Callable[..., Any], listener: Listener) -> None:
+def test_refused_messages_are_counted_in_the_diagnostics(make_partner, listener):
     """Count NaN poses, which drivers do publish."""
     partner = make_partner(with_twists=False)
     with sending(partner), sending(partner, 0.02, position=(math.nan, 0.0, 0.0)):
@@ -188,7 +181,7 @@ def test_refused_messages_are_counted_in_the_diagnostics(
     assert int(listener.value('tool pose', 'refused: nan')) > 0
 
 
-def test_reports_come_once_a_second(make_predictor: Callable[..., Any], ros: Any) -> None:
+def test_reports_come_once_a_second(make_predictor, ros):
     """Report at 1 Hz on a clock that nobody sets, and with the lines of an active node."""
     node, listener = make_predictor(), Listener(ros)
     assert 10**9 in {timer.timer_period_ns for timer in node.timers}
@@ -197,8 +190,7 @@ def test_reports_come_once_a_second(make_predictor: Callable[..., Any], ros: Any
         f'predictor: {name}' for name in ('prediction', 'tool pose', 'tool twist', 'load')}
 
 
-def test_vacuum_signal_that_nobody_sends_is_named(
-        make_predictor: Callable[..., Any], listener: Listener) -> None:
+def test_vacuum_signal_that_nobody_sends_is_named(make_predictor, listener):
     """Say why nothing is predicted, and what the signal says once there is one."""
     from std_msgs.msg import Bool
 
@@ -213,8 +205,7 @@ def test_vacuum_signal_that_nobody_sends_is_named(
     assert listener.sees('vacuum', WARN, 'the package counts as held')
 
 
-def test_safety_factor_is_published_and_follows_the_vacuum(
-        make_partner: Callable[..., Any], listener: Listener) -> None:
+def test_safety_factor_is_published_and_follows_the_vacuum(make_partner, listener):
     """Send peel, slip and the smaller one; warn, then say an error, as the vacuum goes."""
     from geometry_msgs.msg import Vector3Stamped
     from sensor_msgs.msg import FluidPressure
@@ -230,7 +221,7 @@ def test_safety_factor_is_published_and_follows_the_vacuum(
         lambda: reader.get_publisher_count() and vacuum.get_subscription_count())
     weight = PACKAGE['package.mass'] * 9.81
 
-    def breathe(below: float) -> None:
+    def breathe(below):
         vacuum.publish(FluidPressure(fluid_pressure=101325.0 - below))
 
     breathe(60e3)
@@ -248,8 +239,7 @@ def test_safety_factor_is_published_and_follows_the_vacuum(
         assert listener.value('load', 'limited by') in ('peel', 'slip')
 
 
-def test_pause_is_bridged_by_odometry_and_then_nothing_comes(
-        make_partner: Callable[..., Any]) -> None:
+def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
     """Go on for coast.limit with growing covariance; package/pose stays one for one."""
     from nav_msgs.msg import Odometry
     from std_msgs.msg import String
@@ -284,7 +274,7 @@ def test_pause_is_bridged_by_odometry_and_then_nothing_comes(
     assert all(np.isfinite(m.pose.covariance).all() for m in odometry)
 
 
-def test_poses_that_cannot_be_used_are_bridged_too(make_partner: Callable[..., Any]) -> None:
+def test_poses_that_cannot_be_used_are_bridged_too(make_partner):
     """Extrapolate while the driver sends NaN, as the state says."""
     from nav_msgs.msg import Odometry
 
@@ -305,7 +295,7 @@ def test_poses_that_cannot_be_used_are_bridged_too(make_partner: Callable[..., A
     assert partner.ros.spin_until(lambda: stamp_ns(odometry[-1]) > last_ns)
 
 
-def test_stamps_of_odometry_never_go_back(make_partner: Callable[..., Any]) -> None:
+def test_stamps_of_odometry_never_go_back(make_partner):
     """Leave out, there, poses that come late behind extrapolated ones."""
     from nav_msgs.msg import Odometry
 
@@ -331,7 +321,7 @@ def test_stamps_of_odometry_never_go_back(make_partner: Callable[..., Any]) -> N
     assert last_ns + 2 * MS not in odometry
 
 
-def test_all_outputs_agree(make_partner: Callable[..., Any]) -> None:
+def test_all_outputs_agree(make_partner):
     """Find the same package in odometry, deflection and markers as in the pose."""
     from geometry_msgs.msg import PoseStamped, Vector3Stamped
     from nav_msgs.msg import Odometry
@@ -369,8 +359,7 @@ def test_all_outputs_agree(make_partner: Callable[..., Any]) -> None:
     assert box.pose == pose and box.header.frame_id == 'world'
 
 
-def test_simulated_time_that_goes_back_starts_afresh(
-        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_simulated_time_that_goes_back_starts_afresh(make_partner, capfd):
     """Notice that a recording begins again, by its clock."""
     from rosgraph_msgs.msg import Clock
 
@@ -394,15 +383,14 @@ def test_simulated_time_that_goes_back_starts_afresh(
     assert 'the clock of the simulation was set' in capfd.readouterr().err
 
 
-def _time(second: int) -> Any:
+def _time(second):
     """Return a time message."""
     from builtin_interfaces.msg import Time
 
     return Time(sec=second)
 
 
-def test_ok_is_true_only_while_the_package_is_held_within_limits(
-        make_partner: Callable[..., Any]) -> None:
+def test_ok_is_true_only_while_the_package_is_held_within_limits(make_partner):
     """False before the first pose, true at rest, false with the first pose of too high a load."""
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import Bool

@@ -1,6 +1,5 @@
 """Whatever is sent to the real node, in whatever order: finite answers, counts, recovery."""
 
-from collections.abc import Callable, Iterator
 import math
 import time
 from typing import Any
@@ -28,12 +27,12 @@ RELIABLE = {
 class Attacker:
     """Sends what nobody should send, and what cannot even be read."""
 
-    def __init__(self, partner: Any, seed: int) -> None:
+    def __init__(self, partner, seed):
         """Begin in order."""
         self._partner, self._rng, self._stamp = partner, np.random.default_rng(seed), START
         self.poses = self.raw = 0
 
-    def send(self) -> None:
+    def send(self):
         """Send one message of any kind."""
         rng = self._rng
         chance = rng.random()
@@ -49,7 +48,7 @@ class Attacker:
         else:
             self._partner.send_twist(stamp, self._vector(), self._vector())
 
-    def _send_bytes(self) -> None:
+    def _send_bytes(self):
         """Send bytes that are no message, or one whose text is none."""
         from geometry_msgs.msg import PoseStamped
         from rclpy.serialization import serialize_message
@@ -66,21 +65,21 @@ class Attacker:
         )
         self._partner.pose_writer.publish(broken[self._rng.integers(len(broken))])
 
-    def _vector(self) -> list[float]:
+    def _vector(self):
         """Return a vector, mostly of an arm at rest."""
         values = 1e-4 * self._rng.standard_normal(3)
         if self._rng.random() < 0.25:
             values[self._rng.integers(3)] = self._rng.choice(ODD)
         return [float(x) for x in values]
 
-    def _quaternion(self) -> list[float]:
+    def _quaternion(self):
         """Return a quaternion, mostly upright."""
         if self._rng.random() < 0.8:
             return [0.0, 0.0, 0.0, 1.0]
         return [float(x) for x in self._rng.choice((*ODD, 0.5, -0.5), size=4)]
 
 
-def numbers(part: Any) -> Iterator[float]:
+def numbers(part):
     """Yield all numbers with a fraction in a message."""
     if isinstance(part, float):
         yield part
@@ -92,14 +91,14 @@ def numbers(part: Any) -> Iterator[float]:
             yield from numbers(item)
 
 
-def stamps_from(begin: int, poses: list[Any]) -> list[int]:
+def stamps_from(begin, poses):
     """Return the stamps (ns) that are not before a time, in the order in which they came."""
     stamps = (pose.header.stamp for pose in poses)
     stamps_ns = (stamp.sec * 10**9 + stamp.nanosec for stamp in stamps)
     return [stamp_ns for stamp_ns in stamps_ns if stamp_ns >= begin]
 
 
-def listen(partner: Any) -> list[Any]:
+def listen(partner):
     """Return what will hold everything the predictor publishes beside poses and twists."""
     from geometry_msgs.msg import PoseStamped
     from nav_msgs.msg import Odometry
@@ -114,8 +113,7 @@ def listen(partner: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize('seed', [1, 2])
-def test_nothing_breaks_the_node_and_it_comes_back(
-        seed: int, make_partner: Callable[..., Any]) -> None:
+def test_nothing_breaks_the_node_and_it_comes_back(seed, make_partner):
     """Count every message, publish one finite prediction for each pose taken, and recover."""
     partner = make_partner({**PACKAGE, **RELIABLE})
     heard, attacker = listen(partner), Attacker(partner, seed)

@@ -2,7 +2,6 @@
 
 import json
 import os
-from pathlib import Path
 import subprocess
 import sys
 from typing import Any
@@ -173,7 +172,7 @@ print(json.dumps({
 
 
 @pytest.fixture(scope='module')
-def found(root: Path) -> dict[str, Any]:
+def found(root):
     """Give what a process has found out about a predictor that it holds."""
     environment = {**os.environ, 'PYTHONPATH': str(root)}
     done = subprocess.run(
@@ -184,28 +183,28 @@ def found(root: Path) -> dict[str, Any]:
     return result
 
 
-def test_all_of_it_has_been_tried(found: dict[str, Any]) -> None:
+def test_all_of_it_has_been_tried(found):
     """Have every topic answer, a twist for every pose, and a pause bridged."""
     assert min(found['heard'].values()) >= 20 and found['coasted'] > 0
     assert found['heard']['package/pose'] == found['sent'] > 1200
 
 
-def test_nothing_is_imported(found: dict[str, Any]) -> None:
+def test_nothing_is_imported(found):
     """Load every module before the first message."""
     assert found['modules'] == []
 
 
-def test_a_node_without_what_recordings_need_answers_all_the_same(found: dict[str, Any]) -> None:
+def test_a_node_without_what_recordings_need_answers_all_the_same(found):
     """Answer plan, request, measured pose and landing without rosbags, matplotlib, optimizers."""
     assert min(found['answered'].values()) > 0 and not found['failures']
 
 
-def test_nothing_is_compiled(found: dict[str, Any]) -> None:
+def test_nothing_is_compiled(found):
     """Compile every kernel for every kind of argument before the first message."""
     assert found['newly compiled'] == []
     assert bool(found['kernels']) is found['compiled']
 
 
-def test_nothing_is_kept(found: dict[str, Any]) -> None:
+def test_nothing_is_kept(found):
     """Hold after 600 more messages what was held before, to within their last few."""
     assert found['grown'] < 10_000

@@ -1,7 +1,6 @@
 """The identifier node: finds the cup beside the executor and shows it as parameters."""
 
 from pathlib import Path
-from typing import Any
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
@@ -36,7 +35,7 @@ PACKAGE = {
 }
 
 
-def make(ros: Any, **given: object) -> Any:
+def make(ros, **given):
     """Return a spinning identifier; `__` in the names of parameters stands for a dot."""
     from bellows_ros.nodes.identifier_node import IdentifierNode
 
@@ -48,13 +47,13 @@ def make(ros: Any, **given: object) -> Any:
     return node
 
 
-def test_recordings_must_be_named(ros: Any) -> None:
+def test_recordings_must_be_named(ros):
     """End with what to set."""
     with pytest.raises(BellowsError):
         make(ros)
 
 
-def test_error_of_the_work_ends_the_node(ros: Any, tmp_path: Path) -> None:
+def test_error_of_the_work_ends_the_node(ros, tmp_path):
     """Raise where the node is waited for, and write nothing."""
     node = make(ros, bags=[str(tmp_path / 'nowhere')], output__json=str(tmp_path / 'fit.json'))
     assert ros.spin_until(node.finished.done, LONGEST)
@@ -63,8 +62,7 @@ def test_error_of_the_work_ends_the_node(ros: Any, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_cup_is_found_shown_written_and_set_on_the_predictor(
-        ros: Any, rig: Path, tmp_path: Path) -> None:
+def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path):
     """Go the whole way from a recording to a running predictor, and change nothing else of it."""
     own = {'cup.lip_radius': 0.03, 'cup.friction': 0.7, 'cup.suction_area': 2e-3}
     predictor = PredictorNode(context=ros.context, parameter_overrides=[
@@ -96,8 +94,7 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(
                 and value == PARAMETERS[name].default]
 
 
-def test_one_cup_of_a_gripper_is_found_and_set_with_its_layout(
-        ros: Any, root: Path, tmp_path: Path) -> None:
+def test_one_cup_of_a_gripper_is_found_and_set_with_its_layout(ros, root, tmp_path):
     """The predictor composes it: what it has of one cup is what was found."""
     layout = [0.06, 0.05, 0.0, -0.06, 0.03, 0.0, 0.01, -0.07, 0.0]
     cup = read_parameters(root / 'bags/cup.yaml')
@@ -119,8 +116,7 @@ def test_one_cup_of_a_gripper_is_found_and_set_with_its_layout(
     assert_allclose(found[:3], np.diag(np.reshape(cup['cup.stiffness'], (6, 6)))[:3], rtol=0.05)
 
 
-def test_absent_predictor_is_said(
-        ros: Any, rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_absent_predictor_is_said(ros, rig, monkeypatch):
     """Give up after a while, with the cup found."""
     monkeypatch.setattr('bellows_ros.nodes.identifier_node.LONGEST_WAIT', 0.2)
     node = make(ros, bags=[str(rig / 'clean')], predictor='/elsewhere')
@@ -130,8 +126,7 @@ def test_absent_predictor_is_said(
     assert node.has_parameter('cup.stiffness')
 
 
-def test_all_that_the_command_can_do_the_node_can(
-        ros: Any, root: Path, tmp_path: Path) -> None:
+def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
     """Give packages in files, standstills, structures, validation and a page as parameters."""
     cup = read_parameters(root / 'bags/cup.yaml')
     bags, files = [], []
@@ -160,7 +155,7 @@ def test_all_that_the_command_can_do_the_node_can(
     assert 'Standstills</h2>' in (tmp_path / 'page.html').read_text()
 
 
-def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:
+def test_packages_in_files_are_enough(ros, root):
     """Start without package.* where each recording has a file of its own."""
     from bellows_ros.nodes.identifier_node import IdentifierNode
 
@@ -176,8 +171,7 @@ def test_packages_in_files_are_enough(ros: Any, root: Path) -> None:
 
 
 @pytest.mark.parametrize('written', ['', 'cup.yaml'])
-def test_a_forgotten_length_is_among_the_reasons(
-        ros: Any, root: Path, tmp_path: Path, written: str) -> None:
+def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path, written):
     """Take the thesis' length for a cup that is 2 mm shorter: say that it was not set."""
     node = make(
         ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
@@ -189,7 +183,7 @@ def test_a_forgotten_length_is_among_the_reasons(
     assert not (tmp_path / 'cup.yaml').exists()
 
 
-def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros: Any, root: Path) -> None:
+def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros, root):
     """Take a length that is wrong by millimetres: the package would push the cup."""
     node = make(
         ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',

@@ -1,6 +1,5 @@
 """Plans of an arm's joints over DDS: predicted, steered in the same joints, refused."""
 
-from collections.abc import Callable
 from typing import Any
 
 from bellows_ros.core.geometry.lie import log_se3, rotation_to_quaternion, transform
@@ -13,7 +12,7 @@ from bellows_ros.files.plan_messages import decode_multi_dof
 import numpy as np
 import pytest
 
-from .conftest import ORIGIN, Partner
+from .conftest import ORIGIN
 from .test_planning import MODEL, VALUES
 from ..core.planning.arms import UR5E, UR5E_START
 
@@ -27,7 +26,7 @@ POSITION = np.array(UR5E_START) + np.outer(
 class JointPlanner:
     """A partner that sends plans of joints and keeps the answers."""
 
-    def __init__(self, partner: Partner, urdf: str) -> None:
+    def __init__(self, partner, urdf):
         """Connect the topics."""
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from std_msgs.msg import String
@@ -54,12 +53,12 @@ class JointPlanner:
             out.get_subscription_count() for out in (self.plan_out, self.steer_out))
             and planning._plan_out.wanted)
 
-    def wait(self, condition: Callable[[], Any]) -> None:
+    def wait(self, condition):
         """Spin until something is so."""
         assert self.partner.ros.spin_until(condition)
 
 
-def message(position: Any = POSITION, names: tuple[str, ...] = ARM.moving) -> Any:
+def message(position=POSITION, names=ARM.moving):
     """Return joint positions as a message."""
     from builtin_interfaces.msg import Duration
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -71,12 +70,12 @@ def message(position: Any = POSITION, names: tuple[str, ...] = ARM.moving) -> An
 
 
 @pytest.fixture
-def planner(make_partner: Callable[..., Partner]) -> JointPlanner:
+def planner(make_partner):
     """Give a predictor that knows the arm."""
     return JointPlanner(make_partner({**VALUES, 'tool_link': 'tool'}), UR5E)
 
 
-def test_a_plan_of_joints_is_answered_and_steered_in_them(planner: JointPlanner) -> None:
+def test_a_plan_of_joints_is_answered_and_steered_in_them(planner):
     """The package along the plan, and joints that move the tool as the inverse wants it."""
     planner.plan_out.publish(message())
     planner.wait(lambda: planner.plans)
@@ -96,8 +95,7 @@ def test_a_plan_of_joints_is_answered_and_steered_in_them(planner: JointPlanner)
     assert len(answer.points[1].velocities) == len(answer.points[1].accelerations) == 6
 
 
-def test_joints_lead_to_a_flange_with_the_tip_beside_it(
-        make_partner: Callable[..., Partner]) -> None:
+def test_joints_lead_to_a_flange_with_the_tip_beside_it(make_partner):
     """The package hangs where the tip is, not where the link is, and steering moves the tip."""
     planner = JointPlanner(make_partner({
         **VALUES, 'tool_link': 'tool', 'tool_pose.offset': '0.01 -0.02 -0.05 0 0 0 1'}), UR5E)
@@ -118,7 +116,7 @@ def test_joints_lead_to_a_flange_with_the_tip_beside_it(
     ends = ARM.tool(POSITION[[0, -1]])[0]
     np.testing.assert_allclose(flange[[0, -1]], ends, atol=1e-4)
 
-    def swing_left(T_world_E: Any) -> float:
+    def swing_left(T_world_E):
         poses = plan_of(np.round(1e9 * np.array(seconds)).astype(np.int64), T_world_E[:, :3, 3],
                         rotation_to_quaternion(T_world_E[:, :3, :3]))
         return float(np.degrees(predict(MODEL, None, poses).figures()['swing_left']))
@@ -130,8 +128,7 @@ def test_joints_lead_to_a_flange_with_the_tip_beside_it(
 @pytest.mark.parametrize(('change', 'named'), [
     ({'names': ('a', 'b', 'c', 'd', 'e', 'f')}, 'shoulder_pan'),
     ({'position': np.full((81, 6), np.nan)}, 'nan')])
-def test_a_bad_plan_of_joints_is_refused(
-        planner: JointPlanner, change: dict[str, Any], named: str) -> None:
+def test_a_bad_plan_of_joints_is_refused(planner, change, named):
     planner.plan_out.publish(message(**change))
     planning = planner.partner.predictor._planning
     planner.wait(lambda: planning.status)

@@ -1,8 +1,6 @@
 """The predictor as a managed node: transitions over services, and silence unless active."""
 
-from collections.abc import Callable
 from threading import active_count
-from typing import Any
 
 from bellows_ros.errors import BellowsError
 from lifecycle_msgs.msg import Transition
@@ -21,7 +19,7 @@ ALL = ('package/pose', 'package/twist', 'package/odometry', 'cup/wrench', 'cup/d
 class Manager:
     """A lifecycle manager: another node that calls services and listens to everything."""
 
-    def __init__(self, ros: Any) -> None:
+    def __init__(self, ros):
         """Join the graph."""
         from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
         from nav_msgs.msg import Odometry
@@ -43,7 +41,7 @@ class Manager:
         self.writer = self.node.create_publisher(PoseStamped, 'tool_arm/pose', 1000)
         self._stamp = START
 
-    def call(self, service: str, kind: Any, request: Any) -> Any:
+    def call(self, service, kind, request):
         """Call a service and return its answer."""
         client = self.node.create_client(kind, service)
         assert self.ros.spin_until(client.service_is_ready), service
@@ -51,21 +49,21 @@ class Manager:
         assert self.ros.spin_until(future.done), service
         return future.result()
 
-    def change(self, transition: int) -> bool:
+    def change(self, transition):
         """Ask for a transition."""
         request = ChangeState.Request(transition=Transition(id=transition))
         return bool(self.call('/predictor/change_state', ChangeState, request).success)
 
-    def state(self) -> str:
+    def state(self):
         """Ask for the state."""
         answer = self.call('/predictor/get_state', GetState, GetState.Request())
         return str(answer.current_state.label)
 
-    def trigger(self, service: str) -> Any:
+    def trigger(self, service):
         """Call a trigger."""
         return self.call(service, Trigger, Trigger.Request())
 
-    def send(self, count: int = 20) -> None:
+    def send(self, count=20):
         """Send poses of a tool that stands still."""
         from geometry_msgs.msg import PoseStamped
 
@@ -77,18 +75,18 @@ class Manager:
             message.pose.orientation.w = 1.0
             self.writer.publish(message)
 
-    def is_connected(self) -> bool:
+    def is_connected(self):
         """Tell whether every topic has found its other end."""
         return bool(self.writer.get_subscription_count()) and all(
             reader.get_publisher_count() for reader in self.readers)
 
-    def take_what_is_under_way(self) -> None:
+    def take_what_is_under_way(self):
         """Forget messages that were sent before, in whatever order the topics bring them."""
         while self.heard:
             self.heard.clear()
             self.ros.spin_until(lambda: bool(self.heard), 0.1)
 
-    def hears(self) -> bool:
+    def hears(self):
         """Send poses and tell whether all topics answer."""
         self.heard.clear()
         assert self.ros.spin_until(self.is_connected)
@@ -97,19 +95,19 @@ class Manager:
 
 
 @pytest.fixture
-def manager(ros: Any) -> Manager:
+def manager(ros):
     """Give a lifecycle manager."""
     return Manager(ros)
 
 
-def test_starts_itself(make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_starts_itself(make_predictor, manager):
     """Be active without being asked."""
     make_predictor()
     assert manager.state() == 'active'
     assert manager.hears()
 
 
-def test_every_transition(make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_every_transition(make_predictor, manager):
     """Go through all states twice; publish only while active."""
     node = make_predictor({**PACKAGE, 'autostart': False})
     assert manager.state() == 'unconfigured'
@@ -144,8 +142,7 @@ ALLOWED = {'unconfigured': {1, 5}, 'inactive': {2, 3, 6}, 'active': {4, 7}}
 
 
 @pytest.mark.parametrize('state', STATES)
-def test_a_transition_that_is_not_allowed_is_refused(
-        state: str, make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_a_transition_that_is_not_allowed_is_refused(state, make_predictor, manager):
     """Answer no to each of them, and go on as before."""
     make_predictor({**PACKAGE, 'autostart': False})
     for transition in STATES[state]:
@@ -159,8 +156,7 @@ def test_a_transition_that_is_not_allowed_is_refused(
         assert manager.hears()
 
 
-def test_a_transition_by_its_label(
-        make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_a_transition_by_its_label(make_predictor, manager):
     """Take the name instead of the number."""
     make_predictor()
     label = ChangeState.Request(transition=Transition(label='deactivate'))
@@ -168,8 +164,7 @@ def test_a_transition_by_its_label(
     assert manager.state() == 'inactive'
 
 
-def test_what_cannot_be_configured_leaves_nothing_behind(
-        make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_what_cannot_be_configured_leaves_nothing_behind(make_predictor, manager):
     """Say why, whatever the reason, and have no topics however often it is tried."""
     override = 'qos_overrides./tool_arm/pose.subscription.reliability'
     node = make_predictor({**PACKAGE, 'autostart': False, override: 'nonsense'})
@@ -182,7 +177,7 @@ def test_what_cannot_be_configured_leaves_nothing_behind(
         make_predictor({**PACKAGE, override: 'nonsense'})
 
 
-def test_shutdown_while_active(make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_shutdown_while_active(make_predictor, manager):
     """Fall silent for good."""
     make_predictor()
     assert manager.hears()
@@ -191,12 +186,11 @@ def test_shutdown_while_active(make_predictor: Callable[..., Any], manager: Mana
     assert manager.ros.spin_until(lambda: not manager.node.count_publishers('/package/pose'))
 
 
-def test_a_node_that_is_closed_leaves_the_graph(
-        make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_a_node_that_is_closed_leaves_the_graph(make_predictor, manager):
     """Leave nothing of it behind, while this process still holds the object."""
     node = make_predictor()
 
-    def names() -> set[str]:
+    def names():
         return set(manager.node.get_node_names())
 
     assert manager.ros.spin_until(lambda: 'predictor' in names())
@@ -205,8 +199,7 @@ def test_a_node_that_is_closed_leaves_the_graph(
     assert manager.ros.spin_until(lambda: 'predictor' not in names())
 
 
-def test_configuring_checks_what_has_been_set_since(
-        make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_configuring_checks_what_has_been_set_since(make_predictor, manager):
     """Use the parameters as they stand when it is configured."""
     from rclpy.parameter import Parameter
 
@@ -216,7 +209,7 @@ def test_configuring_checks_what_has_been_set_since(
     assert node._live.model[1][0] == 1.0
 
 
-def test_package_comes_and_goes(make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_package_comes_and_goes(make_predictor, manager):
     """Predict only while it is attached, and say so."""
     node = make_predictor()
     assert manager.hears()
@@ -233,8 +226,7 @@ def test_package_comes_and_goes(make_predictor: Callable[..., Any], manager: Man
 
 
 @pytest.mark.parametrize('signal', ['bool', 'pressure'])
-def test_vacuum_attaches_and_detaches(
-        signal: str, make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_vacuum_attaches_and_detaches(signal, make_predictor, manager):
     """Follow the switch or the pressure; without a signal nothing is held."""
     from sensor_msgs.msg import FluidPressure
     from std_msgs.msg import Bool
@@ -251,8 +243,7 @@ def test_vacuum_attaches_and_detaches(
     assert manager.hears()
 
 
-def test_vacuum_that_came_before_the_node_was_active_counts(
-        make_predictor: Callable[..., Any], manager: Manager) -> None:
+def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, manager):
     """Take a switch that speaks only when it changes at its last word, by an override."""
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import Bool
@@ -270,7 +261,7 @@ def test_vacuum_that_came_before_the_node_was_active_counts(
     assert manager.hears()
 
 
-def test_named_cups(make_predictor: Callable[..., Any]) -> None:
+def test_named_cups(make_predictor):
     """Choose a cup of the file, change it live, and refuse one that is not there."""
     from rclpy.parameter import Parameter
 
@@ -291,7 +282,7 @@ def test_named_cups(make_predictor: Callable[..., Any]) -> None:
         make_predictor({**PACKAGE, 'cup.name': 'blue'})
 
 
-def node_stiffness() -> list[float]:
+def node_stiffness():
     """Return the stiffness of the thesis as a parameter."""
     from bellows_ros.core.model.cup_package import Cup
 

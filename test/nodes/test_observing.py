@@ -1,6 +1,5 @@
 """Measured poses of the package over DDS."""
 
-from collections.abc import Callable
 import time
 from typing import Any
 
@@ -10,21 +9,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from .conftest import PACKAGE, Partner
+from .conftest import PACKAGE
 from ..core.observer.cases import truth
 
 WORLD = [1.2, -0.7, 0.3, 0.0, 0.6, 0.0, 0.8]  # of the measured package, in that of the tool
 TURN = 0.1  # rad, by which the measured package begins beside its rest
 
 
-def stamped(message: Any, stamp_ns: int, frame_id: str = 'world') -> Any:
+def stamped(message, stamp_ns, frame_id='world'):
     """Give a message with a header."""
     message.header.frame_id = frame_id
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
     return message
 
 
-def swinging() -> list[Any]:
+def swinging():
     """Give the states of a package that swings under a tool that stands still."""
     tool = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))] * 120
     package = package_of(PACKAGE)
@@ -35,8 +34,7 @@ def swinging() -> list[Any]:
 
 @pytest.mark.parametrize(('kind', 'apart'), [
     ('pose', False), ('pose_with_covariance', True), ('odometry', False)])
-def test_measured_poses_correct_what_is_published(
-        make_partner: Callable[..., Partner], kind: str, apart: bool) -> None:
+def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     """Come near where the package is seen, in a world of its own too; count what is no use."""
     from bellows_ros.nodes.observing import KINDS
     from diagnostic_msgs.msg import DiagnosticArray
@@ -59,7 +57,7 @@ def test_measured_poses_correct_what_is_published(
     live = partner.predictor._live
     start_ns, swing = time.time_ns(), swinging()
 
-    def see(stamp_ns: int, body: Any, frame_id: str = 'world', variance: float = 1e-8) -> None:
+    def see(stamp_ns, body, frame_id='world', variance=1e-08):
         message = stamped(KINDS[kind](), stamp_ns, frame_id)
         pose = message.pose if kind == 'pose' else message.pose.pose
         position, q_xyzw = body[:2]
@@ -113,7 +111,7 @@ def test_measured_poses_correct_what_is_published(
         'measured package' in line.name and 'refused' in line.message for line in lines))
 
 
-def test_counts_begin_again_with_the_observer(make_partner: Callable[..., Partner]) -> None:
+def test_counts_begin_again_with_the_observer(make_partner):
     """Count no messages below zero after a parameter is set, and none as faults in flight."""
     from bellows_ros.core.live.health import Level
     from geometry_msgs.msg import PoseStamped
@@ -125,7 +123,7 @@ def test_counts_begin_again_with_the_observer(make_partner: Callable[..., Partne
     partner.send_pose(start_ns)
     partner.wait_for_poses(1)
 
-    def report(bad: int) -> Any:
+    def report(bad):
         for _ in range(bad):
             observing._on_measured(stamped(PoseStamped(), start_ns))  # without a quaternion
         return observing.status('measured package')

@@ -1,7 +1,5 @@
 """Parameters of the nodes: declared from the table, refused in words, changed all or nothing."""
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
 import time
 from typing import Any
 
@@ -31,13 +29,13 @@ INDEFINITE = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]).ravel().tolist()
 class Caller:
     """Another node that sets parameters through the services."""
 
-    def __init__(self, ros: Any) -> None:
+    def __init__(self, ros):
         """Join the graph."""
         self._ros = ros
         self._node = Node('caller', context=ros.context)
         ros.executor.add_node(self._node)
 
-    def call(self, service: str, kind: type, request: Any) -> Any:
+    def call(self, service, kind, request):
         """Call a service of the predictor and return the answer."""
         client = self._node.create_client(kind, f'/predictor/{service}')
         assert self._ros.spin_until(client.service_is_ready)
@@ -45,7 +43,7 @@ class Caller:
         assert self._ros.spin_until(future.done)
         return future.result()
 
-    def set_parameters(self, **values: Any) -> list[tuple[bool, str]]:
+    def set_parameters(self, **values):
         """Set parameters as `ros2 param set` and `load` do; `__` stands for a dot."""
         parameters = [
             Parameter(name.replace('__', '.'), value=value).to_parameter_msg()
@@ -56,24 +54,23 @@ class Caller:
 
 
 @pytest.fixture
-def caller(ros: Any) -> Caller:
+def caller(ros):
     """Give a node beside the predictor."""
     return Caller(ros)
 
 
-def cup(node: Any) -> Sequence[Any]:
+def cup(node):
     """Return the stiffness and the damping that the node shows."""
     return [list(node.get_parameter(f'cup.{name}').value) for name in ('stiffness', 'damping')]
 
 
-def used(node: Any) -> tuple[Any, Any]:
+def used(node):
     """Return the blocks of K and P that the prediction is made with."""
     blocks: tuple[Any, Any] = node._live.model[0][2:]
     return blocks
 
 
-def test_stiffness_and_damping_change_together(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_stiffness_and_damping_change_together(make_predictor, caller):
     """Take both of one call, in what is shown and in what is used."""
     node = make_predictor()
     assert caller.set_parameters(cup__stiffness=K, cup__damping=P) == [(True, ''), (True, '')]
@@ -92,8 +89,7 @@ def test_stiffness_and_damping_change_together(
 ])
 @pytest.mark.parametrize('order', [1, -1])
 def test_neither_changes_where_one_is_refused(
-        stiffness: Any, damping: Any, reason: str, order: int,
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+        stiffness, damping, reason, order, make_predictor, caller):
     """Refuse both with the reason, whichever comes first in the call."""
     node = make_predictor()
     shown, before = cup(node), used(node)
@@ -106,15 +102,14 @@ def test_neither_changes_where_one_is_refused(
     assert used(node) == before
 
 
-def test_one_alone_is_taken(make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_one_alone_is_taken(make_predictor, caller):
     """Take a valid K without a P."""
     node = make_predictor()
     assert caller.set_parameters(cup__stiffness=K) == [(True, '')]
     assert cup(node) == [K, THESIS.damping.ravel().tolist()]
 
 
-def test_package_changes_live_and_whole_numbers_will_do(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_package_changes_live_and_whole_numbers_will_do(make_predictor, caller):
     """Take 3 for 3.0, as `ros2 param set` sends it."""
     node = make_predictor()
     assert caller.set_parameters(package__mass=3, package__com=[0, 0, -1]) == [(True, '')] * 2
@@ -122,8 +117,7 @@ def test_package_changes_live_and_whole_numbers_will_do(
     assert node._live.model[1][:2] == (3.0, (0.0, 0.0, -1.0))
 
 
-def test_what_does_not_belong_together_is_set_one_by_one(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_what_does_not_belong_together_is_set_one_by_one(make_predictor, caller):
     """Set what can be set; a fixed parameter with its own value is no failure of a load."""
     node = make_predictor()
     results = caller.set_parameters(
@@ -138,8 +132,7 @@ def test_what_does_not_belong_together_is_set_one_by_one(
 
 
 @pytest.mark.parametrize('order', [1, -1])
-def test_thresholds_and_ranges_change_together(
-        order: int, make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_thresholds_and_ranges_change_together(order, make_predictor, caller):
     """Take both ends of a range in one call, although neither fits the other's old value."""
     node = make_predictor()
     high = {'vacuum__attach_below': 96e3, 'vacuum__detach_above': 98e3,
@@ -154,9 +147,7 @@ def test_thresholds_and_ranges_change_together(
     ({'envelope__mass': [2.0, 1.0]}, 'ends below its beginning'),
     ({'package__mass': 5e-324}, 'The prediction fails'),
 ])
-def test_what_cannot_be_computed_with_is_refused(
-        values: dict[str, Any], reason: str, make_predictor: Callable[..., Any],
-        caller: Caller) -> None:
+def test_what_cannot_be_computed_with_is_refused(values, reason, make_predictor, caller):
     """Refuse it before it is in use, and go on."""
     node = make_predictor()
     before = node.values
@@ -167,8 +158,7 @@ def test_what_cannot_be_computed_with_is_refused(
         make_predictor({**PACKAGE, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
-def test_a_cup_of_a_gripper_is_opened_and_closed_live(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_a_cup_of_a_gripper_is_opened_and_closed_live(make_predictor, caller):
     """It leaves the stiffness; an empty list, which has no type, brings it back."""
     node = make_predictor()
     single = used(node)[0][0][0]
@@ -182,8 +172,7 @@ def test_a_cup_of_a_gripper_is_opened_and_closed_live(
     assert used(node)[0][0][0] == pytest.approx(2.0 * single)
 
 
-def test_what_is_set_to_what_it_is_has_no_effect(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_what_is_set_to_what_it_is_has_no_effect(make_predictor, caller):
     """Load what was dumped without anything being made anew."""
     node = make_predictor()
     before, model = node.values, node._live.model
@@ -200,9 +189,7 @@ def test_what_is_set_to_what_it_is_has_no_effect(
     ('cup.name', 'a\x1b[31mb', "'a?[31mb'"),
     ('x\x1b[31m\n', 1.0, "'x?[31m?'"),
 ])
-def test_what_is_wrong_with_a_value_is_said(
-        name: str, value: Any, reason: str, make_predictor: Callable[..., Any],
-        caller: Caller) -> None:
+def test_what_is_wrong_with_a_value_is_said(name, value, reason, make_predictor, caller):
     """Name it in both services, in printable characters."""
     node = make_predictor()
     before = node.values
@@ -217,8 +204,7 @@ def test_what_is_wrong_with_a_value_is_said(
     assert node.values is before
 
 
-def test_atomic_service_sets_all_or_none(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_atomic_service_sets_all_or_none(make_predictor, caller):
     """Hold for the other service too."""
     node = make_predictor()
     for damping, expected in ((INDEFINITE, False), (P, True)):
@@ -230,8 +216,7 @@ def test_atomic_service_sets_all_or_none(
         assert (cup(node) == [K, P]) is expected
 
 
-def test_malformed_requests_are_answered(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_malformed_requests_are_answered(make_predictor, caller):
     """Refuse a type that does not exist, and the removal of a parameter; live on."""
     make_predictor()
     for kind in (0, 99):
@@ -245,8 +230,7 @@ def test_malformed_requests_are_answered(
     assert caller.set_parameters(package__mass=2.0) == [(True, '')]
 
 
-def test_every_parameter_is_described(
-        make_predictor: Callable[..., Any], caller: Caller) -> None:
+def test_every_parameter_is_described(make_predictor, caller):
     """Show sentence, unit, range and whether it can change."""
     make_predictor()
     table = parameters_of('predictor')
@@ -264,7 +248,7 @@ def test_every_parameter_is_described(
 
 
 @pytest.mark.parametrize('missing', PACKAGE)
-def test_package_must_be_given(missing: str, make_predictor: Callable[..., Any]) -> None:
+def test_package_must_be_given(missing, make_predictor):
     """Name what is missing and show the file that sets it."""
     given = {name: value for name, value in PACKAGE.items() if name != missing}
     with pytest.raises(BellowsError) as caught:
@@ -282,14 +266,13 @@ def test_package_must_be_given(missing: str, make_predictor: Callable[..., Any])
     ('package.inertia', [1.0, 1.0, 3.0, 0.0, 0.0, 0.0], 'No body has'),
     ('tool_twist.frame', 'flange', 'one of world, tool'),
 ])
-def test_bad_values_at_start_are_refused(
-        name: str, value: Any, words: str, make_predictor: Callable[..., Any]) -> None:
+def test_bad_values_at_start_are_refused(name, value, words, make_predictor):
     """Say what is wrong and what would be right."""
     with pytest.raises(BellowsError, match=words.replace('?', r'\?')):
         make_predictor({**PACKAGE, name: value})
 
 
-def test_one_file_serves_both_nodes(make_predictor: Callable[..., Any]) -> None:
+def test_one_file_serves_both_nodes(make_predictor):
     """Accept the identifier's names and ROS's own, and declare only one's own."""
     node = make_predictor({
         **PACKAGE, 'fit.structure': 'full', 'use_sim_time': False, 'package.mass': 2})
@@ -297,15 +280,13 @@ def test_one_file_serves_both_nodes(make_predictor: Callable[..., Any]) -> None:
     assert not node.has_parameter('fit.structure')
 
 
-def test_unmatched_qos_override_is_said(
-        make_predictor: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_unmatched_qos_override_is_said(make_predictor, capfd):
     """Warn about an override that no topic takes; a misspelt one is silent in ROS."""
     make_predictor({**PACKAGE, 'qos_overrides./tool_arm/poze.subscription.depth': 5})
     assert "'qos_overrides./tool_arm/poze.subscription.depth'" in capfd.readouterr().err
 
 
-def test_file_with_named_cups_comes_back_from_a_node(
-        make_predictor: Callable[..., Any], tmp_path: Path) -> None:
+def test_file_with_named_cups_comes_back_from_a_node(make_predictor, tmp_path):
     """Start from a file that was written, show what it says, and start from what is shown."""
     given = {**PACKAGE, 'cup.name': 'soft', 'cups.soft.stiffness': K, 'cups.soft.length': 0.05,
              'cups.hard.stiffness': THESIS.stiffness.ravel().tolist(), 'coast.limit': 0.05}
@@ -322,7 +303,7 @@ def test_file_with_named_cups_comes_back_from_a_node(
         node.close()
 
 
-def ends(parameter: Any) -> list[Any]:
+def ends(parameter):
     """Return the smallest and the largest value of a parameter."""
     low = parameter.minimum
     if low is None and parameter.above is not None:
@@ -337,7 +318,7 @@ def ends(parameter: Any) -> list[Any]:
 
 
 @pytest.mark.timeout(400)  # it compiles the kernels of a cup that relaxes, too
-def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[..., Any]) -> None:
+def test_both_ends_of_each_range_work_or_are_refused(make_partner):
     """
     Predict, plan, aim and report with each, or change nothing and name what is wrong.
 
@@ -387,8 +368,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner: Callable[...,
 @pytest.mark.parametrize(('name', 'value'), [
     ('cup.damping', [1e6 if i % 7 == 0 else 0.0 for i in range(36)]),
     ('cup.stiffness', [1e9 if i % 7 == 0 else 0.0 for i in range(36)])])
-def test_what_takes_too_many_steps_is_named(
-        name: str, value: list[float], make_predictor: Callable[..., Any]) -> None:
+def test_what_takes_too_many_steps_is_named(name, value, make_predictor):
     """Say which of the two, and how many steps a second they are."""
     node = make_predictor()
     (result,) = node.set_parameters([Parameter(name, value=value)])
@@ -396,13 +376,12 @@ def test_what_takes_too_many_steps_is_named(
     assert f'With this {name} the fastest mode' in result.reason
 
 
-def test_a_set_that_fails_changes_nothing(
-        make_predictor: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_that_fails_changes_nothing(make_predictor, monkeypatch):
     """Go back to what was, though it fails where the values are used."""
     node = make_predictor()
     sound, kept = node._outputs.set_model, node.values
 
-    def fail_once(*arguments: Any) -> None:
+    def fail_once(*arguments):
         monkeypatch.setattr(node._outputs, 'set_model', sound)
         raise OverflowError('too large')
 

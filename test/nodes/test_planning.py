@@ -1,6 +1,5 @@
 """Plans over DDS: answered before they are driven, followed while they are, refused when bad."""
 
-from collections.abc import Callable
 import time
 from typing import Any
 
@@ -14,7 +13,6 @@ from numpy.testing import assert_allclose
 import pytest
 from rclpy.parameter import Parameter
 
-from .conftest import Partner
 from ..core.planning.test_steering import Smooth
 from ..core.plans import CUP, GRIP, Move, PACKAGE
 
@@ -30,7 +28,7 @@ MOVE = Move([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
 MS = 1_000_000
 
 
-def message(move: Move = MOVE, rate_hz: int = 500, **changes: Any) -> PlanMessage:
+def message(move=MOVE, rate_hz=500, **changes):
     """Return a move as a message."""
     times = np.round(np.arange(round(float(move.duration) * rate_hz) + 1) / rate_hz * 1e9).astype(
         np.int64)
@@ -44,7 +42,7 @@ def message(move: Move = MOVE, rate_hz: int = 500, **changes: Any) -> PlanMessag
 class Planner:
     """A partner that also sends plans and keeps the answers."""
 
-    def __init__(self, partner: Partner) -> None:
+    def __init__(self, partner):
         """Connect all topics of plans."""
         from diagnostic_msgs.msg import DiagnosticArray
         from nav_msgs.msg import Odometry, Path
@@ -55,7 +53,7 @@ class Planner:
         self.plans: list[PlanMessage] = []
         self.heard: dict[str, list[Any]] = {'path': [], 'at': [], 'steered': [], 'health': []}
 
-        def keep(data: bytes) -> None:
+        def keep(data):
             self.plans.append(decode_multi_dof(data))
 
         ends = [
@@ -81,34 +79,34 @@ class Planner:
                     for out in (self.plan_out, self.steer_out, self.request_out))
             and planning._plan_out.wanted and planning._path_out.wanted))
 
-    def send(self, plan: PlanMessage) -> None:
+    def send(self, plan):
         """Send a plan of the tool."""
         self.plan_out.publish(encode_multi_dof(plan))
 
-    def drive(self, stamp_ns: int, seconds: float, speed: float = 1.0) -> None:
+    def drive(self, stamp_ns, seconds, speed=1.0):
         """Send where the tool is so many seconds after it began to move."""
         o, R, v = MOVE.at(np.array([max(0.0, seconds * speed)]))
         self.partner.send_pose(stamp_ns, o[0], lie.rotation_to_quaternion(R)[0])
         self.partner.send_twist(stamp_ns, speed * v[0, :3], speed * v[0, 3:])
 
-    def status(self) -> Any:
+    def status(self):
         """Return what is said of a plan, once it is."""
         planning = self.partner.predictor._planning
         self.wait(lambda: planning.status)
         return planning.status
 
-    def wait(self, condition: Callable[[], Any]) -> None:
+    def wait(self, condition):
         """Spin until something is so."""
         assert self.partner.ros.spin_until(condition)
 
 
 @pytest.fixture
-def planner(make_partner: Callable[..., Partner]) -> Planner:
+def planner(make_partner):
     """Give a predictor and what sends plans to it."""
     return Planner(make_partner(VALUES))
 
 
-def test_a_plan_is_answered_before_the_tool_moves(planner: Planner) -> None:
+def test_a_plan_is_answered_before_the_tool_moves(planner):
     """Before any pose has come: from rest at its first point, with a summary."""
     planner.send(message())
     planner.wait(lambda: planner.plans and planner.heard['path'])
@@ -126,7 +124,7 @@ def test_a_plan_is_answered_before_the_tool_moves(planner: Planner) -> None:
         line.name.endswith('plan') for m in planner.heard['health'] for line in m.status))
 
 
-def test_a_plan_that_lets_go_is_warned_of_before_it_moves(planner: Planner) -> None:
+def test_a_plan_that_lets_go_is_warned_of_before_it_moves(planner):
     """With level ERROR, the mode and the time."""
     planner.send(message(Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)))
     planner.wait(lambda: planner.plans)
@@ -135,8 +133,7 @@ def test_a_plan_that_lets_go_is_warned_of_before_it_moves(planner: Planner) -> N
 
 
 @pytest.mark.parametrize(('speed', 'late'), [(1.0, 0.3), (0.5, 0.0)])
-def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(
-        planner: Planner, speed: float, late: float) -> None:
+def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(planner, speed, late):
     """Where tool and package will be, though the clock of the plan says otherwise."""
     start_ns = 1_700_000_000_000_000_000
     step_ns, sent = 4 * MS, 0
@@ -165,13 +162,13 @@ def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(
     assert planner.partner.predictor._planning._tracker is None  # it has arrived
 
 
-def test_a_request_is_answered(planner: Planner) -> None:
+def test_a_request_is_answered(planner):
     """By the plan where one is driven, else with the tool going on steadily; not in the past."""
     from std_msgs.msg import Header
 
     start_ns = 1_700_000_000_000_000_000
 
-    def ask(after_ns: int) -> None:
+    def ask(after_ns):
         request = Header()
         request.stamp.sec, request.stamp.nanosec = divmod(start_ns + after_ns, 10**9)
         planner.request_out.publish(request)
@@ -194,7 +191,7 @@ def test_a_request_is_answered(planner: Planner) -> None:
 
 
 @pytest.mark.parametrize('of_package', [False, True])
-def test_a_motion_is_steered(planner: Planner, of_package: bool) -> None:
+def test_a_motion_is_steered(planner, of_package):
     """The answer leaves the package without swing, whichever of the two was wanted to move."""
     move = Smooth([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 0.6)
     wanted = message(move)
@@ -212,8 +209,7 @@ def test_a_motion_is_steered(planner: Planner, of_package: bool) -> None:
     assert np.degrees(predict(MODEL, None, tool).figures()['swing_left']) < 0.01
 
 
-def test_plans_of_a_flange_are_predicted_and_steered_in_it(
-        make_partner: Callable[..., Partner]) -> None:
+def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     """With E turned and beside the frame that poses, plans and answers are of."""
     from bellows_ros.core.planning.points import plan_of
 
@@ -221,7 +217,7 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(
     T_flange_E[:3, 3] = 0.02, -0.03, 0.1
     planner = Planner(make_partner({**VALUES, 'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'}))
 
-    def in_frame(poses: Any, T: Any) -> Any:
+    def in_frame(poses, T):
         moved = lie.transform(lie.quaternion_to_rotation(poses[:, 3:]), poses[:, :3]) @ T
         return np.hstack([moved[:, :3, 3], lie.rotation_to_quaternion(moved[:, :3, :3])])
 
@@ -258,8 +254,7 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(
      'has 1 point; expected 2'),
     (None, 'cannot be decoded'),
 ])
-def test_a_bad_plan_is_refused_and_the_prediction_goes_on(
-        planner: Planner, changes: dict[str, Any] | None, words: str) -> None:
+def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, changes, words):
     """Say why on /diagnostics; answer nothing; answer the next good one."""
     start_ns = 1_700_000_000_000_000_000
     planner.drive(start_ns, 0.0)
@@ -279,7 +274,7 @@ def test_a_bad_plan_is_refused_and_the_prediction_goes_on(
     planner.wait(lambda: planner.plans and planning.status.level == 0)
 
 
-def test_a_plan_of_another_clock_ends_nothing(planner: Planner) -> None:
+def test_a_plan_of_another_clock_ends_nothing(planner):
     """Refuse what begins in ten years, and answer the next plan; know what begins later too."""
     start_ns = 1_700_000_000_000_000_000
     predictor = planner.partner.predictor
@@ -304,7 +299,7 @@ def test_a_plan_of_another_clock_ends_nothing(planner: Planner) -> None:
     assert not predictor.failures
 
 
-def test_a_newer_plan_replaces_one_that_takes_long(planner: Planner) -> None:
+def test_a_newer_plan_replaces_one_that_takes_long(planner):
     """Stop what is not wanted any more: for a newer plan, for the end of the active state."""
     predictor = planner.partner.predictor
     planning = predictor._planning
@@ -330,7 +325,7 @@ def test_a_newer_plan_replaces_one_that_takes_long(planner: Planner) -> None:
     assert planning.status is None and not predictor.failures
 
 
-def test_what_takes_too_many_steps_is_refused(planner: Planner) -> None:
+def test_what_takes_too_many_steps_is_refused(planner):
     """Say how many, before any memory is taken."""
     planning = planner.partner.predictor._planning
     planning._coarse = 1e-9
@@ -339,7 +334,7 @@ def test_what_takes_too_many_steps_is_refused(planner: Planner) -> None:
     assert planning.status.level == 1 and '1e+09 integration steps' in planning.status.message
 
 
-def test_a_motion_that_takes_too_long_is_not_steered_live(planner: Planner) -> None:
+def test_a_motion_that_takes_too_long_is_not_steered_live(planner):
     """Name the longest, and go on."""
     planning = planner.partner.predictor._planning
     still = message(times_ns=np.array([0, 61 * 10**9]), poses=np.eye(1, 7, 6).repeat(2, 0),

@@ -1,8 +1,6 @@
 """The predictor node over real DDS: what it publishes, and what bad input does to it."""
 
-from collections.abc import Callable
 import math
-from typing import Any
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -16,12 +14,12 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 LENGTH, DEPTH, MASS, GRAVITY, AXIAL = 0.0481, 0.03, 2.17, 9.81, 11530.0
 
 
-def stamps_ns(messages: list[Any]) -> list[int]:
+def stamps_ns(messages):
     """Return the stamps of messages."""
     return [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in messages]
 
 
-def numbers(messages: list[Any]) -> np.ndarray:
+def numbers(messages):
     """Return positions and quaternions of poses, (N, 7)."""
     return np.array([
         [m.pose.position.x, m.pose.position.y, m.pose.position.z, m.pose.orientation.x,
@@ -33,9 +31,7 @@ def numbers(messages: list[Any]) -> np.ndarray:
     ([0.0, 0.0, 2.0], (1.0, 0.0, 0.0, 0.0)),  # an arm on a ceiling, its base upside down
     ([0.0, 1.0, 0.0], (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))),  # and one on a wall
 ])
-def test_an_arm_on_wall_or_ceiling_carries_the_package_at_rest(
-        direction: list[float], xyzw: tuple[float, ...],
-        make_partner: Callable[..., Any]) -> None:
+def test_an_arm_on_wall_or_ceiling_carries_the_package_at_rest(direction, xyzw, make_partner):
     """Things fall along gravity.direction, of any length; z of the tool points against it."""
     partner = make_partner({**PACKAGE, 'gravity.direction': direction})
     partner.send_pose(START, xyzw=xyzw)
@@ -46,7 +42,7 @@ def test_an_arm_on_wall_or_ceiling_carries_the_package_at_rest(
     assert_allclose(numbers(partner.poses), [[*hanging * down, *xyzw]], atol=1e-12)
 
 
-def test_standing_tool_carries_the_package_at_rest(make_partner: Callable[..., Any]) -> None:
+def test_standing_tool_carries_the_package_at_rest(make_partner):
     """Publish the static equilibrium with the input's stamp, and the weight as the wrench."""
     partner = make_partner()
     for step in range(3):
@@ -67,8 +63,7 @@ def test_standing_tool_carries_the_package_at_rest(make_partner: Callable[..., A
     assert_allclose([force.x, force.y, force.z], [0.0, 0.0, MASS * GRAVITY], atol=1e-9)
 
 
-def test_pose_and_twist_are_paired_by_stamp_whichever_comes_first(
-        make_partner: Callable[..., Any]) -> None:
+def test_pose_and_twist_are_paired_by_stamp_whichever_comes_first(make_partner):
     """Predict once per pose with the twist of its stamp, from twists before and behind it."""
     partner = make_partner()
     for step in range(20):
@@ -84,7 +79,7 @@ def test_pose_and_twist_are_paired_by_stamp_whichever_comes_first(
     assert partner.predictor._live.twists_estimated == 0
 
 
-def test_poses_alone_are_enough(make_partner: Callable[..., Any]) -> None:
+def test_poses_alone_are_enough(make_partner):
     """Predict at once where nobody sends twists."""
     partner = make_partner(with_twists=False)
     for step in range(5):
@@ -95,8 +90,7 @@ def test_poses_alone_are_enough(make_partner: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize('kind', ['pose', 'pose_with_covariance', 'transform', 'odometry'])
-def test_the_pose_may_come_in_each_type_that_drivers_send(
-        kind: str, make_predictor: Callable[..., Any], ros: Any) -> None:
+def test_the_pose_may_come_in_each_type_that_drivers_send(kind, make_predictor, ros):
     """Predict the same from PoseStamped, with covariance, TransformStamped and Odometry."""
     from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
     from nav_msgs.msg import Odometry
@@ -125,7 +119,7 @@ def test_the_pose_may_come_in_each_type_that_drivers_send(
         numbers(answers), [[1.0, 2.0, 3.0 - stretched - DEPTH, 0.0, 0.0, 0.6, 0.8]], atol=1e-12)
 
 
-def test_pose_does_not_wait_long_for_a_lost_twist(make_partner: Callable[..., Any]) -> None:
+def test_pose_does_not_wait_long_for_a_lost_twist(make_partner):
     """Predict with an estimated twist when no twist comes and no other pose either."""
     partner = make_partner()
     partner.send_pose(START)
@@ -134,7 +128,7 @@ def test_pose_does_not_wait_long_for_a_lost_twist(make_partner: Callable[..., An
     assert partner.predictor._live.twists_estimated == 1
 
 
-def test_vanished_twist_publisher_is_not_waited_for(make_partner: Callable[..., Any]) -> None:
+def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     """Notice that nobody sends twists any more."""
     partner = make_partner()
     assert partner.ros.spin_until(lambda: partner.predictor._live.expect_twists)
@@ -154,8 +148,7 @@ def test_vanished_twist_publisher_is_not_waited_for(make_partner: Callable[..., 
     ('backward_stamp', {'stamp_ns': START}),
     ('zero_stamp', {'stamp_ns': 0}),
 ])
-def test_bad_poses_are_counted_and_change_nothing(
-        reason: str, bad: dict[str, Any], make_partner: Callable[..., Any]) -> None:
+def test_bad_poses_are_counted_and_change_nothing(reason, bad, make_partner):
     """Go on as if the bad pose had not come."""
     partner = make_partner(with_twists=False)
     for step in range(10):
@@ -175,7 +168,7 @@ def test_bad_poses_are_counted_and_change_nothing(
     assert_allclose(poses, np.broadcast_to(poses[0], poses.shape), atol=1e-12)
 
 
-def test_nan_twist_is_counted_and_its_pose_predicted(make_partner: Callable[..., Any]) -> None:
+def test_nan_twist_is_counted_and_its_pose_predicted(make_partner):
     """Estimate the twist where the one sent is no number."""
     partner = make_partner()
     for step in range(6):
@@ -187,8 +180,7 @@ def test_nan_twist_is_counted_and_its_pose_predicted(make_partner: Callable[...,
     assert np.isfinite(numbers(partner.poses)).all()
 
 
-def test_stamp_with_a_full_second_of_nanoseconds_is_refused(
-        make_partner: Callable[..., Any]) -> None:
+def test_stamp_with_a_full_second_of_nanoseconds_is_refused(make_partner):
     """Refuse a stamp that cannot be written back."""
     from geometry_msgs.msg import PoseStamped
 
@@ -205,7 +197,7 @@ def test_stamp_with_a_full_second_of_nanoseconds_is_refused(
     assert partner.predictor._live.refused['zero_stamp'] == 1
 
 
-def call(partner: Any, service: str, kind: type, request: Any) -> Any:
+def call(partner, service, kind, request):
     """Call a service from the partner and return its answer."""
     client = partner.node.create_client(kind, service)
     assert partner.ros.spin_until(client.service_is_ready)
@@ -214,7 +206,7 @@ def call(partner: Any, service: str, kind: type, request: Any) -> Any:
     return future.result()
 
 
-def test_reset_starts_from_rest(make_partner: Callable[..., Any]) -> None:
+def test_reset_starts_from_rest(make_partner):
     """Forget the motion, the stamps and the frame."""
     from std_srvs.srv import Trigger
 
@@ -233,7 +225,7 @@ def test_reset_starts_from_rest(make_partner: Callable[..., Any]) -> None:
     assert_allclose(numbers(partner.poses)[-1, :2], 0.0, atol=1e-12)
 
 
-def test_topics_follow_namespace_and_remaps(make_partner: Callable[..., Any]) -> None:
+def test_topics_follow_namespace_and_remaps(make_partner):
     """Stand in a cell's namespace and read the driver's topic."""
     partner = make_partner(
         inputs={'pose': '/driver/tcp_pose'},
@@ -251,7 +243,7 @@ def test_topics_follow_namespace_and_remaps(make_partner: Callable[..., Any]) ->
         '/cell/left_cup/reset', '/cell/left_cup/set_parameters'}
 
 
-def test_qos_can_be_overridden(make_predictor: Callable[..., Any]) -> None:
+def test_qos_can_be_overridden(make_predictor):
     """Take the reliability and depth from parameters; sensor data by default."""
     from rclpy.qos import ReliabilityPolicy
 
@@ -269,8 +261,7 @@ def test_qos_can_be_overridden(make_predictor: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize('signal', ['bool', 'pressure'])
-def test_qos_of_every_topic_can_be_overridden(
-        signal: str, make_predictor: Callable[..., Any]) -> None:
+def test_qos_of_every_topic_can_be_overridden(signal, make_predictor):
     """Declare reliability and depth of all that the node itself makes."""
     node = make_predictor({**PACKAGE, 'vacuum.signal': signal})
     of_ros = {'/parameter_events', '/rosout'}
@@ -283,8 +274,7 @@ def test_qos_of_every_topic_can_be_overridden(
             assert node.has_parameter(f'qos_overrides.{topic}.{kind}.{policy}'), topic
 
 
-def test_recording_that_begins_again_is_followed(
-        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_recording_that_begins_again_is_followed(make_partner, capfd):
     """Notice a loop of a bag by its stamps, start from rest, and say so."""
     partner = make_partner(with_twists=False)
     for _ in range(3):
@@ -300,8 +290,7 @@ def test_recording_that_begins_again_is_followed(
     assert 'a recording started again' in capfd.readouterr().err
 
 
-def test_cup_too_soft_for_the_package_is_said_once(
-        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_cup_too_soft_for_the_package_is_said_once(make_partner, capfd):
     """Publish nothing and say why, once."""
     heavy = {
         'package.mass': 1e4, 'package.inertia': [1e3, 1e3, 1e3, 0.0, 0.0, 0.0],
@@ -317,8 +306,7 @@ def test_cup_too_soft_for_the_package_is_said_once(
     assert capfd.readouterr().err.count('the cup cannot hold the package') == 1
 
 
-def test_thesis_cup_is_announced(
-        make_predictor: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_thesis_cup_is_announced(make_predictor, capfd):
     """Say whose cup it is when none is given."""
     make_predictor()
     assert "using the thesis's values" in capfd.readouterr().err

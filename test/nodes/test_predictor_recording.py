@@ -1,10 +1,7 @@
 """The predictor node fed a recording with known truth over DDS, at the speed it was recorded."""
 
-from collections.abc import Callable
-from pathlib import Path
 from threading import Event, Thread
 import time
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ POSE, TWIST = '/tool_arm/pose', '/tool_arm/twist'
 
 
 @pytest.fixture(scope='module')
-def recording(rig: Path) -> list[tuple[int, str, Any]]:
+def recording(rig):
     """Give the tool arm's messages in the order of their recording."""
     with AnyReader([rig / 'clean']) as reader:
         wanted = [c for c in reader.connections if c.topic in (POSE, TWIST)]
@@ -26,18 +23,18 @@ def recording(rig: Path) -> list[tuple[int, str, Any]]:
 
 
 @pytest.fixture(scope='module')
-def truth(rig: Path) -> np.ndarray:
+def truth(rig):
     """Give the package's true poses, (N, 4, 4)."""
     with np.load(rig / 'clean_truth.npz') as file:
         return np.array(file['package'])
 
 
-def stamp_ns(message: Any) -> int:
+def stamp_ns(message):
     """Return the stamp of a message of rosbags or of rclpy."""
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
-def play(partner: Any, recording: list[tuple[int, str, Any]], speed: float) -> None:
+def play(partner, recording, speed):
     """Send messages at the times of their recording, as a driver does in a thread of its own."""
     clock = Event()  # never set: it only waits
     begin, first, sent = time.monotonic(), recording[0][0], 0
@@ -55,7 +52,7 @@ def play(partner: Any, recording: list[tuple[int, str, Any]], speed: float) -> N
             partner.send_twist(stamp_ns(message), (v.x, v.y, v.z), (w.x, w.y, w.z))
 
 
-def errors(poses: list[Any], truth: np.ndarray) -> tuple[float, float]:
+def errors(poses, truth):
     """Return the largest distance (m) and angle (rad) between poses and truth."""
     p = np.array([[m.pose.position.x, m.pose.position.y, m.pose.position.z] for m in poses])
     x, y, z, w = np.array([
@@ -77,9 +74,7 @@ def errors(poses: list[Any], truth: np.ndarray) -> tuple[float, float]:
     pytest.param(False, 3.0, 0.2e-3, 2e-3, id='poses_alone_three_times_as_fast'),
 ])
 def test_predictions_meet_the_truth_and_none_is_lost(
-        with_twists: bool, speed: float, distance: float, angle: float,
-        recording: list[tuple[int, str, Any]], truth: np.ndarray,
-        make_partner: Callable[..., Any]) -> None:
+        with_twists, speed, distance, angle, recording, truth, make_partner):
     """Publish 7201 poses, each near the true one."""
     partner = make_partner(with_twists=with_twists)
     sent = [item for item in recording if with_twists or item[1] == POSE]

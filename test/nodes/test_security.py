@@ -1,10 +1,7 @@
 """The SROS 2 policy against the graph: all that the nodes use, and no more; nothing unsecured."""
 
-from collections.abc import Callable
-from pathlib import Path
 import subprocess
 import sys
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -17,7 +14,7 @@ ENCLAVE = ('identity_ca.cert.pem', 'cert.pem', 'key.pem', 'permissions_ca.cert.p
            'governance.p7s', 'permissions.p7s')
 
 
-def permitted(root: Path, node: str) -> dict[tuple[str, str], set[str]]:
+def permitted(root, node):
     """Return the full names that a node may use, by kind and direction."""
     tree = ElementTree.parse(root / 'security' / 'policies.xml')
     profile = tree.find(f".//profile[@node='{node}']")
@@ -30,13 +27,13 @@ def permitted(root: Path, node: str) -> dict[tuple[str, str], set[str]]:
     return found
 
 
-def _full(name: str, node: str) -> str:
+def _full(name, node):
     """Return a name as the graph has it."""
     name = name.replace('~/', f'/{node}/')
     return name if name.startswith('/') else f'/{name}'
 
 
-def in_graph(node: Any) -> dict[tuple[str, str], set[str]]:
+def in_graph(node):
     """Return the full names that a running node uses."""
     name, space = node.get_name(), node.get_namespace()
     return {
@@ -50,8 +47,7 @@ def in_graph(node: Any) -> dict[tuple[str, str], set[str]]:
 
 
 @pytest.mark.parametrize('signal', ['none', 'bool', 'pressure'])
-def test_policy_of_the_predictor_is_exact(
-        signal: str, root: Path, make_predictor: Callable[..., Any], ros: Any) -> None:
+def test_policy_of_the_predictor_is_exact(signal, root, make_predictor, ros):
     """Permit what the graph shows; what the policy holds beyond is used in other settings."""
     node = make_predictor({**PACKAGE, 'vacuum.signal': signal})
     allowed = permitted(root, 'predictor')
@@ -62,7 +58,7 @@ def test_policy_of_the_predictor_is_exact(
         assert unused <= ROS_OPTIONAL | {'/predictor/get_type_description'}, unused
 
 
-def test_policy_of_the_identifier_is_enough(root: Path, ros: Any) -> None:
+def test_policy_of_the_identifier_is_enough(root, ros):
     """Permit what the graph shows."""
     from bellows_ros.nodes.identifier_node import IdentifierNode
     from rclpy.parameter import Parameter
@@ -80,8 +76,7 @@ def test_policy_of_the_identifier_is_enough(root: Path, ros: Any) -> None:
 @pytest.mark.parametrize('name, enclave', [('predictor', True), ('identifier', False)],
                          ids=['nothing signed', 'no keystore'])
 def test_what_is_to_be_secured_and_cannot_be_does_not_start(
-        name: str, enclave: bool, root: Path, tmp_path: Path,
-        user_environment: dict[str, str]) -> None:
+        name, enclave, root, tmp_path, user_environment):
     """End with 2 and the reason, rather than run in the clear: where DDS has no security too."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     folder = tmp_path / 'enclaves' / 'bellows_ros' / name

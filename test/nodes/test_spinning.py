@@ -1,6 +1,5 @@
 """How a node is spun: by events and by waiting, to an orderly end, with the collector held off."""
 
-from collections.abc import Callable, Iterator
 import gc
 import sys
 from threading import Event, Thread
@@ -29,7 +28,7 @@ without_events = pytest.mark.skipif(
 
 
 @pytest.fixture(params=[pytest.param('events', marks=without_events), 'waiting'])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def way(request, monkeypatch):
     """Give the name of a way to spin, and leave no other."""
     if request.param == 'waiting':
         monkeypatch.setitem(sys.modules, 'rclpy.experimental', None)
@@ -37,11 +36,11 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 @pytest.fixture
-def spun(ros: Any, way: str) -> Iterator[Callable[[Any], Thread]]:
+def spun(ros, way):
     """Give a function that spins a node as its command does, until the test is over."""
     stop, threads = Event(), []
 
-    def start(node: Any) -> Thread:
+    def start(node):
         threads.append(Thread(target=spin, args=(node, stop.is_set), daemon=True))
         threads[-1].stop = stop.set
         threads[-1].start()
@@ -57,7 +56,7 @@ def spun(ros: Any, way: str) -> Iterator[Callable[[Any], Thread]]:
 class Cell:
     """A predictor that is spun by itself, and another node that talks with it."""
 
-    def __init__(self, ros: Any, spun: Callable[[Any], Thread]) -> None:
+    def __init__(self, ros, spun):
         """Start both."""
         from bellows_ros.nodes.predictor_node import PredictorNode
         from diagnostic_msgs.msg import DiagnosticArray
@@ -91,7 +90,7 @@ class Cell:
         assert ros.spin_until(self._is_connected)
         self._sent = 0
 
-    def _is_connected(self) -> bool:
+    def _is_connected(self):
         """Tell whether every topic has found its other end, and the predictor knows."""
         outputs, live = self.predictor._outputs, self.predictor._live
         return bool(
@@ -100,7 +99,7 @@ class Cell:
             and all(reader.get_publisher_count() for reader in self.readers)
             and outputs._odometry.wanted and live.expect_twists)
 
-    def send(self, count: int) -> None:
+    def send(self, count):
         """Send poses with twists, and wait for the last answer."""
         from geometry_msgs.msg import PoseStamped, TwistStamped
 
@@ -118,17 +117,17 @@ class Cell:
         assert self.ros.spin_until(lambda: len(self.poses) == before + count), (
             f'{len(self.poses) - before} of {count} answers')
 
-    def is_ahead(self) -> bool:
+    def is_ahead(self):
         """Tell whether the odometry goes on behind the last pose."""
         stamps = (message.header.stamp for message in self.odometry)
         return any(
             stamp.sec * 10**9 + stamp.nanosec > START + self._sent * 2 * MS for stamp in stamps)
 
-    def is_lost(self) -> bool:
+    def is_lost(self):
         """Tell whether the pause since the last pose is longer than is bridged."""
         return bool(self.predictor._live.phase(time.monotonic_ns()) == 'lost')
 
-    def call(self, service: str, kind: Any, request: Any) -> Any:
+    def call(self, service, kind, request):
         """Call a service and return its answer."""
         client = self.node.create_client(kind, service)
         assert self.ros.spin_until(client.service_is_ready), service
@@ -138,12 +137,12 @@ class Cell:
 
 
 @pytest.fixture
-def cell(ros: Any, spun: Callable[[Any], Thread]) -> Cell:
+def cell(ros, spun):
     """Give a predictor and its partner."""
     return Cell(ros, spun)
 
 
-def test_everything_works(cell: Cell) -> None:
+def test_everything_works(cell):
     """Predict, coast, fall silent, report, change parameters, change state, and end."""
     from rclpy.parameter import Parameter
     from rclpy.parameter_client import AsyncParameterClient
@@ -171,12 +170,11 @@ def test_everything_works(cell: Cell) -> None:
     assert cell.ros.spin_until(lambda: 'predictor' not in cell.node.get_node_names())
 
 
-def test_collector_strikes_between_callbacks_only(
-        cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_collector_strikes_between_callbacks_only(cell, monkeypatch):
     """Let the collector be as eager as it can be: it still never runs within a callback."""
     struck: list[set[str]] = []
 
-    def note(phase: str, info: dict[str, int]) -> None:
+    def note(phase, info):
         frame: FrameType | None = sys._getframe(1)
         names = set()
         while frame is not None:
@@ -198,7 +196,7 @@ def test_collector_strikes_between_callbacks_only(
     assert all('spin' in names for names in struck)
 
 
-def test_collector_is_given_back(ros: Any, way: str) -> None:
+def test_collector_is_given_back(ros, way):
     """Collect as before when the node has ended, however it ends."""
     from rclpy.node import Node
     from rclpy.task import Future
@@ -207,7 +205,7 @@ def test_collector_is_given_back(ros: Any, way: str) -> None:
 
         closed = False
 
-        def close(self) -> None:
+        def close(self):
             self.closed = True
             self.destroy_node()
 
@@ -220,7 +218,7 @@ def test_collector_is_given_back(ros: Any, way: str) -> None:
 
 
 @pytest.mark.parametrize('of', ['the node', 'rclpy'])
-def test_an_error_in_a_callback_ends_nothing(of: str, ros: Any, way: str) -> None:
+def test_an_error_in_a_callback_ends_nothing(of, ros, way):
     """Note an unforeseen error, also where the callback is none that the node has made."""
     from bellows_ros.nodes.guarding import GuardedNode
     from rclpy.node import Node
@@ -228,10 +226,10 @@ def test_an_error_in_a_callback_ends_nothing(of: str, ros: Any, way: str) -> Non
 
     class Broken(GuardedNode):
 
-        def close(self) -> None:
+        def close(self):
             self.destroy_node()
 
-    def fail() -> None:
+    def fail():
         if len(calls := [*node.failures.elements(), None]) > 3:
             node.finished.set_result(None)
         raise ZeroDivisionError(str(len(calls)))
@@ -247,7 +245,7 @@ def test_an_error_in_a_callback_ends_nothing(of: str, ros: Any, way: str) -> Non
 
 
 @without_events
-def test_what_events_cannot_serve_is_waited_for(ros: Any) -> None:
+def test_what_events_cannot_serve_is_waited_for(ros):
     """Fall back where the executor woken by events refuses a node."""
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node

@@ -1,8 +1,6 @@
 """The package's frame on tf, with the real message where its definition can be built."""
 
-from collections.abc import Callable, Iterator
 import importlib.util
-from pathlib import Path
 import sys
 from typing import Any
 
@@ -22,7 +20,7 @@ MS = 1_000_000
 
 
 @pytest.fixture(scope='module')
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory):
     """Build tf2_msgs once."""
     if missing := tf2_interface.missing():
         pytest.skip(f'tf2_msgs is not here and cannot be built: {missing}')
@@ -30,7 +28,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def tf2_msgs(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def tf2_msgs(request, monkeypatch):
     """Give the messages of tf: installed ones, or those that are built, for one test."""
     if importlib.util.find_spec('tf2_msgs') is None:
         monkeypatch.syspath_prepend(str(request.getfixturevalue('built')))
@@ -42,8 +40,7 @@ def tf2_msgs(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         del sys.modules[name]
 
 
-def test_tf_shows_the_package_where_the_pose_has_it(
-        make_partner: Callable[..., Any], tf2_msgs: Any) -> None:
+def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
     """Send the transform from the tool's frame to the package's for every prediction."""
     partner = make_partner({**PACKAGE, 'frames.package': 'box', 'coast.limit': 0.0},
                            with_twists=False)
@@ -67,7 +64,7 @@ def test_tf_shows_the_package_where_the_pose_has_it(
     assert len({message.transforms[0].transform.translation.x for message in got}) > 10
 
 
-def send(writer: Any, kind: Any, stamp_ns: int, *links: tuple[str, str, float]) -> None:
+def send(writer, kind, stamp_ns, *links):
     """Send transforms of frames that are shifted along z."""
     from geometry_msgs.msg import TransformStamped
 
@@ -81,8 +78,7 @@ def send(writer: Any, kind: Any, stamp_ns: int, *links: tuple[str, str, float]) 
     writer.publish(message)
 
 
-def test_the_tool_may_come_by_tf(
-        make_predictor: Callable[..., Any], tf2_msgs: Any, ros: Any) -> None:
+def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, ros):
     """Predict along static and moving links, and say what is missing before."""
     from geometry_msgs.msg import PoseStamped
     from rclpy.node import Node
@@ -114,22 +110,21 @@ def test_the_tool_may_come_by_tf(
         assert_allclose(pose.pose.position.z, 2.0 - 0.5 - 0.1 - stretched - 0.03, atol=1e-6)
 
 
-def test_tf_can_be_left_to_others(make_predictor: Callable[..., Any], tf2_msgs: Any) -> None:
+def test_tf_can_be_left_to_others(make_predictor, tf2_msgs):
     """Advertise no /tf where frames.tf says so."""
     node = make_predictor({**PACKAGE, 'frames.tf': False})
     assert '/tf' not in {publisher.topic_name for publisher in node.publishers}
 
 
 @pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')
-def test_a_tool_by_tf_needs_its_messages(make_predictor: Callable[..., Any]) -> None:
+def test_a_tool_by_tf_needs_its_messages(make_predictor):
     """Say what to install."""
     with pytest.raises(BellowsError):
         make_predictor({**PACKAGE, 'tool_pose.type': 'tf'})
 
 
 @pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')
-def test_missing_tf_is_said_and_missed_by_nothing_else(
-        make_partner: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
+def test_missing_tf_is_said_and_missed_by_nothing_else(make_partner, capfd):
     """Say what is missing, and predict."""
     partner = make_partner(with_twists=False)
     partner.send_pose(START)

@@ -1,6 +1,5 @@
 """The toss over DDS: where it would land, when to release, and the flight after the valve."""
 
-from collections.abc import Callable
 from threading import Event
 import time
 from typing import Any
@@ -9,7 +8,7 @@ from bellows_ros.nodes.conversions import stamp_to_ns
 import numpy as np
 import pytest
 
-from .conftest import PACKAGE, Partner
+from .conftest import PACKAGE
 from .test_planning import message, Planner
 
 TOSSED = {
@@ -20,8 +19,7 @@ PERIOD_NS = 4_000_000
 SPEED = 0.4  # m/s
 
 
-def test_lands_where_it_said_it_would(
-        make_partner: Callable[..., Partner], capfd: pytest.CaptureFixture[str]) -> None:
+def test_lands_where_it_said_it_would(make_partner, capfd):
     """Say landing and time of release; then fly on after the valve, land, and take up the next."""
     from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
     from nav_msgs.msg import Odometry
@@ -46,7 +44,7 @@ def test_lands_where_it_said_it_would(
         and partner.predictor._outputs._deflection.wanted))
     start_ns, sent = time.time_ns(), 0
 
-    def go_on() -> None:
+    def go_on():
         nonlocal sent
         now_ns = start_ns + sent * PERIOD_NS
         if time.time_ns() >= now_ns:
@@ -54,20 +52,20 @@ def test_lands_where_it_said_it_would(
             partner.send_twist(now_ns, (SPEED, 0.0, 0.0))
             sent += 1
 
-    def until(condition: Callable[[], Any]) -> bool:
-        def check() -> Any:
+    def until(condition):
+        def check():
             go_on()
             return condition()
 
         return bool(partner.ros.spin_until(check))
 
-    def ask(after_ns: int) -> int:
+    def ask(after_ns):
         request, stamp_ns = Header(), start_ns + sent * PERIOD_NS + after_ns
         request.stamp.sec, request.stamp.nanosec = divmod(stamp_ns, 10**9)
         asking.publish(request)
         return stamp_ns
 
-    def state() -> str:
+    def state():
         return str(heard['state'][-1].data) if heard['state'] else ''
 
     assert until(lambda: len(heard['landing']) > 3 and heard['at'])
@@ -90,7 +88,7 @@ def test_lands_where_it_said_it_would(
     log = ''
     ask(10 * PERIOD_NS)
 
-    def refused() -> bool:
+    def refused():
         nonlocal log
         log += capfd.readouterr().err
         return 'A request on package/predict_at was refused. The package has landed' in log
@@ -110,7 +108,7 @@ def test_lands_where_it_said_it_would(
     assert partner.poses[-1].pose.position.z > -0.12
 
 
-def test_no_plan_waits_behind_a_search(make_partner: Callable[..., Partner]) -> None:
+def test_no_plan_waits_behind_a_search(make_partner):
     """Answer a plan while the time of release is sought."""
     from std_msgs.msg import Header
 
@@ -120,7 +118,7 @@ def test_no_plan_waits_behind_a_search(make_partner: Callable[..., Partner]) -> 
     planner.wait(lambda: tossing._at.wanted)
     begun, end = Event(), Event()
 
-    def search(*_: Any) -> None:
+    def search(*_):
         begun.set()
         end.wait(30.0)
 
@@ -135,7 +133,7 @@ def test_no_plan_waits_behind_a_search(make_partner: Callable[..., Partner]) -> 
         end.set()
 
 
-def test_the_vacuum_that_is_heard_counts(make_partner: Callable[..., Partner]) -> None:
+def test_the_vacuum_that_is_heard_counts(make_partner):
     """For a plan and for a landing, but not once the valve is switched: then the model has it."""
     from sensor_msgs.msg import FluidPressure
 
@@ -165,7 +163,7 @@ def test_the_vacuum_that_is_heard_counts(make_partner: Callable[..., Partner]) -
     assert flight.grip[0] == pytest.approx(30e3 * np.pi * 0.03 ** 2)
 
 
-def test_without_a_size_the_valve_is_warned_of(make_partner: Callable[..., Partner]) -> None:
+def test_without_a_size_the_valve_is_warned_of(make_partner):
     """Keep the package held."""
     from std_msgs.msg import Bool
 

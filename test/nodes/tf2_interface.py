@@ -4,7 +4,6 @@ Build the message of tf from its definition, with the generators of ROS.
 The wheels of ROS bring rosidl, headers and libraries, but no tf2_msgs.
 """
 
-from collections.abc import Iterable
 import os
 from pathlib import Path
 import shutil
@@ -37,7 +36,7 @@ for kind in {KINDS}:
 """
 
 
-def missing() -> str:
+def missing():
     """Return what is not here of what the build needs, or nothing."""
     if not (shutil.which('gcc') and shutil.which('g++')):
         return 'no compiler'
@@ -45,7 +44,7 @@ def missing() -> str:
     return ', '.join(f'no {path}' for path in headers if not path.exists())
 
 
-def build(folder: Path) -> Path:
+def build(folder):
     """Return a folder below the given one, from which Python imports tf2_msgs."""
     definition = folder / PACKAGE / 'msg' / 'TFMessage.msg'
     definition.parent.mkdir(parents=True)
@@ -62,7 +61,7 @@ def build(folder: Path) -> Path:
     return module.parent
 
 
-def _generate(definition: str, into: Path) -> None:
+def _generate(definition, into):
     """Write C and Python as for any other package of messages, each kind into its folder."""
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
@@ -82,7 +81,7 @@ def _generate(definition: str, into: Path) -> None:
             PACKAGE, [definition], [str(PREFIX / 'share')], into / kind / PACKAGE)
 
 
-def _compile(sources: Path) -> dict[str, list[str]]:
+def _compile(sources):
     """Return the objects of each kind."""
     include = PREFIX / 'include'
     headers = [*sources.iterdir(), include, *include.iterdir(), PYTHON_HEADERS, np.get_include()]
@@ -98,7 +97,7 @@ def _compile(sources: Path) -> dict[str, list[str]]:
     return objects
 
 
-def _link(target: Path, objects: list[str], needed: Iterable[str]) -> None:
+def _link(target, objects, needed):
     """Make a library of objects, which finds the others beside itself."""
     kinds = (*KINDS, 'generator_py')
     used = [f'{package}__rosidl_{kind}' for package in USED for kind in kinds]
@@ -111,6 +110,6 @@ def _link(target: Path, objects: list[str], needed: Iterable[str]) -> None:
         check=True, timeout=120)
 
 
-def _library(kind: str) -> str:
+def _library(kind):
     """Return the file name of a library of the package."""
     return f'lib{PACKAGE}__rosidl_{kind}.so'

@@ -19,7 +19,7 @@ def seeded(request):
     RNG = np.random.default_rng(zlib.crc32(request.node.name.encode()))
 
 
-def direction() -> np.ndarray:
+def direction():
     """Return a random unit vector."""
     v = RNG.standard_normal(3)
     return v / np.linalg.norm(v)

@@ -1,6 +1,5 @@
 """Arms of the tests as URDF: a UR5e by its maker's figures, and one of seven joints."""
 
-from collections.abc import Sequence
 import math
 
 UR5E_DH = (
@@ -17,10 +16,7 @@ PANDA_DH = (
 )
 
 
-def urdf_of(
-    rows: Sequence[tuple[float, float, float]], names: Sequence[str], modified: bool,
-    speed: float = 3.14, reach: float = 6.28,
-) -> str:
+def urdf_of(rows, names, modified, speed=3.14, reach=6.28):
     """Return the URDF of an arm from its Denavit-Hartenberg rows, with z of the tool inwards."""
     links = ''.join(f'<link name="l{i}"/>' for i in range(len(rows) + 1))
     joints, before = '', (0.0, 0.0, 0.0)
