@@ -95,16 +95,16 @@ def ripple(poses: Trajectory, enough: float = np.inf) -> tuple[Array, Array]:
     return total, rotation
 
 
-def ripple_part(kept: Array | float) -> Array:
+def ripple_part(ar1: Array | float) -> Array:
     """Return the variance of the ripple of first-order noise over that of the noise."""
     residue = -weights(HALF_WINDOW, ORDER, 1.0)[0]
     residue[HALF_WINDOW] += 1.0
     steps = np.arange(len(residue))
     lags = np.abs(np.subtract.outer(steps, steps))
-    return np.asarray(np.asarray(kept)[..., None, None] ** lags @ residue @ residue)
+    return np.asarray(np.asarray(ar1)[..., None, None] ** lags @ residue @ residue)
 
 
-def pose_noise(poses: Trajectory, kept: float) -> Array:
+def pose_noise(poses: Trajectory, ar1: float) -> Array:
     """
     Return the standard deviations (6,) of poses at a uniform rate, in own axes, m and rad.
 
@@ -114,7 +114,7 @@ def pose_noise(poses: Trajectory, kept: float) -> Array:
     left[:, :3] = apply(np.swapaxes(rotation, 1, 2), left[:, :3])
     typical = MAD_TO_STD * np.median(np.abs(left), axis=0)
     squares = np.mean(np.minimum(left**2, (CUT_AT * typical) ** 2), axis=0)
-    return np.asarray(np.sqrt(squares / ripple_part(kept)))
+    return np.asarray(np.sqrt(squares / ripple_part(ar1)))
 
 
 def noise_of(poses: Trajectory) -> Noise:
@@ -158,13 +158,13 @@ def colours_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
     except UndeterminedError:
         wide = noise
     times = np.array([1e-12, *np.geomspace(1.0, 200.0, 24)]) / 1e3  # as good as white, first
-    kept = np.exp(-1.0 / (times * rate_hz))
-    seen = np.sqrt(ripple_part(np.stack([kept, kept**stride], axis=1)) / ripple_part(0.0))
+    ar1 = np.exp(-1.0 / (times * rate_hz))
+    seen = np.sqrt(ripple_part(np.stack([ar1, ar1**stride], axis=1)) / ripple_part(0.0))
     parts = []
     for one, other in zip(noise, wide, strict=True):
         ratio = other / one if one > 0.0 else 1.0
         at = int(np.argmin(np.abs(seen[:, 1] / seen[:, 0] - ratio))) if ratio > COLOURED else 0
-        parts.append(AR1Noise(one / float(seen[at, 0]), float(kept[at])))
+        parts.append(AR1Noise(one / float(seen[at, 0]), float(ar1[at])))
     return parts[0], parts[1]
 
 

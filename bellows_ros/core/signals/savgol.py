@@ -243,7 +243,7 @@ def filtered(values: Array, weights: Array, index: Stamps) -> Array:
 
 
 def with_filtered_noise(
-    motion: Trajectory, noise: ArrayLike, kept: Array, weights: Array, period: float,
+    motion: Trajectory, noise: ArrayLike, ar1: Array, weights: Array, period: float,
     draw: np.random.Generator,
 ) -> Trajectory:
     """
@@ -255,7 +255,7 @@ def with_filtered_noise(
         Of a body, with twists.
     noise : array_like (2,)
         Standard deviation of the poses that were filtered, m and rad per axis.
-    kept : ndarray (2,)
+    ar1 : ndarray (2,)
         Of first-order noise of positions and of rotations, the part kept over a period; 0 where
         it is white.
     weights : ndarray (3, 2n+1)
@@ -269,7 +269,7 @@ def with_filtered_noise(
     at = period * np.arange(int(motion.seconds[-1] / period) + 2)
     drawn = draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
     drawn *= np.repeat(np.asarray(noise), 3)
-    for part, own in zip((slice(0, 3), slice(3, 6)), kept.tolist(), strict=True):
+    for part, own in zip((slice(0, 3), slice(3, 6)), ar1.tolist(), strict=True):
         if own > 0.0:
             drawn[1:, part] *= np.sqrt(1.0 - own**2)
             drawn[:, part] = first_order(drawn[:, part], own)
@@ -323,9 +323,9 @@ def bridged(poses: Trajectory, longest: float | None = None) -> Trajectory:
     return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
 
 
-def first_order(inputs: Array, kept: float) -> Array:
+def first_order(inputs: Array, ar1: float) -> Array:
     """
-    Return y (N, C) with y_k = kept y_{k-1} + inputs_k, and y_0 = inputs_0.
+    Return y (N, C) with y_k = ar1 y_{k-1} + inputs_k, and y_0 = inputs_0.
 
     `scipy.signal.lfilter` does the same, but takes 0.4 s and 50 MB to load.
 
@@ -333,12 +333,12 @@ def first_order(inputs: Array, kept: float) -> Array:
     ----------
     inputs : ndarray (N, C)
         In any unit.
-    kept : float
+    ar1 : float
         Of the value before, below 1.
 
     """
     from scipy.linalg import solve_banded  # late: the predictor does without
 
     diagonals = np.ones((2, len(inputs)))
-    diagonals[1] = -kept
+    diagonals[1] = -ar1
     return np.asarray(solve_banded((1, 0), diagonals, inputs, check_finite=False))
