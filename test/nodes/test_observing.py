@@ -138,9 +138,7 @@ def test_counts_begin_again_with_the_observer(make_partner):
 
 
 @pytest.mark.parametrize('moves', [True, False])
-def test_vacuum_that_breaks_down_in_motion_is_a_loss(
-        make_partner: Callable[..., Partner], capfd: pytest.CaptureFixture[str],
-        moves: bool) -> None:
+def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves):
     """Raise one alarm at once, before the camera sees anything; at rest it is a release."""
     from geometry_msgs.msg import PoseStamped
     from sensor_msgs.msg import FluidPressure
