@@ -250,7 +250,10 @@ def print_cup(fit: 'Fit', console: Console, title: str = '') -> None:
 
 def _in_percent(error: float, value: float) -> str:
     """Return a standard error as a part of its value, '' where that is not identifiable."""
-    return f'± {100.0 * error / abs(value):.2g} %' if math.isfinite(error) and value else ''
+    if not (math.isfinite(error) and value):
+        return ''
+    percent = 100.0 * error / abs(value)
+    return f'± {percent:.2g} %' if percent < 99.5 else f'± {percent:.0f} %'
 
 
 def print_relaxation(
