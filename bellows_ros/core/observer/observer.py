@@ -523,7 +523,7 @@ def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
     C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
     K, P = (
         np.minimum(np.sqrt(C @ np.square(np.reshape(values[f'cup.{name}_std'], (6, 6))[UPPER]))
-                   / np.r_[matrix[0][::4], matrix[2][::4]], 1.0)
+                   / np.maximum(np.r_[matrix[0][::4], matrix[2][::4]], 1e-12), 1.0)
         for name, matrix in zip(('stiffness', 'damping'), blocks, strict=True))
     inertia = np.array(values['package.inertia_std'][:3])
     std: Array = np.zeros(ALL_ROWS if P.any() or inertia.any() else LEAST_ROWS)

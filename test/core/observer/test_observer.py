@@ -5,8 +5,9 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance
-from bellows_ros.core.observer.filter import changed
+from bellows_ros.core.observer.filter import changed, DAMPING
 from bellows_ros.core.observer.measurement import at_com
+from bellows_ros.core.observer.observer import prior_std
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -24,6 +25,7 @@ from .cases import (
     PERIOD_NS,
     tool_motion,
     truth,
+    values,
     with_noise,
 )
 
@@ -324,3 +326,13 @@ def test_one_wrong_pose_is_no_loss_while_the_vacuum_holds():
         for _ in range(40):
             made.follow(made._track.newest_ns + PERIOD_NS, still, still)
         assert [alarm.cause for alarm in made.alarms] == causes
+
+
+def test_a_cup_without_damping_in_an_axis_has_a_known_uncertainty():
+    """Zero of zero is no part of it: the observer starts with finite standard deviations."""
+    P = CUP.damping.copy()
+    P[0, 0] = 0.0
+    model = model_tuple(Cup(CUP.stiffness, P, CUP.length), PACKAGE, 9.81)
+    assert np.isfinite(prior_std(values(), model)).all()
+    found = prior_std(values(cup__damping_std=np.eye(6).ravel().tolist()), model)
+    assert np.isfinite(found).all() and found[DAMPING] == 1.0
