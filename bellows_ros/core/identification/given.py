@@ -8,7 +8,7 @@ one factor the motion is the same, so no recording knows the size of K better th
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.quantities import Free
@@ -18,25 +18,13 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 import numpy as np
 
 KNOWN_BETTER = 1000.0
-"""Information of the recordings, in that of what was given, from which on a direction is found."""
+"""A direction is fitted if the recordings have this many times the information that was given."""
 
 HELD, LEAST = 1e8, 1e-9
-"""The same that holds the others; and the smallest standard deviation, SI units."""
+"""Information that holds the other directions; and the smallest standard deviation, SI units."""
 
 ORDINARY: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
 """Standard deviations of a package where none is stated: parts of mass and inertia, and m."""
-
-
-class Given(NamedTuple):
-    """
-    A minimum with what was given beside K and P.
-
-    Its search, and what was given adds to the covariance (m, m) of the unknowns, SI units.
-    """
-
-    search: Search
-    found: Minimum
-    covariance: Array
 
 
 def given_std(values: Mapping[str, Any]) -> dict[str, Array]:
@@ -64,11 +52,15 @@ def stated(given: Free) -> list[str]:
 
 def with_given(
     search: Search, found: Minimum, given: Free, note: Callable[[Cup, float], None]
-) -> Given:
-    """Return the minimum near one with what was given, by its standard deviations."""
+) -> tuple[Search, Minimum, Array]:
+    """
+    Return the minimum near one with what was given free, by its standard deviations.
+
+    With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units.
+    """
     names = [name for name in given if name not in search.places]
     if not found.converged or not names:
-        return Given(search, found, np.zeros((len(search.units),) * 2))
+        return search, found, np.zeros((len(search.units),) * 2)
     wide = search.beside(found, {name: given[name] for name in names})
     size, std = len(search.units), wide.weights[len(search.units):] ** -0.5
     H = wide.system(wide.at(found.theta), 0.0)[1]
@@ -90,4 +82,4 @@ def with_given(
     moved = np.zeros((len(search.units), len(H) - first))
     moved[:size] = -np.linalg.solve(H[:first, :first], H[:first, first:])[:size]
     moved *= search.units[:, None]
-    return Given(search, found, moved @ moved.T)
+    return search, found, moved @ moved.T

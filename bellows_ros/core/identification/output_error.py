@@ -9,7 +9,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import causes
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.given import Given, stated, with_given
+from bellows_ros.core.identification.given import stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import (
     DEFAULT_RATIO,
@@ -131,7 +131,7 @@ def fit_of(
             raise UndeterminedError(NO_RELAXATION)
     reasons = causes(search, found, stated(given))
     search.take(found.parts)
-    return _fit(with_given(search, found, given, note), iterations, named, reasons)
+    return _fit(*with_given(search, found, given, note), iterations, named, reasons)
 
 
 def _with_relaxation(
@@ -173,10 +173,10 @@ def covariance_of(search: Search, found: Minimum) -> Array:
 
 
 def _fit(
-    given: Given, iterations: list[Iteration], named: Sequence[str], reasons: tuple[Finding, ...]
+    search: Search, found: Minimum, from_given: Array, iterations: list[Iteration],
+    named: Sequence[str], reasons: tuple[Finding, ...],
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
-    search, found, more = given
     size, x = search.count, search.units * found.theta
     covariance = covariance_of(search, found)
     std = np.sqrt(np.diag(covariance))
@@ -207,7 +207,7 @@ def _fit(
         structure=search.structure.name,
         parameters=x[:size],
         covariance=without(covariance[:size, :size], ~known[:size]),
-        from_given=more[:size, :size],
+        from_given=from_given[:size, :size],
         samples_used=len(left),
         samples_rejected=total - len(left),
         condition_number=condition(found.information[:size, :size]),

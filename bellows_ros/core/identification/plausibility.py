@@ -36,8 +36,8 @@ INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 NONE = np.empty(0)
 
 SWINGING = -0.2, 0.05
-"""Offsets (s) by when both bodies turn alike that a swing may feign: no package turns before its
-tool. Clocks that are less apart are fitted."""
+"""Time offsets (s) that the swing of the package can explain: it turns after its tool, not before.
+Smaller offsets of clocks are fitted."""
 
 SWING = 0.07
 """Usual time (s) by which a package turns after its tool."""

@@ -99,16 +99,16 @@ SETTLED = 0.03
 """Part by which the noise of slow poses may change in the last step."""
 
 MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
-"""Of a stage, of the last one, and of that where more than noise is left."""
+"""Largest numbers of steps: of a stage, of the last one, and of the last one with a misfit."""
 
 MISFIT = 1.5
-"""Chi^2 per difference above which that is so."""
+"""Chi^2 per difference above which more than noise is left."""
 
 NEAR, ENOUGH = 3.0, 3e-3
 """Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
 
 STILL_ENOUGH = 0.1
-"""The same of the last step that may be: what noise makes barely identifiable goes to and fro."""
+"""The same for the last step allowed: numbers that are barely identifiable keep oscillating."""
 
 RISES = 1.2
 """Factor by which the sum of squares may rise in a step: their weights change, too."""

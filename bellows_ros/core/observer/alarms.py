@@ -111,10 +111,10 @@ CUP_MESSAGE = (
 OF_LEAK, LOST, OF_CAMERA = 1, 4, 5
 
 OUT_OF_REACH_ODDS = 100.0
-"""So much likelier poses where no cup can hold a package are if it is lost than if it is not."""
+"""Factor on the odds of a lost package by two poses where no cup can hold it."""
 
 VACUUM_ODDS = 1000.0
-"""So much likelier a vacuum breaks down if the package is lost, and stays if it is not."""
+"""Factor by a vacuum that breaks down; one that holds divides by it."""
 
 SEES_ANOTHER = (
     'The vacuum stays, but the camera sees the package where the cup cannot hold it: check the '
