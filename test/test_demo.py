@@ -37,7 +37,7 @@ def test_it_ends_well_and_quietly(outcome):
     done, _ = outcome
     assert done.stderr == ''
     assert '\x1b' not in done.stdout
-    assert len(done.stdout.splitlines()) < 40
+    assert len(done.stdout.splitlines()) < 35
 
 
 def test_it_finds_the_cup(outcome, root):

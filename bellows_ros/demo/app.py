@@ -126,7 +126,7 @@ def _print_result(
     fit: Fit, scores: Scores, exchange: 'Exchange', noise: Noise, console: Console
 ) -> int:
     """Print the cup, the errors, the latency and the messages; return how many were lost."""
-    print_cup(fit, console, 'The cup, with standard errors')
+    print_cup(fit.exactly_given, console, 'The cup, with standard errors from the recording')
     title = 'The package relative to the tool, predicted live minus measured (RMS)'
     console.table([('axis', 'error', 'of the motion'), *(
         (name, f'{MILLI * rms:.3f} {unit}', percent(part)) for name, unit, rms, part in zip(
