@@ -9,7 +9,6 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result
-from bellows_ros.files.safe_yaml import load
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
@@ -42,10 +41,9 @@ def ratios(fit, truth):
         np.diag(fit.stiffness) / np.diag(truth['K']), np.diag(fit.damping) / np.diag(truth['P']))
 
 
-@pytest.mark.parametrize('name', ['lab', 'lab_validation'])
-def test_motion_capture_recordings_of_the_rig(rig, name):
-    result = identify({**LAB, 'bags': [str(rig / name)]})
-    stiffness, damping = ratios(result.fit, np.load(rig / f'{name}_truth.npz'))
+def test_motion_capture_recording_of_the_rig(rig):
+    result = identify({**LAB, 'bags': [str(rig / 'lab')]})
+    stiffness, damping = ratios(result.fit, np.load(rig / 'lab_truth.npz'))
     assert_allclose(stiffness, 1.0, atol=0.04)
     assert_allclose(damping[[0, 1, 3, 4, 5]], 1.0, atol=0.15)
     assert result.fit.samples_rejected > 0
@@ -95,37 +93,6 @@ def test_without_a_word_it_is_the_output_error(root):
         assert np.all(error[[0, 3, 5]] < 0.05 * true[[0, 3, 5]])
 
 
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
-def test_a_camera_is_fitted_by_output_error_without_a_word(root, tmp_path):
-    """Record as a robot at 500 Hz and a camera at 30 Hz do, and find the cup within its errors."""
-    motion = load(root / 'bags/validation.yaml')
-    motion['package'] = {
-        'rate_hz': 30.0, 'frame': 'com', 'noise': {'position': 3e-4, 'rotation': 1.5e-3}}
-    motion['tool'] = {'rate_hz': 500.0, 'noise': {'position': 2e-5, 'rotation': 5e-5}}
-    truth = read_parameters(root / 'bags/cup.yaml')
-    known = read_parameters(root / 'bags/package.yaml')
-    simulate_recording({**truth, **known}, motion, tmp_path / 'camera')
-    result = identify({**known, 'recording.package_frame': 'com',
-                       'bags': [str(tmp_path / 'camera')]})
-    fit = result.fit
-    assert fit.method == 'output_error' and not result.refusals
-    for name in ('stiffness', 'damping'):
-        true = np.diag(np.reshape(truth[f'cup.{name}'], (6, 6)))
-        error = np.diag(getattr(fit, f'{name}_std'))
-        known_ones = np.isfinite(error)
-        assert known_ones[[0, 3, 4, 5]].all()
-        off = np.abs(np.diag(getattr(fit, name)) - true)
-        assert np.all(off[known_ones] < 4.0 * error[known_ones])
-
-
-def test_shipped_recording(shipped):
-    result, truth = shipped
-    K, P = (np.reshape(truth[f'cup.{name}'], (6, 6)) for name in ('stiffness', 'damping'))
-    assert_allclose(np.diag(result.fit.stiffness), np.diag(K), rtol=0.03)
-    assert_allclose(np.diag(result.fit.damping)[[0, 1, 3, 4, 5]], np.diag(P)[[0, 1, 3, 4, 5]],
-                    rtol=0.1)
-
-
 def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_path):
     result, _ = shipped
     save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
@@ -149,7 +116,7 @@ def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_p
     'output_error', marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
 def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
-    settings = {**shipped[0].values, 'fit.method': method,
+    settings = {**shipped[0].values, 'fit.method': method, 'recording.end': 8.0,
                 'bags': [str(root / 'bags/validation')]}
     found = []
     texts = [
@@ -163,30 +130,6 @@ def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
         assert len(steps) == 2 * len(json.loads(texts[0])['iterations'])
     else:
         assert steps == []
-
-
-def test_two_recordings_are_one_fit(shipped, root):
-    result, truth = shipped
-    both = identify({**result.values, 'bags': [
-        str(root / 'bags/identification'), str(root / 'bags/validation')]})
-    assert both.fit.samples_used > result.fit.samples_used
-    assert len(both.parts) == 2
-    K = np.reshape(truth['cup.stiffness'], (6, 6))
-    assert_allclose(np.diag(both.fit.stiffness), np.diag(K), rtol=0.03)
-
-
-def test_a_cup_that_is_not_definite_is_not_written(shipped, tmp_path, root):
-    known = {**shipped[0].values, 'fit.structure': 'full', 'bags': [str(root / 'bags/static')]}
-    try:
-        result = identify(known)
-    except BellowsError as error:  # standing still tells too little: that is said as well
-        assert 'excite' in str(error).lower() or 'tells nothing' in str(error)
-        return
-    assert not result.fit.usable
-    with pytest.raises(BellowsError, match='definite'):
-        save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
-    assert (tmp_path / 'fit.json').exists()
-    assert not (tmp_path / 'cup.yaml').exists()
 
 
 @pytest.mark.parametrize(('change', 'word'), [
@@ -223,34 +166,6 @@ def two_packages(tmp_path_factory, root):
     return bags, files
 
 
-@pytest.mark.parametrize('method', ['least_squares', pytest.param(
-    'output_error', marks=pytest.mark.skipif(
-        not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
-def test_each_recording_may_have_its_own_package(two_packages, root, method):
-    bags, files = two_packages
-    truth = read_parameters(root / 'bags/cup.yaml')
-    result = identify({
-        'bags': bags, 'package.files': files, 'cup.length': truth['cup.length'],
-        'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
-        'fit.method': method, 'fit.compare_recordings': True})
-    K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
-    assert_allclose(np.diag(result.fit.stiffness), K, rtol=0.03)
-    assert [part.payload.mass for part in result.parts] == [1.8, 1.2]
-    assert result.consistency is not None
-    assert result.consistency.probability > 1e-2
-    assert result.consistency.verdict in result.findings
-    assert result.consistency.verdict not in result.warnings
-    assert 'bag1 (1.2 kg)' in result.consistency.verdict
-    differing = replace(result, consistency=replace(result.consistency, probability=1e-9))
-    assert result.consistency.verdict in differing.warnings
-    assert result.consistency.verdict not in differing.findings
-    recordings = result.as_json()['recordings']
-    assert [entry['package']['mass'] for entry in recordings] == [1.8, 1.2]
-    assert all(entry['noise']['package']['position'] > 0.0 for entry in recordings)
-    if method == 'output_error':
-        assert 0.9 < result.fit.chi2 < 1.1
-
-
 def test_package_files_must_be_one_for_each_recording(two_packages):
     bags, files = two_packages
     with pytest.raises(BellowsError, match=r'\b1\b.*\b2\b'):
@@ -279,7 +194,11 @@ def test_each_recording_may_have_its_own_topics(two_packages, root, tmp_path):
     assert_allclose(np.diag(result.fit.stiffness), K, rtol=0.03)
     assert [part.report['tool_pose']['topic'] for part in result.parts] == [
         '/tool_arm/pose', '/arm']
+    assert [part.payload.mass for part in result.parts] == [1.8, 1.2]
     assert result.consistency.probability > 1e-3
+    assert result.consistency.verdict in set(result.findings) - set(result.warnings)
+    differing = replace(result, consistency=replace(result.consistency, probability=1e-9))
+    assert differing.consistency.verdict in set(differing.warnings) - set(differing.findings)
     with pytest.raises(BellowsError, match=r'topics\.tool_pose.*package\.files'):
         identify({**own, 'bags': [bags[0], str(tmp_path / 'other')],
                   'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
@@ -349,17 +268,6 @@ def test_structures_and_validation_come_with_the_fit(shipped, root):
     content = json.loads(format_json(result.as_json()))
     assert content['structures']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
-
-
-def test_a_wrong_centre_of_mass_is_suspected(shipped):
-    result = identify({**shipped[0].values, 'package.com': (0.0, 0.0, -0.026)})
-    assert result.findings[0].startswith(
-        'The centre of mass is not at package.com, but z -4.00 ± 0.00')
-    assert '-0.0300].' in result.findings[0] and result.refusals
-    first = json.loads(format_json(result.as_json()))['verdict']['hypotheses'][0]
-    assert (first['name'], first['setting']) == ('com', 'package.com')
-    assert first['certain'] and first['material']
-    assert not shipped[0].refusals and not shipped[0].verdict.diagnosis.findings[1:]
 
 
 @pytest.fixture(scope='module')
@@ -437,8 +345,7 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, sideways, tmp_
     assert np.isinf(torsion.before_std) and not torsion.significant
 
 
-@pytest.mark.parametrize('method', ['least_squares', 'output_error'])
-def test_a_recording_at_rest_is_refused(shipped, root, tmp_path, method):
+def test_a_recording_at_rest_is_refused(shipped, root, tmp_path):
     cup = read_parameters(root / 'bags/cup.yaml')
     simulate_recording(cup, {
         'kind': 'static', 'rest_duration': 1.5, 'seed': 4,
@@ -447,14 +354,13 @@ def test_a_recording_at_rest_is_refused(shipped, root, tmp_path, method):
         'package': {'rate_hz': 200.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}}},
         tmp_path / 'bag')
     with pytest.raises(BellowsError):
-        identify({**shipped[0].values, 'bags': [str(tmp_path / 'bag')], 'fit.method': method})
+        identify({**shipped[0].values, 'bags': [str(tmp_path / 'bag')]})
 
 
-@pytest.mark.parametrize('method', ['least_squares', 'output_error'])
-def test_exchanged_topics_are_refused_before_the_fit(shipped, method):
+def test_exchanged_topics_are_refused_before_the_fit(shipped):
     values = shipped[0].values
     exchanged = {'topics.tool_pose': values['topics.package_pose'], 'topics.tool_twist': '',
-                 'topics.package_pose': values['topics.tool_pose'], 'fit.method': method}
+                 'topics.package_pose': values['topics.tool_pose']}
     with pytest.raises(BellowsError, match=r'topics\.package_pose'):
         identify({**values, **exchanged})
 

@@ -1,11 +1,10 @@
 """Joint trajectories in, joint trajectories out: steered, and in the shortest safe time."""
 
-import time
 
 from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
 from bellows_ros.core.planning.arm import read_arm
-from bellows_ros.core.planning.points import Joints, plan_of_joints, quintic
+from bellows_ros.core.planning.points import quintic
 from bellows_ros.files.joint_plans import JointPlan
 from bellows_ros.files.plan_messages import PlanMessage
 from bellows_ros.files.plans import plans_in
@@ -73,9 +72,8 @@ def at_1_khz(joints, order):
     return curve(np.arange(0.0, t[-1], 1e-3), order)
 
 
-@pytest.mark.parametrize('method', ['inverse', 'zvd'])
-def test_steered_joints_move_the_tool_as_steered(arm, method, root, tmp_path):
-    joints, tool = answer(root, tmp_path, 'steer', '--method', method)
+def test_steered_joints_move_the_tool_as_steered(arm, root, tmp_path):
+    joints, tool = answer(root, tmp_path, 'steer', '--method', 'inverse')
     assert joints.names == arm.moving
     require_same_motion(arm, joints, tool)
     times = tool.times_ns[tool.times_ns <= joints.times_ns[-1]] / 1e9
@@ -112,20 +110,3 @@ def test_a_singular_path_is_refused_with_its_time(root, tmp_path, capsys):
                  'tool_link=tool', '--out', str(tmp_path / 'out')])
     assert code == 2 and not (tmp_path / 'out').exists()
     assert 'singular at 0.' in capsys.readouterr().err
-
-
-def test_a_second_of_motion_takes_less_than_50_ms(arm, tmp_path):
-    """In processor time, the best of five: an answer is there before the arm moves."""
-    t = np.linspace(0.0, 1.0, 126)
-    start = UR5E_START if len(arm.moving) == 6 else SEVEN_START
-    position = np.array(start) + np.outer(t**3 * (10 - 15 * t + 6 * t**2), 0.25 * np.cos(
-        np.arange(len(start))))
-    stamps = np.round(1e9 * t).astype(np.int64)
-    tool, joints = plan_of_joints(arm, stamps, position), Joints(arm, stamps, position)
-
-    def took():
-        begin = time.process_time()
-        joints.along(tool, tool)
-        return time.process_time() - begin
-
-    assert min(took() for _ in range(5)) < 0.05

@@ -26,20 +26,6 @@ def test_loads_lie_on_the_cups_stiffness(root, settings):
     assert np.all(np.std(found.residual[found.valid], axis=0) < 0.08 * np.std(y, axis=0))
 
 
-def test_a_replay_has_the_poses_it_was_scored_with(root, settings):
-    """Give predicted poses in the world that are the predicted coordinates."""
-    found = replayed(root / 'bags' / 'validation', settings)
-    both = found.motion.valid
-    assert len(found.position) == len(found.seconds)
-    assert np.count_nonzero(both) == found.live.scores.samples < len(both)
-    assert np.isfinite(found.position).all()  # the prediction goes on where the package is lost
-    apart = np.linalg.norm(found.position - found.motion.package_position, axis=1)
-    errors = np.linalg.norm(found.live.error[:, :3], axis=1)
-    np.testing.assert_allclose(apart[both], errors[both], atol=1e-12)
-    np.testing.assert_allclose(found.motion.relative[both], found.live.measured[both], atol=1e-12)
-    np.testing.assert_allclose(found.box, [0.2, 0.16, 0.06], rtol=1e-6)
-
-
 def test_spectra_show_the_noise_floor(root, settings):
     """Hold the density of white noise of 0.1 mm at 360 Hz, and a prediction error at it."""
     found = spectra(root / 'bags' / 'validation', settings, cup=True)

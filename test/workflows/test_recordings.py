@@ -4,7 +4,6 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.replay import replay
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
@@ -41,25 +40,11 @@ def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
         moved.tool.position, there.tool.position, rtol=0.0, atol=5e-5)
 
 
-def test_where_no_offset_is_wanted_none_is_looked_for(values, behind):
-    assert load(behind, values).report.time_offset is None
-
-
 def test_a_recording_that_tells_no_offset_is_used_as_it_is_stamped(root, values):
     recording = load(
         root / 'bags/static', {**values, 'fit.time_offset': True, 'recording.end': 1.9})  # at rest
     assert recording.report.time_offset is None
     assert any('stamps were used unchanged' in warning for warning in recording.report.warnings)
-
-
-def test_a_replay_compares_by_one_clock(root, values, behind):
-    """Replay a late tool as well as one in time, to the noise of the poses."""
-    found = replay(behind, {**values, 'fit.time_offset': True})
-    in_time = replay(root / 'bags/validation', values)
-    assert_allclose(found.validation.scores.rms, in_time.validation.scores.rms, rtol=0.02)
-    assert_allclose(found.live.scores.rms, in_time.live.scores.rms, rtol=0.02)
-    assert abs(found.as_json()['time_offset']['value'] - 0.0123) < 5e-5
-    assert in_time.as_json()['time_offset'] is None
 
 
 def test_a_part_of_a_recording_is_what_lies_there(root, values):

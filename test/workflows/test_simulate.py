@@ -211,23 +211,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
     assert np.abs(other['tool_pose'].position - first['tool_pose'].position).max() > 1e-3
 
 
-def test_events_of_the_report_are_where_they_are_in_the_recording(tmp_path):
-    streams, report = recorded(tmp_path, motion(**NOISY))
-    assert [event.kind for event in report.events].count('outlier') == 2
-    assert [event.kind for event in report.events].count('dropout') == 1
-    assert report.messages['/package/pose'] == 241 - 12
-    t = (streams['pose'].stamps_ns - START_NS) * 1e-9
-    for event in report.events:
-        assert event.topic == '/package/pose' and event.start_s > 0.3
-        if event.kind == 'dropout':
-            gap = int(np.argmax(np.diff(t)))
-            assert t[gap] < event.start_s < t[gap + 1]
-        else:
-            at = int(np.argmin(np.abs(t - event.start_s)))
-            step = streams['pose'].position[at] - streams['pose'].position[at - 1]
-            assert np.linalg.norm(step) > 0.04
-
-
 def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     shake = {'position': {'y': {'amplitude': [0.08], 'frequency': [3.0]}}}
     soft = {**PARAMETERS, 'cup.damping': (0.2 * P).ravel().tolist()}
@@ -252,27 +235,15 @@ def without(name):
     ('parameters', 'content', 'message'),
     [
         (without('package.mass'), MOTION, 'Not set, and without a default: package.mass'),
-        ({**PARAMETERS, 'cup.stifness': 1}, MOTION, "Did you mean 'cup.stiffness'?"),
-        ({**PARAMETERS, 'cup.stiffness': [1.0] * 35}, MOTION, 'got 35 of them'),
         ({**PARAMETERS, 'package.mass': 1e3}, MOTION, 'No static equilibrium'),
         (PARAMETERS, None, "'kind' is missing; it must be one of"),
-        (PARAMETERS, [1], 'must hold names and values'),
         (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
-        (PARAMETERS, motion(seed=-1), "'seed' must be an integer, at least 0"),
-        (PARAMETERS, motion(world='y_up'), "'world' must be one of z_up, motive_y_up, got 'y_up'"),
         (PARAMETERS, motion(storage='bag'), "'storage' must be one of mcap, sqlite3, got 'bag'."),
-        (PARAMETERS, motion(compression='lz4'), "'compression' must be one of none, zstd"),
         (PARAMETERS, motion(tool={}), "'tool.rate_hz' is missing"),
-        (PARAMETERS, motion(**{'tool.frame': 'lip'}), "Unknown setting 'tool.frame'"),
         (PARAMETERS, motion(**{'package.twist': {}}), "Unknown setting 'package.twist'"),
-        (PARAMETERS, motion(**{'package.frame': 'plate'}), "'package.frame' must be one of com"),
-        (PARAMETERS, motion(**{'package.pickup_offset': [1]}), 'must be a list of 2 numbers (m)'),
-        (PARAMETERS, motion(**{'topics.tool_pose': 'a b'}), "'topics.tool_pose' must be a topic"),
         (PARAMETERS, motion(**{'topics.package_pose': 'tool_arm/pose'}), 'no other stream has'),
-        (PARAMETERS, motion(**{'topics.package': 'x'}), "Did you mean 'topics.package_pose'?"),
         (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
         (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
-        (PARAMETERS, motion(start_time_ns=0), "'start_time_ns' must be an integer"),
     ],
 )
 def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):
