@@ -1,16 +1,13 @@
 """
 A bare node that sends every tool pose back: the floor for the latency of the predictor.
 
-`python -m benchmarks.echo` spins it with `rclpy.spin`, as one would write it; with
-the argument `events` it is spun as the commands of this package spin theirs.
+`python -m benchmarks.echo` spins it as the commands of this package spin theirs.
 """
 
 import sys
 
 from bellows_ros.nodes.command import Interface, run
 from geometry_msgs.msg import PoseStamped
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
@@ -34,16 +31,5 @@ class Echo(Node):
         self.destroy_node()
 
 
-def main() -> None:
-    """Spin the node until the process is asked to end."""
-    if 'events' in sys.argv:
-        sys.exit(run(Interface('echo', '', (), ()), 'benchmarks.echo:Echo', ()))
-    rclpy.init()
-    try:
-        rclpy.spin(Echo())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-
-
 if __name__ == '__main__':
-    main()
+    sys.exit(run(Interface('echo', '', (), ()), 'benchmarks.echo:Echo', ()))

@@ -1,11 +1,10 @@
 """
-What four kinds of motion tell of K and P, in the same time and under the same limits.
+What three kinds of motion tell of K and P, in the same time and under the same limits.
 
     python -m benchmarks.excitation
 
 prints the table of docs/exciting.md: expected standard errors of the truth in percent, for random
-waypoints, our multisine (as it is, and scaled up until a limit is met), a motion designed for the
-smallest condition number, and one designed by `bellows excite`.
+waypoints, our multisine, and a motion designed by `bellows excite`.
 """
 
 import argparse
@@ -14,16 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.excitation import motion_design as excitation
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation.fisher import motion_information, standard_errors, Tracking
-from bellows_ros.core.excitation.motion_design import (
-    all_ratios,
-    cups_near,
-    design,
-    everyday,
-    MotionObjective,
-)
+from bellows_ros.core.excitation.motion_design import cups_near, design, everyday
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, Package, package_of
 from bellows_ros.core.model.structure import STRUCTURES
@@ -40,18 +32,6 @@ SECONDS = 20.0
 STRUCTURE = STRUCTURES['axisymmetric']
 
 
-class Conditioned(MotionObjective):
-    """The same search for the smallest condition number of the information."""
-
-    def _criterion(self, M: Array) -> tuple[float, Array]:
-        """Return the negative mean logarithm of the condition number, and its slope."""
-        values, vectors = np.linalg.eigh(M)
-        least, most = vectors[:, :, :1], vectors[:, :, -1:]
-        slope = (least @ np.swapaxes(least, 1, 2) / values[:, :1, None]
-                 - most @ np.swapaxes(most, 1, 2) / values[:, -1:, None])
-        return -float(np.mean(np.log(values[:, -1] / values[:, 0]))), slope / len(M)
-
-
 def motions(
     limits: ArmLimits, cup: Cup, package: Package, tracking: Tracking
 ) -> Iterator[tuple[str, Motion]]:
@@ -60,25 +40,10 @@ def motions(
     yield 'random waypoints', everyday(limits, models, None, SECONDS, 1)
     ours: Any = read_recipe(
         safe_yaml.load(ROOT / 'bags' / 'identification.yaml'), package.com).motion
-    ours = replace(ours, duration=SECONDS)
-    yield 'multisine', ours
-    for _ in range(8):
-        ratios = all_ratios(ours, limits, models, None)
-        ours = replace(ours, amplitude=ours.amplitude * 0.999 / max(ratios.values()))
-    yield 'multisine, scaled up', ours
-    plain = excitation.MotionObjective
-    excitation.MotionObjective = Conditioned  # type: ignore[misc]
-    try:
-        yield 'condition number', designed(limits, cup, package, tracking)
-    finally:
-        excitation.MotionObjective = plain  # type: ignore[misc]
-    yield 'determinant', designed(limits, cup, package, tracking)
-
-
-def designed(limits: ArmLimits, cup: Cup, package: Package, tracking: Tracking) -> Motion:
-    """Return what `bellows excite` designs."""
-    return design(cup, package, 9.81, None, STRUCTURE, limits, tracking, SECONDS, 0,
-                  lambda what, part: None).motion
+    yield 'multisine', replace(ours, duration=SECONDS)
+    found = design(
+        cup, package, 9.81, None, STRUCTURE, limits, tracking, SECONDS, 0, lambda what, part: None)
+    yield '`bellows excite`', found.motion
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Identification, filter and replay of a long recording, against plain loops."""
+"""Identification and replay of a long recording, against a loop that only reads."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -6,25 +6,15 @@ import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.workflows.simulate import simulate_recording
-import numpy as np
-from scipy.signal import savgol_filter
 
-from .timing import figures, in_process, interleaved, Work
+from .timing import figures, in_process
 
 RATE = 360.0
-HALF_WINDOW, ORDER = 30, 6
 DURATION = {False: 600.0, True: 3.0}
 """Of the recording, s: of a full run, and of a short one."""
-
-PARTS = {False: (0.25, 0.5), True: ()}
-"""Parts of the duration for which the peak of memory is measured too."""
 
 FIT_DURATION = 20.0
 """Of the recording for the fit by output error, s."""
@@ -102,13 +92,8 @@ def run(short: bool) -> dict[str, Any]:
         make_recording(bag, duration)
         make_recording(fit_bag, min(duration, FIT_DURATION))
         found = _in_turn(str(bag), str(fit_bag), rounds)
-        found['peaks'] = [
-            *(_peak(Path(folder) / f'{part:g}', part * duration) for part in PARTS[short]),
-            {'seconds': duration, 'peak': found['peak_least_squares']},
-        ]
     found['output_error_recorded'] = min(duration, FIT_DURATION)
     found['recording'] = {'seconds': duration, 'rate_hz': RATE, 'messages': found['messages']}
-    found['filter'] = _filters(int(duration * RATE), rounds)
     return found
 
 
@@ -171,49 +156,3 @@ def _replay(bag: str) -> dict[str, Any]:
     start = time.perf_counter()
     found = in_process(REPLAY, bag, f'{bag}.json')
     return {**found, 'seconds': time.perf_counter() - start}
-
-
-def _peak(bag: Path, duration: float) -> dict[str, float]:
-    """Return the peak of memory of least squares on a recording that is made for it."""
-    make_recording(bag, duration)
-    return {
-        'seconds': duration,
-        'peak': in_process(IDENTIFY, str(bag), 'least_squares')['peak'],
-    }
-
-
-def _filters(count: int, rounds: int) -> dict[str, Any]:
-    """Return seconds per sample of filters with the same window."""
-    t = np.arange(count) / RATE
-    position = np.stack([np.sin(t), np.cos(1.3 * t), np.sin(1.7 * t)], axis=1)
-    rotation = exp_so3(0.3 * position)
-    stamps = np.rint(t * 1e9).astype(np.int64)
-    poses = Trajectory(stamps, position, rotation)
-
-    def ours() -> int:
-        savgol(poses, HALF_WINDOW, ORDER)
-        return count
-
-    def scipy_position() -> int:
-        for derivative in range(3):
-            savgol_filter(
-                position, 2 * HALF_WINDOW + 1, ORDER, deriv=derivative, delta=1.0 / RATE, axis=0
-            )
-        return count
-
-    subjects: dict[str, Work] = {
-        'bellows_ros, SO(3) x R^3': ours,
-        'SciPy savgol_filter, R^3 only': scipy_position,
-        'least squares per window, R^3 only': lambda: _per_window(position[:2000]),
-    }
-    return interleaved(subjects, rounds + 2)
-
-
-def _per_window(position: Array) -> int:
-    """Fit a polynomial to every window, as one would at first."""
-    time = np.arange(-HALF_WINDOW, HALF_WINDOW + 1) / RATE
-    basis = np.vander(time, ORDER + 1, increasing=True)
-    centres = range(HALF_WINDOW, len(position) - HALF_WINDOW)
-    for k in centres:
-        np.linalg.lstsq(basis, position[k - HALF_WINDOW:k + HALF_WINDOW + 1], rcond=None)
-    return len(centres)

@@ -1,20 +1,19 @@
-"""How long it takes to predict and to steer a plan, compiled and interpreted."""
+"""How long it takes to predict and to steer a plan."""
 
 import math
 from time import process_time
 from typing import Any
 
-from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.planning.fastest import fastest
 from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import plan_of
-from bellows_ros.core.planning.steering import hanging, METHODS, steer
+from bellows_ros.core.planning.steering import METHODS, steer
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
 from .step_case import CUP, PACKAGE
-from .timing import figures, in_process, interleaved, Work
+from .timing import interleaved, Work
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 GRIP = (60e3 * math.pi * 0.03 ** 2, 0.03, 0.5)
@@ -32,22 +31,15 @@ def plan() -> Trajectory:
 
 
 def run(short: bool) -> dict[str, Any]:
-    """Return seconds per second of plan, and what is left of the swing, degrees."""
+    """Return seconds per second of plan."""
     tool = plan()
-    plain = in_process(INTERPRETED, environment={'NUMBA_DISABLE_JIT': '1'})
-    slow = {f'{name}, interpreted': figures([seconds]) for name, seconds in plain.items()}
     along = PlanSimulation(MODEL, GRIP, tool, tail=0.0)
     subjects: dict[str, Work] = {
         'predict': lambda: _once(along.predict, 1.0),
         'shortest safe time': lambda: _once(fastest, KNOWN, MODEL, GRIP, tool, 1.5),
         **{f'steer, {method}': _steering(tool, method) for method in METHODS},
     }
-    swings = {'as planned': _swing(tool, hanging(MODEL, tool))}
-    for method in METHODS:
-        steered = steer(MODEL, tool, method)
-        swings[method] = _swing(steered.tool, steered.package)
-    seconds = interleaved(subjects, 3 if short else 25, process_time) | slow
-    return {'seconds': seconds, 'motions': swings}
+    return {'seconds': interleaved(subjects, 3 if short else 25, process_time)}
 
 
 KNOWN = {
@@ -61,21 +53,6 @@ KNOWN = {
 }
 """What is known of cup and package, as an identification leaves it."""
 
-INTERPRETED = """
-import json
-from time import process_time
-from timeit import timeit
-from benchmarks.plans import GRIP, MODEL, plan
-from bellows_ros.core.planning.plan import PlanSimulation
-from bellows_ros.core.planning.steering import steer
-tool = plan()
-along = PlanSimulation(MODEL, GRIP, tool, tail=0.0)
-print(json.dumps({
-    'predict': timeit(lambda: along.predict(1.0), timer=process_time, number=1),
-    'steer, inverse': timeit(lambda: steer(MODEL, tool, 'inverse'), timer=process_time,
-                             number=1)}))
-"""
-
 
 def _once(work: Any, *arguments: Any) -> int:
     """Do something once."""
@@ -86,15 +63,3 @@ def _once(work: Any, *arguments: Any) -> int:
 def _steering(tool: Trajectory, method: str) -> Work:
     """Return what steers a plan."""
     return lambda: _once(steer, MODEL, tool, method)
-
-
-def _swing(tool: Trajectory, wanted: Trajectory) -> dict[str, float]:
-    """Return time (s), largest tilt from where it is wanted and swing left (degrees)."""
-    found = PlanSimulation(MODEL, GRIP, tool, tail=2.0).predict(1.0)
-    R = quaternion_to_rotation(found.states[:, 3:7])
-    cosine = np.sum(R[:, :, 2] * wanted.rotation[:, :, 2], axis=1)
-    return {
-        'duration': float(tool.seconds[-1]),
-        'tilt': float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)).max())),
-        'swing_left': math.degrees(found.figures()['swing_left']),
-    }

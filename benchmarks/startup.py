@@ -1,15 +1,11 @@
-"""How long commands and the predictor take to start, with a warm and with a cold cache."""
+"""How long the predictor takes to start, with a warm and with a cold cache."""
 
-import subprocess
-import sys
 import tempfile
 import time
 from typing import Any
 
 from .offline import PEAK
-from .timing import figures, in_process, same_package
-
-HELP = 'from bellows_ros.cli import main; import sys; sys.argv = ["bellows", "--help"]; main()'
+from .timing import figures, in_process
 
 # From the start of the interpreter to the first prediction that could be made.
 READY = PEAK + """
@@ -33,7 +29,7 @@ print(json.dumps({'done': time.monotonic(), 'processor': time.process_time()}))
 
 def run(short: bool) -> dict[str, Any]:
     """Return seconds: of starts with nothing compiled, and of some after each of them."""
-    helped, imports, cold, warm = [], [], [], []
+    imports, cold, warm = [], [], []
     repeats = 1 if short else 3
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as folder:
@@ -42,22 +38,11 @@ def run(short: bool) -> dict[str, Any]:
             for _ in range(repeats):
                 warm.append(_ready(READY, cache))
                 imports.append(_ready(IMPORTS, cache))
-                helped.append(_help())
     return {
-        'help': figures(helped),
         'imports': figures(imports),
         'predictor_warm': figures(warm),
         'predictor_cold': figures(cold),
     }
-
-
-def _help() -> float:
-    """Return the time of `bellows --help`."""
-    start = time.perf_counter()
-    subprocess.run(
-        [sys.executable, '-P', '-c', HELP], env=same_package(), check=True, capture_output=True
-    )
-    return time.perf_counter() - start
 
 
 def _ready(code: str, environment: dict[str, str]) -> float:

@@ -1,4 +1,4 @@
-"""The case that all integrators solve: a plate let go of beside its rest, and tool samples."""
+"""The case that is measured: a plate let go of beside its rest, and tool samples."""
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, dexp, exp_so3, rotation_to_quaternion
@@ -37,8 +37,3 @@ def shaken_tool(count: int, rate_hz: float) -> Array:
     R = exp_so3(phi)
     twist = np.hstack([apply(np.swapaxes(R, 1, 2), rate), apply(dexp(-phi), phi_rate)])
     return np.hstack([size * np.sin(speed * t), rotation_to_quaternion(R), twist])
-
-
-def still_tool(count: int) -> Array:
-    """Return rows (count, 13) of a tool that does not move."""
-    return np.tile(np.concatenate(STILL), (count, 1))

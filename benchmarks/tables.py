@@ -3,14 +3,12 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from .live import BARE, EVENTS, LONG
-from .step import OURS
+from .live import BARE
 
 Table = list[tuple[str, ...]]
 """Rows of cells; the first is the head."""
 
 MEBI = 2**20
-FLOORS = BARE, EVENTS
 
 
 def tables(found: Mapping[str, Any]) -> dict[str, Table]:
@@ -29,70 +27,29 @@ def markdown(table: Table) -> str:
 
 
 def _step(section: Mapping[str, Any]) -> Table:
-    """Return the time of a step, and how many times ours it is."""
-    steps = section['seconds_per_step']
-    ours = steps.get('bellows_ros, compiled') or steps[OURS]
-    rows: Table = [('one step', 'median', 'lowest to highest', 'this package takes')]
-    for name, figures in steps.items():
-        rows.append((
-            name, _time(figures['median']),
-            f'{_time(figures["lowest"])} to {_time(figures["highest"])}',
-            f'{ours["median"] / figures["median"]:.3g} of it',
-        ))
-    rows += [(name, f'missing: {why}', '', '') for name, why in section['missing'].items()]
-    return rows
+    """Return the time of a step."""
+    return _times(('one step', 'median'), section['seconds_per_step'])
 
 
-def _accuracy(section: Mapping[str, Any]) -> Table:
-    """Return error against cost."""
-    rows: Table = [
-        ('method', 'rate or tolerance', 'per simulated second', 'position error', 'rotation error')
-    ]
-    for row in section['accuracy']:
-        setting = row['setting']
-        rows.append((
-            row['method'], f'{setting:g} Hz' if setting > 1 else f'rtol {setting:g}',
-            _time(row['seconds_per_simulated_second']),
-            f'{row["position_error"]:.1e} m', f'{row["rotation_error"]:.1e} rad',
-        ))
-    return rows
+def _times(head: tuple[str, str], measured: Mapping[str, Any]) -> Table:
+    """Return medians by name."""
+    return [head, *((name, _time(figures['median'])) for name, figures in measured.items())]
 
 
 def _node(section: Mapping[str, Any]) -> Table:
-    """Return latencies by rate, and against those of the bare nodes."""
-    rows: Table = [(
-        'node', 'rate', 'twists', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost',
-        *(f'{what} {floor}' for floor in FLOORS for what in ('p50, p99 to', 'CPU above')),
-    )]
-    measured = {(run['node'], *_case(run)): run for run in section['runs']}
+    """Return latencies by rate, and against those of the bare node."""
+    rows: Table = [('node', 'p50', 'p99', 'p99.9', 'CPU per pose', 'memory', 'lost',
+                    'p50, p99 to bare')]
+    bare = {run['rate_hz']: run for run in section['runs'] if run['node'] == BARE}
     for run in section['runs']:
-        floors = [measured.get((floor, *_case(run))) for floor in FLOORS]
+        floor = bare[run['rate_hz']]
         rows.append((
-            _name_of(run), f'{run["rate_hz"]} Hz', 'yes' if run['twists'] else 'no',
+            f'{run["node"]}, {run["rate_hz"]} Hz',
             *(_time(run[name]) for name in ('p50', 'p99', 'p99.9', 'processor_per_pose')),
             _memory(run['memory']), f'{run["lost"]} of {run["sent"]}',
-            *(cell for floor in floors for cell in _against(run, floor)),
-        ))
+            '' if run is floor else ', '.join(
+                f'{run[name] / floor[name]:.2f}' for name in ('p50', 'p99'))))
     return rows
-
-
-def _case(run: Mapping[str, Any]) -> tuple[float, bool, float]:
-    """Return what runs that can be compared have in common."""
-    return run['rate_hz'], run['twists'], run['seconds']
-
-
-def _name_of(run: Mapping[str, Any]) -> str:
-    """Return the name of a node, and how long it ran where that is long."""
-    return f'{run["node"]}, for {run["seconds"]:g} s' if run['seconds'] >= LONG else run['node']
-
-
-def _against(run: Mapping[str, Any], bare: Mapping[str, Any] | None) -> tuple[str, str]:
-    """Return the ratios of latencies, and what a pose takes more of the processor, to a floor."""
-    if bare is None or run['node'] in FLOORS:
-        return '', ''
-    more = run['processor_per_pose'] - bare['processor_per_pose']
-    ratios = ', '.join(f'{run[name] / bare[name]:.2f}' for name in ('p50', 'p99'))
-    return ratios, f'{more * 1e6:+.0f} us'
 
 
 def _offline(section: Mapping[str, Any]) -> Table:
@@ -106,10 +63,6 @@ def _offline(section: Mapping[str, Any]) -> Table:
         ('rosbags, read and decode', _time(plain), _memory(section['peak_plain_loop'])),
         ('least squares, end to end', f'{_time(fit)}, {fit / plain:.2f} times that',
          _memory(section['peak_least_squares'])),
-        *(
-            (f'least squares, {part["seconds"]:g} s of it', '', _memory(part['peak']))
-            for part in section.get('peaks', [])[:-1]
-        ),
         ('bellows replay, the whole command',
          f'{_time(replay)}, {recording["seconds"] / replay:.0f} times real time',
          _memory(section['peak_replay'])),
@@ -119,18 +72,10 @@ def _offline(section: Mapping[str, Any]) -> Table:
     ]
 
 
-def _filter(section: Mapping[str, Any]) -> Table:
-    """Return the time of the filter per sample."""
-    rows: Table = [('filter, 61 samples, order 6', 'per sample')]
-    rows += [(name, _time(figures['median'])) for name, figures in section['filter'].items()]
-    return rows
-
-
 def _startup(section: Mapping[str, Any]) -> Table:
     """Return times to start."""
     return [
         ('start', 'median'),
-        ('bellows --help', _time(section['help']['median'])),
         ('numba, numpy and rclpy imported', _time(section['imports']['median'])),
         ('predictor ready with ROS, compiled before', _time(section['predictor_warm']['median'])),
         ('predictor ready with ROS, nothing compiled', _time(section['predictor_cold']['median'])),
@@ -139,17 +84,7 @@ def _startup(section: Mapping[str, Any]) -> Table:
 
 def _plans(section: Mapping[str, Any]) -> Table:
     """Return what a second of plan costs."""
-    rows: Table = [('a plan of 1 s at 1 kHz', 'processor time, median')]
-    return rows + [(name, _time(figures['median']))
-                   for name, figures in section['seconds'].items()]
-
-
-def _motions(section: Mapping[str, Any]) -> Table:
-    """Return what steered motions do to the package."""
-    rows: Table = [('motion of the tool', 'takes', 'largest tilt', 'swing left')]
-    return rows + [
-        (name, f'{row["duration"]:.3f} s', f'{row["tilt"]:.3g} degrees',
-         f'{row["swing_left"]:.2g} degrees') for name, row in section['motions'].items()]
+    return _times(('a plan of 1 s at 1 kHz', 'processor time, median'), section['seconds'])
 
 
 def _camera(section: Mapping[str, Any]) -> Table:
@@ -163,27 +98,16 @@ def _camera(section: Mapping[str, Any]) -> Table:
 
 
 def _corrected(section: Mapping[str, Any]) -> Table:
-    """Return what corrections cost, in the predictor and in the node."""
-    rows: Table = [('500 Hz, a camera of 30 Hz', 'median')]
-    rows += [(name, _time(times['median'])) for name, times in section['seconds'].items()]
-    rows += [(f'{run["node"]}: p50, p99', f'{_time(run["p50"])}, {_time(run["p99"])}')
-             for run in section['node']['runs']]
-    return [
-        *rows,
-        ('p50 of the second to the first', f'{section["node"]["to_without"]:.2f}'),
-        ('p50, p99 while corrected to while not', ', '.join(
-            f'{section["node"][name]:.2f}' for name in ('p50', 'p99')))]
+    """Return what corrections cost in the predictor."""
+    return _times(('500 Hz, a camera of 30 Hz', 'median'), section['seconds'])
 
 
 _TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
     'step': _step,
-    'step.accuracy': _accuracy,
     'node': _node,
     'offline': _offline,
-    'offline.filter': _filter,
     'startup': _startup,
     'plans': _plans,
-    'plans.motions': _motions,
     'camera': _camera,
     'camera.cost': _corrected,
 }
