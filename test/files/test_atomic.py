@@ -10,12 +10,6 @@ from bellows_ros.files.atomic import new_folder, require_file_target, write_byte
 import pytest
 
 
-def test_text_is_written_in_utf8(tmp_path):
-    write_text(tmp_path / 'a', 'K = 6417 N/m, 45°\n')
-    assert (tmp_path / 'a').read_text(encoding='utf-8') == 'K = 6417 N/m, 45°\n'
-    assert os.listdir(tmp_path) == ['a']
-
-
 def test_new_files_get_the_permissions_of_any_new_file(tmp_path):
     write_bytes(tmp_path / 'a', b'x')
     (tmp_path / 'b').write_bytes(b'x')

@@ -92,20 +92,6 @@ def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
     assert [decoded.frames[i] for i in decoded.frame] == [(f,) for f in frames]
 
 
-def test_the_strings_of_like_messages_are_walked_through_once(monkeypatch):
-    walked = []
-    walk = cdr._strings
-    monkeypatch.setattr(cdr, '_strings', lambda *of: walked.append(of) or walk(*of))
-    values = made.pose_values(30)
-    frames = 10 * ['world'] + [''] + 9 * ['a'] + 10 * ['world']
-    data = [made.encoded(made.POSE, t, pose=v, frame_id=f)
-            for t, v, f in zip(made.stamps(30), values, frames, strict=True)]
-    decoded = cdr.decode(batch(data), cdr.LAYOUTS[made.POSE], slice(0, 7))
-    assert_array_equal(decoded.values, values)
-    assert [decoded.frames[i] for i in decoded.frame] == [(frame,) for frame in frames]
-    assert len(walked) == 3
-
-
 @pytest.mark.parametrize('kind', KINDS)
 def test_a_message_cut_short_anywhere_is_not_decoded(kind):
     data = made.encoded(kind, made.EPOCH_NS, pose=made.pose_values(1)[0], twist=[1.0] * 6)

@@ -3,7 +3,7 @@
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.results import content_of, format_json
+from bellows_ros.files.results import format_json
 from bellows_ros.workflows.compare import compare_files
 import numpy as np
 import pytest
@@ -46,10 +46,3 @@ def test_results_with_other_content_are_refused(tmp_path, key, value):
     with pytest.raises(BellowsError) as error:
         compare_files(bad, good)
     assert len(str(error.value)) < 1000
-
-
-@pytest.mark.parametrize('key, words', [('mass', "'mass' is missing"), (3, 'indices must be')])
-def test_what_is_wrong_with_content_is_said_with_its_name(key, words):
-    with pytest.raises(BellowsError, match=f"Result 'a.json' is damaged.*{words}"), content_of(
-            'a.json'):
-        _ = ({} if key == 'mass' else 'text')[key if key == 'mass' else 'x']

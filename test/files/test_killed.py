@@ -5,9 +5,7 @@ import os
 from pathlib import Path
 import subprocess
 import sys
-import time
 
-from bellows_ros.files.bags import read_streams
 import numpy as np
 import pytest
 
@@ -63,30 +61,3 @@ def trajectory(path, offset):
 def hidden(folder):
     """Return the names in a folder that nobody takes for outputs."""
     return {name for name in os.listdir(folder) if name.startswith(HIDDEN)}
-
-
-def kill_while_it_writes(process, folder, after):
-    """Kill a process some time (s) after it has begun to write."""
-    before, deadline = hidden(folder), time.monotonic() + 60.0
-    while process.poll() is None and hidden(folder) <= before and time.monotonic() < deadline:
-        time.sleep(0.001)
-    time.sleep(after)
-    process.kill()
-
-
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_the_command_is_killed_while_it_writes(tmp_path, storage):
-    out, rng = tmp_path / 'recording', np.random.default_rng(8)
-    sources = [trajectory(tmp_path / f'{k}.tum', k) for k in (0, 1)]
-    for k in range(3):
-        process = subprocess.Popen(
-            [sys.executable, '-m', 'bellows_ros.cli', 'convert', str(sources[k % 2]),
-             '--topic', '/p', '--storage', storage, '--out', str(out), '--force'],
-            cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        if k:  # the first one lives
-            kill_while_it_writes(process, tmp_path, rng.uniform(0.0, 0.03))
-        process.wait(60)
-        stream = read_streams(out, {'p': '/p'})['p']
-        assert len(stream) == ROWS
-        assert set(stream.position[:, 0]) in ({0.0}, {1.0})
-    assert set(os.listdir(tmp_path)) - hidden(tmp_path) == {'0.tum', '1.tum', out.name}

@@ -149,19 +149,6 @@ def test_fewer_markers_may_be_allowed(tmp_path):
     assert tool.unseen == 0 and len(tool.stamps_ns) == 4
 
 
-def test_without_marker_quality_all_poses_count(tmp_path):
-    """Do not ask for what was not exported."""
-    tool, _ = read_motive(export(tmp_path / 'take.csv', quality=False))
-    assert len(tool.stamps_ns) == 4
-
-
-def test_millimetres_become_metres(tmp_path):
-    """Scale positions by the unit that the header names, whatever the take is called."""
-    about = ABOUT.replace('Meters', 'Millimeters').replace('shake', 'shake, first try')
-    tool, _ = read_motive(export(tmp_path / 'take.csv', about, scale=1000.0))
-    np.testing.assert_allclose(tool.values[0, :3], [0.1, 1.2, 0.0])
-
-
 @pytest.mark.parametrize(
     ('change', 'words'),
     [

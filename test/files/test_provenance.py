@@ -1,13 +1,9 @@
 """Digests of files and versions of tools."""
 
 import hashlib
-from importlib import metadata
-import sys
 
-from bellows_ros import __version__
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests, recording_digest
-from bellows_ros.files.results import provenance, versions
 import pytest
 
 
@@ -44,23 +40,6 @@ def test_a_recording_is_known_by_its_messages(tmp_path):
     other.write_bytes(b'abd')
     assert recording_digest(folder) == recording_digest(folder / 'bag_0.mcap')
     assert recording_digest(folder) != recording_digest(other)
-
-
-def test_versions_are_those_in_use():
-    """Name this package, Python and NumPy."""
-    found = versions()
-    assert found['bellows_ros'] == __version__
-    assert found['python'] == '.'.join(map(str, sys.version_info[:3]))
-    assert found['numpy'] == metadata.version('numpy')
-
-
-def test_provenance_names_paths_as_given(tmp_path):
-    """Keep recordings and parameter files apart."""
-    file = tmp_path / 'cup.yaml'
-    file.write_text('gravity: 9.81\n')
-    found = provenance([], [file])
-    assert found['recordings'] == []
-    assert found['parameter_files'][0]['path'] == str(file)
 
 
 def test_a_missing_file_is_named(tmp_path):

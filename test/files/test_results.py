@@ -49,12 +49,6 @@ def test_what_is_not_known_is_null(tmp_path):
     assert result['damping_std'] == [[None] * 6] * 6
 
 
-def test_matrices_are_written_row_by_row():
-    text = format_json({'stiffness': np.eye(6), 'empty': {}, 'nothing': []})
-    assert '\n    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],\n    [0.0, 1.0' in text
-    assert json.loads(text) == {'stiffness': np.eye(6).tolist(), 'empty': {}, 'nothing': []}
-
-
 @pytest.mark.parametrize('key', KEYS)
 def test_a_result_without_one_of_its_keys_is_refused(tmp_path, key):
     write_json(tmp_path / 'fit.json', changed(**{key: None}))

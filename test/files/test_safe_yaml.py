@@ -107,10 +107,6 @@ def test_lines_lead_to_each_key(tmp_path):
         ('a',): 2, ('a', 'b'): 3, ('a', 'c'): 4, ('a', 'c', 'd'): 4, ('e f',): 5}
 
 
-def test_an_empty_file_is_nothing(tmp_path):
-    assert load(tmp_path / 'a', '# only a comment\n') is None
-
-
 @settings(deadline=None)
 @given(
     strategies.text(max_size=60)
