@@ -16,9 +16,8 @@ import zlib
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.equilibrium import largest_step
-from bellows_ros.core.model.grip import Grip
+from bellows_ros.core.model.grip import cup_of_gripper, Grip
 from bellows_ros.core.model.kernels import CupTuple
-from bellows_ros.core.model.layout import cup_of_gripper
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -34,7 +34,7 @@ from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT, warm_up_uncertainty
 from ..core.model.cup_package import cup_of
 from ..core.model.kernels import ModelTuple
-from ..core.model.layout import places_of
+from ..core.model.structure import places_of
 
 QUEUE = 500
 

@@ -15,8 +15,8 @@ from bellows_ros.core.model.kernels import (
     lip_relative_to_tool,
     lip_wrench,
 )
-from bellows_ros.core.model.layout import composed
 from bellows_ros.core.model.simulation import body_row, row_state, state_row
+from bellows_ros.core.model.structure import composed
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.exports import Exported, header
 import numpy as np

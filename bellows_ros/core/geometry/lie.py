@@ -480,31 +480,6 @@ def wrench_transform(T_a_b: ArrayLike) -> Array:
     return np.swapaxes(adjoint(inverse_transform(T_a_b)), -1, -2)
 
 
-def twist_cross(twist: ArrayLike) -> Array:
-    """
-    Return ad(v) = [[w^, v^], [0, w^]].
-
-    The rate of change of `adjoint` is X(T) ad(v) for the body twist v.
-
-    Parameters
-    ----------
-    twist : array (..., 6)
-        Linear part (m/s) first, angular part (rad/s) last.
-
-    Returns
-    -------
-    array (..., 6, 6)
-
-    """
-    twist = _array(twist, 6)
-    angular = hat(twist[..., 3:])
-    ad = np.zeros((*twist.shape, 6))
-    ad[..., :3, :3] = angular
-    ad[..., :3, 3:] = hat(twist[..., :3])
-    ad[..., 3:, 3:] = angular
-    return ad
-
-
 def exp_se3(xi: ArrayLike) -> Array:
     """
     Return the pose reached in unit time with a constant twist.

@@ -37,11 +37,11 @@ from bellows_ros.core.geometry.tuples import rotation_matrix, Vector
 from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
 from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.grip import cup_of_gripper
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.layout import composition, cup_of_gripper, places_of, UPPER
 from bellows_ros.core.model.perturbed import capped_std
-from bellows_ros.core.model.structure import matrix
+from bellows_ros.core.model.structure import composition, matrix, places_of, UPPER
 from bellows_ros.errors import BellowsError
 import numpy as np
 

@@ -13,8 +13,10 @@ from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple, Strains
 from bellows_ros.core.model.structure import (
     check_inertia,
+    composed,
     inertia_matrix,
     matrix,
+    places_of,
     RELAXATION_TIMES,
     require_symmetric,
 )
@@ -178,8 +180,6 @@ def cup_of(values: Mapping[str, Any]) -> Cup:
     """Return the cup that parameter values describe (see `parameters`), composed of several."""
     if not is_gripper(values):
         return one_cup_of(values)
-    from bellows_ros.core.model.layout import places_of
-
     return gripper_of(one_cup_of(values), places_of(values))
 
 
@@ -187,8 +187,6 @@ def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     """Return the cup that moves a package as equal ones at places (n, 4) do; without, the one."""
     if not len(places):
         return one
-    from bellows_ros.core.model.layout import composed
-
     K, P = (composed(each, np.asarray(places)) for each in (one.stiffness, one.damping))
     return replace(one, stiffness=K, damping=P)
 

@@ -1,7 +1,8 @@
 """
 Safety factors of a vacuum grip against peel and slip.
 
-Holding is that of each cup: a gripper of several has the smallest factor of its cups.
+Holding is that of each cup, by its own wrench: a gripper of several has the smallest factor of its
+cups, whose K_1 and P_1 are solved from the sums (see `structure`).
 The vacuum presses the package on a lip with V = pressure below ambient times effective area (N).
 The wrench (f, m) of the cup on the package is that at S in S axes, so f_z > 0 pulls the package
 up into the cup, and the lip presses with N = V - f_z. Each factor is the largest s for which
@@ -15,13 +16,14 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.kernels import CupTuple, ModelTuple, State, Strains
-from bellows_ros.core.model.layout import cup_of_gripper, is_single, places_of, wrench_at
+from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, State, Strains, Wrench
 from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.model.structure import is_single, places_of
 import numpy as np
 
 Grip = tuple[float, float, float, *tuple[Array, ...]]
@@ -60,6 +62,51 @@ def safety_factors(grip: tuple[float, float, float], f: Vector, m: Vector) -> tu
     q = math.sqrt(f[0] * f[0] + f[1] * f[1] + twist * twist)
     return (
         ratio(suction, peel_load(radius, f, m)), ratio(friction * suction, q + friction * f[2]))
+
+
+@kernel
+def one_of(M: Blocks, places: Array) -> Blocks:
+    """Return the blocks of one cup from those of the gripper, the inverse of `composed`."""
+    n = float(len(places))
+    oo = t3.scale_matrix(1.0 / n, M[0])
+    total, squares = (0.0, 0.0, 0.0), t3.scale_matrix(0.0, M[0])
+    for k in range(len(places)):
+        a = t3.hat((places[k, 0], places[k, 1], places[k, 2]))
+        total = t3.add(total, (places[k, 0], places[k, 1], places[k, 2]))
+        squares = t3.add_scaled_matrix(squares, 1.0, t3.multiply(t3.multiply(a, oo), a))
+    S = t3.hat(total)
+    oR = t3.scale_matrix(1.0 / n, t3.add_scaled_matrix(M[1], 1.0, t3.multiply(oo, S)))
+    mixed = t3.multiply(S, oR)  # S oR - oR^T S is twice its symmetric part
+    RR = t3.add_scaled_matrix(t3.add_scaled_matrix(M[2], -1.0, mixed), -1.0, t3.transposed(mixed))
+    return oo, oR, t3.scale_matrix(1.0 / n, t3.add_scaled_matrix(RR, 1.0, squares))
+
+
+@kernel
+def cup_of_gripper(cup: CupTuple, places: Array) -> CupTuple:
+    """Return one cup of a gripper."""
+    return (cup[0], cup[1], one_of(cup[2], places), one_of(cup[3], places), *cup[4:])
+
+
+@kernel
+def wrench_at(
+    one: CupTuple, a: Vector, o: Vector, R: Matrix, v: Vector, w: Vector, strains: Strains
+) -> Wrench:
+    """
+    Return the wrench of one cup of a gripper on the package, at its own lip in S axes.
+
+    It stands at a; pose and twist are those of S, and the internal strains of the gripper.
+    """
+    o = t3.add(o, t3.subtract(t3.apply(R, a), a))
+    return kernels.cup_wrench(one, o, R, t3.add(v, t3.cross(w, a)), w, strains_at(strains, a))
+
+
+@kernel
+def strains_at(strains: Strains, a: Vector) -> Strains:
+    """Return A z of internal strains."""
+    if len(strains) == 0:
+        return ()
+    (b, c), (d, e) = strains
+    return ((t3.subtract(b, t3.cross(a, c)), c), (t3.subtract(d, t3.cross(a, e)), e))
 
 
 @kernel

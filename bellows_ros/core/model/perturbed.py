@@ -13,8 +13,14 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import blocks
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.layout import composed, places_of, SINGLE, UPPER
-from bellows_ros.core.model.structure import inertia_matrix, matrix
+from bellows_ros.core.model.structure import (
+    composed,
+    inertia_matrix,
+    matrix,
+    places_of,
+    SINGLE,
+    UPPER,
+)
 import numpy as np
 from numpy.typing import ArrayLike
 

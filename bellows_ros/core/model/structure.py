@@ -1,21 +1,126 @@
 """
-Structures of K and P: which entries are free, and which are tied by symmetry.
+Structures of K and P: which entries are free, which are tied, and how equal cups add up.
 
 A new structure is one entry in `STRUCTURES`: whatever depends on the structure follows from it.
+
+Cup i of a gripper stands at a_i in E, and its lip at a_i in S. Its strain (3.18) and twist are
+linear in those of a cup at the origin, h_i = A_i h and v_i = A_i v, A_i = [[I, -a_i^], [0, I]], as
+(I + R^T)(R - I) a = (R - R^T) a. So K = sum A_i^T K_1 A_i and P = sum A_i^T P_1 A_i are one cup of
+the same kernel, exactly, at any rotation and in motion. Holding is that of each cup: see `grip`.
+
 Checks of parameter values: a 6x6 matrix is 36 numbers, row-major; an inertia is [ixx, iyy, izz,
 ixy, ixz, iyz]; units are SI.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import hat
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+
+CENTRE = (0.0, 0.0, 0.0)
+"""The layout of a single cup."""
+
+MOST_CUPS, FARTHEST, NEAREST = 32, 2.0, 5e-3
+"""Largest number of cups, and distance (m) from E; smallest distance of two."""
+
+UPPER = np.triu_indices(6)
+SINGLE = np.zeros((1, 4))
+"""One cup at E, as `places_of` returns it."""
+
+
+def positions_of(layout: Sequence[float]) -> Array:
+    """
+    Return the positions (n, 3) of cups in E, m.
+
+    Raises
+    ------
+    BellowsError
+        If they are not x, y, z of 1 to 32 cups, or no gripper has them.
+
+    """
+    if not layout or len(layout) % 3:
+        raise BellowsError(
+            f'cup.layout has {len(layout)} numbers; expected x, y and z of each cup in the tool, '
+            'one cup after the other: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
+    places = np.reshape(np.array(layout, dtype=np.float64), (-1, 3))
+    if len(places) > MOST_CUPS:
+        raise BellowsError(
+            f'cup.layout has {len(places)} cups; expected at most {MOST_CUPS}. Fit a gripper of '
+            'more as one cup (fit.structure: full).')
+    farthest = float(np.abs(places).max())
+    if farthest > FARTHEST:
+        raise BellowsError(
+            f'cup.layout has a cup {farthest:g} m from the tool; expected at most {FARTHEST:g} m. '
+            'Is it in mm?')
+    apart = np.linalg.norm(places[:, None] - places, axis=2) + np.diag([np.inf] * len(places))
+    i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    if apart[i, j] < NEAREST:
+        raise BellowsError(
+            f'cup.layout: cups {min(i, j)} and {max(i, j)} are {1e3 * apart[i, j]:.3g} mm apart; '
+            f'expected at least {1e3 * NEAREST:g} mm. Give each cup once, in m.')
+    return places
+
+
+def places_of(values: Mapping[str, Any]) -> Array:
+    """
+    Return x, y, z (m) in E and the index, from 0, of each cup that holds (n, 4).
+
+    Raises
+    ------
+    BellowsError
+        If cup.layout and cup.open do not describe a gripper that holds.
+
+    """
+    positions = positions_of(values.get('cup.layout', CENTRE))
+    opened = set(values.get('cup.open', ())) - {-1.0}  # which stands for none
+    wrong = sorted(opened - set(range(len(positions))))
+    if wrong:
+        raise BellowsError(
+            f'cup.open has {wrong[0]:g}; expected integers from 0 to {len(positions) - 1}, '
+            'the places of cups in cup.layout.')
+    if len(opened) == len(positions):
+        raise BellowsError(
+            'cup.open has all cups of cup.layout, so that none holds. Leave out those that hold.')
+    indexed = np.column_stack([positions, np.arange(len(positions))])
+    return indexed[[k for k in range(len(positions)) if k not in opened]]
+
+
+def is_single(places: Array) -> bool:
+    """Return whether it is one cup at E."""
+    return len(places) == 1 and not places[0, :3].any()
+
+
+def maps(places: Array) -> Array:
+    """Return A (n, 6, 6), from strain and twist at the origin to those of each cup."""
+    A = np.tile(np.eye(6), (len(places), 1, 1))
+    A[:, :3, 3:] = -hat(places[:, :3])
+    return A
+
+
+def composed(matrix: Array, places: Array) -> Array:
+    """Return K or P (6, 6) of the gripper, that of one cup being given: sum A_i^T K_1 A_i."""
+    if is_single(places):
+        return matrix
+    A = maps(places)
+    return np.asarray(np.einsum('nki,kl,nlj->ij', A, matrix, A))
+
+
+def composition(places: Array) -> Array:
+    """Return C (21, 21): the upper triangle of a gripper's matrix, row by row, from one cup's."""
+    C = np.empty((21, 21))
+    for k, (i, j) in enumerate(zip(*UPPER, strict=True)):
+        unit = np.zeros((6, 6))
+        unit[i, j] = unit[j, i] = 1.0
+        C[:, k] = composed(unit, places)[UPPER]
+    return C
+
 
 RELAXATION_TIMES = (0.06, 0.8)
 """Times of the two branches of rubber that relaxes, s; others fit as well (within 0.1 %)."""
@@ -121,15 +226,13 @@ class Structure:
         """What the model has of each unit (6, 6): the gripper's matrix where there is one."""
         if not self.places:
             return self.basis
-        from bellows_ros.core.model.layout import composed  # late: grippers alone need it
-
         return [composed(unit, np.array(self.places)) for unit in self.basis]
 
     @cached_property
     def upper(self) -> Array:
         """The model's upper triangles (42, 2 n) of K and P, row by row, by the parameters."""
         return np.kron(
-            np.eye(2), np.transpose([unit[np.triu_indices(6)] for unit in self.model_basis]))
+            np.eye(2), np.transpose([unit[UPPER] for unit in self.model_basis]))
 
     def matrices(self, x: Array) -> tuple[Array, Array]:
         """Return K and P (6, 6) of the parameters x (2 n,)."""
@@ -266,8 +369,6 @@ def fitted_structure(values: Mapping[str, Any]) -> Structure:
 
 def structure_of_gripper(values: Mapping[str, Any]) -> Structure:
     """Return the structure of one cup of a gripper; BellowsError without cup.layout."""
-    from bellows_ros.core.model.layout import is_single, places_of  # late: grippers alone need it
-
     places = places_of(values)
     if is_single(places):
         raise BellowsError(

@@ -12,6 +12,7 @@ from __future__ import annotations
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.geometry.tuples import Matrix
+from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.jacobians import (
     acceleration_at,
     cup_accelerations,
@@ -19,7 +20,7 @@ from bellows_ros.core.model.jacobians import (
     write_square,
 )
 from bellows_ros.core.model.kernels import Blocks, lip_wrench, ModelTuple, State
-from bellows_ros.core.model.layout import is_single, maps, one_of
+from bellows_ros.core.model.structure import is_single, maps
 import numpy as np
 
 NUMBERS = 54

@@ -18,7 +18,7 @@ from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.layout import composition, places_of, UPPER
+from bellows_ros.core.model.structure import composition, places_of, UPPER
 from bellows_ros.core.observer.alarms import Alarm, Alarms, processed
 from bellows_ros.core.observer.filter import (
     ALL_ROWS,

@@ -260,9 +260,7 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
 def _require_layout(numbers: Sequence[float]) -> None:
     """Raise BellowsError for numbers that are not the places of the cups of a gripper."""
     if numbers != (0.0, 0.0, 0.0):  # those of a single cup
-        from bellows_ros.core.model.layout import positions_of
-
-        positions_of(numbers)
+        structure.positions_of(numbers)
 
 
 def require_correlation(numbers: Sequence[float]) -> None:

@@ -17,7 +17,7 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import perturbed
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.layout import places_of
+from bellows_ros.core.model.structure import places_of
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.release import (
     changed_law,

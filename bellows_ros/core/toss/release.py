@@ -470,32 +470,20 @@ class HeldMotion:
         durations = np.diff(starts[:count])
         counts = equilibrium.substeps_of(durations, self._longest)
         simulation.require_steps(float(counts.sum()), MOST_STEPS)
-        self._steps = int(counts.sum())
-        self._plan = as_inputs(rows[:count], durations, counts)
         start = start or simulation.steady_start(model, tool)
-        self._follow(equilibrium.adapted(model, row_state(rows[0]), start))
-
-    def _follow(self, start: State) -> None:
-        """Fill in states and loads."""
-        self.start = start
-        self.times, self.loads = np.empty((2, self._steps + 1))
-        tools = np.empty((self._steps + 1, 13))
-        states = np.empty((self._steps + 1, simulation.row_length(start)))
+        self.start = start = equilibrium.adapted(model, row_state(rows[0]), start)
+        size = int(counts.sum()) + 1
+        self.times, self.loads = np.empty((2, size))
+        tools, states = np.empty((size, 13)), np.empty((size, simulation.row_length(start)))
         self.states = states[:, :13]
         try:
-            _hold(self.model, self.grip, start, *self._plan, self.times, tools, states,
-                  self.loads)
+            _hold(model, self.grip, start, *as_inputs(rows[:count], durations, counts),
+                  self.times, tools, states, self.loads)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             states[-1] = math.nan
         if not np.isfinite(states[-1]).all():
             raise simulation.diverged()
         self._inputs = as_inputs(self.times, tools, states)
-
-    def restarted_from(self, start: State) -> HeldMotion:
-        """Return the same from another initial state."""
-        other = copy(self)
-        other._follow(start)
-        return other
 
     def find_release(self, release: Release, switched: float) -> tuple[float, State, float, State]:
         """Return what `toss_along` does, the valve being switched at a time (s)."""

@@ -267,16 +267,6 @@ def test_a_force_at_a_lever_makes_a_torque():
     assert_allclose(wrench_a, [0.0, 0.0, 3.0, 6.0, 0.0, 0.0], atol=1e-15)
 
 
-def test_twist_cross_is_the_rate_of_the_adjoint():
-    rng = np.random.default_rng(16)
-    T, twist, h = random_poses(20), rng.normal(size=(20, 6)), 1e-5
-    after, before = (lie.adjoint(T @ lie.exp_se3(s * h * twist)) for s in (1.0, -1.0))
-    rate = lie.adjoint(T) @ lie.twist_cross(twist)
-    # Central differences: h^2 times the third derivative, and rounding over h.
-    assert_allclose(rate, (after - before) / (2 * h), atol=5e-9)
-    assert_allclose(lie.apply(lie.twist_cross(twist), twist), np.zeros((20, 6)), atol=1e-15)
-
-
 def test_leading_axes_and_single_elements_are_alike():
     rng = np.random.default_rng(17)
     xi = rng.normal(size=(2, 3, 6))

@@ -9,8 +9,12 @@ from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.search import BodyNoise, Measured
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.layout import composition
-from bellows_ros.core.model.structure import given_structure, structure_of_gripper, STRUCTURES
+from bellows_ros.core.model.structure import (
+    composition,
+    given_structure,
+    structure_of_gripper,
+    STRUCTURES,
+)
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory

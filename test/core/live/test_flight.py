@@ -108,7 +108,8 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     flight = Flight(VALUES)
     std = np.repeat([1e-4, 1e-3, 2e-3, 1e-2], 3)
     found = flight.landing(MODEL, now, lambda _: np.diag(std**2))
-    steady = HeldMotion(MODEL, tosses.GRIP, at_constant_velocity(now, None, 0.5), now.body, 0.5)
+    tool = at_constant_velocity(now, None, 0.5)
+    steady = HeldMotion(MODEL, tosses.GRIP, tool, now.body, 0.5)
     expected = toss(steady, release_of(VALUES), 0.0)
     np.testing.assert_allclose(found.toss.landing[0], expected.landing[0], atol=1e-7)
     landing, covariance = worked_out(flight, now, std)
@@ -131,7 +132,8 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
         start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, twists))
         release = changed(
             release_of(VALUES), release_factor(VALUES) @ rng.standard_normal(8))
-        landings.append(toss(steady.restarted_from(start), release, 0.0).landing[0][:2])
+        held = HeldMotion(MODEL, tosses.GRIP, tool, start, 0.5)
+        landings.append(toss(held, release, 0.0).landing[0][:2])
     linear = np.sqrt(np.diag(found.covariance)[:2])
     np.testing.assert_allclose(linear, np.std(landings, axis=0), rtol=0.12)  # 3.5 % each, 400
 

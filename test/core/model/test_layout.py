@@ -4,8 +4,8 @@ from bellows_ros.core.geometry.lie import exp_so3, transform
 from bellows_ros.core.model.cup_package import Cup, cup_of
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.core.model.layout import composition, places_of, UPPER
 from bellows_ros.core.model.perturbed import deviations_of, model_with, parameter_vector
+from bellows_ros.core.model.structure import composition, places_of, UPPER
 from bellows_ros.core.parameters.checks import resolve, validate
 from bellows_ros.errors import BellowsError
 from hypothesis import given, settings, strategies

@@ -8,7 +8,7 @@ memory, stamps are late, K, P, mass, centre of mass, inertia and the camera's po
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.layout import composed
+from bellows_ros.core.model.structure import composed
 from bellows_ros.core.observer.filter import changed
 import numpy as np
 

@@ -3,7 +3,7 @@
 from collections import Counter
 import re
 
-from bellows_ros.core.model.layout import SINGLE
+from bellows_ros.core.model.structure import SINGLE
 from bellows_ros.core.observer import observer as module
 from bellows_ros.core.observer.alarms import (
     _place,
