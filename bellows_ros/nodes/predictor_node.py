@@ -24,6 +24,7 @@ from .parameters import ManagedNode, QOS_PREFIX, Values
 from .planning import Planning
 from .tool_inputs import SensorInput, TransformInput
 from .tossing import Tossing
+from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import LivePredictor, Prediction, warm_up
 from ..core.live.check import check_live
@@ -140,6 +141,7 @@ class PredictorNode(ManagedNode):
         self._apply(live, values)
         if self._tossing.flight.known:  # whose landings have a covariance
             warm_up_uncertainty(cup.relaxation)
+        release_compiler()
         self._diagnostics.watch(
             live, self._pose_in, self._twist_in, self._outputs, values,
             lambda: (self._observing.status('measured package'),

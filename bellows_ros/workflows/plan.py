@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.jit import uncollected
+from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
@@ -418,7 +418,7 @@ def read_plan(path: File, values: Mapping[str, Any], urdf: str = '', topic: str 
         source, tool=source.tool.select(chosen), path=os.fspath(path), values=values)
 
 
-@uncollected()  # which takes most of the time, of many points
+@seldom_collected()  # which takes most of the time, of many points
 def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
     """Return the whole plan in a file."""
     if topic and file.suffix.lower() in (*YAML, *TEXT):

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import ctypes
 from functools import cache
 import gc
 import hashlib
+import mmap
+from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeVar, TypeVarTuple
 import warnings
@@ -82,15 +85,29 @@ def _compiler(
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
-    """Pause the garbage collector, which takes a sixth of the time of compiling."""
-    enabled = gc.isenabled()
-    gc.disable()
+def seldom_collected() -> Iterator[None]:
+    """Let the garbage collector run seldom: it takes a third of the time of compiling."""
+    thresholds = gc.get_threshold()
+    gc.set_threshold(10_000, 20, 20)
     try:
         yield
     finally:
-        if enabled:
-            gc.enable()
+        gc.set_threshold(*thresholds)
+
+
+def release_compiler() -> None:
+    """
+    Return the memory of the compiler's own code, some 35 MiB, to the system.
+
+    A process that has compiled what it needs keeps these pages for nothing. They are as on disk,
+    and read again should the compiler be called once more. Linux only; elsewhere nothing happens.
+    """
+    maps = Path('/proc/self/maps')
+    for line in maps.read_text().splitlines() if maps.exists() else ():
+        if 'libllvmlite' in line and 'r-xp' in line:
+            start, end = (int(address, 16) for address in line.split()[0].split('-'))
+            ctypes.CDLL(None).madvise(
+                ctypes.c_void_p(start), ctypes.c_size_t(end - start), mmap.MADV_DONTNEED)
 
 
 def as_inputs(*arrays: *Arrays) -> tuple[*Arrays]:

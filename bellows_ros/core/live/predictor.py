@@ -11,7 +11,7 @@ import math
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import uncollected
+from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
@@ -464,7 +464,6 @@ class LivePredictor:
         return now
 
 
-@uncollected()
 def _at_tip(
     twist: TwistSample, lever: Vector, turn: Quaternion, q: Quaternion, in_world: bool
 ) -> TwistSample:
@@ -477,6 +476,7 @@ def _at_tip(
     return TwistSample(twist.stamp_ns, v, t3.apply_transposed(R_tip, w))
 
 
+@seldom_collected()
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
     """Compile everything, by predicting made-up data in a temporary predictor."""
     live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)

@@ -154,3 +154,27 @@ def test_a_kernel_is_of_what_it_names_in_modules(change):
         module.LIMIT = 3.0
     jit._source_digest.cache_clear()
     assert jit._source_digest(names['kernel']) != before
+
+
+RELEASE = """
+import json
+import numpy
+from bellows_ros.core.geometry import jit, tuples
+def resident():
+    lines = open('/proc/self/status').read().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith('VmRSS'))
+tuples.cross((1., 0., 0.), (0., 1., 0.))
+before = resident()
+jit.release_compiler()
+after = resident()
+twice = jit.kernel(lambda x: x + x)
+print(json.dumps([before - after, twice(2.5), tuples.dot((1., 2., 3.), (1., 1., 1.))]))
+"""
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: there is no compiler')
+@pytest.mark.skipif(not Path('/proc/self/maps').exists(), reason='only Linux lists its pages')
+def test_the_memory_of_the_compiler_is_returned_and_it_compiles_on():
+    returned, *results = run(RELEASE)
+    assert returned > 10_000  # kB
+    assert results == [5.0, 6.0]
