@@ -212,8 +212,12 @@ def verdict_of(
         return FitVerdict((), diagnosis, values)
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)
-    return FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values,
-                      fit.method == 'output_error')
+    found = FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values,
+                       fit.method == 'output_error')
+    if found.refusals and not found.cause:  # the output error sees less than wrenches show
+        found = found._replace(diagnosis=diagnosis._replace(
+            findings=(*fit.causes, *diagnosis.findings)))
+    return found
 
 
 def _simulated(cup: Cup, recording: Recording) -> Simulated:

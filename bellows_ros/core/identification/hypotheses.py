@@ -47,6 +47,9 @@ CHANCE = 2.5
 COST = 0.1
 """Part by which squares must fall for each number that is freed."""
 
+ONE_OF_MANY = 3.0
+"""What leaves more squares, in those expected of noise and rubber, is not all that is wrong."""
+
 QUICK_ROUNDS, MOST_RETRIED, MOST_FINDINGS = 3, 6, 2
 """Rounds of a first look without regard to noise; how many are tried again, and returned."""
 
@@ -324,9 +327,10 @@ def _finding(
         others = min([before.excess, *(t.solved.excess for t in tried if t is not trial)])
         certain = others - trial.solved.excess > least
     else:
-        certain = left < DISTINCT**2 * first + _chance(before) and left < DISTINCT * first and all(
-            dominated(t) for t in tried
-            if t.hypothesis.name != own.name and not any(t is i for i in instead))
+        certain = left < DISTINCT**2 * first + _chance(before) and (
+            left < DISTINCT * first and excess < ONE_OF_MANY) and all(
+                dominated(t) for t in tried
+                if t.hypothesis.name != own.name and not any(t is i for i in instead))
     if len(theta):
         certain = certain and bool(np.any(np.abs(theta) > SIGNIFICANT * std))
     diagonal = [i for i, (row, column) in enumerate(structure.leads)

@@ -83,7 +83,7 @@ def dragged(row, o, turn, way):
 class Laboratory:
     """A cup and a package, how they are recorded, and what is said of them."""
 
-    def __init__(self, seed, soft=0.0, coloured=False):
+    def __init__(self, seed, soft=0.0, coloured=False, seconds=20.0):
         rng = self.rng = np.random.default_rng((11, seed))
         lateral, axial, turning = np.exp(rng.uniform(-0.4, 0.4, 3))
         self.K = np.array([6000.0 * lateral] * 2 + [11000.0 * axial] + [4.2 * turning] * 2
@@ -101,18 +101,23 @@ class Laboratory:
         self.apart, self.friction = np.zeros(6), 0.0
         self.slipped, self.level, self.low_pass_hz = np.zeros(3), np.eye(3), 0.0
         self.twist_unit, self.w_first, self.occluded, self.exchanged = 0.0, (), False, False
-        self.motion = shake(duration=20.0, seed=int(rng.integers(1 << 30)))
+        self.motion = shake(duration=seconds, seed=int(rng.integers(1 << 30)))
+        self.law = lambda when, deflection: self.K
         self.soften(soft)
 
     def soften(self, part):
         """Take a spring whose stiffness falls by a part up to the largest deflection."""
-        def law(when, deflection):
-            return self.K * np.maximum(1.0 - part * (radial(deflection) / LARGEST) ** 2, 0.4)
-        self.law = law
+        self.vary(lambda when, deflection: np.maximum(
+            1.0 - part * (radial(deflection) / LARGEST) ** 2, 0.4))
+
+    def vary(self, factor):
+        """Multiply the stiffness by a factor of time and deflection."""
+        law = self.law
+        self.law = lambda *now: law(*now) * factor(*now)
 
     def say(self, mass=1.0, inertia=1.0, com=0.0):
-        """Say another package."""
-        own = self.package
+        """Say another package than was said before."""
+        own = self.said
         self.said = Package(mass * own.mass, inertia * own.inertia, own.com + com)
 
     def recordings(self):
@@ -235,7 +240,7 @@ def _far_worlds(own):
 
 def _drift(own):
     part = either(own.rng, 0.2, 0.4)
-    own.law = lambda when, deflection: own.K * (1.0 + part * (when - 0.5))
+    own.vary(lambda when, deflection: 1.0 + part * (when - 0.5))
 
 
 def _friction(own):

@@ -60,6 +60,14 @@ def test_poses_of_the_lip_that_put_it_above_the_tool_are_no_exchanged_topics():
     assert named(laboratory, 'recording.package_frame: lip') == 'right'
 
 
+def test_of_two_faults_none_is_certain_alone():
+    laboratory = Laboratory(512, seconds=12.0)
+    for fault in ('inertia', 'package frame'):
+        FAULTS[fault][0](laboratory)
+    first, *_ = diagnosed(laboratory)
+    assert first.name == 'recording.package_frame' and first.likely and not first.certain
+
+
 def test_no_spring_explains_a_wrong_centre_of_mass_that_is_negative_at_rest():
     laboratory = Laboratory(245)
     FAULTS['centre of mass along z'][0](laboratory)
