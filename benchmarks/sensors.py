@@ -7,11 +7,14 @@ Every recording is of another motion, simulated; the search starts from K and P 
 Of every cell the table says by how much the parameters are off on average (bias) and how they
 spread, over the Cramer-Rao bound (the information along the true motion, whatever the path of the
 tool), which part of the 95 % intervals holds the truth, the mean Mahalanobis distance of all
-parameters over their number, and how many fits converged. Only numbers whose bound is below 20 %
-are judged.
+parameters over their number, by how many standard errors K is off at most, which part of the
+numbers was told, and how many fits converged. Only numbers whose bound is below 20 % are judged.
 """
 
 import argparse
+from collections.abc import Sequence
+import json
+from pathlib import Path
 import time
 from typing import NamedTuple
 
@@ -154,42 +157,57 @@ def _arrivals(stamps: Stamps, jitter: float, rng: np.random.Generator) -> Stamps
     return np.asarray(np.maximum.accumulate(stamps + late) + np.arange(len(stamps)))
 
 
-def line(
-    name: str, cell: Cell, runs: int, duration: float, form: str
-) -> str:
-    """Return the line of a cell."""
-    structure, cup = structure_named(form), Cup.thesis()
+class Trial(NamedTuple):
+    """A fit: errors, standard errors and bounds over sizes, Mahalanobis, converged, CPU s."""
+
+    error: Array
+    std: Array
+    bound: Array
+    mahalanobis: float
+    converged: bool
+    seconds: float
+
+
+def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:
+    """Return how well a cell's recording tells the cup."""
+    structure, cup, began = structure_named(form), Cup.thesis(), time.process_time()
     truth = structure.parameters(cup.stiffness, cup.damping)
     sizes = structure.sizes(cup.stiffness, cup.damping)
     start = Cup(2.0 * cup.stiffness, 2.0 * cup.damping, cup.length)
-    rows: list[tuple[Array, Array, Array, float]] = []
     free = {name: np.full(KINDS[name].size, KINDS[name].wide)
             for name in APART} if cell.apart else {}
-    converged, began = 0, time.process_time()
-    for seed in range(runs):
-        fit = output_error(recorded(seed, cell, duration), structure, start, None, free)
-        true = recorded(seed, cell._replace(apart=False), duration, 0.0)
-        search = Search([Segment(own) for own in true], structure, cup, free)
-        parts, _, _ = search.system(search.start, 0.0)
-        information = parts[0].jacobian.T @ parts[0].jacobian + np.diag(search.weights)
-        bound = np.sqrt(np.diag(np.linalg.inv(information))[:len(sizes)]) * (
-            search.units[:len(sizes)] / sizes)
-        error, std = (fit.parameters - truth) / sizes, np.sqrt(np.diag(fit.covariance)) / sizes
-        known = np.isfinite(std)
-        left = error[known]
-        covariance = fit.covariance[np.ix_(known, known)] / np.outer(sizes[known], sizes[known])
-        rows.append((error, std, bound, float(
-            left @ np.linalg.solve(covariance, left)) / max(known.sum(), 1)))
-        converged += fit.converged
-    error, std, bound = (np.array([row[i] for row in rows]) for i in range(3))
+    fit = output_error(recorded(seed, cell, duration), structure, start, None, free)
+    seconds = time.process_time() - began
+    true = recorded(seed, cell._replace(apart=False), duration, 0.0)
+    search = Search([Segment(own) for own in true], structure, cup, free)
+    parts, _, _ = search.system(search.start, 0.0)
+    information = parts[0].jacobian.T @ parts[0].jacobian + np.diag(search.weights)
+    bound = np.sqrt(np.diag(np.linalg.inv(information))[:len(sizes)]) * (
+        search.units[:len(sizes)] / sizes)
+    error, std = (fit.parameters - truth) / sizes, np.sqrt(np.diag(fit.covariance)) / sizes
+    known = np.isfinite(std)
+    left = error[known]
+    covariance = fit.covariance[np.ix_(known, known)] / np.outer(sizes[known], sizes[known])
+    return Trial(error, std, bound, float(
+        left @ np.linalg.solve(covariance, left)) / max(known.sum(), 1), fit.converged, seconds)
+
+
+def line(name: str, trials: Sequence[Trial]) -> str:
+    """Return the line of a cell."""
+    error, std, bound = (np.array([each[i] for each in trials]) for i in range(3))
     judged = bound.mean(axis=0) < JUDGED
     rms = np.sqrt(np.mean((error / bound) ** 2, axis=0))[judged]
     bias = (error.mean(axis=0) / bound.mean(axis=0))[judged]
-    covered = 100.0 * np.mean((np.abs(error) < 1.96 * std)[:, judged])
-    return (f'| {name}, {form} | {np.sqrt(np.mean(rms**2)):.2f} ({rms.max():.2f}) | '
-            f'{np.sqrt(np.mean(bias**2)):.2f} ({np.abs(bias).max():.2f}) | {covered:.0f} | '
-            f'{np.mean([row[3] for row in rows]):.2f} | {judged.sum()} of {len(truth)} | '
-            f'{converged} of {runs} | {(time.process_time() - began) / runs:.1f} |')
+    z = (np.abs(error) / std)[:, judged]
+    told = np.isfinite(std[:, judged])
+    off = z[:, np.flatnonzero(judged) < error.shape[1] // 2].max(initial=0.0)
+    return (f'| {name} | {np.sqrt(np.mean(rms**2)):.2f} ({rms.max():.2f}) | '
+            f'{np.sqrt(np.mean(bias**2)):.2f} ({np.abs(bias).max():.2f}) | '
+            f'{100.0 * np.mean(z[told] < 1.96):.0f} | '
+            f'{np.mean([each.mahalanobis for each in trials]):.2f} | {off:.1f} | '
+            f'{judged.sum()} of {error.shape[1]}, {100.0 * told.mean():.0f} % | '
+            f'{sum(each.converged for each in trials)} of {len(trials)} | '
+            f'{np.mean([each.seconds for each in trials]):.1f} |')
 
 
 def main() -> None:
@@ -199,12 +217,27 @@ def main() -> None:
     parser.add_argument('--duration', type=float, default=30.0, help='of a recording, s')
     parser.add_argument('--structure', default='axisymmetric')
     parser.add_argument('--cells', nargs='+', choices=CELLS, default=list(CELLS))
+    parser.add_argument('--rows', type=Path, help='keep every fit here, and make none twice')
     arguments = parser.parse_args()
     print('| sensors | rms / bound (worst) | bias / bound (worst) | covered % | Mahalanobis | '
-          'judged | converged | CPU s |\n|---|---|---|---|---|---|---|---|')
+          'K off by at most | judged, told | converged | CPU s |\n'
+          '|---|---|---|---|---|---|---|---|---|')
+    kept = {}
+    if arguments.rows and arguments.rows.exists():
+        for text in arguments.rows.read_text().splitlines():
+            key, values = json.loads(text)
+            kept[tuple(key)] = Trial(*map(np.array, values[:3]), *values[3:])
     for name in arguments.cells:
-        print(line(name, CELLS[name], arguments.runs, arguments.duration, arguments.structure),
-              flush=True)
+        trials = []
+        for seed in range(arguments.runs):
+            key = f'{name}, {arguments.structure}', arguments.duration, seed
+            if key not in kept:
+                kept[key] = trial(CELLS[name], seed, arguments.duration, arguments.structure)
+                if arguments.rows:
+                    with arguments.rows.open('a') as rows:
+                        rows.write(json.dumps([key, kept[key]], default=np.ndarray.tolist) + '\n')
+            trials.append(kept[key])
+        print(line(key[0], trials), flush=True)
 
 
 if __name__ == '__main__':

@@ -46,11 +46,11 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
-LARGEST_SHARE = 0.25
-"""Share of noise in the information on what is identifiable."""
+LARGEST_SHARE, MOST_OF_ERROR = 0.9, 0.5
+"""Most noise in information that errors allow for, and in the error of what is identifiable."""
 
-SEED, DRAWS, SHAKEN, LEAST_SHAKEN = 0, 2, 3.0, 0.1
-"""Of the noise with which that is looked at, its draws, and its sizes in that of the poses."""
+SEED, SHAKEN, LEAST_SHAKEN = 0, 3.0, 0.1
+"""Of the noise with which that is looked at, and its sizes in that of the poses."""
 
 MOST_CHI2 = 1.2
 """Chi^2 per degree of freedom that is put down to noise."""
@@ -159,17 +159,29 @@ def _relaxes(search: Search, found: Minimum) -> bool:
     (own,) = search.places['relaxation']
     r = np.add(search.given.relaxation, found.theta[own] * search.units[own])
     return bool(r @ np.linalg.solve(
-        covariance_of(search, found)[np.ix_(own, own)], r) > SIGNIFICANT)
+        covariance_of(search, found)[0][np.ix_(own, own)], r) > SIGNIFICANT)
 
 
-def covariance_of(search: Search, found: Minimum) -> Array:
-    """Return the covariance (m, m) of the unknowns, SI units; by the jackknife."""
+def covariance_of(
+    search: Search, found: Minimum, noise: Array | None = None
+) -> tuple[Array, Array]:
+    """
+    Return the covariance (m, m) of the unknowns, SI units, and what noise (m,) is of their errors.
+
+    By the jackknife. Information that is noise (m, m) in the derivatives steers no step.
+    """
     directions = np.linalg.inv(np.linalg.cholesky(found.information)).T
+    shares = np.zeros(len(directions))
+    if noise is not None:
+        shares, turn = np.linalg.eigh(directions.T @ noise @ directions)
+        directions = directions @ turn
     scatter = excess(np.array([
         directions.T @ gradient for segment, own in zip(search.segments, found.parts, strict=True)
         for gradient in left_out(found.information, own, segment.period)]))
-    covariance = (directions * np.maximum(scatter, 1.0)) @ directions.T
-    return np.asarray(covariance * np.outer(search.units, search.units))
+    wide = directions / (1.0 - np.clip(shares, 0.0, LARGEST_SHARE))
+    covariance = (wide * np.maximum(scatter, 1.0)) @ wide.T
+    return (np.asarray(covariance * np.outer(search.units, search.units)),
+            1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1)))
 
 
 def _fit(
@@ -178,14 +190,13 @@ def _fit(
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
     size, x = search.count, search.units * found.theta
-    covariance = covariance_of(search, found)
+    covariance, shares = covariance_of(search, found, noise_information(search, found))
     std = np.sqrt(np.diag(covariance))
     cup, largest = search.cup(found.theta), np.full(len(x), np.inf)
     largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name in named:
         largest[search.places[name]] = KINDS[name].known
-    shares = noise_shares(search, found)
-    known = (std <= largest) & (shares <= LARGEST_SHARE) & found.converged
+    known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
     notes = [*_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size])]
     strengths = [(0.0, 0.0), (0.0, 0.0)]
     if 'relaxation' in search.places:
@@ -231,23 +242,22 @@ def _fit(
     )
 
 
-def noise_shares(search: Search, found: Minimum) -> Array:
+def noise_information(search: Search, found: Minimum) -> Array:
     """
-    Return which part of the information on each unknown (m,) is of noise, not of motion.
+    Return the information (m, m) on the unknowns that is of noise, not of motion.
 
-    Noise in the path shakes the simulated package, too. With some more of it, information of
-    motion stays, and that of noise grows with the noise squared.
+    Noise in the path shakes the simulated package, too. With some more of it, once with either
+    sign, information of motion stays, and that of noise grows with the noise squared.
     """
-    draw, noisier = np.random.default_rng(SEED), copy(search)
-    before, size = 1.0 / np.diag(np.linalg.inv(found.information)), SHAKEN
-    shares = list[Array]()
-    while len(shares) < DRAWS:
-        noisier.segments = []
+    noisier, size, more = copy(search), SHAKEN, list[Array]()
+    while len(more) < 2:
+        noisier.segments, draw = [], np.random.default_rng(SEED)
         for own in search.segments:
             measured = own.measured
             noise = BodyNoise(own.std, measured.package_noise.kept), measured.tool_noise
-            package, tool = (_shaken(body, seen, size, draw) for body, seen in zip(
-                (measured.package, measured.tool), noise, strict=True))
+            package, tool = (
+                _shaken(body, seen, size * (-1.0) ** len(more), draw)
+                for body, seen in zip((measured.package, measured.tool), noise, strict=True))
             noisier.segments.append(Segment(replace(measured, tool=tool, package=package)))
             noisier.segments[-1].first, noisier.segments[-1].std = own.first, own.std
         parts, H, g = noisier.system(found.theta, 0.0)
@@ -255,12 +265,12 @@ def noise_shares(search: Search, found: Minimum) -> Array:
             noisier.take(parts)
             H, g = noisier.system(found.theta, 0.0)[1:]
         if np.all(np.isfinite(g)):
-            shares.append((1.0 / np.diag(np.linalg.inv(H)) / before - 1.0) / size**2)
+            more.append((H - found.information) / size**2)
         elif size < LEAST_SHAKEN:
-            return np.full(len(before), np.inf)
+            return found.information
         else:  # so much noise turns the package over
-            size *= 0.5
-    return np.asarray(np.mean(shares, axis=0))
+            size, more = 0.5 * size, []
+    return np.asarray(np.mean(more, axis=0))
 
 
 def _shaken(
@@ -281,9 +291,9 @@ def _unknown(search: Search, errors: Array, shares: Array, known: Mask) -> Itera
             known.tolist(), strict=True):
         less = LARGEST_ERROR / error
         how = remedy_for(label.split()[1], search.structure)
-        if error < 1.0 and share > LARGEST_SHARE:
-            yield (f'{label} is not identifiable: what moves there is {min(share, 1.0):.0%} '
-                   f'noise; {how}.')
+        if share > MOST_OF_ERROR and (1.0 - share) * error < 1.0:
+            yield (f'{label} is not identifiable: {share:.0%} of its standard error is of noise '
+                   f'that moves it; {how}.')
         elif error >= 1.0:  # the prior limits it
             yield (f'{label} is not identifiable: its standard error is as large as itself or '
                    f'larger; {how}, or measure with less noise.')

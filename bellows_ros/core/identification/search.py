@@ -42,14 +42,14 @@ from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Pac
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
 from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import row_state, state_row, tool_rows
+from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import pose_noise, Recording
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import bridged, first_order, savgol
 from bellows_ros.core.signals.timing import MAD_TO_STD, subdivided
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -70,6 +70,9 @@ START = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
 Standard deviation of the package's first state about its first pose, at rest, and of internal
 strains; SI units.
 """
+
+SWINGING, RINGING = 3.0, 60.0
+"""Standard deviations of a pose beyond which a package swings at first, and 1/s of its twist."""
 
 LEAST_STRENGTH, ORDINARY_STRENGTH = 1e-6, 0.05
 """Strengths of relaxation are not below the first where they are searched for; of soft rubber."""
@@ -550,6 +553,7 @@ class Search:
         tool = tool_rows(resample(segment.path, nodes.stamps))
         expected, first = (
             adapted(model, row_state(tool[0]), body) for body in (segment.expected, segment.first))
+        first = _shrunk(model, tool[0], first, segment.std)
         numbers, moves, delay = self._columns(segment, free, raw)
         count, size, inner = len(nodes.stamps), len(raw), inner_states(first)
         coloured, kept = noise.kept > 0.0, segment.measured.tool_noise.kept
@@ -623,6 +627,21 @@ def _roots(M: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(M)
     root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     return (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+
+
+def _shrunk(model: ModelTuple, tool: Array, first: State, std: Array) -> State:
+    """
+    Return a first state that hangs at rest but for what exceeds the noise of the poses.
+
+    Noise in it would ring, and that the derivatives would take for motion.
+    """
+    try:
+        hanging = rest(model, tool)
+    except UnstableError:
+        return first
+    away = _away(hanging, first)
+    size = np.max(np.abs(away[:12]) / np.concatenate([std, RINGING * std])) / SWINGING
+    return with_mean(hanging, (1.0 - max(size, 1.0) ** -2) * away[:, None])
 
 
 def _away(body: State, other: State) -> Array:
