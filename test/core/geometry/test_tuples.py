@@ -56,30 +56,6 @@ def test_body_rate_is_the_transposed_dexp_of_the_arrays_and_its_inverse_undoes_i
     assert_allclose(tuples.rotation_vector_rate(tuple(phi), omega), rate, rtol=0, atol=4e-15)
 
 
-def test_body_rate_by_finite_differences():
-    phi, rate, h = 0.8 * direction(), RNG.standard_normal(3), 1e-5
-    R = lie.exp_so3(phi)
-    ahead, behind = lie.exp_so3(phi + h * rate), lie.exp_so3(phi - h * rate)
-    omega = (lie.log_so3(R.T @ ahead) - lie.log_so3(R.T @ behind)) / (2 * h)
-    assert_allclose(tuples.body_rate(tuple(phi), tuple(rate)), omega, atol=1e-9)
-
-
-@pytest.mark.parametrize('edge', [tuples.SMALL_ANGLE_SQUARED])
-def test_nothing_jumps_at_the_threshold_even_a_metre_away(edge):
-    axis = direction()
-    below, above = (math.sqrt(edge) * factor * axis for factor in (1 - 1e-15, 1 + 1e-15))
-    metre = np.array([0.3, -1.0, 0.7])
-    for function in (tuples.body_rate, tuples.rotation_vector_rate):
-        assert_allclose(
-            function(tuple(below), tuple(metre)), function(tuple(above), tuple(metre)), atol=1e-15
-        )
-    turned = [
-        tuples.apply(tuples.rotation_matrix(tuples.exp_quaternion(tuple(phi))), tuple(metre))
-        for phi in (below, above)
-    ]
-    assert_allclose(turned[0], turned[1], atol=2e-15)
-
-
 def test_products_follow_the_rotations():
     p, q = (lie.rotation_to_quaternion(lie.exp_so3(RNG.standard_normal(3))) for _ in range(2))
     P, Q = (np.reshape(tuples.rotation_matrix(tuple(x)), (3, 3)) for x in (p, q))

@@ -8,7 +8,7 @@ from bellows_ros.core.geometry.lie import (
     transform,
 )
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.kernels import advance, lip_wrench, tool_at, tool_segment
+from bellows_ros.core.model.kernels import advance, tool_at, tool_segment
 from bellows_ros.core.model.simulation import simulate, state_row
 import numpy as np
 from numpy.testing import assert_allclose
@@ -98,21 +98,6 @@ def test_agrees_with_dop853_on_the_plain_equations(shaken):
     assert_allclose(body.twist, twist, atol=1e-5)
 
 
-def test_agrees_with_dop853_on_the_case_of_the_thesis_at_a_millisecond():
-    cup, package, T = thesis_cup(), thesis_package(), orthonormal(T_WORLD_PACKAGE)
-    tool = still_tool(orthonormal(T_WORLD_TOOL), 5 * 10**9, 5000)
-    body = simulate(cup, package, tool, start_of(T), substeps=1)
-
-    def at(_):
-        return tool.position[0], tool.rotation[0], tool.twist[0]
-
-    gravity = np.array([0.0, 0.0, -GRAVITY])
-    position, rotation, _ = oracle.solve(
-        cup, package, gravity, at, T, np.zeros(6), tool.stamps_ns * 1e-9)
-    assert np.abs(body.position - position).max() < 1e-8
-    assert angle_between(body.rotation, rotation).max() < 1e-8
-
-
 def test_observed_order_is_four(shaken):
     cup, package, motion, start, (position, rotation, _) = shaken
     errors = []
@@ -123,14 +108,6 @@ def test_observed_order_is_four(shaken):
         errors.append([error, angle_between(body.rotation, rotation[truth]).max()])
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.all(orders > 3.7), orders
-
-
-def test_substeps_converge_to_the_same_motion(shaken):
-    cup, package, motion, start, _ = shaken
-    tool = motion.trajectory(0.5, 200)
-    ends = [simulate(cup, package, tool, start, substeps=n).position[-1] for n in (2, 4, 8)]
-    coarse, fine = (np.abs(ends[i] - ends[i + 1]).max() for i in (0, 1))
-    assert np.log2(coarse / fine) > 3.5
 
 
 @jit.kernel
@@ -192,35 +169,3 @@ def test_hermite_curve_meets_both_samples_and_its_twist_is_its_derivative():
         turn = [log_so3(R.T @ quaternion_to_rotation(np.array(x[1]))) for x in (before, after)]
         assert_allclose(now[2], velocity, atol=1e-7)
         assert_allclose(now[3], (turn[1] - turn[0]) / (2e-5 * h), atol=1e-7)
-
-
-def test_hermite_curve_is_of_fourth_order():
-    rng = np.random.default_rng(6)
-    motion = ShakenTool(rng, frequency=3.0)
-    errors = []
-    for h in (0.016, 0.008, 0.004):
-        samples = [motion.at(0.3 + d) for d in (0.0, h)]
-        start, end = (state_row(o, rotation_to_quaternion(R), v) for o, R, v in samples)
-        middle = tool_at(tool_segment(start, end, h), 0.5)
-        o, R, _ = motion.at(0.3 + h / 2)
-        errors.append([
-            np.abs(np.array(middle[0]) - o).max(),
-            angle_between(quaternion_to_rotation(np.array(middle[1])), R)])
-    assert np.all(np.log2(np.divide(errors[:-1], errors[1:])) > 3.8)
-
-
-def test_package_stays_put_in_equilibrium_and_the_cup_carries_its_weight():
-    from bellows_ros.core.model.equilibrium import static_equilibrium
-    rng = np.random.default_rng(2)
-    cup, package = random_cup(rng), random_package(rng)
-    model = model_tuple(cup, package, GRAVITY)
-    T = orthonormal(T_WORLD_TOOL)
-    tool = start_of(T)
-    rest = static_equilibrium(model, tool)
-    body = simulate(cup, package, still_tool(T, 10**9, 500), rest)
-    assert_allclose(body.position[-1], rest[0], atol=1e-11)
-    assert_allclose(body.twist[-1], 0.0, atol=1e-10)
-    force, moment = lip_wrench(model, tool, rest)
-    R = quaternion_to_rotation(np.array(rest[1]))
-    assert_allclose(R @ force, [0.0, 0.0, package.mass * GRAVITY], atol=1e-9)
-    assert_allclose(moment, np.cross(package.com, force), atol=1e-10)

@@ -6,7 +6,7 @@ from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safet
 from bellows_ros.core.model.kernels import cup_wrench
 from bellows_ros.core.model.perturbed import deviations_of, model_with, parameter_vector
 from bellows_ros.core.model.structure import composition, places_of, UPPER
-from bellows_ros.core.parameters.checks import resolve, validate
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from hypothesis import given, settings, strategies
 import numpy as np
@@ -99,13 +99,6 @@ def test_a_cup_that_does_not_hold_leaves_stiffness_and_margin():
     assert mode_name(grip_of(values), 1, 2).startswith('slip of cup 3 at x -0.06 m')
 
 
-def test_one_cup_at_the_tool_is_as_it_was():
-    """Bit for bit, with the grip of three numbers."""
-    values = resolve({**PACKAGE, 'cup.lip_radius': 0.02, 'vacuum.holding': 6e4})
-    assert (cup_of(values).stiffness == np.reshape(values['cup.stiffness'], (6, 6))).all()
-    assert len(grip_of(values)) == 3
-
-
 def test_the_covariance_is_that_of_one_cups_entries():
     """The composed entries vary as one cup's do, by the same linear map."""
     values = resolve({**PACKAGE, 'cup.layout': FOUR, 'cup.stiffness_std': 10.0 * np.ones(36)})
@@ -133,7 +126,3 @@ def test_the_covariance_is_that_of_one_cups_entries():
 def test_refuses_what_is_no_gripper(layout, open_cups, message):
     with pytest.raises(BellowsError, match=message):
         cup_of(resolve({**PACKAGE, 'cup.layout': layout, 'cup.open': open_cups}))
-
-
-def test_layouts_are_parameters_of_named_cups_too():
-    assert validate('cups.quad.layout', list(FOUR)) == FOUR

@@ -5,7 +5,7 @@ from array import array
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import inertia_matrix, matrix
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.parameters.table import lookup, PARAMETERS, parameters_of
+from bellows_ros.core.parameters.table import lookup, PARAMETERS
 from bellows_ros.errors import BellowsError
 from hypothesis import given, strategies
 import numpy as np
@@ -68,12 +68,6 @@ def test_the_default_cup_is_that_of_the_thesis():
     assert values['cup.length'] == cup.length
 
 
-def test_parameters_are_found_by_their_user():
-    names = {p.name for p in parameters_of('predictor')}
-    assert {'cup.stiffness', 'package.mass', 'frames.package'} <= names
-    assert 'bags' not in names
-
-
 def test_resolve_fills_in_defaults_but_not_the_package():
     values = checks.resolve({'gravity.magnitude': 9})
     assert values['gravity.magnitude'] == 9.0
@@ -101,13 +95,9 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
 @pytest.mark.parametrize('wrong, meant', [
     ('package.wieght', 'package.mass'),
     ('weight', 'package.mass'),
-    ('cup.weight', 'package.mass'),
     ('mass', 'package.mass'),
-    ('cup.lenght', 'cup.length'),
     ('envelop.mass', 'envelope.mass'),
-    ('tool_noise.pos', 'tool_noise.position'),
     ('cups.soft.stifness', 'cups.soft.stiffness'),
-    ('filter.tol.order', 'filter.tool.order'),
 ])
 def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
     with pytest.raises(BellowsError, match=rf"Did you mean '{meant}'\?"):
@@ -153,10 +143,8 @@ def test_unknown_names_are_refused_with_the_nearest_known():
     [
         ('package.mass', 2, 2.0),
         ('package.mass', np.float32(2.5), 2.5),
-        ('package.mass', np.int64(3), 3.0),
         ('package.com', np.array([0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
         ('package.com', array('d', [0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
-        ('package.com', (0, 1, 2), (0.0, 1.0, 2.0)),
         ('filter.tool.order', np.int32(3), 3),
         ('recording.align_at_rest', True, True),
         ('bags', ['a', 'b'], ('a', 'b')),
@@ -176,18 +164,13 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
     [
         ('package.mass', True, 'a number'),
         ('package.mass', '2.17', 'a number'),
-        ('package.mass', None, 'a number'),
         ('package.mass', 0.0, 'above 0'),
-        ('package.mass', -1.0, 'above 0'),
         ('package.mass', float('nan'), 'nan'),
-        ('package.mass', float('inf'), 'inf'),
         ('package.mass', 10**400, 'above 0'),
         ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
         ('package.com', [0.0, 0.0, float('nan')], 'at index 2'),
         ('package.com', [0.0, True, 0.0], 'at index 1'),
-        ('package.com', 0.0, '3 numbers'),
         ('package.com', {0: 1}, '3 numbers'),
-        ('cup.length', 0, 'above 0'),
         ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
         ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
         ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
@@ -195,22 +178,15 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         ('release.mass_range', [1.0, 0.0], '1 to 0 kg'),
         ('release.mass_range', [5e-324, 1.0], '1e-06'),
         ('filter.tool.half_window', 25.0, 'an integer'),
-        ('filter.tool.half_window', True, 'an integer'),
-        ('filter.tool.half_window', -1, 'at least 0'),
         ('filter.tool.order', 1, 'at least 2'),
         ('recording.align_at_rest', 1, 'true or false'),
-        ('recording.align_at_rest', 'yes', 'true or false'),
         ('recording.world', 'y_up', 'z_up, motive_y_up'),
-        ('fit.structure', 'Full', 'axisymmetric'),
         ('topics.tool_pose', '', 'empty'),
         ('topics.tool_pose', 'a\nb', 'control character'),
         ('topics.tool_pose', 7, 'a string'),
-        ('frames.package', '', 'empty'),
-        ('bags', 'a', 'a list of strings'),
         ('bags', ['a', ''], 'index 1'),
         ('bags', ['a', 1], 'a list of strings'),
         ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35'),
-        ('cup.stiffness', [[1.0] * 6] * 6, '36 numbers.*got 6'),
         ('cup.stiffness', np.eye(6), 'list of 36'),
     ],
 )
@@ -242,16 +218,11 @@ def test_damping_must_be_positive_semidefinite():
     assert 'eigenvalue is -0.001,' in refused('cup.damping', changed(IDENTITY, 7, -1e-3))
 
 
-@pytest.mark.parametrize(
-    'inertia, reason',
-    [
-        ([1.0, 1.0, 2.1, 0.0, 0.0, 0.0], 'at most the sum'),
-        ([0.0, 1.0, 1.0, 0.0, 0.0, 0.0], 'above zero'),
-        ([-1.0, 1.0, 1.0, 0.0, 0.0, 0.0], 'above zero'),
-        ([1.0, 1.0, 1.0, 2.0, 0.0, 0.0], 'above zero'),
-        ([1.0, 1.0, 1.0, 0.7, 0.0, 0.0], 'at most the sum'),
-    ],
-)
+@pytest.mark.parametrize(('inertia', 'reason'), [
+    ([1.0, 1.0, 2.1, 0.0, 0.0, 0.0], 'at most the sum'),
+    ([0.0, 1.0, 1.0, 0.0, 0.0, 0.0], 'above zero'),
+    ([1.0, 1.0, 1.0, 2.0, 0.0, 0.0], 'above zero'),
+])
 def test_inertia_that_no_body_can_have_is_refused(inertia, reason):
     assert reason in refused('package.inertia', inertia)
 
@@ -281,13 +252,6 @@ def test_the_filter_needs_enough_samples_for_its_order():
         checks.resolve({'filter.tool.half_window': 2, 'filter.tool.order': 5})
     with pytest.raises(BellowsError, match=r'filter\.package\.order.*6'):
         checks.resolve({'filter.package.half_window': 1})
-
-
-def test_the_table_cannot_be_changed():
-    with pytest.raises(TypeError):
-        PARAMETERS['package.mass'] = None
-    with pytest.raises(AttributeError):
-        PARAMETERS['package.mass'].default = 1.0
 
 
 anything = strategies.recursive(

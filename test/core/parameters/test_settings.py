@@ -48,7 +48,6 @@ def test_what_is_not_given_has_its_default():
             "'rate' must be a number, above 3 (Hz), got 3.",
         ),
         (lambda s: s.number('missing', unit='Hz'), "'missing' is missing; it must be a number"),
-        (lambda s: s.number('none'), "'none' is missing"),
         (lambda s: s.number('on'), "'on' must be a number, got False (bool)."),
         (lambda s: s.number('huge'), "'huge' must be a number, got 1000"),
         (lambda s: s.number('count', least=0.0, most=1.0), 'at least 0 and at most 1, got 2.'),
@@ -61,9 +60,7 @@ def test_what_is_not_given_has_its_default():
         (lambda s: s.numbers('vector', 'Hz', least=0.0),
          'numbers, each at least 0 (Hz), got -3 at index 2.'),
         (lambda s: s.block('rate'), "Setting 'rate' must hold names and values, got 3."),
-        (lambda s: s.blocks('inner'), "'inner' must be a list of one or more blocks"),
         (lambda s: s.blocks('list')[1].number('b'), "'list[1].b' is missing"),
-        (lambda s: s.block('inner').text('size'), "'inner.size' must be a string"),
     ],
 )
 def test_a_wrong_value_is_named_with_what_it_must_be(read, message):

@@ -1,7 +1,7 @@
 """From points to a plan: splines against known motions, and what no arm does refused."""
 
 from bellows_ros.core.geometry.lie import log_so3, rotation_to_quaternion
-from bellows_ros.core.planning.points import MOST_POINTS, plan_of, refined, timed
+from bellows_ros.core.planning.points import MOST_POINTS, plan_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -70,19 +70,6 @@ def test_sparse_points_are_joined_by_quintics_where_accelerations_are_given(rate
     assert_allclose(in_world_axes.twist, in_tool.twist, atol=1e-5)
 
 
-def test_dense_points_stay_as_they_are():
-    stamps, o, q, v = points(500)
-    plan = plan_of(stamps, o, q, v, twist_frame='tool')
-    assert refined(plan) is plan and len(plan) == len(stamps)
-
-
-def test_half_as_fast_is_twice_as_long():
-    plan = MOVE.plan(100)
-    slow = timed(plan, 2.0)
-    assert slow.seconds[-1] == 2 * plan.seconds[-1]
-    assert_allclose(slow.twist, 0.5 * plan.twist)
-
-
 def changed(index, where, value):
     """Return the points with one number changed."""
     parts = [part.astype(part.dtype).copy() for part in points()]
@@ -95,9 +82,7 @@ def changed(index, where, value):
     ([np.repeat(part[:1], MOST_POINTS + 1, axis=0) for part in points()],
      'has 100001 points; expected 2 to 100000. Thin it out'),
     (changed(1, (7, 0), np.nan), 'point 7 .* holds NaN.*, as 1 of 201 do'),
-    (changed(3, (7, 5), np.inf), 'point 7 .* holds NaN'),
     (changed(2, 9, [0.0, 0.0, 0.0, 2.0]), 'point 9 .* quaternion that is not of unit length'),
-    (changed(2, 9, 0.0), 'not of unit length'),
     (changed(0, 20, 1), r'point 20 .* is at 0.000000 s, after one at 0.076000 s'),
     (changed(0, -1, 700 * 10 ** 9), 'takes 700 s; expected at most 600'),
     (changed(1, (50, 2), 3.0), r'jumps between points 49 and 50: by 2.\d+ m'),

@@ -136,29 +136,6 @@ def test_shaping_is_as_in_the_table():
     assert_allclose(demands(found.tool)['angular_acceleration'], 230.0, atol=5.0)
 
 
-def test_smoothing_is_what_makes_the_inverse_of_a_quintic_depend_on_the_cup(monkeypatch):
-    """Inverted as it is, the quintic of the table leaves less with K 5 % softer: 0.85 deg."""
-    monkeypatch.setattr(steering, 'SMOOTHED', 0.0)
-    tool = steering.steer(MODEL, SLIDE.plan(), 'inverse').tool
-    t, T = followed(tool, SOFTER, 0.3)
-    swing, end = angle(T[:, :3, :3], T[0, :3, :3]), float(tool.seconds[-1])
-    left = max(swing[t > end].max(), np.interp(end, t, swing))
-    own = predict(model_tuple(SOFTER, PACKAGE, 9.81), None, tool).figures()['swing_left']
-    assert_allclose(math.degrees(own), left, rtol=2e-3)
-    assert_allclose(left, 0.85, atol=0.03)
-    assert_allclose(demands(tool)['angular_acceleration'], 446.0, atol=5.0)  # that it costs
-
-
-@pytest.mark.parametrize('move', [SLIDE, Smooth([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)])
-def test_with_an_identified_cup_little_is_left(move):
-    """K and P as identify finds them in bags/identification, with noise of 0.1 mm / 0.5 mrad."""
-    K = np.diag([5395.0, 5395.0, 9192.3, 4.1967, 4.1967, 1.34956])
-    P = np.diag([53.4, 53.4, 24.64, 0.05964, 0.05964, 0.099989])
-    known = model_tuple(Cup(K, P, CUP.length), PACKAGE, 9.81)
-    tool = steering.steer(known, move.plan(), 'inverse').tool
-    assert math.degrees(predict(MODEL, None, tool).figures()['swing_left']) <= 0.15
-
-
 @pytest.mark.parametrize('method', ['zv', 'zvd'])
 def test_impulses_cancel_a_mode(method):
     """Sum of A exp(-s t) is zero at the mode's s; for ZVD its derivative by s, too."""

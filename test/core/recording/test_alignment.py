@@ -3,7 +3,6 @@
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
-    as_recorded,
     in_world,
     standstill,
     world_rotation,
@@ -89,26 +88,6 @@ def test_alignment_is_that_of_the_thesis_at_rest_and_close_to_it_in_motion():
     bending = np.linalg.norm(log_so3(np.swapaxes(R_E, -1, -2) @ R_S), axis=1)
     apart = np.linalg.norm(aligned.position - A_o_S, axis=1)
     assert np.all(apart <= np.linalg.norm(ASIDE) * bending + 1e-12)
-
-
-@pytest.mark.parametrize('frame', ['lip', 'com'])
-def test_poses_as_recorded_are_only_moved_to_the_centre_of_mass(frame):
-    tool, lip = held(np.random.default_rng(42))
-    alignment = as_recorded(frame, COM)
-    recorded = lip if frame == 'lip' else moved(lip, COM, np.eye(3))
-    assert_same_poses(alignment.tool(tool), tool, 1e-15)
-    assert_same_poses(alignment.package(recorded), moved(lip, COM, np.eye(3)), 1e-15)
-
-
-def test_one_alignment_serves_another_recording_of_the_same_markers():
-    tool, lip = held(np.random.default_rng(43))
-    other, other_lip = held(np.random.default_rng(44))
-    found = aligned_at_rest(
-        rest_of(moved(tool, np.zeros(3), TOOL_MARKERS)),
-        rest_of(moved(lip, ASIDE, PACKAGE_MARKERS)), 'lip', COM)
-    assert_same_poses(found.tool(moved(other, np.zeros(3), TOOL_MARKERS)), other, 1e-12)
-    expected = moved(other_lip, COM, np.eye(3))
-    assert_same_poses(found.package(moved(other_lip, ASIDE, PACKAGE_MARKERS)), expected, 1e-12)
 
 
 def test_motive_recordings_come_to_the_world():

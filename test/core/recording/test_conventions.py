@@ -29,7 +29,8 @@ def streams(tool, package):
         for name, body, own in zip(('tool', 'package'), bodies, (tool, package), strict=True)]
 
 
-@pytest.mark.parametrize(('tool', 'package'), list(product(ALL, repeat=2)))
+@pytest.mark.parametrize(('tool', 'package'), [
+    (ALL[0], ALL[0]), (ALL[1], ALL[2]), (ALL[2], ALL[0]), (ALL[3], ALL[3])])
 def test_each_stream_has_its_own(tool, package):
     both = streams(tool, package)
     assert conventions_of(*both) == (tool, package)

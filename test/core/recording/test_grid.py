@@ -49,13 +49,6 @@ def test_a_clock_that_runs_wrong_changes_the_rate_and_nothing_else(drift):
     assert_array_equal(on_grid(moving(stamps), timing(stamps)).stamps_ns, stamps)
 
 
-@pytest.mark.parametrize('steps_ms', [[1, 900], [900, 1], [5, 100, 5], [700, 3000]])
-def test_few_messages_at_any_times_have_a_rate(steps_ms):
-    found = timing(START + np.cumsum([0, *steps_ms]) * 1_000_000)
-    assert 1e3 / max(steps_ms) <= found.rate_hz <= 1e3 / min(steps_ms)
-    assert np.isfinite(found.jitter_s)
-
-
 @pytest.mark.parametrize('together', [2, 3, 5])
 @pytest.mark.parametrize('count', [400, 401])
 def test_poses_in_bursts_have_the_rate_of_their_mean_and_no_gaps(together, count):
@@ -91,13 +84,6 @@ def test_gaps_are_filled_on_the_grid_and_invalid(lost):
     assert_array_equal(np.flatnonzero(~grid.valid), np.arange(2000)[missing])
     assert np.isfinite(grid.position).all()
     assert_array_equal(grid.position[grid.valid], kept.position)
-
-
-def test_invalid_samples_stay_invalid():
-    poses = moving(rounded_stamps(360, 100))
-    valid = np.arange(100) != 40
-    marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=valid)
-    assert_array_equal(on_grid(marked, timing(poses.stamps_ns)).valid, valid)
 
 
 def test_jittering_stamps_are_interpolated_at_the_uniform_rate():

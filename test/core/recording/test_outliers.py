@@ -43,9 +43,9 @@ def score(rng, shake, noise, metres, radians, samples, recordings=3, count=8):
     return hit / off_in_all, hit / marked
 
 
-@pytest.mark.parametrize('noise', [NONE, Noise(1e-5, 1e-5), LAB, COARSE])
-@pytest.mark.parametrize('motion', [CALM, LIVELY, WILD])
-@pytest.mark.parametrize('rate_hz', RATES)
+@pytest.mark.parametrize(('rate_hz', 'motion', 'noise'), [
+    (100.0, WILD, NONE), (100.0, LIVELY, COARSE), (360.0, CALM, Noise(1e-5, 1e-5)),
+    (360.0, WILD, LAB), (1000.0, LIVELY, LAB), (1000.0, WILD, COARSE)])
 def test_honest_motion_is_left_alone(rate_hz, motion, noise):
     """Up to 10 g at 5 Hz, even at 100 Hz, where neighbours differ by more than a jump would."""
     rng = np.random.default_rng(10)
@@ -74,9 +74,8 @@ def test_a_long_rest_is_left_alone(noise):
     assert found_in(poses).good.all()
 
 
-@pytest.mark.parametrize('noise', [NONE, LAB, COARSE])
-@pytest.mark.parametrize('motion', [CALM, LIVELY, WILD])
-@pytest.mark.parametrize('rate_hz', RATES)
+@pytest.mark.parametrize(('rate_hz', 'motion', 'noise'), [
+    (100.0, WILD, COARSE), (360.0, CALM, NONE), (360.0, LIVELY, LAB), (1000.0, WILD, COARSE)])
 def test_large_excursions_are_marked_to_the_sample(rate_hz, motion, noise):
     """From 3 cm and 3 degrees on: noise of 1 mm or 10 g make no difference."""
     rng = np.random.default_rng(13)
@@ -87,10 +86,9 @@ def test_large_excursions_are_marked_to_the_sample(rate_hz, motion, noise):
     assert precision > 0.97
 
 
-@pytest.mark.parametrize('noise', [NONE, LAB])
-@pytest.mark.parametrize('motion', [CALM, LIVELY])
-@pytest.mark.parametrize('rate_hz', RATES)
-@pytest.mark.parametrize('samples', [(2, 7), (8, 200)])
+@pytest.mark.parametrize(('samples', 'rate_hz', 'motion', 'noise'), [
+    ((2, 7), 100.0, CALM, LAB), ((2, 7), 360.0, LIVELY, LAB), ((8, 200), 360.0, CALM, NONE),
+    ((8, 200), 1000.0, LIVELY, LAB)])
 def test_excursions_of_a_few_millimetres_are_marked(samples, rate_hz, motion, noise):
     """From 3 mm or 5 mrad on, with noise of 0.1 mm and 0.5 mrad."""
     rng = np.random.default_rng(14)
@@ -249,14 +247,6 @@ def test_isolated_samples_are_marked():
     assert_array_equal(np.flatnonzero(~found.good), [3000, 3001])
 
 
-@pytest.mark.parametrize('noise', [Noise(1e-5, 1e-5), LAB, COARSE])
-def test_noise_is_estimated(noise):
-    rng = np.random.default_rng(28)
-    found = found_in(noisy(rng, shaken(rng, Shake(360.0, 20.0, 0.5, 1.0)), noise))
-    assert_allclose(found.noise['position'], noise.position, rtol=0.05)
-    assert_allclose(found.noise['rotation'], noise.rotation, rtol=0.05)
-
-
 def test_noise_is_estimated_along_each_axis():
     rng = np.random.default_rng(31)
     sound = shaken(rng, Shake(360.0, 20.0, 0.5, 1.0))
@@ -286,23 +276,6 @@ def test_slow_motion_without_noise_repeats_poses_by_rounding(kind):
     poses = Trajectory(stamps, np.column_stack([x, x, x]), np.tile(np.eye(3), (3000, 1, 1)))
     assert np.sum(np.diff(x) == 0.0) > (900 if kind == np.float32 else -1)
     assert repeats_in_motion(poses) == 0
-
-
-def test_a_turn_of_the_whole_recording_changes_nothing():
-    rng = np.random.default_rng(30)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
-    poses, _ = with_excursions(rng, poses, 8, (0.01, 1.0), (0.02, 1.0), (1, 20))
-    R = exp_so3([1.0, -2.0, 0.5])
-    turned = Trajectory(poses.stamps_ns, poses.position @ R.T, R @ poses.rotation)
-    marked = ~found_in(poses).good
-    assert np.mean(marked != ~found_in(turned).good) < 1e-3 * np.mean(marked)
-
-
-@pytest.mark.parametrize('count', [3, 4, 5, 7, 12])
-def test_few_samples_are_no_trouble(count):
-    rng = np.random.default_rng(31)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB).select(slice(0, count))
-    assert found_in(poses).good.all()
 
 
 def uneven(seed, rough):

@@ -2,7 +2,6 @@
 
 from bellows_ros.core.signals.screening import StampScreen, unusable_stamps
 import numpy as np
-from numpy.testing import assert_array_equal
 import pytest
 
 START = 1_760_000_000_000_000_000
@@ -56,13 +55,6 @@ def test_without_arrivals_one_stamp_ahead_costs_itself_too(ahead):
     assert left_out(stamps, None) == {'future_stamp': [1000]}
 
 
-def test_many_stamps_ahead_cost_themselves():
-    stamps, arrivals = sent()
-    wrong = np.arange(50, COUNT, 100)
-    stamps[wrong] += 5 * S
-    assert left_out(stamps, arrivals) == {'future_stamp': wrong.tolist()}
-
-
 def test_late_and_repeated_stamps_cost_themselves():
     stamps, arrivals = sent()
     stamps[2000] = stamps[1990] + 1
@@ -113,9 +105,3 @@ def test_no_more_are_lost_than_are_wrong_or_live():
         wrong = np.count_nonzero(stamps != right)
         lost = sum(map(len, left_out(stamps, arrivals).values()))
         assert lost <= max(wrong + len(faults), live(stamps, arrivals))
-
-
-def test_sound_stamps_need_no_screening(monkeypatch):
-    monkeypatch.setattr(StampScreen, 'judge_stamp', None)
-    stamps, arrivals = sent()
-    assert_array_equal(list(unusable_stamps(stamps, arrivals).values()), False)

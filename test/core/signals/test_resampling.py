@@ -61,22 +61,6 @@ def test_twist_is_the_derivative_of_the_interpolated_pose():
     assert_allclose(here.twist, np.concatenate([v, turn], axis=1), atol=2e-7)
 
 
-def test_interpolation_does_not_depend_on_the_world_frame():
-    trajectory = motion(21, 20.0)
-    R_new_old, shift = lie.exp_so3([0.3, -2.0, 1.0]), np.array([10.0, -3.0, 5.0])
-    moved = Trajectory(
-        trajectory.stamps_ns,
-        lie.apply(R_new_old, trajectory.position) + shift,
-        R_new_old @ trajectory.rotation,
-        trajectory.twist,
-    )
-    wanted = trajectory.stamps_ns[:-1] + 12_345_678
-    here, there = resample(trajectory, wanted), resample(moved, wanted)
-    assert_allclose(there.position, lie.apply(R_new_old, here.position) + shift, atol=1e-14)
-    assert_allclose(there.rotation, R_new_old @ here.rotation, atol=1e-14)
-    assert_allclose(there.twist, here.twist, atol=1e-12)
-
-
 @pytest.mark.parametrize('with_twist', [True, False])
 def test_coinciding_stamps_repeat_the_samples(with_twist):
     trajectory = motion(11, 10.0, with_twist)

@@ -4,7 +4,6 @@ from bellows_ros.core.signals.trajectory import (
     any_within,
     PoseStream,
     Trajectory,
-    TwistStream,
     uniform_rate_hz,
 )
 from bellows_ros.errors import BellowsError
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from ..motions import motion, stamps
+from ..motions import stamps
 
 
 def test_uniform_rate():
@@ -32,41 +31,6 @@ def test_a_dropout_is_no_uniform_rate():
 
 def test_neighbours_of_a_sample_are_found():
     assert_array_equal(any_within(np.arange(10) == 4, 3), np.abs(np.arange(1, 9) - 4) <= 1)
-
-
-def test_seconds_and_select():
-    trajectory = motion(11, 10.0)
-    assert_allclose(trajectory.seconds, np.arange(11) / 10, atol=1e-15)
-    part = trajectory.select(trajectory.seconds > 0.45)
-    assert len(part) == 6
-    assert_array_equal(part.twist, trajectory.twist[5:])
-    assert_array_equal(part.valid, True)
-
-
-def test_arrays_are_copies_and_read_only():
-    position = np.zeros((2, 3))
-    trajectory = Trajectory(stamps(2, 1.0), position, np.tile(np.eye(3), (2, 1, 1)))
-    position[:] = 1.0
-    assert_array_equal(trajectory.position, 0.0)
-    for name in ('position', 'rotation', 'stamps_ns', 'valid'):
-        array = getattr(trajectory, name)
-        with pytest.raises(ValueError):
-            array[0] = 0
-    with pytest.raises(AttributeError):
-        trajectory.position = position
-
-
-def test_streams():
-    eyes = np.tile(np.eye(3), (2, 1, 1))
-    stream = PoseStream('/pose', 'world', stamps(2, 1.0), np.ones((2, 3)), eyes, {'nan': (3,)})
-    assert len(stream) == 2
-    assert stream.refused == {'nan': (3,)}
-    assert_array_equal(stream.trajectory().position, 1.0)
-    assert stream.trajectory().valid.all()
-    twists = TwistStream('/twist', 'world', stamps(2, 1.0), np.ones((2, 3)), np.zeros((2, 3)))
-    assert len(twists) == 2
-    empty = PoseStream('/pose', 'world', [], np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    assert len(empty) == len(empty.trajectory()) == 0
 
 
 GOOD = {

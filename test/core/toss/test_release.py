@@ -11,7 +11,6 @@ from bellows_ros.core.toss.release import (
     flight_path,
     HeldMotion,
     NO_LAW,
-    Release,
     release_of,
     toss,
 )
@@ -179,15 +178,3 @@ def test_refuses_a_plan_that_ends_in_motion_before_it_lets_go():
     plan = tosses.plan()
     with pytest.raises(BellowsError, match='ends earlier, in motion'):
         toss(HeldMotion(MODEL, tosses.GRIP, plan.select(slice(500))), RELEASE, 0.49)
-
-
-def test_refuses_a_package_without_a_size():
-    """Its corners say where it lands."""
-    with pytest.raises(BellowsError, match='package.size'):
-        release_of(resolve({**tosses.values(), 'package.size': (0.1, 0.0, 0.1)}))
-
-
-def test_release_is_what_the_parameters_say():
-    """Half sides, centre, valve and pulse."""
-    assert Release((0.012, 0.02, 0.05, *NO_LAW[3:]), (
-        tuple(tosses.HALF), tuple(tosses.CENTRE)), 0.0) == RELEASE
