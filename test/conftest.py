@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import importlib.util
 import os
 from pathlib import Path
-import resource
 import shutil
 import sys
 import tempfile
@@ -136,20 +135,6 @@ def user_environment():
     if kept:
         environment['LD_LIBRARY_PATH'] = os.pathsep.join(kept)
     return environment
-
-
-@pytest.fixture(scope='session')
-def cpu_of_children():
-    """
-    Give a function that returns what processes that have ended took of the processor so far, s.
-
-    Unlike the time of day it does not grow with what else the machine does.
-    """
-    def total():
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return used.ru_utime + used.ru_stime
-
-    return total
 
 
 @dataclass(frozen=True)

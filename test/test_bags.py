@@ -1,12 +1,9 @@
 """The recordings in bags/: small, made from the files beside them, good for identification."""
 
 
-from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.files.bags import read_streams, topics
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -64,46 +61,3 @@ def test_what_is_known_beforehand_agrees_with_the_truth_and_does_not_hold_it(bag
                       'recording.package_frame'}
     assert {name: known[name] for name in shared} == {name: truth[name] for name in shared}
     assert {known[f'topics.{role}'] for role in ROLES} == set(ROLES.values())
-
-
-@pytest.mark.parametrize('name', ['identification', 'validation'])
-def test_every_axis_moves_well_beyond_the_noise(bags, name):
-    """Hold for both moving recordings: the cup's six displacements are seen, from 0.1 mm noise."""
-    com = np.array(read_parameters(bags / 'package.yaml')['package.com'])
-    streams = read_streams(bags / name, ROLES)
-    tool, package = streams['tool_pose'], streams['package_pose']
-    nearest = np.searchsorted(tool.stamps_ns, package.stamps_ns, side='right') - 1
-    R_E = tool.rotation[nearest]
-    turn = log_so3(np.swapaxes(R_E, -1, -2) @ package.rotation)
-    # Where the lip is relative to the tool changes slowly enough for the tool's last sample, but
-    # the tool's own velocity must be taken out.
-    late = ((package.stamps_ns - tool.stamps_ns[nearest]) * 1e-9)[:, None]
-    o_E = tool.position[nearest] + late * streams['tool_twist'].linear[nearest]
-    lip = package.position - package.rotation @ com - o_E
-    displacement = np.einsum('nji,nj->ni', R_E, lip)
-    sound = np.linalg.norm(displacement - np.median(displacement, axis=0), axis=1) < 0.015
-    assert sound.mean() > 0.99
-    assert np.all(displacement[sound].std(axis=0) > 4.0 * 1e-4)
-    assert np.all(turn[sound].std(axis=0) > 50.0 * 5e-4)
-
-
-def test_the_static_recording_stands_still_in_six_poses(bags):
-    tool = read_streams(bags / 'static', ROLES)['tool_twist']
-    moving = np.abs(tool.angular).max(axis=1) > 0.02
-    assert np.sum(np.diff(moving.astype(int)) == 1) == 6
-    assert moving.mean() < 0.5
-
-
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
-def test_the_rubber_that_relaxes_is_found(bags):
-    """Identify the cup of `rubber`: its stiffness is the static one, and nothing is refused."""
-    truth = read_parameters(bags / 'rubber_cup.yaml')
-    found = identify({
-        **read_parameters(bags / 'package.yaml'), 'bags': [str(bags / 'rubber')],
-        'topics.tool_twist': ''})
-    assert_allclose(found.fit.relaxation, truth['cup.relaxation'], atol=5.0 * max(
-        found.fit.relaxation_std))
-    assert max(found.fit.relaxation_std) < 0.002
-    stiffness = np.reshape(truth['cup.stiffness'], (6, 6))
-    assert_allclose(np.diag(found.fit.stiffness), np.diag(stiffness), rtol=0.01)
-    assert not found.refusals

@@ -192,6 +192,15 @@ def test_quaternions_with_small_rounding_are_normalised(tmp_path):
     assert_allclose(stream.rotation, quaternion_to_rotation(values[:, 3:]), rtol=0, atol=3e-3)
 
 
+def test_nan_in_a_twist_is_counted(tmp_path):
+    values = made.twist_values(5)
+    values[3, 4] = np.nan
+    t = made.stamps(5)
+    messages = [(int(t[i]), made.encoded(made.TWIST, t[i], twist=values[i])) for i in range(5)]
+    path = one_topic(tmp_path / 'b', messages, made.TWIST)
+    assert read_streams(path, {'tool_twist': 'a'})['tool_twist'].refused == {'nan': (3,)}
+
+
 def test_messages_come_in_the_order_they_were_received_in(tmp_path):
     messages = made.poses(6)
     logged = [(messages[i][0], messages[j][1]) for i, j in enumerate([0, 2, 1, 3, 5, 4])]
@@ -297,6 +306,15 @@ def test_other_numbers_of_messages_than_metadata_says_are_noted(tmp_path):
         assert 'has 13 messages' in note
 
 
+def test_links_in_a_circle_are_refused(tmp_path):
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    file = made.storage_file(folder)
+    file.unlink()
+    file.symlink_to(file.name)
+    assert file.name in error_of(folder)
+    assert error_of(file)
+
+
 @pytest.mark.parametrize('storage', made.PLUGINS)
 def test_an_empty_recording_is_refused(tmp_path, storage):
     folder = one_topic(tmp_path / 'b', [], storage=storage)
@@ -304,6 +322,13 @@ def test_an_empty_recording_is_refused(tmp_path, storage):
     assert topics(folder) == [('/a', made.POSE, 0)]
     change_metadata(folder, relative_file_paths=[])
     assert 'is empty' in error_of(folder)
+
+
+@pytest.mark.parametrize('storage', made.PLUGINS)
+def test_a_file_without_a_byte_is_refused(tmp_path, storage):
+    folder = one_topic(tmp_path / 'b', made.poses(4), storage=storage)
+    made.storage_file(folder).write_bytes(b'')
+    assert 'is not whole: it is empty' in error_of(folder)
 
 
 def test_a_wrong_topic_is_refused_with_those_that_are_there(bag):
@@ -475,6 +500,11 @@ def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(sqlite_storage, '_STEPS_PER_BYTE', 0)
     assert 'interrupted' in error_of(folder)
+
+
+def test_negative_receive_times_do_no_harm(tmp_path):
+    folder = altered_database(tmp_path, 'UPDATE messages SET timestamp = -timestamp')
+    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
 
 
 def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):

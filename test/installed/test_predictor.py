@@ -7,7 +7,6 @@ import signal
 import subprocess
 
 import pytest
-import yaml
 
 PACKAGE = """
 /**:
@@ -17,7 +16,6 @@ PACKAGE = """
       inertia: [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]
       com: [0.0, 0.0, -0.03]
 """
-SOFT = [1000.0 if i == j else 0.0 for i in range(6) for j in range(6)]
 START = 1_700_000_000_000_000_000
 LONGEST_START = 60.0  # s
 
@@ -158,58 +156,3 @@ def test_launch_file_starts_it(user):
     user.process.send_signal(signal.SIGINT)
     out, log = user.process.communicate(timeout=30)
     assert 'Traceback' not in out + log
-
-
-def test_parameters_are_dumped_and_loaded(user, tmp_path):
-    """Start again from a dump of the running node, find the same, and load the dump into it."""
-    user.start('-p', 'package.mass:=1.5', '-p', 'coast.limit:=0.05', '-p', 'cup.name:=soft',
-               '-p', f'cups.soft.stiffness:={SOFT}',
-               '-p', 'qos_overrides./tool_arm/pose.subscription.depth:=7')
-    shown = dump(user)
-    assert (shown['package.mass'], shown['cup.name']) == (1.5, 'soft')
-    assert shown['qos_overrides./tool_arm/pose.subscription.depth'] == 7
-    user.stop(signal.SIGINT)
-    written = tmp_path / 'dump.yaml'
-    written.write_text(yaml.dump({'/predictor': {'ros__parameters': nested(shown)}}))
-    user.start('--params-file', str(written))
-    assert dump(user) == shown
-    results = load(user, shown)
-    assert all(result.successful for result in results), [r.reason for r in results]
-    user.stop(signal.SIGINT)
-
-
-def dump(user):
-    """Return all parameters that the node shows, as `ros2 param dump` does."""
-    from rcl_interfaces.srv import GetParameters, ListParameters
-    from rclpy.parameter import parameter_value_to_python
-
-    listed = user.call('/predictor/list_parameters', ListParameters, ListParameters.Request())
-    names = sorted(listed.result.names)
-    answer = user.call(
-        '/predictor/get_parameters', GetParameters, GetParameters.Request(names=names))
-    values = map(parameter_value_to_python, answer.values)
-    return {n: list(v) if hasattr(v, 'typecode') else v
-            for n, v in zip(names, values, strict=True)}
-
-
-def nested(values):
-    """Return values by the parts of their names."""
-    tree = {}
-    for name, value in values.items():
-        *groups, leaf = name.split('.')
-        branch = tree
-        for group in groups:
-            branch = branch.setdefault(group, {})
-        branch[leaf] = value
-    return tree
-
-
-def load(user, values):
-    """Set all parameters, as `ros2 param load` does."""
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
-
-    messages = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    answer = user.call('/predictor/set_parameters', SetParameters, SetParameters.Request(
-        parameters=messages))
-    return list(answer.results)
