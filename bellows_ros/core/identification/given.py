@@ -63,14 +63,14 @@ def with_given(
         return search, found, np.zeros((len(search.units),) * 2)
     wide = search.beside(found, {name: given[name] for name in names})
     size, std = len(search.units), wide.weights[len(search.units):] ** -0.5
-    H = wide.system(wide.at(found.theta), 0.0)[1]
+    parts, H, g = wide.system(wide.at(found.theta), 0.0)
     S = H[size:, size:] - H[size:, :size] @ np.linalg.solve(H[:size, :size], H[:size, size:])
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # with 1 of what was given
     free = int(np.count_nonzero(values > KNOWN_BETTER))
     held = vectors[:, :len(std) - free] / std[:, None]
     wide.held = np.zeros_like(H)
     wide.held[size:, size:] = HELD * held @ held.T
-    again = wide.found(note, wide.at(found.theta))
+    again = wide.found(note, wide.at(found.theta), (parts, H + wide.held, g))
     if again.converged:
         search, found, H = wide, again, again.information - wide.held
     else:

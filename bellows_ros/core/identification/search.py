@@ -297,6 +297,10 @@ class Part(NamedTuple):
     first: State
 
 
+System = tuple[list[Part], Array, Array]
+"""The whitened segments, and information (m, m) and slope (m,) of the whole."""
+
+
 class Minimum(NamedTuple):
     """Where the search ended: unknowns, segments, information, and whether it is a minimum."""
 
@@ -386,11 +390,14 @@ class Search:
             near[rows] = found.theta[self.places[name]]
         return fewer, near
 
-    def found(self, note: Callable[[Cup, float], None], near: Array | None = None) -> Minimum:
-        """Go to the root, from unknowns that are near to it where they are given."""
+    def found(
+        self, note: Callable[[Cup, float], None], near: Array | None = None,
+        begun: System | None = None,
+    ) -> Minimum:
+        """Go to the root, from unknowns near to it, and the system there, where they are given."""
         theta = self.start if near is None else near
         for forgets in STAGES if near is None else STAGES[-1:]:
-            parts, H, g = self.system(theta, forgets)
+            parts, H, g = begun or self.system(theta, forgets)
             if not np.all(np.isfinite(g)):
                 nothing = [own._replace(**{name: np.nan_to_num(getattr(own, name), posinf=0.0)
                                            for name in ('innovations', 'jacobian', 'spread')})
@@ -505,7 +512,7 @@ class Search:
             g[own] -= by * (r[1] - DEFAULT_RATIO * r[0]) / std
         return H, g
 
-    def system(self, theta: Array, forgets: float) -> tuple[list[Part], Array, Array]:
+    def system(self, theta: Array, forgets: float) -> System:
         """Return the whitened segments, and information and slope of the whole."""
         parts = [self.part(theta, segment, forgets) for segment in self.segments]
         H, g = self._prior(theta, forgets)
