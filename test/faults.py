@@ -14,25 +14,13 @@ from collections import Counter
 import time
 
 from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 
-from .core.identification.hypotheses.laboratory import FAULTS, Laboratory
+from .core.identification.hypotheses.laboratory import FAULTS, Laboratory, parameters
 
 SOUND = 'sound'
-
-
-def parameters(laboratory):
-    """Return the parameters that are said of a laboratory."""
-    said = laboratory.said
-    return resolve({
-        'cup.length': laboratory.said_length, 'fit.method': 'output_error',
-        'fit.structure': 'axisymmetric', 'recording.package_frame': laboratory.said_frame,
-        'recording.world': laboratory.said_world, 'package.mass': said.mass,
-        'package.com': said.com.tolist(),
-        'package.inertia': said.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()})
 
 
 def outcome(laboratory, cause, other=''):

@@ -398,6 +398,11 @@ def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -
     meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (
         f'no topic there is of a fitting type; there are: {", ".join(others) or "none"}')
     got = sorted({f'{t.type_name} in {t.encoding}' for t in bag.counts if t.name == name})
+    if not fitting and any(t.type_name.endswith('/TFMessage') for t in bag.counts):
+        raise NoTopicError(
+            f"Recording '{bag.path}' has transforms, but no poses. Make them: 'bellows convert "
+            f"{bag.path} --tool-frame FRAME --package-frame FRAME --out with_poses' ('bellows "
+            "info' names the frames).")
     if not got:
         raise NoTopicError(
             f"Topic '{name}' is not in recording '{bag.path}'; {meant}. Set {given_by}.")

@@ -8,6 +8,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
+from bellows_ros.core.identification.plausibility import wrong_twists
 from bellows_ros.core.identification.reduction import envelope_of
 from bellows_ros.core.identification.samples import require_hanging
 from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
@@ -30,6 +31,7 @@ from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load, Progress
 from bellows_ros.workflows.result import CommandResult
+from bellows_ros.workflows.verdict import finding_sentence
 import numpy as np
 
 MAX_LISTED = 3
@@ -266,7 +268,9 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
             'The recording leaves the validity range of the fit: '
             f'{"; ".join(phrases[:MAX_LISTED])}{more}. '
             'There the errors say little about the fit.',)
-    warnings = recording.report.warnings + found.warnings + outside + (
+    twists = wrong_twists(recording)
+    warnings = (*([finding_sentence(twists, values)] if twists else []),
+                *recording.report.warnings, *found.warnings, *outside) + (
         *implausible(values), *(_causes(values, found) if found.worse_than_noise else ()))
     return Replay(recording.name, dict(values), recording, found, warnings)
 

@@ -208,13 +208,13 @@ def verdict_of(
             *(wrong for own in some for wrong in implausible_inputs(own)), *fit.causes))
     else:
         diagnosis = diagnose(some, length, given_structure(values), known)
-    if fit is None or not fit.usable:
+    if fit is None:
         return FitVerdict((), diagnosis, values)
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)
-    found = FitVerdict(tuple(_simulated(cup, own) for own in some), diagnosis, values,
-                       fit.method == 'output_error')
-    if found.refusals and not found.cause:  # the output error sees less than wrenches show
+    found = FitVerdict(tuple(_simulated(cup, own) for own in some if fit.usable), diagnosis,
+                       values, fit.method == 'output_error')
+    if (found.refusals or not fit.usable) and not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes, *diagnosis.findings)))
     return found

@@ -3,7 +3,11 @@
 import json
 import re
 
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bags import read_streams
+import numpy as np
 import pytest
 
 POSITION_NOISE, ROTATION_NOISE = 2e-5, 1e-4  # m, rad; of the package's poses in the recording
@@ -61,6 +65,25 @@ def test_json_and_page_are_written(bellows, workshop, tmp_path):
     content = json.loads(done.stdout)
     assert content['provenance']['parameter_files'][0]['path'] == 'cup.yaml'
     assert (tmp_path / 'v.html').read_text().startswith('<!DOCTYPE html>')
+
+
+def test_twists_in_degrees_are_named_and_left_out_as_the_sentence_says(
+    bellows, workshop, tmp_path
+):
+    streams = read_streams(workshop / 'recording', {
+        'tool': '/tool_arm/pose', 'package': '/package/pose', 'tool_twist': '/tool_arm/twist'})
+    twist = streams.pop('tool_twist')
+    write_bag(tmp_path / 'degrees', [
+        Recorded(twist.name, 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
+                 np.hstack([twist.linear, np.degrees(twist.angular)]), twist.frame_id),
+        *(Recorded(own.name, 'geometry_msgs/msg/PoseStamped', own.stamps_ns, np.hstack([
+            own.position, rotation_to_quaternion(own.rotation)]), own.frame_id)
+          for own in streams.values())])
+    given = ('replay', tmp_path / 'degrees', '--params', workshop / 'cup.yaml')
+    said = ' '.join(bellows(*given).stderr.split())
+    assert 'in degrees per second' in said and "set topics.tool_twist: ''" in said
+    done = bellows(*given, '--set', 'topics.tool_twist=')
+    assert (done.returncode, done.stderr) == (0, '')
 
 
 def test_twists_can_be_left_out(bellows, workshop):

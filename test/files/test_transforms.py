@@ -1,7 +1,7 @@
 """Poses out of transforms: trees of frames with links of several rates."""
 
 from bellows_ros.core.geometry.lie import exp_se3, inverse_transform, rotation_to_quaternion
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.transforms import poses_in, read_transforms, TF
@@ -63,6 +63,8 @@ def recording(folder, more=()):
 
 
 def test_both_bodies_are_found_in_the_world(tmp_path):
+    with pytest.raises(NoTopicError, match='bellows convert .* --tool-frame FRAME'):
+        read_streams(recording(tmp_path / 'only'), {'a': '/tool_arm/pose'})
     found = bodies_in_transforms(recording(tmp_path / 'tf'), 'tool', 'box')
     done = to_bag(found, tmp_path / 'out')
     assert [(b.topic, b.poses) for b in done.bodies] == [

@@ -64,6 +64,8 @@ def with_given(
     wide = search.beside(found, {name: given[name] for name in names})
     size, std = len(search.units), wide.weights[len(search.units):] ** -0.5
     parts, H, g = wide.system(wide.at(found.theta), 0.0)
+    if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
+        return search, found._replace(converged=False), np.zeros((size, size))
     S = H[size:, size:] - H[size:, :size] @ np.linalg.solve(H[:size, :size], H[:size, size:])
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # with 1 of what was given
     free = int(np.count_nonzero(values > KNOWN_BETTER))

@@ -190,7 +190,8 @@ def _fit(
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
     size, x = search.count, search.units * found.theta
-    covariance, shares = covariance_of(search, found, noise_information(search, found))
+    covariance, shares = covariance_of(
+        search, found, noise_information(search, found) if found.converged else None)
     std = np.sqrt(np.diag(covariance))
     cup, largest = search.cup(found.theta), np.full(len(x), np.inf)
     largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)

@@ -106,7 +106,7 @@ class Finding(NamedTuple):
 
 def implausible_inputs(own: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with a recording or what was given with it, without any fit."""
-    found = (_package(own.payload), _clocks(own), _twists(own), _smoothed(own))
+    found = (_package(own.payload), _clocks(own), wrong_twists(own), _smoothed(own))
     return tuple(finding for finding in found if finding is not None)
 
 
@@ -141,7 +141,7 @@ def _clocks(own: Recording) -> Finding | None:
     return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 
 
-def _twists(own: Recording) -> Finding | None:
+def wrong_twists(own: Recording) -> Finding | None:
     """Return in which axes or unit the tool's recorded twists are, None where it is as given."""
     tool, measured = own.tool, own.measured_tool
     if measured.twist is None or tool.twist is None:

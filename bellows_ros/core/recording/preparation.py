@@ -66,6 +66,7 @@ LATERAL_COM_WARNED = 1e-6
 REPEATS_WARNED = 0.05
 LOW_RATE_HZ = 100.0
 LARGE_WAY = 20.0
+MOST_IN_GAPS = 0.5  # part of the time in gaps above which poses come in bursts
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
 STEP_JITTERS = 10.0
 
@@ -120,9 +121,15 @@ class FilteredStreams:
                 f'{len(r.timing.gaps)} gaps, '
                 f'{r.overlapping_gap} filtered samples touch one of these'
                 for r in (self.report.tool, self.report.package))
+            bursts = [f"'{r.recorded.name}'" for r in (self.report.tool, self.report.package)
+                      if sum(gap.duration_s for gap in r.timing.gaps) > MOST_IN_GAPS * float(
+                          np.ptp(r.recorded.stamps_ns)) / NS_PER_S]
+            remedy = (
+                f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: '
+                'stamp them when they are measured.' if bursts else
+                'Use smaller half windows, or a recording with fewer gaps and outliers.')
             raise BellowsError(
-                f'None of the {len(common)} common samples is left: {found}. Use smaller half '
-                'windows, or a recording with fewer gaps and outliers.')
+                f'None of the {len(common)} common samples is left: {found}. {remedy}')
         return Recording(
             self.settings, tool, package, tool_twist, tool_there, package_there, measured_tool,
             _at(self.aligned[1], common), self.aligned[0], self.aligned[1],

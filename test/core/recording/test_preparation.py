@@ -218,6 +218,19 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     assert "stamps of topic '/tool' are times of arrival" in jitters
 
 
+def test_poses_stamped_in_bursts_on_arrival_are_said_to_be():
+    tool, package = held(69, seconds=6.0)
+    since = tool.stamps_ns - tool.stamps_ns[0]
+    burst = since // 40_000_000
+    sent = np.random.default_rng(0).integers(0, 5_000_000, burst[-1] + 1)
+    late = tool.stamps_ns[0] + 40_000_000 * burst + sent[burst] + 30_000 * (
+        np.arange(len(tool)) - np.searchsorted(burst, burst))
+    arrived = [replace(own, stamps_ns=late) for own in (tool, package)]
+    with pytest.raises(BellowsError, match="'/tool' and '/package' come in bursts"):
+        prepare(stream(arrived[0]), stream(arrived[1], '/package'), PLAIN)
+    assert prepare(stream(tool), stream(package, '/package'), PLAIN).valid.any()
+
+
 def test_poses_that_are_all_left_out_have_no_way_to_warn_about():
     stamps = START + np.array([0, 1, 100, 101, 200, 201, 300, 301]) * 1_000_000
     poses = Trajectory(stamps, 100.0 * np.arange(24).reshape(8, 3), np.tile(np.eye(3), (8, 1, 1)))

@@ -13,6 +13,7 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.model.simulation import row_state, tool_rows, write_row
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
@@ -178,6 +179,17 @@ class Laboratory:
             p[at:at + 40] += [0.03, 0.0, 0.0]
             seen[at + 40:at + 55] = False
         return PoseStream(name, 'world', (body.stamps_ns + late)[seen], p[seen], R[seen])
+
+
+def parameters(laboratory):
+    """Return the parameters that are said of a laboratory."""
+    said = laboratory.said
+    return resolve({
+        'cup.length': laboratory.said_length, 'fit.method': 'output_error',
+        'fit.structure': 'axisymmetric', 'recording.package_frame': laboratory.said_frame,
+        'recording.world': laboratory.said_world, 'package.mass': said.mass,
+        'package.com': said.com.tolist(),
+        'package.inertia': said.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()})
 
 
 def _turned(R, body):

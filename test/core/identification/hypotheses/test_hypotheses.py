@@ -6,14 +6,16 @@ import re
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
 from bellows_ros.core.identification.hypotheses import diagnose
+from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.plausibility import Finding, implausible_inputs
+from bellows_ros.core.identification.search import Search
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.verdict import finding_sentence, setting_of
+from bellows_ros.workflows.verdict import finding_sentence, setting_of, verdict_of
 import numpy as np
 import pytest
 
-from .laboratory import FAULTS, Laboratory
+from .laboratory import FAULTS, Laboratory, parameters
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason='numba is not installed: this takes minutes interpreted')
@@ -66,6 +68,18 @@ def test_of_two_faults_none_is_certain_alone():
         FAULTS[fault][0](laboratory)
     first, *_ = diagnosed(laboratory)
     assert first.name == 'recording.package_frame' and first.likely and not first.certain
+
+
+def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypatch):
+    laboratory, simulations, system = Laboratory(300, seconds=6.0), [], Search.system
+    break_it, cause = FAULTS['package frame']
+    break_it(laboratory)
+    monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
+    recordings, values = laboratory.recordings(), parameters(laboratory)
+    found = fit(recordings, values).fit
+    verdict = verdict_of(found, recordings, values['cup.length'], values)
+    assert not found.converged and 0 < len(simulations) <= 165
+    assert verdict.cause and verdict.diagnosis.findings[0].name == cause
 
 
 def test_no_spring_explains_a_wrong_centre_of_mass_that_is_negative_at_rest():
