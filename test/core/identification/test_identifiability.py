@@ -70,19 +70,8 @@ def test_missing_torsion_is_said_in_plain_words():
     assert {'K rz', 'P rz'} <= unknown and not {'K x', 'K z', 'K rx', 'P rx'} & unknown, unknown
 
 
-def test_standing_still_tells_only_what_gravity_loads(rich):
-    samples = samples_of(rich)
-    still = samples.package.seconds < 0.3
-    rest = Samples(samples.tool.select(still), samples.package.select(still), samples.payload,
-                   samples.gravity, samples.window)
-    found = simulated.excitation([rest], L0, ROUND, [rich.noise])
-    words = ' '.join(found.warnings)
-    assert 'Torsion' in words and 'Axial motion is hardly excited: its damping' in words
-    assert next(p for p in found.parameters if p.label == 'K z').identifiable
-
-
 @pytest.mark.parametrize(('tool', 'package'), [
-    ((1e-4, 5e-4), (1e-4, 5e-4)), ((2e-4, 5e-4), (1e-5, 5e-5)), ((1e-5, 5e-5), (2e-4, 5e-4))])
+    ((2e-4, 5e-4), (1e-5, 5e-5)), ((1e-5, 5e-5), (2e-4, 5e-4))])
 def test_expected_bias_is_the_bias(tool, package):
     """Compare with what noise really did, on average over recordings."""
     expected, found = [], []
@@ -153,15 +142,3 @@ def test_a_full_fit_of_a_poor_motion_is_advised_against():
     _, found = described(recording, FULL)
     couplings = next(w for w in found.warnings if 'couplings' in w)
     assert 'use a simpler fit.structure' in couplings
-
-
-def test_without_noises_nothing_is_said_about_noise(rich):
-    _, found = described(rich, noisy=False)
-    assert all(np.isnan(p.noise_share) and np.isnan(p.bias) for p in found.parameters)
-    assert all(np.isnan(a.strain_noise) for a in found.axes)
-    assert found.warnings == ()
-
-
-def test_the_same_recording_gets_the_same_answer(rich):
-    one, other = (described(rich)[1] for _ in range(2))
-    assert [p.bias for p in one.parameters] == [p.bias for p in other.parameters]

@@ -1,12 +1,10 @@
 """Least squares: the truth recovered, the weights and the solver as the thesis has them."""
 
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.result import definiteness_warnings
 from bellows_ros.core.identification.samples import lip_relative, needed_wrench, Samples
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, regressor
-from bellows_ros.core.model.kernels import lip_relative_to_tool, lip_wrench
-from bellows_ros.core.model.simulation import simulate, state_row
-from bellows_ros.core.model.structure import structure_named, STRUCTURES
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -63,41 +61,6 @@ def test_full_matrices_are_recovered_exactly_from_exact_accelerations(exact):
     assert fit.warnings == ()
     assert fit.samples_used == len(samples.tool.stamps_ns)
     assert_allclose(fit.residual_rms, 0.0, atol=1e-9)
-
-
-def test_several_recordings_with_several_packages_are_one_fit(exact):
-    cup, package, samples, _ = exact
-    half = len(samples.tool) // 2
-    parts = [
-        Samples(samples.tool.select(part), samples.package.select(part), package, GRAVITY, 0.02)
-        for part in (slice(0, half), slice(half, None))]
-    whole, joined = (simulated.least_squares(s, cup.length, STRUCTURES['full'])
-                     for s in ([samples], parts))
-    assert_allclose(joined.stiffness, whole.stiffness, rtol=1e-9, atol=1e-7)
-
-
-def test_needed_wrench_is_what_the_cup_gives(exact):
-    _, package, samples, model = exact
-    c = needed_wrench(package, samples.package, GRAVITY)
-    rows = zip(*(
-        [state_row(*row) for row in zip(
-            t.position, rotation_to_quaternion(t.rotation), t.twist, strict=True)]
-        for t in (samples.tool, samples.package)), strict=True)
-    given = [np.concatenate(lip_wrench(model, tool, body)) for tool, body in rows]
-    assert_allclose(c, given, rtol=0, atol=1e-8)
-
-
-def test_relative_motion_of_arrays_is_that_of_the_kernel(exact):
-    _, package, samples, _ = exact
-    o, R, v = lip_relative(samples.tool, samples.package, package.com)
-    for k in (0, 300, 900):
-        states = [
-            state_row(t.position[k], rotation_to_quaternion(t.rotation[k]), t.twist[k])
-            for t in (samples.tool, samples.package)]
-        expected = lip_relative_to_tool(tuple(package.com.tolist()), *states)
-        for got, wanted in zip(
-                (o[k], R[k].ravel(), v[k, :3], v[k, 3:]), expected, strict=True):
-            assert_allclose(got, wanted, atol=1e-13)
 
 
 @pytest.fixture(scope='module')
@@ -224,24 +187,6 @@ def test_too_few_samples(exact):
         simulated.least_squares([few], cup.length, STRUCTURES['full'])
 
 
-def test_a_standstill_tells_nothing_about_damping(exact):
-    cup, package, samples, _ = exact
-    still = Trajectory(
-        samples.tool.stamps_ns, *(np.repeat(part[:1], len(samples.tool), axis=0)
-                                  for part in (samples.tool.position, samples.tool.rotation)),
-        twist=np.zeros((len(samples.tool), 6)))
-    body = simulate(cup, package, still)
-    rng = np.random.default_rng(0)
-    moved = Trajectory(
-        body.stamps_ns, body.position, body.rotation, np.zeros((len(still), 6)),
-        1e-6 * rng.standard_normal((len(still), 6)))
-    fit = simulated.least_squares(
-        [Samples(still, moved, package, GRAVITY, 0.02)], cup.length, STRUCTURES['axisymmetric'])
-    assert np.all(np.isinf(np.diag(fit.damping_std)))
-    assert np.all(np.isinf(np.diag(fit.covariance)[4:]))
-    assert np.all(fit.damping_std[~np.eye(6, dtype=bool)] == 0.0)
-
-
 @pytest.mark.parametrize('name', ['axisymmetric', 'diagonal', 'full'])
 def test_what_nothing_moves_is_not_identifiable(name):
     """Move a cup that hangs straight along x and about y only: nothing turns about z."""
@@ -289,24 +234,3 @@ def test_not_positive_definite_is_said_and_not_mended(exact):
 def test_semidefinite_damping_is_no_fault():
     assert definiteness_warnings(np.eye(6), np.zeros((6, 6)), 'full') == ()
     assert len(definiteness_warnings(np.zeros((6, 6)), -np.eye(6), 'axisymmetric')) == 2
-
-
-@pytest.mark.parametrize('name', list(STRUCTURES))
-def test_parameters_and_matrices_undo_each_other(name):
-    structure = structure_named(name)
-    x = np.random.default_rng(1).standard_normal(2 * structure.size)
-    K, P = structure.matrices(x)
-    assert_allclose(K, K.T)
-    assert_allclose(structure.parameters(K, P), x, atol=1e-15)
-    assert len(structure.labels) == 2 * structure.size
-
-
-def test_unknown_structure_lists_those_there_are():
-    with pytest.raises(BellowsError, match='axisymmetric, axisymmetric_coupled, diagonal, full'):
-        structure_named('round')
-
-
-def test_cup_of_a_fit_is_a_cup(exact):
-    cup, _, samples, _ = exact
-    fit = simulated.least_squares([samples], cup.length, STRUCTURES['full'])
-    Cup(fit.stiffness, fit.damping, cup.length)

@@ -60,21 +60,6 @@ def test_what_noise_does_not_explain_is_said():
         assert ('does not explain' in fit.misfit) == expected
 
 
-def test_exact_recordings_have_no_bias():
-    fit, samples, _ = fitted(simulated.NO_NOISE, 1)
-    assert np.all(np.abs(fit.bias) < 1e-6 * TRUTH)
-    plain = simulated.least_squares([samples], L0, ROUND)
-    assert_allclose(fit.covariance, plain.covariance, rtol=1e-3)
-
-
-def test_the_bias_of_a_full_structure_is_known():
-    full = STRUCTURES['full']
-    fit, samples, products = fitted((1e-4, 5e-4), 1, full)
-    assert simulated.least_squares([samples], L0, full).bias is None
-    assert fit.bias[full.labels.index('P x')] < 0.0
-    assert products.shape == (6, 43, 6, 43)
-
-
 def test_compensated_are_the_normal_equations_without_what_noise_adds():
     """Hold the parameters and, for clusters of their own size, the spread to the equations."""
     fit, samples, products = fitted((1e-4, 5e-4), 1)

@@ -62,8 +62,7 @@ def test_strengths_and_static_stiffness_are_found():
     assert without.stiffness[3, 3] > 1.05 * RUBBER.stiffness[3, 3]
 
 
-@pytest.mark.parametrize('seed', range(4))
-@pytest.mark.parametrize('kept', [0.0, 0.9])
+@pytest.mark.parametrize(('seed', 'kept'), [(0, 0.0), (1, 0.9)])
 def test_a_cup_that_does_not_relax_is_not_said_to(seed, kept):
     plain = replace(RUBBER, relaxation=(0.0, 0.0))
     recording = record(plain, seed, kept=kept)

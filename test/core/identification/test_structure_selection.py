@@ -5,7 +5,6 @@ from bellows_ros.core.identification.structure_selection import effective_sample
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -107,12 +106,6 @@ def test_effective_samples_of_an_autoregression(a):
     assert_allclose(effective_samples([(values, valid)], 100), expected * part, rtol=0.05)
 
 
-def test_exact_recordings_are_no_trouble():
-    _, selection = selection_of(simulated.CUP, tool=(0.0, 0.0), package=(0.0, 0.0))
-    assert selection.advised == 'axisymmetric'
-    assert all(candidate.held_out < 2e-3 for candidate in selection.candidates)
-
-
 def test_gaps_are_left_out_and_without_noises_nothing_is_corrected():
     recording = simulated.record(simulated.shake(duration=12.0), rate_hz=120.0)
     samples = samples_of(recording)
@@ -136,14 +129,3 @@ def test_a_poor_motion_leaves_the_structures_that_can_be_fitted():
     assert selection.advised in usable
     for name in ('diagonal', 'full'):
         assert any(sentence.startswith(f'{name} ') for sentence in selection.advice)
-
-
-def test_mistakes_are_named():
-    recording = simulated.record(simulated.shake(duration=4.0))
-    samples = samples_of(recording)
-    with pytest.raises(BellowsError):
-        select_structure([Samples(
-            samples.tool.select(slice(0, 1)), samples.package.select(slice(0, 1)), samples.payload,
-            samples.gravity, samples.window)], simulated.CUP.length)
-    with pytest.raises(BellowsError):
-        select_structure([samples, samples], simulated.CUP.length, [recording.noise])

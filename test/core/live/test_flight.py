@@ -6,7 +6,6 @@ from bellows_ros.core.live.flight import at_constant_velocity, Flight
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, moved
-from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.simulation import tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.landing import changed, release_factor
@@ -160,19 +159,6 @@ def test_says_where_it_will_be_once_the_valve_is_switched(plan, asked):
         np.testing.assert_allclose(early[0], truth[256].position, atol=1e-6)
     with pytest.raises(BellowsError):
         flight.later(live.model, now, 2.0)
-
-
-def test_the_vacuum_that_is_heard_counts(plan):
-    """A landing with another grip is that of the parameters which describe it."""
-    live, found, _ = played(plan, Flight(VALUES), 250)
-    weaker = {**VALUES, 'vacuum.holding': 0.7 * VALUES['vacuum.holding']}
-    flight, landings = Flight(VALUES), []
-    flight.grip = grip_of(weaker)
-    for each in (flight, Flight(weaker), Flight(VALUES)):
-        landing = each.landing(live.model, found[-1], lambda _: np.zeros((12, 12)))
-        landings.append(landing.toss.landing[0])
-    assert landings[0] == landings[1]
-    assert np.linalg.norm(np.subtract(landings[0], landings[2])) > 5e-3
 
 
 def test_says_when_to_release_for_a_target(plan):

@@ -2,7 +2,7 @@
 
 import math
 
-from bellows_ros.core.live import health, LivePredictor, REFUSALS, RESTARTS
+from bellows_ros.core.live import health, REFUSALS, RESTARTS
 from bellows_ros.core.live.check import check_thresholds, is_held, why_no_pressure
 from bellows_ros.core.live.health import (
     Arrivals,
@@ -114,7 +114,6 @@ def test_box_of_an_inertia_is_the_box():
 @pytest.mark.parametrize(('seen', 'level', 'words'), [
     ({}, Level.OK, '500 Hz.'),
     ({'publishers': 0, 'rhythm': SILENT}, Level.ERROR, 'Nobody publishes /tool'),
-    ({'rhythm': SILENT}, Level.ERROR, 'silent: no message for 3.0 s. Check that the driver'),
     ({'rhythm': SILENT, 'silent': math.inf}, Level.ERROR, 'silent: no message so far'),
     ({'rhythm': SILENT, 'mismatch': Mismatch('qos', 'reliability')}, Level.ERROR,
      'Set qos_overrides./tool.subscription.reliability'),
@@ -122,13 +121,11 @@ def test_box_of_an_inertia_is_the_box():
      'sends std_msgs/msg/Bool, but the node subscribes to another type. Set tool_pose.type'),
     ({'rhythm': SILENT, 'mismatch': Mismatch('frames', 'no way')}, Level.ERROR,
      'No pose of the tool from /tool: no way. Check frames.world and frames.tool'),
-    ({'rhythm': GOOD._replace(messages=1, rate_hz=math.nan)}, Level.OK, 'A single message.'),
     ({'refused': {'nan': 3, 'jump': 0}}, Level.WARN,
      '3 of 500 messages refused: 3 x nan (a number in it is not finite).'),
     ({'refused': {'frame_id': 500}}, Level.ERROR, '500 of 500'),
     ({'rhythm': GOOD._replace(age=Quantiles(*3 * [5.0]))}, Level.WARN, '5 s behind the clock'),
     ({'rhythm': GOOD._replace(age=Quantiles(*3 * [-2.0]))}, Level.WARN, '2 s ahead of the clock'),
-    ({'rhythm': GOOD._replace(age=Quantiles(*3 * [math.nan]))}, Level.OK, 'Hz'),
 ])
 def test_words_on_an_input(seen, level, words):
     base = InputSeen('/tool', 1, None, GOOD, 3.0, {}, {'nan': 7})
@@ -155,14 +152,12 @@ def test_twists_that_serve_no_pose_are_said(messages, alone, level):
 
 @pytest.mark.parametrize(('seen', 'held', 'latched', 'level', 'words'), [
     ({}, True, True, Level.OK, 'Held.'),
-    ({}, False, False, Level.OK, 'Not held.'),
     ({'rhythm': SILENT}, True, True, Level.OK, 'Held.'),
     ({'rhythm': SILENT}, True, False, Level.WARN, 'silent for 3.0 s: the package counts as held'),
     ({'rhythm': SILENT}, False, False, Level.ERROR, 'the package counts as not held'),
     ({'rhythm': SILENT, 'silent': math.inf}, False, True, Level.WARN, 'No word from /vacuum'),
     ({'publishers': 0}, False, True, Level.ERROR, 'Nobody publishes /vacuum'),
     ({'mismatch': Mismatch('qos', 'durability')}, True, True, Level.WARN, 'durability'),
-    ({'refused': {'negative': 500}}, True, False, Level.WARN, '500 of 500 messages refused'),
 ])
 def test_words_on_the_vacuum(seen, held, latched, level, words):
     base = InputSeen('/vacuum', 1, None, GOOD, 3.0, {}, {})
@@ -172,11 +167,8 @@ def test_words_on_the_vacuum(seen, held, latched, level, words):
 
 
 @pytest.mark.parametrize(('seen', 'level', 'words'), [
-    ({}, Level.OK, 'Predicting.'),
     ({'state': 'inactive'}, Level.OK, 'Inactive: nothing is published.'),
-    ({'phase': 'detached'}, Level.OK, 'Detached'),
     ({'phase': 'coasting'}, Level.WARN, 'Coasting'),
-    ({'phase': 'lost'}, Level.ERROR, 'Lost'),
     ({'restarts': {'gap': 2}}, Level.WARN, 'equilibrium: 2 x no usable pose arrived for more'),
     ({'restarts': {'no_equilibrium': 1}}, Level.ERROR, 'cannot hold'),
     ({'twist_verdict': 'other_axes'}, Level.WARN, 'tool_twist.frame'),
@@ -238,12 +230,3 @@ def test_cup_is_chosen_by_name():
 
 def test_every_count_has_words():
     assert {*health.REASONS, 'no_equilibrium', 'failure'} == {*REFUSALS, *RESTARTS}
-
-
-def test_summary_holds_all_counts():
-    live = LivePredictor(Cup.thesis(), Package(2.0, 0.02 * np.eye(3), (0.0, 0.0, -0.03)), 9.81)
-    for stamp_ns in (10**9, 10**9 + 1_000_000, 10**9 + 2_000_000, 10**9):
-        live.on_pose(stamp_ns, 'world', ZERO, (0.0, 0.0, 0.0, 1.0))
-    assert health.summary(live) == (
-        '4 poses and 0 twists in, 3 predictions out, 1 refused (1 backward_stamp), '
-        '3 twists estimated.')

@@ -2,8 +2,8 @@
 
 import math
 
-from bellows_ros.core.live.screening import JUMP_RUN, LARGEST_STOP, Screen
-from bellows_ros.core.signals.screening import BACKWARD_RUN, LARGEST_SPEED, Verdict
+from bellows_ros.core.live.screening import JUMP_RUN, Screen
+from bellows_ros.core.signals.screening import BACKWARD_RUN, Verdict
 import numpy as np
 import pytest
 
@@ -43,11 +43,6 @@ GOOD = Verdict('', '')
 SPEEDS = pytest.mark.parametrize('period_ns', [MS, 2 * MS, 8 * MS, 20 * MS])
 
 
-def test_good_poses_are_accepted():
-    assert Driver(speed=2.0).send(1000) == [GOOD] * 1000
-    assert Driver().send(1000) == [GOOD] * 1000  # a robot that stands still repeats its pose
-
-
 @pytest.mark.parametrize('reason, fault', [
     ('nan', {'position': (math.nan, 0.0, 0.0)}),
     ('zero_quaternion', {'xyzw': (0.0, 0.0, 0.0, 0.0)}),
@@ -64,15 +59,6 @@ def test_one_bad_pose_costs_itself_only(reason, fault):
     driver.send(100)
     assert driver.send(1, **fault) == [Verdict(reason, '')]
     assert driver.send(100) == [GOOD] * 100
-
-
-def test_bad_poses_in_turn_with_good_ones_cost_themselves_only():
-    driver = Driver(speed=0.5)
-    driver.send(10)
-    for _ in range(50):
-        for fault in ({'frame': 'map'}, {'offset_ns': 10**12}, {'position': (9.0, 9.0, 9.0)}):
-            assert driver.send(1, **fault)[0].refused
-            assert driver.send(1) == [GOOD]
 
 
 @SPEEDS
@@ -142,14 +128,6 @@ def test_new_frame_is_believed_when_nothing_else_comes(period_ns):
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
     assert [v.restart for v in verdicts if v.restart] == ['frame_changed']
     assert driver.screen.frame_id == 'map'
-
-
-def test_bogus_stamp_in_a_new_frame_does_not_keep_it_out():
-    driver = Driver()
-    driver.send(10)
-    driver.send(1, frame='map', offset_ns=10**10)
-    verdicts = driver.send(300, frame='map')
-    assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
 
 
 def test_two_drivers_in_two_frames_never_mix():
@@ -248,8 +226,3 @@ def test_sign_of_a_quaternion_is_no_jump():
     driver = Driver(speed=0.5)
     for _ in range(20):
         assert driver.send(1) + driver.send(1, xyzw=(0.0, 0.0, 0.0, -1.0)) == [GOOD] * 2
-
-
-def test_limits_leave_room_for_every_arm():
-    assert LARGEST_SPEED >= 10.0  # m/s; fast arms reach 4
-    assert LARGEST_STOP >= 2 * 9.81

@@ -54,16 +54,6 @@ def test_one_pose_has_no_twist_and_two_have_that_of_the_line():
     assert_allclose(w, [0.0, 0.0, 1.0], atol=1e-6)
 
 
-def test_forgets():
-    history = PoseHistory(3)
-    for k in range(4):
-        history.append(k * 1_000_000 + 1, (0.01 * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    history.clear()
-    history.append(1, (5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    assert history.state() == (
-        (5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
 def test_bursts_give_the_slope_of_the_line_and_not_of_their_noise():
     stamps = np.array([0, 10, 100_000_000, 100_000_010]) + 1
     positions = np.outer([0.0, 1e-4, 0.1, 0.1001], [1.0, 0.0, 0.0])  # 0.1 mm off the line in 10 ns

@@ -252,6 +252,14 @@ def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
         assert sum('jitter' in warning for warning in found) == 1
 
 
+def test_a_package_picked_up_far_aside_is_warned_about():
+    tool, package = held(69)
+    aside = displaced(package, slice(None), np.array([0.008, 0, 0]), np.zeros(3), True)
+    settings = AT_REST
+    (warning,) = prepare(stream(tool), stream(aside, '/package'), settings).report.warnings
+    assert '8.0 mm beside its middle' in warning
+
+
 def test_what_cannot_be_prepared_says_why():
     tool, package = held(70)
     settings = PLAIN

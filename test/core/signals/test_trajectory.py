@@ -11,7 +11,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from ..motions import stamps
+from ..motions import motion, stamps
 
 
 def test_uniform_rate():
@@ -31,6 +31,15 @@ def test_a_dropout_is_no_uniform_rate():
 
 def test_neighbours_of_a_sample_are_found():
     assert_array_equal(any_within(np.arange(10) == 4, 3), np.abs(np.arange(1, 9) - 4) <= 1)
+
+
+def test_seconds_and_select():
+    trajectory = motion(11, 10.0)
+    assert_allclose(trajectory.seconds, np.arange(11) / 10, atol=1e-15)
+    part = trajectory.select(trajectory.seconds > 0.45)
+    assert len(part) == 6
+    assert_array_equal(part.twist, trajectory.twist[5:])
+    assert_array_equal(part.valid, True)
 
 
 GOOD = {

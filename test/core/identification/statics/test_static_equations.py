@@ -9,7 +9,6 @@ from bellows_ros.core.identification.statics.static_equations import (
     Length,
     static_equations,
 )
-from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import standstills_of
@@ -124,16 +123,6 @@ def test_what_no_motion_tells_standstills_do():
     assert joined.damping[2, 2] == fit.damping[2, 2]
 
 
-def test_a_full_cup_is_narrowed_too():
-    full = STRUCTURES['full']
-    recording = simulated.record(simulated.shake(seed=5), seed=5, **NOISE)
-    fit = simulated.least_squares([samples_of(recording)], L0, full)
-    joined = joined_with_standstills(fit, resting(6), exact(42), G, simulated.CUP.stiffness)
-    assert np.all(joined.standstills.narrowed <= 1.0 + 1e-9)
-    off = [np.linalg.norm(found.stiffness - simulated.CUP.stiffness) for found in (fit, joined)]
-    assert off[1] < off[0]
-
-
 def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     """Say the load was 20 % more than it was."""
     heavy = replace(simulated.HELD, mass=1.2 * simulated.HELD.mass)
@@ -155,9 +144,3 @@ def test_a_better_mean_counts_more():
 def test_none_is_a_mistake():
     with pytest.raises(BellowsError, match='at least one standstill'):
         static_equations([], L0, ROUND, G, simulated.CUP.stiffness)
-
-
-def test_a_cup_stays_a_cup():
-    joined = joined_with_standstills(moving(7), resting(8), exact(), G, simulated.CUP.stiffness)
-    assert joined.usable
-    Cup(joined.stiffness, joined.damping, L0)
