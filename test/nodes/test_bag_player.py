@@ -4,7 +4,6 @@ import threading
 import time
 from typing import Any
 
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_messages
 from bellows_ros.nodes.bag_player import play, stamped
@@ -95,10 +94,3 @@ def test_a_stamp_is_replaced_in_either_order_of_bytes():
         new = stamped(data, lambda ns, seen=seen: seen.append(ns) or 9_000_000_008)
         assert seen == [7_000_000_005]
         assert new == order + (9).to_bytes(4, name) + (8).to_bytes(4, name) + b'rest'
-
-
-def test_topics_that_are_not_there_are_refused(bag):
-    """Name what is there."""
-    with pytest.raises(BellowsError, match='/nothing.*/tool/pose'):
-        read_messages(bag, ['nothing'])
-    assert {m.topic.name for m in read_messages(bag, ['tool/twist'])[0]} == {'/tool/twist'}

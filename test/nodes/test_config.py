@@ -1,12 +1,10 @@
 """The configuration files that are shipped: read by us, taken by ROS, units on every line."""
 
-import re
 import runpy
 
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.table import parameters_of
-from bellows_ros.files.parameter_files import read_parameters, write_parameters
-from bellows_ros.nodes.predictor import INTERFACE
+from bellows_ros.files.parameter_files import read_parameters
 import pytest
 
 NAMES = ('predictor', 'identifier', 'cup_thesis')
@@ -54,40 +52,12 @@ def test_defaults_shown_are_the_defaults(name, root):
             assert values[parameter.name] == parameter.default, parameter.name
 
 
-def test_documented_commands_name_the_package_after_the_cup(root):
-    """Let the package of the user prevail over the one that a cup file holds."""
-    pages = [*root.glob('*.md'), *root.glob('docs/**/*.md'), *root.glob('config/*.yaml')]
-    text = '\n'.join([*INTERFACE.examples, *(page.read_text() for page in pages)])
-    files = [re.findall(r'--params-file (\S+)', line) for line in text.splitlines()]
-    both = [names for names in files if len(names) > 1]
-
-    assert len(both) >= 5  # the help, twice the README, two files
-    for first, last in both:
-        assert first.startswith('cup') and last in ('package.yaml', 'predictor.yaml')
-
-
 def test_launch_file_gives_the_package_after_the_cup(root):
     """Let the package of the user prevail there, too, and do without a cup."""
     chosen = runpy.run_path(str(root / 'launch' / 'predictor.launch.py'))['parameter_files']
 
     assert chosen({'params_file': 'p.yaml', 'cup_file': 'c.yaml'}) == ['c.yaml', 'p.yaml']
     assert chosen({'params_file': 'p.yaml', 'cup_file': ''}) == ['p.yaml']
-
-
-def test_package_of_the_user_prevails_over_that_of_the_cup_file(
-        make_predictor, tmp_path, monkeypatch):
-    """Start the node as its help shows, with files of two different packages."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    package = {'package.inertia': [0.01, 0.01, 0.01, 0.0, 0.0, 0.0],
-               'package.com': [0.0, 0.0, -0.03]}
-    write_parameters(
-        tmp_path / 'cup.yaml', {**package, 'package.mass': 1.8, 'cup.length': 0.046})
-    write_parameters(tmp_path / 'package.yaml', {**package, 'package.mass': 0.6})
-    monkeypatch.chdir(tmp_path)
-    node = make_predictor({}, cli_args=INTERFACE.examples[0].split()[1:])
-
-    assert node.get_parameter('package.mass').value == 0.6
-    assert node.get_parameter('cup.length').value == 0.046
 
 
 def test_predictor_starts_with_its_files(root, make_predictor):
@@ -102,11 +72,3 @@ def test_predictor_starts_with_its_files(root, make_predictor):
         shown = node.get_parameter(name).value
         assert (tuple(shown) if isinstance(value, tuple) else shown) == value
     assert node.given == set(expected)
-
-
-def test_predictor_starts_with_the_file_of_the_identifier(root, make_predictor):
-    """Serve both nodes with one file."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    node = make_predictor({}, cli_args=[
-        '--ros-args', '--params-file', str(root / 'config' / 'identifier.yaml')])
-    assert node.get_parameter('package.mass').value == 2.17

@@ -181,15 +181,6 @@ def test_refused_messages_are_counted_in_the_diagnostics(make_partner, listener)
     assert int(listener.value('tool pose', 'refused: nan')) > 0
 
 
-def test_reports_come_once_a_second(make_predictor, ros):
-    """Report at 1 Hz on a clock that nobody sets, and with the lines of an active node."""
-    node, listener = make_predictor(), Listener(ros)
-    assert 10**9 in {timer.timer_period_ns for timer in node.timers}
-    assert listener.sees('prediction', OK, 'Waiting')
-    assert set(listener.lines) == {
-        f'predictor: {name}' for name in ('prediction', 'tool pose', 'tool twist', 'load')}
-
-
 def test_vacuum_signal_that_nobody_sends_is_named(make_predictor, listener):
     """Say why nothing is predicted, and what the signal says once there is one."""
     from std_msgs.msg import Bool
@@ -272,27 +263,6 @@ def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
     known = odometry[-1 - len(beyond)].pose.covariance[0]
     assert variances == sorted(variances) and variances[-1] > known
     assert all(np.isfinite(m.pose.covariance).all() for m in odometry)
-
-
-def test_poses_that_cannot_be_used_are_bridged_too(make_partner):
-    """Extrapolate while the driver sends NaN, as the state says."""
-    from nav_msgs.msg import Odometry
-
-    partner = make_partner({**PACKAGE, 'coast.limit': 0.4}, with_twists=False)
-    odometry: list[Any] = []
-    reader = partner.node.create_subscription(
-        Odometry, 'package/odometry', odometry.append, 1000)
-    assert partner.ros.spin_until(reader.get_publisher_count)
-    live = partner.predictor._live
-    with sending(partner, position=(math.nan, 0.0, 0.0)):
-        for _ in range(BURSTS):
-            last_ns, refused = send_burst(partner), live.refused['nan']
-            assert partner.ros.spin_until(lambda: live.coasted or is_lost(partner))
-            if live.coasted:
-                break
-        assert partner.ros.spin_until(lambda: live.refused['nan'] > refused)
-    assert live.coasted >= 1
-    assert partner.ros.spin_until(lambda: stamp_ns(odometry[-1]) > last_ns)
 
 
 def test_stamps_of_odometry_never_go_back(make_partner):

@@ -5,7 +5,6 @@ import time
 from typing import Any
 
 import numpy as np
-import pytest
 
 from .conftest import PACKAGE
 
@@ -112,11 +111,10 @@ def listen(partner):
     return heard
 
 
-@pytest.mark.parametrize('seed', [1, 2])
-def test_nothing_breaks_the_node_and_it_comes_back(seed, make_partner):
+def test_nothing_breaks_the_node_and_it_comes_back(make_partner):
     """Count every message, publish one finite prediction for each pose taken, and recover."""
     partner = make_partner({**PACKAGE, **RELIABLE})
-    heard, attacker = listen(partner), Attacker(partner, seed)
+    heard, attacker = listen(partner), Attacker(partner, 1)
     for k in range(MESSAGES):
         attacker.send()
         if k % BURST == 0:

@@ -100,13 +100,6 @@ def manager(ros):
     return Manager(ros)
 
 
-def test_starts_itself(make_predictor, manager):
-    """Be active without being asked."""
-    make_predictor()
-    assert manager.state() == 'active'
-    assert manager.hears()
-
-
 def test_every_transition(make_predictor, manager):
     """Go through all states twice; publish only while active."""
     node = make_predictor({**PACKAGE, 'autostart': False})
