@@ -26,8 +26,6 @@ def complete(line, folder):
     ('bellows ', {*COMMANDS}),
     ('bellows simulate --seed 1 --', {'--motion', '--params', '--help'}),
     ('bellows identify --set fit.st', {'fit.structure='}),
-    ('bellows plot sp', {'spectra'}),
-    ('bellows export cup.yaml --to m', {'mjcf'}),
     ('bellows identify --params my', {'my_arm.yaml', 'my_cell.yaml'}),
 ])
 def test_what_can_follow_is_offered(line, expected, tmp_path):

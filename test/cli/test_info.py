@@ -87,15 +87,3 @@ def test_a_part_of_a_recording_is_looked_at(bellows, workshop, tmp_path):
     assert all(1.4 < topic['duration_s'] <= 1.5 for topic in found['topics'] if topic['kind'])
     written = read_parameters(out)
     assert (written['recording.start'], written['recording.end']) == (1.0, 2.5)
-
-
-def test_a_single_message_has_no_rate():
-    """Leave rate and jitter empty."""
-    from bellows_ros.cli.info import _topic_rows
-    from bellows_ros.workflows.info import TopicInfo
-
-    class Found:
-        topics = (TopicInfo('/tool', 'geometry_msgs/msg/PoseStamped', 1, kind='pose'),)
-
-    (_, row) = _topic_rows(Found())  # type: ignore[arg-type]
-    assert row[3:5] == ('', '') and 'nan' not in ' '.join(row)

