@@ -11,8 +11,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bellows_ros.report import listed, with_error
+
 from . import options
-from .console import Console, listed, NOT_USABLE, OK, with_error
+from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.comparison import Change

@@ -9,7 +9,6 @@ and none divides finished work.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 import errno
-import math
 import os
 import re
 import shutil
@@ -38,7 +37,6 @@ EXIT_CODES = """exit codes:
 
 WIDTH, NARROWEST = 79, 40
 GUTTER, INDENTED = 2, 2  # of tables, characters
-MAX_LISTED = 5  # items of a list
 BAR = 24  # characters
 REDRAW_INTERVAL = 0.1  # s, between two drawings of the progress
 CLEAR_LINE = '\r\x1b[2K'
@@ -234,32 +232,6 @@ def _write(stream: TextIO, text: str) -> None:
     print(text, file=stream)
 
 
-def with_error(value: float, error: float, unit: str = '') -> str:
-    """
-    Return a value to the decimal place of its standard error's second figure, the error, the unit.
-
-    With an infinite error the value is meaningless, and not shown.
-    """
-    if math.isinf(error):
-        return 'not identifiable'
-    if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
-        return f'{value:.5g} {unit}'.rstrip()
-    value_text, error_text = column([value, error], error)
-    return f'{value_text} ± {error_text} {unit}'.rstrip()
-
-
-def column(values: Sequence[float], error: float | None = None) -> list[str]:
-    """
-    Return numbers with the same decimals: as many as show two figures of an error.
-
-    Without one, of the smallest number that is not below a hundredth of the largest.
-    """
-    sizes = [abs(value) for value in values if math.isfinite(value) and value]
-    least = error or min((size for size in sizes if size >= 0.01 * max(sizes)), default=1.0)
-    decimals = max(0, 1 - math.floor(math.log10(least)))
-    return [f'{value:z.{decimals}f}' for value in values]
-
-
 def _wrapped(text: str, first: str, rest: str) -> list[str]:
     """Return lines as wide as the terminal, at most what is easy to read, with indentations."""
     width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), NARROWEST)
@@ -287,23 +259,6 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
         blocks[-1].append(column)
     return [(GUTTER * ' ').join(cells).rstrip()
             for block in blocks for cells in zip(*block, strict=True)]
-
-
-def percent(ratio: float, decimals: int = 2) -> str:
-    """Return a ratio in percent, or a dash if nothing moved."""
-    return f'{100.0 * ratio:.{decimals}f} %' if math.isfinite(ratio) else '-'
-
-
-def listed(items: Sequence[str]) -> str:
-    """Return items as in a sentence; of many the first ones and how many more."""
-    if len(items) > MAX_LISTED:
-        return f'{", ".join(items[:MAX_LISTED])} and {len(items) - MAX_LISTED} more'
-    return ' and '.join(filter(None, [', '.join(items[:-1]), items[-1]]))
-
-
-def many(count: int, noun: str) -> str:
-    """Return a count with its noun."""
-    return f'{count} {noun}{"" if count == 1 else "s"}'
 
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)

@@ -10,8 +10,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bellows_ros.report import column, with_error
+
 from . import options
-from .console import column, Console, with_error
+from .console import Console
 from .planned import run_plan_command
 
 if TYPE_CHECKING:

@@ -11,13 +11,12 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.report import column, listed, many
 
 from . import options
-from .console import column, Console, listed, many, NOT_USABLE, OK, uninterrupted, with_error
+from .console import Console, NOT_USABLE, OK, uninterrupted
 
 if TYPE_CHECKING:
-    from bellows_ros.core.identification.result import Fit
-    from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.release import ReleaseResult
 
 EXAMPLES = (
@@ -79,6 +78,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.release:
         return _release(arguments, settings, console)
     from bellows_ros.core.geometry.jit import COMPILED
+    from bellows_ros.report.text import print_identification
     from bellows_ros.workflows.identification import save
     from bellows_ros.workflows.identify import identify
 
@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         write_page(result, page)
     if options.STDOUT in (cup_file, json_file, page):
         console.keep_stdout_free()
-    _print_result(result, console)
+    print_identification(result, console)
     console.line()
     console.wrote(json_file, page)
     if not usable:
@@ -184,98 +184,3 @@ def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]
         'bags': [str(bag) for bag in arguments.bags], 'output.parameters': str(arguments.out),
         'output.json': str(arguments.json), 'output.report': str(arguments.report)}
     return {**values, **{name: value for name, value in named.items() if value}}
-
-
-def _print_result(result: 'Identification', console: Console) -> None:
-    """Print the cup, and the samples and findings behind it."""
-    from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
-
-    fit, verdict = result.fit, result.verdict
-    causes, sentences = (verdict.cause, verdict.sentences) if verdict else ((), ())
-    console.paragraph(*causes)
-    console.line(f'Cup identified from {listed(result.bags)}', 'bold')
-    console.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
-    console.line()
-    for simulated in verdict.simulated if verdict else ():
-        if not all(map(math.isfinite, simulated.rms)):
-            console.paragraph(simulated.sentence)
-            continue
-        console.table([
-            ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, MILLI_UNITS, strict=True))),
-            *((name, *(f'{1e3 * x:.3g}' for x in values))
-              for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
-            right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
-    print_cup(fit, console)
-    _print_samples(result, console)
-    console.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
-    console.paragraph(*result.findings[len(sentences):])
-    console.paragraph(*result.refusals, style='red')
-    console.warn(*result.warnings)
-
-
-def print_cup(fit: 'Fit', console: Console, title: str = '') -> None:
-    """Print K and P with standard errors, a line per direction; with couplings all entries."""
-    from bellows_ros.core.identification.result import UNITS
-    from bellows_ros.core.model.structure import AXES, structure_named
-
-    structure = structure_named(fit.structure)
-    exact, given = fit.exactly_given, fit.from_given is not None
-    matrices = (('stiffness K', 'K', fit.stiffness, exact.stiffness_std, fit.stiffness_std),
-                ('damping P', 'P', fit.damping, exact.damping_std, fit.damping_std))
-    columns: list[list[str]] = []
-    for title_of, name, *of_name in matrices:
-        ends = [[M[axes[0], axes[0]] for M in of_name] for axes in structure.tied_axes]
-        columns.append([title_of, *(
-            with_error(value, error, UNITS[name][2 * (axes[0] > 2)])
-            for axes, (value, error, _) in zip(structure.tied_axes, ends, strict=True))])
-        columns.append(['with what was given', *(
-            _in_percent(both, value) for value, _, both in ends)])
-    names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
-    for part in (columns[:2], columns[2:]) if given else (columns[::2],):
-        console.table(list(zip(names, *part, strict=True)), title=title)
-    if given:
-        console.paragraph(
-            'The first error is from these recordings alone, the second with what was given '
-            '(package.*_std, cup.length_std, recording.*_std): with mass, inertia, K and P larger '
-            'by one factor the motion is the same.')
-    print_relaxation(fit.relaxation, fit.relaxation_std, console)
-    for _, name, matrix, _, std in matrices if structure.couples else ():
-        linear, coupling, angular = UNITS[name]
-        rows: list[tuple[str, ...]] = [('', *AXES)]
-        for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
-            rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
-                                 for value, error in zip(values, errors, strict=True))))
-        console.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
-
-
-def _in_percent(error: float, value: float) -> str:
-    """Return a standard error as a part of its value, '' where that is not identifiable."""
-    if not (math.isfinite(error) and value):
-        return ''
-    percent = 100.0 * error / abs(value)
-    return f'± {percent:.2g} %' if percent < 99.5 else f'± {percent:.0f} %'
-
-
-def print_relaxation(
-    strengths: tuple[float, float], errors: tuple[float, float], console: Console
-) -> None:
-    """Print how the rubber relaxes, if it does."""
-    if any(strengths):
-        numbers = ', '.join(f'r{b} = {with_error(r, std, "")}' for b, (r, std) in enumerate(
-            zip(strengths, errors, strict=True), 1))
-        console.paragraph(f'The rubber relaxes: {numbers}. K is the static stiffness.')
-
-
-def _print_samples(result: 'Identification', console: Console) -> None:
-    """Print how many samples were used, and what was wrong with the poses of each topic."""
-    fit = result.fit
-    console.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
-    for stream in (part.report[name] for part in result.parts
-                   for name in ('tool_pose', 'package_pose')):
-        counts = {f'{reason.replace("_", " ")} message': len(indices)
-                  for reason, indices in stream['refused'].items()}
-        counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps'])}
-        found = [many(count, what) for what, count in counts.items() if count]
-        if found:
-            touched = many(stream['filtered_samples_left_out'], 'filtered sample')
-            console.paragraph(f'  {stream["topic"]}: {", ".join(found)}; {touched} near these')

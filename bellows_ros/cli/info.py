@@ -10,8 +10,10 @@ from collections.abc import Iterator
 import math
 from typing import TYPE_CHECKING
 
+from bellows_ros.report import many
+
 from . import options
-from .console import Console, many, OK
+from .console import Console, OK
 from .parameters import template_with
 
 if TYPE_CHECKING:

@@ -9,7 +9,9 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from .console import Console, with_error
+from bellows_ros.report import with_error
+
+from .console import Console
 from .planned import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:

@@ -13,11 +13,10 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.extras import require_pictures
 
 from . import options
-from .console import column, Console, NOT_USABLE, OK, percent
+from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.observe import Observed
-    from bellows_ros.workflows.replay import Replay
+    pass
 
 EXAMPLES = (
     ('bellows replay bags/validation --params bags/cup.yaml',
@@ -39,16 +38,9 @@ EXAMPLES = (
     ('bellows replay second --params bags/cup.yaml --limit 5',
      'in a script: exit code 1 unless every axis that moves is within 5 %'),
 )
-PERCENT, MILLI = 100.0, 1e3
+PERCENT = 100.0
 FOUND = ('an axis that moves is above --limit; without it, above 5 % and 3 times what noise '
          'explains')
-LEGEND = (
-    'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
-    'predictor, from the messages as they came. noise: RMS error due to measurement noise '
-    'alone. NRMSE: RMS error over motion; * moves too little for a verdict, as noise alone is '
-    'more than 5 % of its motion. one-step: whether the errors are white if every sample corrects '
-    'the model.'
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,6 +71,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
     settings = options.cup_parameters(arguments, console)
     from bellows_ros.core.identification.validation import LIMIT
+    from bellows_ros.report.text import print_replay
     from bellows_ros.workflows.replay import replay
 
     if arguments.report:
@@ -109,72 +102,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             write_text(arguments.report, replay_report(result, arguments.params))
             written += [arguments.report]
         options.put_json(arguments.json, result.as_json(limit, arguments.params))
-    _print_result(result, limit, arguments, console)
+    print_replay(result, console, limit)
+    if result.live:
+        console.paragraph(
+            f'The live prediction took {result.live.took:.2f} s, '
+            f'{result.live.real_time_factor:.0f} times faster than real time.')
+    console.wrote(arguments.json, arguments.report, arguments.out)
     failing = result.validation.failing(limit)
     worse = failing if arguments.limit is not None else result.validation.worse_than_noise
     return NOT_USABLE if worse else OK
-
-
-def _print_result(
-    result: 'Replay', limit: float, arguments: argparse.Namespace, console: Console
-) -> None:
-    """Print the errors per axis and their meaning."""
-    from bellows_ros.workflows.recordings import offset_sentence
-
-    rest = result.validation.start == 'equilibrium'
-    console.line(f'Replay of {arguments.bag}', 'bold')
-    console.paragraph(
-        '(package relative to the tool, predicted minus measured; from '
-        f'{"static equilibrium" if rest else "the measured state"})', style='dim')
-    console.table(_error_rows(result), right=True)
-    console.paragraph(LEGEND, style='dim')
-    console.line()
-    found = result.validation
-    console.paragraph(
-        found.verdict(limit),
-        *([f'One-step prediction errors: chi^2 per degree of freedom {found.one_step.chi2:.3f} '
-           '(1 if model and noise explain everything).'] if found.one_step else []),
-        f'{found.scores.samples} samples compared.',
-        *([result.margin.sentence] if result.margin else []),
-        *offset_sentence(arguments.bag, result.time_offset))
-    if result.live:
-        console.paragraph(
-            'Live, from the messages as they came: '
-            f'{", ".join(f"{count} {name}" for name, count in result.live.counts.items())}.',
-            f'The live prediction took {result.live.took:.2f} s, '
-            f'{result.live.real_time_factor:.0f} times faster than real time.')
-    if result.observed:
-        _print_observed(result.observed, console)
-    console.warn(*result.warnings)
-    console.wrote(arguments.json, arguments.report, arguments.out)
-
-
-def _print_observed(found: 'Observed', console: Console) -> None:
-    """Print the gain by measured poses, and alarms."""
-    from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
-
-    errors = [column([MILLI * x for x in way.scores.rms]) for way in found.ways.values()]
-    console.table([('axis', *found.ways), *(
-        (f'{name:2} {MILLI_UNITS[i]}', *(rms[i] for rms in errors))
-        for i, name in enumerate(AXES))], right=True, title=f'With {found.topic}, RMS error')
-    console.paragraph(found.sentence)
-    for line in found.alarm_lines:
-        console.warn(f'Alarm at {line}')
-
-
-def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
-    """Return a row for each axis: errors, the part due to noise, and whether they are white."""
-    from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
-
-    found, live = result.validation, result.live
-    white = found.one_step.whiteness.verdicts if found.one_step else ('-',) * 6
-    rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
-    errors = [('-',) * 6 if error is None else column([MILLI * x for x in error]) for error in (
-        found.scores.rms, live.scores.rms if live else None, found.noise, found.scores.largest)]
-    for i, name in enumerate(AXES):
-        rows.append((
-            f'{name:2} {MILLI_UNITS[i]}', *(error[i] for error in errors),
-            percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
-            white[i].removesuffix(' white'),
-        ))
-    return rows

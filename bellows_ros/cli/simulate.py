@@ -10,8 +10,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bellows_ros.report import many
+
 from . import options
-from .console import Console, many, OK
+from .console import Console, OK
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.simulate import SimulationReport

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.report import column
 
 from . import options
-from .console import column, Console, NOT_USABLE, OK
+from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.statics.static import SpringCheck

@@ -10,8 +10,9 @@ import math
 from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.report import column, with_error
 
-from .console import column, Console, with_error
+from .console import Console
 from .planned import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:

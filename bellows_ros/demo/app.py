@@ -11,8 +11,7 @@ import tempfile
 import time
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.cli.console import Console, NOT_USABLE, OK, percent, Progress, run_guarded
-from bellows_ros.cli.identify import print_cup
+from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guarded
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
@@ -26,6 +25,8 @@ from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.nodes.command import require_ros
 from bellows_ros.plots.prediction import prediction_figure
 from bellows_ros.plots.style import write_figure
+from bellows_ros.report import percent
+from bellows_ros.report.text import print_cup
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load as load_recording

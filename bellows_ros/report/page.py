@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from html import escape
-import math
 from typing import Any
 
 from bellows_ros.plots.style import inline_svg, Theme, THEMES
@@ -16,46 +15,55 @@ def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
         f'<title>{escape(title)}</title>\n<style>{_style()}</style>\n</head>\n<body>\n'
-        f'<h1>{escape(title)}</h1>\n<p class="quiet">{escape(subtitle)}</p>\n'
+        f'<h1>{escape(title)}</h1>\n<p class="dim">{escape(subtitle)}</p>\n'
         + '\n'.join(sections)
         + '\n</body>\n</html>\n'
     )
 
 
-def section(title: str, *content: str) -> str:
-    """Return a section with a heading."""
-    inside = '\n'.join(filter(None, content))
-    return f'<section>\n<h2>{escape(title)}</h2>\n{inside}\n</section>'
+class Section:
+    """A section of a page, written as a command writes to the console."""
+
+    def __init__(self, title: str) -> None:
+        """Begin with a heading."""
+        self._parts = [f'<section>\n<h2>{escape(title)}</h2>']
+
+    def html(self) -> str:
+        """Return the section."""
+        return '\n'.join([*self._parts, '</section>'])
+
+    def line(self, text: str = '', style: str = '') -> None:
+        """Write a line as a paragraph."""
+        self.paragraph(*filter(None, [text]), style=style)
+
+    def paragraph(self, *texts: str, style: str = '') -> None:
+        """Write paragraphs, in a style of the console."""
+        kind = f' class="{style}"' if style else ''
+        self._parts += [f'<p{kind}>{escape(text)}</p>' for text in texts]
+
+    def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
+        """Write a table with a head, all but the first column to the right if wanted."""
+        self.line(title, 'bold')
+        self.add(table(rows, right))
+
+    def warn(self, *texts: str) -> None:
+        """Write warnings as a list."""
+        items = ''.join(f'<li>{escape(text)}</li>' for text in texts)
+        self.add(*([f'<ul class="warning">{items}</ul>'] if texts else []))
+
+    def add(self, *parts: str) -> None:
+        """Add what is HTML already."""
+        self._parts += parts
 
 
-def heading(text: str) -> str:
-    """Return a heading inside a section."""
-    return f'<h3>{escape(text)}</h3>'
-
-
-def paragraph(text: str, kind: str = '') -> str:
-    """Return a paragraph, with a class if given."""
-    of_kind = f' class="{kind}"' if kind else ''
-    return f'<p{of_kind}>{escape(text)}</p>'
-
-
-def warnings(texts: Sequence[str]) -> str:
-    """Return warnings as a list, or ''."""
-    return bullets(texts, 'warning')
-
-
-def bullets(texts: Sequence[str], kind: str = '') -> str:
-    """Return a list of sentences, or ''."""
-    of_kind = f' class="{kind}"' if kind else ''
-    items = ''.join(f'<li>{escape(text)}</li>' for text in texts)
-    return f'<ul{of_kind}>{items}</ul>' if texts else ''
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], words: Sequence[int] = (0,)) -> str:
-    """Return a table with numbers to the right, the columns in `words` to the left."""
-    kinds = ['' if i in words else ' class="number"' for i in range(len(head))]
-    lines = [_row('th', head, kinds), *(_row('td', row, kinds) for row in rows)]
-    return f'<div class="wide"><table>\n{"".join(lines)}</table></div>'
+def table(rows: Sequence[Sequence[str]], right: bool = False) -> str:
+    """Return a table with a head, all but the first column to the right if wanted."""
+    lines = [''.join(
+        f'<{tag}{" class=number" if right and column else ""}>{escape(cell)}</{tag}>'
+        for column, cell in enumerate(cells))
+        for tag, cells in zip(['th', *['td'] * (len(rows) - 1)], rows, strict=True)]
+    body = '\n'.join(f'<tr>{line}</tr>' for line in lines)
+    return f'<div class="wide"><table>\n{body}\n</table></div>'
 
 
 def figure(drawn: Any) -> str:
@@ -63,22 +71,9 @@ def figure(drawn: Any) -> str:
     return f'<figure>{inline_svg(drawn)}</figure>'
 
 
-def percent(ratio: float) -> str:
-    """Return a ratio in percent, or a dash if it is not finite."""
-    return f'{100.0 * ratio:.2f} %' if math.isfinite(ratio) else '-'
-
-
 def folded(title: str, content: str) -> str:
     """Return content that is shown when asked for."""
     return f'<details><summary>{escape(title)}</summary>\n{content}\n</details>'
-
-
-def _row(tag: str, cells: Sequence[str], kinds: Sequence[str]) -> str:
-    """Return a row of a table."""
-    inside = ''.join(
-        f'<{tag}{kind}>{escape(cell)}</{tag}>' for cell, kind in zip(cells, kinds, strict=True)
-    )
-    return f'<tr>{inside}</tr>\n'
 
 
 def _variables(theme: Theme) -> str:
@@ -103,7 +98,9 @@ h1{font-size:1.6em;margin:0}
 h2{font-size:1.2em;margin:2em 0 .4em;padding-bottom:.2em;border-bottom:1px solid var(--grid)}
 h3{font-size:1em;margin:1.4em 0 .3em}
 p{margin:.4em 0;max-width:50em}
-.quiet{color:var(--quiet)}
+.dim{color:var(--quiet)}
+.bold{font-weight:600}
+.red{color:var(--warn)}
 ul{margin:.4em 0;padding-left:1.3em;max-width:52em}
 ul.warning{color:var(--warn)}
 .wide{overflow-x:auto}

@@ -4,7 +4,8 @@ import io
 import math
 import os
 
-from bellows_ros.cli.console import aligned, column, Console, with_error
+from bellows_ros.cli.console import aligned, Console
+from bellows_ros.report import column, with_error
 import pytest
 
 ROWS = [['axis', *(f'column {k}' for k in range(8))]] + [

@@ -11,7 +11,6 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.plots.animation import _ffmpeg as ffmpeg
 from bellows_ros.plots.animation import FRAMES_PER_SECOND, write_animation
 from bellows_ros.plots.plan import margin_figure
-from bellows_ros.plots.prediction import interval_figure
 from bellows_ros.plots.recording import (
     deflection_figure,
     motion_figure,
@@ -69,8 +68,6 @@ def draw_all(motion, loads, theme):
         'path': path_figure(motion, 'note', theme),
         'spectra': spectra_figure(
             spectra, 'note', theme, Spectrum(frequency, np.full((40, 6), 1e-12))),
-        'intervals': interval_figure(
-            [('K x-ry', 0.0, 1.0), ('K x', 0.0, np.nan), ('P x', 0.0, 2.0)], 'note', theme),
         'deflection': deflection_figure(loads, 'note', theme),
         'residual': residual_figure(loads, 'note', theme),
     }
