@@ -51,6 +51,8 @@ print(json.dumps({'seconds': time.perf_counter() - start, 'processor': time.proc
 
 IDENTIFY = PEAK + """
 import json, sys, time
+from bellows_ros.core import configure_process
+configure_process()
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import identify
 values = {

@@ -17,14 +17,14 @@ import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core import keep_linear_algebra_single
+from bellows_ros.core import configure_process
 from bellows_ros.demo.domain import isolate
 import hypothesis
 import pytest
 
 from .kernels import compile_all
 
-keep_linear_algebra_single()
+configure_process()
 
 ROOT = Path(__file__).resolve().parents[1]
 BOOTSTRAPPED = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'

@@ -22,7 +22,7 @@ import textwrap
 from types import MappingProxyType
 from typing import Any, NoReturn
 
-from bellows_ros.core import keep_linear_algebra_single
+from bellows_ros.core import configure_process
 
 from . import options
 from .console import Console, EXIT_CODES, run_guarded, USER_ERROR
@@ -121,7 +121,7 @@ def _run(arguments: list[str], console: Console) -> int:
     if not arguments or arguments[0] not in COMMANDS:
         _answer(arguments)
     name, *rest = arguments
-    keep_linear_algebra_single()
+    configure_process()
     parsed = command_parser(name).parse_args(rest)
     options.require_named_outputs(parsed)
     if any(isinstance(value, options.Output) and value == options.STDOUT

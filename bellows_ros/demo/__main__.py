@@ -2,10 +2,10 @@
 
 import sys
 
-from bellows_ros.core import keep_linear_algebra_single
+from bellows_ros.core import configure_process
 
 if __name__ == '__main__':
-    keep_linear_algebra_single()
+    configure_process()
     from bellows_ros.demo.app import main
 
     sys.exit(main())

@@ -19,7 +19,7 @@ import textwrap
 from types import FrameType
 from typing import Any, NamedTuple, NoReturn
 
-from bellows_ros.core import keep_linear_algebra_single
+from bellows_ros.core import configure_process
 
 from ..core.parameters.table import parameters_of, short
 from ..errors import BellowsError
@@ -101,7 +101,7 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
     """
     arguments = list(sys.argv[1:] if args is None else args)
     own = list(takewhile(lambda argument: argument != '--ros-args', arguments))
-    keep_linear_algebra_single()
+    configure_process()
     if {'-h', '--help'} & set(own):
         print(help_text(interface), end='')
         return 0

@@ -1,6 +1,7 @@
 """Predict a recording with a cup, and rate the cup."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import os
 import time
@@ -244,8 +245,13 @@ def replay(
     recording = load(bag, values)
     require_hanging(recording)
     tell('simulating', 0.3)
-    free = validated(values, recording)
-    live = predicted_live(recording, values, lambda what, part: tell(what, 0.6 + 0.4 * part))
+    with ThreadPoolExecutor(1) as beside:  # compiled code, which leaves Python to the predictor
+        simulated = beside.submit(validated, values, recording)
+        try:
+            live = predicted_live(
+                recording, values, lambda what, part: tell(what, 0.3 + 0.7 * part))
+        finally:
+            free = simulated.result()
     found = observed(
         bag, recording, tool_messages(recording, values), values, observe,
         calibrate_alarms) if observe else None
@@ -344,20 +350,21 @@ def tool_messages(recording: Recording, values: Mapping[str, Any]) -> Messages:
     """Return the tool's poses and twists in the order of their stamps, in frames of the model."""
     turn = world_rotation(values['recording.world'], values['gravity.direction'])
     poses = recording.alignment.tool(in_world(recording.tool_pose.trajectory(), turn))
-    good = recording.report.tool.outliers.good
-    stamps = [poses.stamps_ns[good]]
-    numbers = [np.hstack([poses.position, rotation_to_quaternion(poses.rotation)])[good]]
-    if recording.tool_twist is not None:
+    poses = poses.select(recording.report.tool.outliers.good)
+    twists, stamps_ns = recording.tool_twist, poses.stamps_ns
+    if twists is not None:
+        stamps_ns = np.concatenate([stamps_ns, twists.stamps_ns])
+    order = np.argsort(stamps_ns, kind='stable')  # a pose comes before the twist of its stamp
+    is_twist, numbers = order >= len(poses.stamps_ns), np.zeros((len(order), 7))
+    numbers[~is_twist, :3] = poses.position
+    numbers[~is_twist, 3:] = rotation_to_quaternion(poses.rotation)
+    if twists is not None:
         axes = turn  # of the recorded twists, to those that tool_twist.frame names
         if values['tool_twist.frame'] == 'tool':
             axes = recording.alignment.R_tool_markers_tool.T
-        twists = recording.tool_twist
-        stamps.append(twists.stamps_ns)
-        numbers.append(np.hstack([apply(axes, twists.linear), apply(axes, twists.angular),
-                                  np.zeros((len(twists.stamps_ns), 1))]))
-    joined = np.concatenate(stamps)
-    order = np.argsort(joined, kind='stable')  # a pose comes before the twist of its stamp
-    return Messages(joined[order], order >= len(stamps[0]), np.concatenate(numbers)[order])
+        numbers[is_twist, :3] = apply(axes, twists.linear)
+        numbers[is_twist, 3:6] = apply(axes, twists.angular)
+    return Messages(stamps_ns[order], is_twist, numbers)
 
 
 def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
