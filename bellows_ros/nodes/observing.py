@@ -11,7 +11,7 @@ from nav_msgs.msg import Odometry
 import numpy as np
 
 from .conversions import quaternion_xyzw, stamp_to_ns, vector, write_payload
-from .outputs import Outputs, Topic
+from .outputs import Topic
 from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
@@ -55,11 +55,9 @@ class Observing:
             node, KINDS[kind], 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(node, InertiaStamped, 'package/estimated')
 
-    def set_values(
-        self, live: LivePredictor, outputs: Outputs, values: Mapping[str, Any]
-    ) -> None:
+    def set_values(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Use another predictor and other values; the estimate starts again, alarms stay."""
-        self._live, self._outputs, self._values = live, outputs, values
+        self._live, self._values = live, values
         if live.observer is not None:
             alarms = live.observer.alarms
             live.observe(Observer(values))
@@ -88,7 +86,6 @@ class Observing:
         self._node.advance(
             live.on_measured, stamp_ns, header.frame_id, vector(pose.position),
             quaternion_xyzw(pose.orientation), covariance)
-        self._outputs.model = live.model
         own_world = live.observer is not None and live.observer.sensor.has_own_world
         if header.frame_id != live.frame_id and not own_world:
             self._node.get_logger().warning(

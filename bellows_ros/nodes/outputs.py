@@ -114,8 +114,6 @@ class Outputs:
 
     Attributes
     ----------
-    model : tuple
-        Cup, package and gravity.
     uncertainty : Uncertainty
         How sure a prediction is.
     pose : Topic
@@ -154,7 +152,7 @@ class Outputs:
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Go on with another cup or package; compile all that is shown of a prediction."""
-        self.model, self._values = model, values
+        self._values = values
         self.uncertainty = Uncertainty(model, values)
         self._picture = Picture(values)
         still = Prediction(1, *ORIGIN, ZERO, ZERO)
@@ -181,7 +179,8 @@ class Outputs:
             self.pose.publish(pose)
 
     def publish_more(
-        self, prediction: Prediction, frame_id: str, factors: tuple[float, float] | None
+        self, prediction: Prediction, model: ModelTuple, frame_id: str,
+        factors: tuple[float, float] | None,
     ) -> None:
         """Send all else of the prediction that was published last, and its safety factors."""
         values = self._values
@@ -199,9 +198,11 @@ class Outputs:
                 write_vector(self._factors.vector, (peel, slip, min(peel, slip)))
                 self._safety.publish(self._factors)
         if not self._is_late:
-            self._publish_continuing(prediction, frame_id)
+            self._publish_continuing(prediction, model, frame_id)
 
-    def _publish_continuing(self, prediction: Prediction, frame_id: str) -> None:
+    def _publish_continuing(
+        self, prediction: Prediction, model: ModelTuple, frame_id: str
+    ) -> None:
         """Publish the outputs that continue while the tool is extrapolated."""
         stamp_ns, values = prediction.stamp_ns, self._values
         if self._odometry.wanted:
@@ -213,11 +214,11 @@ class Outputs:
         if self._deflection.wanted and not prediction.flies:
             lip = geometry.PoseStamped()
             write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
-            write_vector(lip.pose.position, deflection(self.model, prediction).shift)
+            write_vector(lip.pose.position, deflection(model, prediction).shift)
             write_quaternion(lip.pose.orientation, deflection_rotation(prediction))
             self._deflection.publish(lip)
         if self._markers.wanted and self._picture.is_due(stamp_ns):
-            self._markers.publish(self._picture.of(frame_id, self.model, prediction))
+            self._markers.publish(self._picture.of(frame_id, model, prediction))
         if self._tf and self._tf.wanted:
             (package,) = self._tf_message.transforms
             write_header(package, stamp_ns, frame_id)

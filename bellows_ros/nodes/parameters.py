@@ -311,6 +311,10 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         """Check the parameters; the node is unconfigured."""
         TableNode.__init__(self, user, **options)
         LifecycleNodeMixin.__init__(self)
+        # rclpy's own callback raises where a transition is not allowed, and leaves no answer.
+        service = next(each for each in self.services if each.srv_type is ChangeState)
+        self._go_through = self.guarded(service.callback, ChangeState.Response)
+        service.callback = self._change_state
         self.finished: Future = Future()
         self._why_not = ''
 
@@ -362,8 +366,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         allowed = self._state_machine.available_transitions
         if any(wanted.label == label if wanted.label else wanted.id == number
                for number, label, *_ in allowed):
-            change = super()._LifecycleNodeMixin__on_change_state  # type: ignore[misc]
-            return self.guarded(change, ChangeState.Response)(request, response)
+            return self._go_through(request, response)
         name = short(wanted.label) or wanted.id
         self.get_logger().warning(
             f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
@@ -371,10 +374,6 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         )
         response.success = False
         return response
-
-    # The callback of rclpy, by its private name: it raises where a transition is not allowed, and
-    # what spins the node ends with it.
-    _LifecycleNodeMixin__on_change_state = _change_state
 
     def destroy_node(self) -> None:
         """Leave the graph; rclpy forgets the state machine, which would keep the node there."""

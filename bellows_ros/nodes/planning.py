@@ -28,7 +28,7 @@ from ..core.live.health import Level, number, Status
 from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
 from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
-from ..core.model.grip import grip_of, safety_sentence
+from ..core.model.grip import Grip, grip_of, safety_sentence
 from ..core.model.simulation import tool_rows, ToolRows
 from ..core.model.validity_range import known_envelope
 from ..core.planning.arm import Arm, read_arm
@@ -89,19 +89,21 @@ class Planning:
         Publishes, subscribes and logs.
     now : callable
         The newest prediction, of a package that is held or flies, or None.
+    grip : callable
+        Returns that of the package which is held, as `grip_of` does.
 
     Attributes
     ----------
-    grip : tuple or None
-        That of the package which is held, as `grip_of` returns it.
     worker, steerer : Worker
         Make the answers; no plan waits for the steering of a motion.
 
     """
 
-    def __init__(self, node: Any, now: Callable[[], Prediction | None]) -> None:
+    def __init__(
+        self, node: Any, now: Callable[[], Prediction | None], grip: Callable[[], Grip | None]
+    ) -> None:
         """Advertise and subscribe; messages with many points are handled as bytes."""
-        self._node, self._now = node, now
+        self._node, self._now, self.grip = node, now, grip
         self._plan_out = Topic(node, MultiDOFJointTrajectory, 'package/plan')
         self._path_out = Topic(node, Path, 'package/plan_path')
         self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
@@ -150,7 +152,7 @@ class Planning:
 
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Go on with other values."""
-        self._live, self._values, self.grip = live, values, grip_of(values)
+        self._live, self._values = live, values
         self._joints.set_values(values)
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
@@ -233,7 +235,7 @@ class Planning:
                         f'most {FARTHEST_BEGIN:g} s. Stamp plans and poses with one clock, or '
                         'give the plan the stamp 0.')
                 tracker.follow(now)
-                grip = self.grip
+                grip = self.grip()
                 if wait <= LONGEST_WAIT and not tracker.deviated:
                     rest = tracker.rest(now, self._coarse)  # points as far apart as steps
                     body, stamp_ns = now.body, now.stamp_ns
@@ -273,7 +275,7 @@ class Planning:
         time.sleep(DELIVERED)
         try:
             self._answer(PlanSimulation(
-                self._live.model, self.grip, tracker.rest(now), now.body, 0.0, self._coarse,
+                self._live.model, self.grip(), tracker.rest(now), now.body, 0.0, self._coarse,
                 self.worker.stop), now.stamp_ns)
         except BellowsError as error:
             self.refuse('plan', error)

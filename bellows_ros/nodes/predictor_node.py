@@ -133,19 +133,21 @@ class PredictorNode(ManagedNode):
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self._attachment = Attachment(
-            self, values, self._attach, self._on_pressure, self._on_vacuum, self._on_open_cups)
+            self, values, self._attach, lambda pressure: self._diagnostics.load.hear(pressure),
+            self._on_vacuum, self._on_open_cups)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._planning = Planning(self, lambda: self._last)
+        self._planning = Planning(
+            self, lambda: self._last, lambda: self._diagnostics.load.grip)
         self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
-        self._apply(live, values)
-        if self._tossing.flight.known:  # whose landings have a covariance
-            warm_up_uncertainty(cup.relaxation)
-        release_compiler()
         self._diagnostics.watch(
             live, self._pose_in, self._twist_in, self._outputs, values,
             lambda: (self._observing.status('measured package'),
                      self._attachment.status('vacuum'), self._planning.status))
+        self._apply(live, values)
+        if self._tossing.flight.known:  # whose landings have a covariance
+            warm_up_uncertainty(cup.relaxation)
+        release_compiler()
         self._live = live
         self._log_model(values)
         for name in self._parameter_overrides:
@@ -197,12 +199,12 @@ class PredictorNode(ManagedNode):
         if self._live is None:
             return
         self.get_logger().info(summary(self._live))
-        self._diagnostics.forget()
         del self._live
         self.release_resources()
 
     def release_resources(self) -> None:
         """End the threads, too."""
+        self._diagnostics.forget()
         for part in (self._planning, self._tossing):
             if part is not None:
                 part.close()
@@ -281,7 +283,8 @@ class PredictorNode(ManagedNode):
         if factors and min(factors) < self._diagnostics.load.least:
             self._safe_from_ns = time.monotonic_ns() + UNSAFE_NS
             self._outputs.publish_ok(False)
-        self._outputs.publish_more(prediction, self._live.frame_id, factors)
+        self._outputs.publish_more(
+            prediction, self._live.model, self._live.frame_id, factors)
         self._planning.follow()
 
     # ----------------------------------------------------------------- events
@@ -331,14 +334,6 @@ class PredictorNode(ManagedNode):
         self.advance(self._live.switch_valve, on, stamp_ns)
         self._publish_state()
 
-    def _on_pressure(self, pressure: float) -> None:
-        """Take the grip from the pressure (Pa) in the cup; once the valve is off it only falls."""
-        load, flight = self._diagnostics.load, self._tossing.flight
-        load.hear(pressure)
-        self._planning.grip = load.grip
-        if not flight.state:
-            flight.grip = load.grip
-
     def _on_vacuum(self, held: bool) -> None:
         """Join the vacuum with what a camera sees."""
         self._live.hear_vacuum(held)
@@ -354,7 +349,7 @@ class PredictorNode(ManagedNode):
         if held and self._observing.lost_cups:  # they may hold the next package
             self._observing.lost_cups.clear()
             self.use_values()
-        self._last, self._outputs.model = None, self._live.model
+        self._last = None
         self.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
         self._publish_state()
         return True
@@ -437,13 +432,11 @@ class PredictorNode(ManagedNode):
         self._attachment.set_values(values)
         self._diagnostics.set_values(values)
         self._apply(self._live, values)
-        if self._diagnostics.load.pressure is not None:
-            self._on_pressure(self._diagnostics.load.pressure)
 
     def _apply(self, live: LivePredictor, values: Values) -> None:
         """Pass values on to what uses them, between two messages."""
         live.coast_limit_ns = round(values['coast.limit'] * 1e9)
-        self._observing.set_values(live, self._outputs, values)
+        self._observing.set_values(live, values)
         self._outputs.set_model(live.model, values)
         self._planning.set_model(live, values)
         if live.flight is None or not live.flight.state:

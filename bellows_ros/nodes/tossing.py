@@ -72,7 +72,7 @@ class Tossing:
 
     def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Use other values; compile what a landing needs."""
-        self.flight = Flight(values, self._planning.rest)
+        self.flight = Flight(values, self._planning.rest, self._planning.grip)
         self._period_ns = round(0.9e9 / values['landing.rate'])  # ticks are not exact
         self.flight.warm_up(model)
 

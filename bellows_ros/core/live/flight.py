@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 import math
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from bellows_ros.core.geometry.tuples import scale
 from bellows_ros.core.live.payload import MOST_SUBSTEPS
 from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
 from bellows_ros.core.model.equilibrium import adapted, largest_step
-from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.model.grip import Grip, grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
 from bellows_ros.core.toss import release
@@ -71,6 +72,8 @@ class Flight:
     future : callable
         From a prediction to the tool's motion from then on, which begins at 0 ns, or None where it
         is not known. After it the tool goes on steadily.
+    grip : callable, optional
+        Returns the grip of the held package, as `grip_of` does; that of the values when left out.
 
     Attributes
     ----------
@@ -79,20 +82,20 @@ class Flight:
         the package is held.
     known : bool
         Whether the size of the package is known; without it there is no landing.
-    grip : tuple or None
-        That which holds until the valve is switched, as `grip_of` returns it.
 
     """
 
     def __init__(
         self, values: Mapping[str, Any],
         future: Callable[[Prediction], ToolRows | None] = lambda now: None,
+        grip: Callable[[], Grip | None] | None = None,
     ) -> None:
         """Set the data of release and landing."""
         self._values, self._future = values, future
+        of_values = grip_of(values)
+        self._grip_now = grip or (lambda: of_values)
         self.known = min(values['package.size']) > 0.0
         self._release = release.release_of(values) if self.known else release.NO_FLIGHT
-        self.grip = grip_of(values)
         self._ahead = release.latest_release(release.law_of(values)) + AHEAD
         self._factor = factor_columns(values)
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
@@ -108,7 +111,8 @@ class Flight:
                      upward(model[2]))
         still = Prediction(1, high, *ORIGIN[1:], ZERO, ZERO, (high, *ORIGIN[1:]))
         found = self.landing(model, still, lambda _: np.zeros((12, 12)))
-        self.later(model, still, 0.1)
+        with suppress(BellowsError):
+            self.later(model, still, 0.1)
         self.time_to_target(model, still)
         if found is not None:
             release.flight_path(model, found.toss, 2)
@@ -126,7 +130,13 @@ class Flight:
     def switch(self, stamp_ns: int) -> None:
         """Note that the valve is switched at a stamp."""
         if self.known and not self.state:
+            self._released_grip = self.grip
             self.state, self._switched_ns = 'released', stamp_ns
+
+    @property
+    def grip(self) -> Grip | None:
+        """That which holds until the valve is switched; the pressure only falls then."""
+        return self._released_grip if self.state else self._grip_now()
 
     @property
     def is_free(self) -> bool:
@@ -171,7 +181,7 @@ class Flight:
         duration = (stamp_ns - self._stamp_ns) * 1e-9
         self._body = flight(model[1], model[2], self._body, duration, COARSE_ROTATION_PER_STEP)
         self._stamp_ns = max(stamp_ns, self._stamp_ns)
-        return Prediction(stamp_ns, *self._body[:4], ZERO, ZERO, tool)
+        return Prediction(stamp_ns, *self._body[:4], ZERO, ZERO, tool, flies=True)
 
     def later(self, model: ModelTuple, now: Prediction, seconds: float) -> State:
         """

@@ -69,13 +69,10 @@ class Prediction(NamedTuple):
     """Returns the covariance of the state (12, 12), in body axes, if an observer knows it."""
     strains: Strains = ()
     """Internal strains of the cup, if it relaxes."""
+    flies: bool = False
+    """Whether the cup has let go of the package."""
 
     @property
     def body(self) -> State:
         """Pose and body twist of the package, as the kernels take them."""
         return (self.position, self.quaternion_xyzw, self.linear, self.angular, *self.strains)
-
-    @property
-    def flies(self) -> bool:
-        """Whether the package is in flight: only `Flight` uses this very ZERO."""
-        return self.force is ZERO
