@@ -179,9 +179,9 @@ def _follow(
 ) -> tuple[list[float], list[float]]:
     """Return how long each pose, and each measured pose, takes; what is seen is as predicted."""
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
-    live.expect_twists = True
+    live.pairing.expect = True
     if observer is not None:
-        live.observe(observer)
+        live.package.observe(observer)
     poses, seen = [], []
     for k, (stamp_ns, (position, q, linear, angular)) in enumerate(
             zip(stamps, states, strict=True)):

@@ -112,7 +112,7 @@ class Diagnostics:
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
         lines = [health.prediction_status('prediction', health.PredictionSeen(
             state, live.phase(time.monotonic_ns()), self._cup, self.compute.take(),
-            {**live.counts, **failures}, restarts, live.twist_check.verdict,
+            {**live.counts, **failures}, restarts, live.tool.check.verdict,
             self._outputs.uncertainty.known, above))]
         if state != 'active':
             return lines

@@ -58,10 +58,14 @@ class Observing:
     def set_values(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Use another predictor and other values; the estimate starts again, alarms stay."""
         self._live, self._values = live, values
-        if live.observer is not None:
-            alarms = live.observer.alarms
-            live.observe(Observer(values))
-            live.observer.alarms = alarms
+        if before := self._observer:
+            live.package.observe(observer := Observer(values))
+            observer.alarms = before.alarms
+
+    @property
+    def _observer(self) -> Observer | None:
+        """The observer that corrects the predictions, if any."""
+        return None if self._live is None else self._live.package.observer
 
     def _on_publishers(self, count: int) -> None:
         """Compile once a possible publisher appears."""
@@ -76,8 +80,8 @@ class Observing:
         live, header, arrival_ns = self._live, message.header, time.monotonic_ns()
         if live is None or live.arrival_ns is None:
             return
-        if live.observer is None:
-            live.observe(Observer(self._values))
+        if (observer := live.package.observer) is None:
+            live.package.observe(observer := Observer(self._values))
         stamp_ns = stamp_to_ns(header.stamp)
         self._heard.note(arrival_ns, stamp_ns)
         pose, covariance = message.pose, None
@@ -86,8 +90,7 @@ class Observing:
         self._node.advance(
             live.on_measured, stamp_ns, header.frame_id, vector(pose.position),
             quaternion_xyzw(pose.orientation), covariance)
-        own_world = live.observer is not None and live.observer.sensor.has_own_world
-        if header.frame_id != live.frame_id and not own_world:
+        if header.frame_id != live.frame_id and not observer.sensor.has_own_world:
             self._node.get_logger().warning(
                 f"package/measured is in frame '{short(header.frame_id)}', the tool in "
                 f"'{short(live.frame_id)}', so its poses are not used. Set "
@@ -95,7 +98,7 @@ class Observing:
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
         self.log_alarms()
-        payload = live.observer and live.observer.payload
+        payload = self._observer and self._observer.payload
         if payload and self._estimated.wanted:
             message = InertiaStamped()
             write_payload(message, self._values['frames.lip'], payload)
@@ -103,7 +106,7 @@ class Observing:
 
     def log_alarms(self) -> None:
         """Log the alarms since the last call, and go on without the cups that are lost."""
-        alarms = self._live.observer.alarms if self._live and self._live.observer else []
+        alarms = self._observer.alarms if self._observer else []
         fresh, self._said = alarms[self._said:], len(alarms)
         for alarm in fresh:
             self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
@@ -114,28 +117,28 @@ class Observing:
     @property
     def alarm(self) -> Alarm | None:
         """The alarm of the last seconds, if any."""
-        live = self._live
-        if live is None or live.observer is None or not live.observer.alarms:
+        if self._live is None or self._observer is None or not self._observer.alarms:
             return None
-        newest = live.observer.alarms[-1]
-        return newest if live.newest_ns - newest.stamp_ns < ALARM_SHOWN_NS else None
+        newest = self._observer.alarms[-1]
+        return newest if self._live.newest_ns - newest.stamp_ns < ALARM_SHOWN_NS else None
 
     def status(self, name: str) -> Status | None:
         """Return the line of the diagnostics; None if no message ever came."""
-        if self._live is None or self._live.observer is None:
+        observer = self._observer
+        if self._live is None or observer is None:
             return None
-        counts = self._live.observer.counts
+        counts = observer.counts
         status = input_status(
             name, self._heard.seen({verdict: counts[verdict] for verdict in VERDICTS}))
         more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
-        payload = self._live.observer.payload
+        payload = observer.payload
         if payload:
             more |= {
                 'mass (kg)': f'{payload.mass:.4g} ± {payload.mass_std:.2g}',
                 **{f'com {axis} (mm)': f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
                    for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True)},
             }
-        more |= Counter(f'alarm: {alarm.cause}' for alarm in self._live.observer.alarms)
+        more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
         status = status._replace(values={
             **status.values, **{key: str(value) for key, value in more.items()}})
         if self.alarm:

@@ -123,7 +123,7 @@ class PredictorNode(ManagedNode):
         model = cup, package, gravity, values['tool_twist.frame']
         warm_up(*model)
         live = LivePredictor(*model)
-        live.set_tip(tip_of(values))
+        live.tool.set_tip(tip_of(values))
         self._outputs = Outputs(self, values)
         if values['tool_pose.type'] == 'tf':
             self._pose_in: SensorInput = TransformInput(self, values, self._take_pose)
@@ -159,7 +159,7 @@ class PredictorNode(ManagedNode):
         """Start from rest at the next tool pose."""
         self._live.reset()
         self._live.set_attached(self._attachment.held)
-        self._live.expect_twists = self._twists_exist
+        self._live.pairing.expect = self._twists_exist
         result = super().on_activate(state)
         self._active = True
         self._publish_state()
@@ -294,7 +294,7 @@ class PredictorNode(ManagedNode):
         self._twists_exist = count > 0
         if self._live is None:
             return
-        self._live.expect_twists = self._twists_exist
+        self._live.pairing.expect = self._twists_exist
         if self._active and not self._twists_exist:
             self._publish(self._live.flush)
 
@@ -313,7 +313,7 @@ class PredictorNode(ManagedNode):
         if self._active:
             self._publish(self._live.flush)
             self._live.reset()
-            self._live.expect_twists = self._twists_exist
+            self._live.pairing.expect = self._twists_exist
             response.message = 'Starts from static equilibrium at the next tool pose.'
         return response
 
@@ -366,7 +366,7 @@ class PredictorNode(ManagedNode):
         idle = live.arrival_ns == self._arrival_at_last_tick
         self._idle_ticks = self._idle_ticks + 1 if idle else 0
         self._arrival_at_last_tick = live.arrival_ns
-        if live.waiting and self._idle_ticks >= IDLE_TICKS:
+        if live.pairing.waiting and self._idle_ticks >= IDLE_TICKS:
             self._publish(live.flush)
         if idle:
             self._publish(live.coast, self._ticked_ns)

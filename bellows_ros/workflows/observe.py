@@ -178,7 +178,7 @@ def observed(
 
     def run(by: Observer) -> Trajectory:
         corrected = live_predictor(values)
-        corrected.observe(by)
+        corrected.package.observe(by)
         return predictions(corrected, messages, seen=seen)
 
     ways = predictions(live_predictor(values), messages), run(observer)

@@ -121,7 +121,7 @@ def test_nothing_breaks_the_node_and_it_comes_back(make_partner):
             partner.ros.executor.spin_once(timeout_sec=0.0)
     live = partner.predictor._live
     partner.wait_for_inputs(attacker.poses)
-    assert partner.ros.spin_until(lambda: live.waiting == 0)
+    assert partner.ros.spin_until(lambda: live.pairing.waiting == 0)
     assert attacker.raw and attacker.poses <= live.poses_in <= attacker.poses + attacker.raw
     partner.wait_for_poses(live.predictions)
     refused = sum(n for name, n in live.refused.items() if not name.startswith('twist'))

@@ -70,7 +70,7 @@ def spin_until(true, what):
 def wanted():
     topics = [part for name, part in vars(predictor._outputs).items()
               if isinstance(part, Topic) and name not in ('_state', '_ok')]
-    return all(topic.wanted for topic in topics) and predictor._live.expect_twists
+    return all(topic.wanted for topic in topics) and predictor._live.pairing.expect
 
 sent = 0
 def send(count):
@@ -151,12 +151,12 @@ spin_until(lambda: answered['package/predicted_at'], 'an answer to a request')
 measured = PoseStamped()
 measured.header.frame_id, measured.header.stamp = 'world', request.stamp
 measured_out.publish(measured)
-spin_until(lambda: predictor._live.observer, 'a measured pose')
+spin_until(lambda: predictor._live.package.observer, 'a measured pose')
 def landing():
     send(1)
     return answered['package/landing']
 spin_until(landing, 'a landing')
-predictor._live._package.observer = None
+predictor._live.package.observer = None
 tracemalloc.start()
 send(200)
 before = held()

@@ -80,13 +80,14 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
             see(start_ns + k * 4_000_000, swing[k])
             seen[0] += 1
             assert partner.ros.spin_until(
-                lambda: live.observer and sum(live.observer.counts.values()) >= seen[0])
+                lambda: (observer := live.package.observer)
+                and sum(observer.counts.values()) >= seen[0])
     found = [message.pose.position.x for message in partner.poses]
     true = [body[0][0] for body in swing[1:]]
     assert found[:8] == [0.0] * 8  # nothing has been measured: at rest
     assert max(map(abs, true[60:])) > 1e-3
     assert max(abs(a - b) for a, b in zip(found[60:], true[60:], strict=True)) < 1e-4
-    counts = live.observer.counts
+    counts = live.package.observer.counts
     assert counts['used'] >= 13
     assert partner.ros.spin_until(lambda: len(payloads) > 10)
     payload = payloads[-1]
@@ -162,7 +163,7 @@ def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves)
         vacuum.publish(FluidPressure(fluid_pressure=100e3))
     assert partner.ros.spin_until(lambda: not live.attached)
     predictor._observing._on_measured(message)
-    assert [alarm.cause for alarm in live.observer.alarms] == ['lost'] * moves
+    assert [alarm.cause for alarm in live.package.observer.alarms] == ['lost'] * moves
     assert predictor._outputs._said == ('alarm: lost' if moves else 'detached')
     said = capfd.readouterr().err
     assert said.count('Alarm, lost: The package is lost') == moves

@@ -102,10 +102,10 @@ def test_pose_does_not_wait_long_for_a_lost_twist(make_partner):
 def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     """Notice that nobody sends twists any more."""
     partner = make_partner()
-    assert partner.ros.spin_until(lambda: partner.predictor._live.expect_twists)
+    assert partner.ros.spin_until(lambda: partner.predictor._live.pairing.expect)
     partner.node.destroy_publisher(partner.twist_writer)
 
-    assert partner.ros.spin_until(lambda: not partner.predictor._live.expect_twists)
+    assert partner.ros.spin_until(lambda: not partner.predictor._live.pairing.expect)
 
 
 @pytest.mark.parametrize(('reason', 'bad'), [

@@ -97,7 +97,7 @@ class Cell:
             all(writer.get_subscription_count() for writer in (
                 self.pose_writer, self.twist_writer))
             and all(reader.get_publisher_count() for reader in self.readers)
-            and outputs._odometry.wanted and live.expect_twists)
+            and outputs._odometry.wanted and live.pairing.expect)
 
     def send(self, count):
         """Send poses with twists, and wait for the last answer."""

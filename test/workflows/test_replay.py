@@ -49,7 +49,7 @@ def test_predictions_are_those_of_the_predictor_message_by_message(shipped, root
     result, values = shipped
     loaded = load(root / 'bags/validation', resolve(values, PACKAGE_PARAMETERS))
     live = LivePredictor(cup_of(values), package_of(values), 9.81)
-    live.expect_twists = True
+    live.pairing.expect = True
     tool, twist = loaded.tool_pose, loaded.tool_twist
     q = rotation_to_quaternion(tool.rotation).tolist()
     good = loaded.report.tool.outliers.good

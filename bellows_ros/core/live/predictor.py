@@ -7,25 +7,21 @@ is in the stamps, and whoever calls says when a message came.
 
 from __future__ import annotations
 
-import math
-
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import seldom_collected
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import deflection
 from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
-from bellows_ros.core.live.screening import FrameChange, Screen
-from bellows_ros.core.live.tool_twist import BACK, measured, PoseHistory, TwistCheck
+from bellows_ros.core.live.screening import Screen, TwistScreen
+from bellows_ros.core.live.tool_twist import ToolMotion
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.observer import Observer
-from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED, LONGEST_GAP_NS
+from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -79,6 +75,12 @@ class LivePredictor:
 
     Attributes
     ----------
+    pairing : Pairing
+        Which poses wait for their twists.
+    tool : ToolMotion
+        Pose and twist of the tool, and the check of its twists.
+    package : LivePayload
+        State of the package, and the observer that corrects it, if any.
     attached : bool
         Whether the cup holds the package; without it nothing is predicted.
     arrival_ns : int or None
@@ -111,13 +113,10 @@ class LivePredictor:
         coast_limit_ns: int = COAST_LIMIT_NS,
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
-        self._twist_in_world = twist_frame == 'world'
-        self._tip: tuple[Vector, Quaternion] | None = None
-        self._history = PoseHistory(history)
-        self._package = LivePayload(cup, package, gravity)
-        self._screen = Screen()
-        self._pairing = Pairing()
-        self.twist_check = TwistCheck(self._twist_in_world)
+        self._screen, self._twist_screen = Screen(), TwistScreen()
+        self.pairing = Pairing()
+        self.tool = ToolMotion(history, twist_frame == 'world')
+        self.package = LivePayload(cup, package, gravity)
         self.coast_limit_ns = coast_limit_ns
         self._counts = dict.fromkeys(REFUSALS, 0)
         self.restarts = dict.fromkeys(RESTARTS, 0)
@@ -126,8 +125,6 @@ class LivePredictor:
         self.attached = True
         self._has_vacuum = False
         self.flight: Flight | None = None
-        self._twist_frame_id: str | None = None
-        self._twist_frame_change = FrameChange()
         self._forget_arrivals()
 
     def _forget_arrivals(self) -> None:
@@ -140,7 +137,7 @@ class LivePredictor:
     @property
     def model(self) -> ModelTuple:
         """The model as the kernels take it."""
-        return self._package.model
+        return self.package.model
 
     @property
     def frame_id(self) -> str:
@@ -155,7 +152,7 @@ class LivePredictor:
     @property
     def refused(self) -> dict[str, int]:
         """Counts of refused messages, by reason."""
-        return {**self._counts, 'twist_unpaired': self._pairing.unpaired}
+        return {**self._counts, 'twist_unpaired': self.pairing.unpaired}
 
     @property
     def counts(self) -> dict[str, int]:
@@ -164,29 +161,10 @@ class LivePredictor:
             'poses in': self.poses_in, 'twists in': self.twists_in,
             'predictions': self.predictions, 'coasted': self.coasted,
             'twists estimated': self.twists_estimated,
-            'twists interpolated': self.twists_interpolated,
-            'twists unpaired': self._pairing.unpaired,
+            'twists interpolated': self.pairing.interpolated,
+            'twists unpaired': self.pairing.unpaired,
             **{f'fresh starts: {reason}': count for reason, count in self.restarts.items()},
         }
-
-    @property
-    def twists_interpolated(self) -> int:
-        """Poses whose twist lies between two measured ones."""
-        return self._pairing.interpolated
-
-    @property
-    def expect_twists(self) -> bool:
-        """Whether a pose waits for its twist; set when twists are known to come."""
-        return self._pairing.expect
-
-    @expect_twists.setter
-    def expect_twists(self, expect: bool) -> None:
-        self._pairing.expect = expect
-
-    @property
-    def waiting(self) -> int:
-        """Number of poses that wait for their twist."""
-        return self._pairing.waiting
 
     def phase(self, arrival_ns: int) -> str:
         """
@@ -207,24 +185,16 @@ class LivePredictor:
         patience_ns = max(
             COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2)
         if silent_ns <= patience_ns:
-            if not (self._package.sample or self.waiting):
+            if not (self.package.sample or self.pairing.waiting):
                 return 'lost'
-            return 'settling' if self._package.settling.now else 'predicting'
+            return 'settling' if self.package.settling.now else 'predicting'
         return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
 
     # ---------------------------------------------------------------- control
 
-    def set_tip(self, tip: Array | None) -> None:
-        """Take poses and twists for those of a frame in which E has a pose (4, 4)."""
-        self._tip = None
-        if tip is not None:
-            x, y, z, w = rotation_to_quaternion(tip[:3, :3]).tolist()
-            a, b, c = tip[:3, 3].tolist()
-            self._tip = (a, b, c), (x, y, z, w)
-
     def set_model(self, cup: Cup, package: Package) -> None:
         """Go on with another cup or package; pose and motion stay as they are."""
-        self._package.set_model(cup, package)
+        self.package.set_model(cup, package)
 
     def reset(self) -> None:
         """Start from rest at the next pose, whatever its stamp and frame."""
@@ -241,7 +211,7 @@ class LivePredictor:
         """Take up a package, from rest at the next pose, or let it go."""
         predictions = self.flush() if self.attached and not attached else []
         if attached != self.attached:
-            self._package.forget()
+            self.package.forget()
             self._forget_arrivals()
         self.attached = attached
         return predictions
@@ -254,17 +224,16 @@ class LivePredictor:
             self.flight.switch(stamp_ns)
         elif self.flight.state:
             self.flight.forget()
-            self._package.forget()
+            self.package.forget()
 
     def _forget_motion(self) -> None:
         """Drop the package's state and all that waits, but not the frame."""
         if self.flight is not None:
             self.flight.forget()
-        self._package.forget(is_another=False)
-        self._pairing.clear()
-        self._history.clear()
-        self.twist_check.clear()
-        self._twist_frame_id = None
+        self.package.forget(is_another=False)
+        self.pairing.clear()
+        self.tool.clear()
+        self._twist_screen.clear()
         self._forget_arrivals()
 
     # ------------------------------------------------------------------ input
@@ -308,18 +277,14 @@ class LivePredictor:
         elif newest_ns >= 0:
             self._period_ns = stamp_ns - newest_ns
         if self._screen.suspect:
-            self._package.settling.inflate(stamp_ns, *self._screen.jump)
+            self.package.settling.inflate(stamp_ns, *self._screen.jump)
         if arrival_ns is not None and self.arrival_ns is not None:
             pause_ns = arrival_ns - self.arrival_ns
             if pause_ns <= LONGEST_BURST_NS:  # they grow quickly, and shrink slowly
                 longer_ns = pause_ns - self._pause_ns
                 self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
         self.arrival_ns = arrival_ns
-        q = t3.normalised(quaternion_xyzw)
-        if self._tip is not None:
-            position = t3.add(position, t3.apply(t3.rotation_matrix(q), self._tip[0]))
-            q = t3.quaternion_product(q, self._tip[1])
-        self._pairing.add_pose(PoseSample(stamp_ns, position, q))
+        self.pairing.add_pose(self.tool.pose(stamp_ns, position, quaternion_xyzw))
         return self._release(predictions)
 
     def on_twist(
@@ -333,43 +298,25 @@ class LivePredictor:
         while.
         """
         self.twists_in += 1
-        speed, rate = t3.norms(linear, angular)
-        if not (speed <= LARGEST_SPEED and rate <= LARGEST_RATE):  # nor where one is NaN
-            finite = all(map(math.isfinite, (*linear, *angular)))
-            self._counts['twist_too_fast' if finite else 'twist_nan'] += 1
+        refused = self._twist_screen.why_refused(stamp_ns, linear, angular, frame_id)
+        if refused:
+            self._counts[refused] += 1
             return []
-        if self._twist_frame_id is None:
-            self._twist_frame_id = frame_id
-        if frame_id != self._twist_frame_id:
-            if not self._twist_frame_change.is_believed(frame_id, stamp_ns):
-                self._counts['twist_frame_id'] += 1
-                return []
-            self._twist_frame_id = frame_id
-        self._twist_frame_change.clear()
-        self._pairing.add_twist(TwistSample(stamp_ns, linear, angular))
+        self.pairing.add_twist(TwistSample(stamp_ns, linear, angular))
         return self._release([])
-
-    def observe(self, observer: Observer) -> None:
-        """Correct predictions with measured poses of the package from now on."""
-        self._package.observe(observer)
-
-    @property
-    def observer(self) -> Observer | None:
-        """The observer that corrects the predictions, if any."""
-        return self._package.observer
 
     def on_measured(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
         covariance: Array | None = None,
     ) -> None:
         """
-        Correct the next predictions with a measured pose of the package; see `observe`.
+        Correct the next predictions with a measured pose of the package, if it has an observer.
 
         It may be late, and out of order; what cannot be used is counted by the observer. The
         covariance (6, 6) is that of the message, about axes of the world. Its frame is the
         tool's unless recording.package_world is given.
         """
-        observer = self._package.observer
+        observer = self.package.observer
         if observer is None:
             return
         seen = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
@@ -380,11 +327,11 @@ class LivePredictor:
         elif self.flight is not None and self.flight.is_free:
             observer.counts['not_held'] += 1
         else:
-            self._package.see(seen)
+            self.package.see(seen)
 
     def hear_vacuum(self, is_held: bool) -> None:
-        """Join what is measured with the vacuum: whether the cup holds by it; see `observe`."""
-        observer, sample = self._package.observer, self._package.sample
+        """Join what is measured with the vacuum: whether the cup holds by it."""
+        observer, sample = self.package.observer, self.package.sample
         breaks, self._has_vacuum = self._has_vacuum and not is_held, is_held
         if observer is not None and not (self.flight is not None and self.flight.state):
             speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
@@ -392,7 +339,7 @@ class LivePredictor:
 
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""
-        self._pairing.give_up_waiting()
+        self.pairing.give_up_waiting()
         return self._release([])
 
     def coast(self, arrival_ns: int) -> list[Prediction]:
@@ -400,7 +347,7 @@ class LivePredictor:
         if self.arrival_ns is None or self.phase(arrival_ns) != 'coasting':
             return []
         silent_ns = arrival_ns - self.arrival_ns
-        prediction = self._package.coast(self._screen.newest_ns + silent_ns)
+        prediction = self.package.coast(self._screen.newest_ns + silent_ns)
         if prediction is None:
             return []
         self.coasted += 1
@@ -410,7 +357,7 @@ class LivePredictor:
 
     def _release(self, predictions: list[Prediction]) -> list[Prediction]:
         """Predict for the poses that need not wait any longer."""
-        for pose, twist in self._pairing.ready():
+        for pose, twist in self.pairing.ready():
             prediction = self._predict(pose, twist)
             if prediction is not None:
                 predictions.append(prediction)
@@ -418,62 +365,39 @@ class LivePredictor:
 
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start it from rest there."""
-        self._history.append(*pose)
-        before: State | None = None
-        now = None if twist is None else self._measured(pose, twist)
-        if now is None:
-            self.twists_estimated += 1
-            self.twist_check.skip()
-            now = self._history.state()
-            if self._package.sample:  # with a later pose known the slope before is known better
-                before = self._history.state(back=1)
+        before, now = self._tool_states(pose, twist)
         if not self.attached:
             return None
         flight = self.flight
         if flight is not None and flight.is_free:
             prediction = flight.fly(self.model, pose.stamp_ns, now)
         else:
-            prediction = self._package.follow(pose.stamp_ns, before, now)
-            if self._package.outcome:
-                self.restarts[self._package.outcome] += 1
+            prediction = self.package.follow(pose.stamp_ns, before, now)
+            if self.package.outcome:
+                self.restarts[self.package.outcome] += 1
             if flight is not None and prediction is not None:
                 prediction = flight.follow(self.model, prediction)
         if prediction is not None:
             self.predictions += 1
         return prediction
 
-    def _measured(self, pose: PoseSample, twist: TwistSample) -> State | None:
-        """Return the tool's state with the twist in tool axes, or None if the twist is wrong."""
-        q = pose.quaternion_xyzw
-        if self._tip is not None:
-            twist = _at_tip(twist, *self._tip, q, self._twist_in_world)
-        if self.twist_check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
-            self.twist_check.compare(self._history.state(BACK))
-        last = self._package.sample
-        before = ORIGIN if last is None else last.tool
-        seconds = 0.0 if last is None else (pose.stamp_ns - last.stamp_ns) * 1e-9
-        now, excess, suspicion, off = measured(
-            before, pose.position, q, twist.linear, twist.angular, self._twist_in_world, seconds)
-        if last is None:
-            return now
-        if excess > 1.0:
+    def _tool_states(
+        self, pose: PoseSample, twist: TwistSample | None
+    ) -> tuple[State | None, State]:
+        """Return the tool with its twist, measured or estimated, and better at the pose before."""
+        self.tool.add(pose)
+        last = self.package.sample
+        if twist is not None:
+            seconds = 0.0 if last is None else (pose.stamp_ns - last.stamp_ns) * 1e-9
+            now, excess, suspicion, off = self.tool.measured(
+                pose, twist, ORIGIN if last is None else last.tool, seconds)
+            if last is None or excess <= 1.0:
+                if last is not None and suspicion > 1.0:
+                    self.package.settling.inflate(pose.stamp_ns, *off)
+                return None, now
             self._counts['twist_misses_pose'] += 1
-            return None
-        if suspicion > 1.0:
-            self._package.settling.inflate(pose.stamp_ns, *off)
-        return now
-
-
-def _at_tip(
-    twist: TwistSample, lever: Vector, turn: Quaternion, q: Quaternion, in_world: bool
-) -> TwistSample:
-    """Return the twist of E, in axes as before, from that of a frame with E at lever and turn."""
-    R_tip, v, w = t3.rotation_matrix(turn), twist.linear, twist.angular
-    if in_world:
-        lever = t3.apply(t3.rotation_matrix(q), t3.apply_transposed(R_tip, lever))
-        return TwistSample(twist.stamp_ns, t3.add(v, t3.cross(w, lever)), w)
-    v = t3.apply_transposed(R_tip, t3.add(v, t3.cross(w, lever)))
-    return TwistSample(twist.stamp_ns, v, t3.apply_transposed(R_tip, w))
+        self.twists_estimated += 1
+        return self.tool.estimated(has_before=last is not None)
 
 
 @seldom_collected()

@@ -80,7 +80,7 @@ def predictions(
             stamps.append(stamp_ns)
             numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
 
-    live.expect_twists = bool(messages.is_twist.any())
+    live.pairing.expect = bool(messages.is_twist.any())
     measured = deque(seen)
     for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
         if number % REPORT_EVERY == 0:

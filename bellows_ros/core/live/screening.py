@@ -10,6 +10,7 @@ came first is followed.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
@@ -159,6 +160,34 @@ class FrameChange:
         self._run += 1
         self._last_ns = stamp_ns
         return self._run >= FRAME_RUN and stamp_ns - self._first_ns >= FRAME_RUN_NS
+
+
+class TwistScreen:
+    """Judge the tool's twists one after the other: their size, and the frame they name."""
+
+    def __init__(self) -> None:
+        """Start without a frame."""
+        self._change = FrameChange()
+        self.clear()
+
+    def clear(self) -> None:
+        """Take whatever frame comes next."""
+        self._frame_id: str | None = None
+
+    def why_refused(
+        self, stamp_ns: int, linear: Vector, angular: Vector, frame_id: str | None
+    ) -> str:
+        """Return why a twist (m/s, rad/s) cannot be used, or ''; a frame that lasts is taken."""
+        speed, rate = t3.norms(linear, angular)
+        if not (speed <= screening.LARGEST_SPEED and rate <= screening.LARGEST_RATE):  # nor NaN
+            finite = all(map(math.isfinite, (*linear, *angular)))
+            return 'twist_too_fast' if finite else 'twist_nan'
+        if frame_id != self._frame_id is not None and (
+                not self._change.is_believed(frame_id, stamp_ns)):
+            return 'twist_frame_id'
+        self._frame_id = frame_id
+        self._change.clear()
+        return ''
 
 
 class Screen(StampScreen):

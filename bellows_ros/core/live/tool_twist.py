@@ -1,7 +1,7 @@
 """
 Causal estimate of the tool's body twist from its last poses, for drivers without twists.
 
-Measured twists are checked against the poses, in both choices of axes.
+Measured twists are checked against the poses, in both choices of axes. `ToolMotion` joins both.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ import math
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.live.samples import PoseSample, TwistSample, ZERO
 from bellows_ros.core.model.kernels import State
 import numpy as np
-
-ZERO = (0.0, 0.0, 0.0)
 
 SMALLEST_DETERMINANT = 1e-4
 """Of the normal matrix in units of the time spanned; three even samples have 0.06."""
@@ -268,3 +269,84 @@ def measured(
     now = position, q, v, w
     excess, suspicion, off = misfit(before, now, seconds)
     return now, excess, suspicion, off
+
+
+class ToolMotion:
+    """
+    The motion of E from messages of its pose and twist, or of another frame of the tool.
+
+    Parameters
+    ----------
+    history : int
+        Number of poses from which a missing twist is estimated.
+    in_world : bool
+        Whether twists are in axes of the world, else in those of the frame.
+
+    Attributes
+    ----------
+    check : TwistCheck
+        Of measured twists against the poses.
+
+    """
+
+    def __init__(self, history: int, in_world: bool) -> None:
+        """Start without poses."""
+        self._history, self._in_world = PoseHistory(history), in_world
+        self._tip: tuple[Vector, Quaternion] | None = None
+        self.check = TwistCheck(in_world)
+
+    def set_tip(self, tip: Array | None) -> None:
+        """Take poses and twists for those of a frame in which E has a pose (4, 4)."""
+        self._tip = None
+        if tip is not None:
+            x, y, z, w = rotation_to_quaternion(tip[:3, :3]).tolist()
+            a, b, c = tip[:3, 3].tolist()
+            self._tip = (a, b, c), (x, y, z, w)
+
+    def clear(self) -> None:
+        """Forget all poses and comparisons."""
+        self._history.clear()
+        self.check.clear()
+
+    def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
+        """Return the pose of E for that of the frame, in the world, m."""
+        q = t3.normalised(quaternion_xyzw)
+        if self._tip is not None:
+            position = t3.add(position, t3.apply(t3.rotation_matrix(q), self._tip[0]))
+            q = t3.quaternion_product(q, self._tip[1])
+        return PoseSample(stamp_ns, position, q)
+
+    def add(self, pose: PoseSample) -> None:
+        """Note the next pose of E."""
+        self._history.append(*pose)
+
+    def measured(
+        self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
+    ) -> tuple[State, float, float, tuple[float, float]]:
+        """Return E at the pose just added with a measured twist, and the `misfit` (see there)."""
+        q = pose.quaternion_xyzw
+        if self._tip is not None:
+            twist = _at_tip(twist, *self._tip, q, self._in_world)
+        if self.check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
+            self.check.compare(self._history.state(BACK))
+        found: tuple[State, float, float, tuple[float, float]] = measured(
+            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds)
+        return found
+
+    def estimated(self, has_before: bool) -> tuple[State | None, State]:
+        """Return E at the last two poses (the first, if any) with twists of the poses alone."""
+        self.check.skip()
+        # with a later pose known the slope before is known better
+        return self._history.state(back=1) if has_before else None, self._history.state()
+
+
+def _at_tip(
+    twist: TwistSample, lever: Vector, turn: Quaternion, q: Quaternion, in_world: bool
+) -> TwistSample:
+    """Return the twist of E, in axes as before, from that of a frame with E at lever and turn."""
+    R_tip, v, w = t3.rotation_matrix(turn), twist.linear, twist.angular
+    if in_world:
+        lever = t3.apply(t3.rotation_matrix(q), t3.apply_transposed(R_tip, lever))
+        return TwistSample(twist.stamp_ns, t3.add(v, t3.cross(w, lever)), w)
+    v = t3.apply_transposed(R_tip, t3.add(v, t3.cross(w, lever)))
+    return TwistSample(twist.stamp_ns, v, t3.apply_transposed(R_tip, w))

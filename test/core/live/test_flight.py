@@ -37,7 +37,7 @@ def plan():
 def played(plan, flight, poses):
     """Play the throw, the valve being switched; return predictions and the states of each."""
     live = LivePredictor(tosses.CUP, tosses.PACKAGE, 9.81, 'tool')
-    live.flight, live.expect_twists = flight, True
+    live.flight, live.pairing.expect = flight, True
     xyzw = rotation_to_quaternion(plan.rotation)
     found, states = [], []
     for k in range(poses):

@@ -80,7 +80,7 @@ class Attack:
         elif kind == 'model':
             live.set_model(*((SOFT, HEAVY) if leap > PERIOD else (Cup.thesis(), PLATE)))
         elif kind == 'expect':
-            live.expect_twists = leap > 0
+            live.pairing.expect = leap > 0
         else:
             self.arrival += abs(leap) % 10**10
         return []
@@ -94,8 +94,8 @@ def check(live, predictions):
         numbers = [x for part in (*p.body, p.force, p.moment, *p.tool) for x in part]
         assert all(map(math.isfinite, numbers))
         assert abs(math.hypot(*p.quaternion_xyzw) - 1.0) < 1e-9
-    assert live.waiting <= LONGEST_QUEUE
-    assert len(live._pairing._twists) <= 32
+    assert live.pairing.waiting <= LONGEST_QUEUE
+    assert len(live.pairing._twists) <= 32
 
 
 @pytest.mark.timeout(600)
@@ -124,7 +124,7 @@ def messages_survived(sequence):
         assert set(live.refused) == set(REFUSALS)
         refused = sum(n for name, n in live.refused.items() if not name.startswith('twist'))
         assert answered == live.predictions
-        assert live.predictions + refused + live.waiting <= live.poses_in == attack.poses
+        assert live.predictions + refused + live.pairing.waiting <= live.poses_in == attack.poses
     live.set_model(Cup.thesis(), PLATE)
     live.set_attached(True)
     stamp = attack.stamp + 20 * MS

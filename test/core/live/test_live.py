@@ -71,7 +71,7 @@ def is_finite(prediction):
 
 @pytest.mark.parametrize('order', ['pose first', 'twist first', 'twists in bursts of three'])
 def test_equals_the_simulation_whatever_comes_first(messages, predictor, order):
-    out, predictor.expect_twists = [], True
+    out, predictor.pairing.expect = [], True
     if order == 'twists in bursts of three':
         for k in range(0, len(messages) - 2, 3):
             for j in range(3):
@@ -99,7 +99,7 @@ def test_an_arm_on_a_wall_is_one_on_the_floor_turned(messages, predictor):
     wall = LivePredictor(Cup.thesis(), PLATE, turn @ [0.0, 0.0, -9.81])
     q = rotation_to_quaternion(turn @ messages.tool.rotation)
     for live in (predictor, wall):
-        live.expect_twists = True
+        live.pairing.expect = True
     for k in range(len(messages)):
         messages.pose(predictor, k)
         (expected,) = messages.twist(predictor, k)
@@ -116,27 +116,27 @@ def test_twists_are_waited_for_once_they_are_seen_to_come(messages, predictor):
     for k in range(10):
         messages.pose(predictor, k)
         messages.twist(predictor, k)
-    assert predictor.expect_twists
+    assert predictor.pairing.expect
     assert messages.pose(predictor, 10) == []
     assert len(messages.twist(predictor, 10)) == 1
 
 
 def test_twists_that_stop_are_not_waited_for_longer_than_the_limit(messages, predictor):
-    predictor.expect_twists = True
+    predictor.pairing.expect = True
     out = []
     for k in range(60):
         out += messages.pose(predictor, k)
         if k < 20:
             messages.twist(predictor, k)
             continue
-        assert predictor.waiting * PERIOD <= pairing.LONGEST_WAIT_NS + PERIOD
-    assert not predictor.expect_twists
-    assert predictor.waiting == 0
+        assert predictor.pairing.waiting * PERIOD <= pairing.LONGEST_WAIT_NS + PERIOD
+    assert not predictor.pairing.expect
+    assert predictor.pairing.waiting == 0
     assert predictor.predictions == 60
 
 
 def test_flush_predicts_for_what_waits(messages, predictor):
-    predictor.expect_twists = True
+    predictor.pairing.expect = True
     assert messages.pose(predictor, 0) == []
     assert [p.stamp_ns for p in predictor.flush()] == messages.stamps[:1]
 
@@ -167,7 +167,7 @@ def test_poses_stamped_in_bursts_lose_no_more_than_their_stamps(messages, predic
 def test_tool_axes_and_world_axes_are_distinguished(messages):
     in_tool = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame='tool')
     in_world = LivePredictor(Cup.thesis(), PLATE, 9.81)
-    in_tool.expect_twists = in_world.expect_twists = True
+    in_tool.pairing.expect = in_world.pairing.expect = True
     for k in range(200):
         messages.pose(in_world, k)
         messages.pose(in_tool, k)
@@ -253,7 +253,7 @@ def test_absurd_motion_never_gives_anything_but_finite_numbers(predictor):
 
 @pytest.mark.parametrize('speed', [1e3, 1e150, 1e308])
 def test_absurd_twists_are_refused(messages, predictor, speed):
-    predictor.expect_twists = True
+    predictor.pairing.expect = True
     out = []
     for k in range(40):
         out += messages.pose(predictor, k)
@@ -353,7 +353,7 @@ def test_two_rates_come_close_to_the_truth(messages, predictor):
 ])
 def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
     live = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame=said)
-    live.expect_twists = True
+    live.pairing.expect = True
     turn = np.diag([-1.0, -1.0, 1.0])  # a tool that points the other way
     for k in range(len(messages)):
         R = turn @ messages.tool.rotation[k]
@@ -363,7 +363,7 @@ def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
         v = {'world': v @ R.T, 'tool': v, 'nonsense': 3.0 * v + 0.5}[sent_in]
         live.on_pose(messages.stamps[k], 'base', o, q)
         live.on_twist(messages.stamps[k], tuple(v[0].tolist()), tuple(v[1].tolist()))
-    assert live.twist_check.verdict == verdict
+    assert live.tool.check.verdict == verdict
 
 
 def test_twists_in_a_new_frame_id_are_believed_after_a_while(messages, predictor):
@@ -377,7 +377,7 @@ def test_twists_in_a_new_frame_id_are_believed_after_a_while(messages, predictor
 
 
 def test_twists_that_always_come_one_pose_late_are_waited_for(messages, predictor):
-    predictor.expect_twists = True
+    predictor.pairing.expect = True
     out = list(messages.pose(predictor, 0)) + predictor.flush()
     for k in range(1, 200):
         out += messages.pose(predictor, k)

@@ -119,7 +119,7 @@ def test_a_plan_replayed_as_live_poses_agrees_with_its_prediction():
     """To 0.2 um and 3 urad, of a plan at 500 Hz that the tool then drives."""
     plan = MOVE.plan(500)
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
-    live.expect_twists = True
+    live.pairing.expect = True
     rows = []
     for k, stamp in enumerate((T0 + plan.stamps_ns).tolist()):
         q = rotation_to_quaternion(plan.rotation[k]).tolist()
@@ -163,7 +163,7 @@ def test_the_package_is_where_it_was_said_to_be(driven_as, stamped, every):
     """
     at, step = ahead_of_time(**driven_as), 0.002
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
-    live.expect_twists = True
+    live.pairing.expect = True
     ahead = PlanTracker(MOVE.plan(500), T0 if stamped else 0)
     flight = Flight(resolve(TOSSED), lambda now: ahead.rest(now) if ahead.is_driven(now) else None)
     times = step * np.arange(round(1.8 / step))

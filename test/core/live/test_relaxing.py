@@ -55,7 +55,7 @@ def test_live_prediction_is_the_simulation_and_creeps_after_a_move():
     tool = SLIDE.plan()
     expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
     predictor = live()
-    predictor.expect_twists = True
+    predictor.pairing.expect = True
     found = fed(predictor, tool)
     assert_allclose([own.position for own in found], expected.position[:len(found)], atol=2e-5)
     assert len(found[-1].strains) == 2
@@ -87,7 +87,7 @@ def test_relaxation_is_set_while_running():
         assert len(found.strains) == 2 * any(cup.relaxation)
         assert_allclose(found.position[2], -0.0779, atol=2e-3)
     observer = Observer(resolve(values()))
-    predictor.observe(observer)
+    predictor.package.observe(observer)
     predictor.set_model(RUBBER, PACKAGE)
     for k in range(5, 30):
         (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
@@ -103,7 +103,7 @@ def test_observer_follows_creep_without_an_alarm():
     """Poses of a cup that creeps, its relaxation known, say nothing of wear."""
     predictor, truth = live(), live()
     observer = Observer(resolve({**values(), 'alarm.false_per_hour': 1.0}))
-    predictor.observe(observer)
+    predictor.package.observe(observer)
     rng = np.random.default_rng(0)
     for ms in range(0, 6000, 4):
         pose = (0.0, 0.0, 0.0), tuple(tilted(ms * 1e-3).tolist())

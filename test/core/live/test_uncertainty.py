@@ -195,7 +195,7 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
     truth = simulate(THESIS, PLATE, tool)
     q, v = rotation_to_quaternion(tool.rotation), tool.twist.reshape(-1, 2, 3)
     live = LivePredictor(THESIS, PLATE, 9.81, twist_frame='tool')
-    live.expect_twists = twists
+    live.pairing.expect = twists
     uncertainty = Uncertainty(live.model, values(position=1e-6, rotation=1e-6))
     parts, phases, off = [], [], []
     for k in range(start, len(tool)):
