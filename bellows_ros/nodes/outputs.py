@@ -7,6 +7,7 @@ Markers for RViz are the package as a box of its mass and inertia, the cup, and 
 from collections.abc import Callable, Mapping
 from functools import partial
 import importlib.util
+import time
 from typing import Any
 
 from geometry_msgs import msg as geometry
@@ -43,6 +44,12 @@ LATE_WITHIN_NS = 1_000_000_000
 
 LARGEST_FACTOR = 1000.0
 """Safety factors are capped here, as many plots cannot show infinity."""
+
+HELD_STATES = ('predicting', 'settling')
+"""States in which package/ok can be true."""
+
+UNSAFE_NS = 1_000_000_000
+"""After a safety factor below safety.least, package/ok stays false for this long (ns)."""
 
 NOMINAL = '_nominal'
 """Suffix of the lip's frame for where the lip is without load."""
@@ -147,6 +154,7 @@ class Outputs:
         self._factors = geometry.Vector3Stamped()
         self._said = ''
         self._was_ok: bool | None = None
+        self._safe_from_ns = 0
         self._extrapolated_ns = -1
         self._is_late = self._is_due = False
 
@@ -227,19 +235,25 @@ class Outputs:
             write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
             self._tf.publish(self._tf_message)
 
-    def publish_ok(self, ok: bool) -> None:
+    def note_unsafe(self) -> None:
+        """Note a safety factor that is too small."""
+        self._safe_from_ns = time.monotonic_ns() + UNSAFE_NS
+        self._publish_ok(False)
+
+    def _publish_ok(self, ok: bool) -> None:
         """Publish whether the package is held within limits, when it changes; latched."""
         if ok != self._was_ok:
             self._was_ok = ok
             self._ok.publish(Bool(data=ok))
 
     def publish_state(self, state: str) -> None:
-        """Publish the state when it changes; late subscribers get it too."""
+        """Publish the state, and if all is well, when they change; late subscribers get both."""
         if state != self._said:
             self._said = state
             self._state.publish(String(data=state))
             if state in ('detached', 'lost', 'inactive') and self._markers.wanted:
                 self._markers.publish(gone())
+        self._publish_ok(state in HELD_STATES and time.monotonic_ns() >= self._safe_from_ns)
 
 
 NAMESPACE = 'bellows_ros'

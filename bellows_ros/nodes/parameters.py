@@ -316,7 +316,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         self._go_through = self.guarded(service.callback, ChangeState.Response)
         service.callback = self._change_state
         self.finished: Future = Future()
-        self._why_not = ''
+        self._why_not, self._active = '', False
 
     def configure(self) -> None:
         """Make everything that needs the parameters, or raise the obstacle."""
@@ -346,6 +346,40 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
             self.release_resources()
             return FAILURE
         return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let publishers publish, and callbacks work."""
+        result = super().on_activate(state)
+        self._active = True
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Fall silent."""
+        self._active = False
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything that was made."""
+        self.clean_up()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Fall silent for good."""
+        if self._active:
+            self.on_deactivate(state)
+        self.clean_up()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything, so that the node can be configured again."""
+        self.get_logger().error('A transition failed; the node is unconfigured now.')
+        self._active = False
+        self.clean_up()
+        return TransitionCallbackReturn.SUCCESS
+
+    def clean_up(self) -> None:
+        """Release what `configure` has made."""
+        raise NotImplementedError
 
     def release_resources(self) -> None:
         """Destroy the topics and services that were made to be configured."""

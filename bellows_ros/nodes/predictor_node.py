@@ -50,11 +50,6 @@ LOAD_TICKS = 3
 
 REPORT_PERIOD = 1.0
 
-HELD_STATES = ('predicting', 'settling')
-"""States in which package/ok can be true."""
-UNSAFE_NS = 1_000_000_000
-"""After a safety factor below safety.least, package/ok stays false for this long (ns)."""
-
 CLOCKS_APART_NS = 500_000_000
 """If the node's clock differs by more (ns), the valve is switched at the newest pose."""
 
@@ -94,10 +89,9 @@ class PredictorNode(ManagedNode):
     def __init__(self, **options: Any) -> None:
         """Check the parameters, and start unless autostart is off."""
         super().__init__('predictor', **options)
-        self._active = self._twists_exist = False
+        self._twists_exist = False
         self._idle_ticks = self._ticks = self._ticked_ns = 0
         self._was_late = False
-        self._safe_from_ns = 0
         self._arrival_at_last_tick: int | None = None
         self._last: Prediction | None = None
         self._publish_more = self.guarded(self._publish_beside)
@@ -161,40 +155,19 @@ class PredictorNode(ManagedNode):
         self._live.set_attached(self._attachment.held)
         self._live.pairing.expect = self._twists_exist
         result = super().on_activate(state)
-        self._active = True
         self._publish_state()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall silent."""
         self._outputs.publish_state('inactive')
-        self._outputs.publish_ok(False)
-        self._active, self._last = False, None
+        self._last = None
         self._live.reset()
         self._planning.forget()
         self._tossing.forget()
         return super().on_deactivate(state)
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything that was made."""
-        self._clean_up()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Fall silent for good."""
-        if self._active:
-            self.on_deactivate(state)
-        self._clean_up()
-        return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything, so that the node can be configured again."""
-        self.get_logger().error('A transition failed; the node is unconfigured now.')
-        self._active = False
-        self._clean_up()
-        return TransitionCallbackReturn.SUCCESS
-
-    def _clean_up(self) -> None:
+    def clean_up(self) -> None:
         """Release the model and the topics."""
         if self._live is None:
             return
@@ -281,8 +254,7 @@ class PredictorNode(ManagedNode):
         """Send all but the pose, and watch the load on the cup."""
         factors = self._diagnostics.load.watch_force(self._live.model, prediction)
         if factors and min(factors) < self._diagnostics.load.least:
-            self._safe_from_ns = time.monotonic_ns() + UNSAFE_NS
-            self._outputs.publish_ok(False)
+            self._outputs.note_unsafe()
         self._outputs.publish_more(
             prediction, self._live.model, self._live.frame_id, factors)
         self._planning.follow()
@@ -385,10 +357,9 @@ class PredictorNode(ManagedNode):
 
     def _publish_state(self) -> None:
         """Publish the state when it changes."""
-        alarm, now_ns = self._observing.alarm, time.monotonic_ns()
-        state = f'alarm: {alarm.cause}' if alarm else self._live.phase(now_ns)
-        self._outputs.publish_state(state)
-        self._outputs.publish_ok(state in HELD_STATES and now_ns >= self._safe_from_ns)
+        alarm = self._observing.alarm
+        self._outputs.publish_state(
+            f'alarm: {alarm.cause}' if alarm else self._live.phase(time.monotonic_ns()))
 
     # ------------------------------------------------------------- parameters
 
@@ -446,5 +417,5 @@ class PredictorNode(ManagedNode):
     def close(self) -> None:
         """Log the final counts, and end."""
         self._active = False
-        self._clean_up()
+        self.clean_up()
         self.destroy_node()
