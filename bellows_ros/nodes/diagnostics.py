@@ -151,6 +151,6 @@ class Diagnostics:
         safety, away, bending = self.load.take()
         status = health.load_status(
             'load', safety, away, bending, self.load.grip is not None, self.load.envelope_known,
-            self.load.least)
-        self._log(status, safety is not None and safety.factor < self.load.least)
+            self.load.required)
+        self._log(status, safety is not None and safety.factor < self.load.required)
         return status

@@ -253,7 +253,7 @@ class PredictorNode(ManagedNode):
     def _publish_beside(self, prediction: Prediction) -> None:
         """Send all but the pose, and watch the load on the cup."""
         factors = self._diagnostics.load.watch_force(self._live.model, prediction)
-        if factors and min(factors) < self._diagnostics.load.least:
+        if factors and min(factors) < self._diagnostics.load.required:
             self._outputs.note_unsafe()
         self._outputs.publish_more(
             prediction, self._live.model, self._live.frame_id, factors)

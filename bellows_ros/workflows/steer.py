@@ -215,7 +215,7 @@ def read_limits(content: object) -> Limits:
     """
     settings = Settings(content)
     rates = read_rates(settings, NONE)
-    safety = settings.number('safety_factor', 0.0, least=0.0)
+    safety = settings.number('safety_factor', 0.0, minimum=0.0)
     box = settings.block('workspace')
     lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
                     for name, size in (('lower', -NONE), ('upper', NONE)))

@@ -172,10 +172,10 @@ def limits_from(
             'not above 0. Move the start or widen the box.')
     found = ArmLimits(
         start, lower, upper, turn, read_rates(settings),
-        settings.number('bending', BENDING, 'rad', above=0.0, most=0.5 * math.pi),
-        settings.number('torsion', TORSION, 'rad', above=0.0, most=0.5 * math.pi),
-        settings.number('safety_factor', safety, least=0.0),
-        settings.number('highest_frequency', HIGHEST_FREQUENCY, 'Hz', above=0.0, most=50.0),
+        settings.number('bending', BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
+        settings.number('torsion', TORSION, 'rad', above=0.0, maximum=0.5 * math.pi),
+        settings.number('safety_factor', safety, minimum=0.0),
+        settings.number('highest_frequency', HIGHEST_FREQUENCY, 'Hz', above=0.0, maximum=50.0),
         arm, joints)
     tracking = settings.block('tracking')
     settings.done(ignored=('tracking', 'joint_acceleration'))

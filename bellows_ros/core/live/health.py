@@ -398,7 +398,7 @@ def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
 
 def load_status(
     name: str, safety: Safety | None, away: Distance | None, bending: float,
-    grip_known: bool, envelope_known: bool, least: float,
+    grip_known: bool, envelope_known: bool, required: float,
 ) -> Status:
     """Return the line on the cup's load: safety factor and validity range."""
     values = {
@@ -410,9 +410,9 @@ def load_status(
         'largest bending (rad)': number(bending),
     }
     level, message = Level.OK, 'Within all known limits.'
-    if safety is not None and safety.factor < least:
+    if safety is not None and safety.factor < required:
         level = Level.ERROR if safety.factor < 1.0 else Level.WARN
-        below = '1: the cup lets go' if safety.factor < 1.0 else f'safety.least, {least:g}'
+        below = '1: the cup lets go' if safety.factor < 1.0 else f'safety.least, {required:g}'
         message = (f'The safety factor of the grip is {safety.factor:.2f} ({safety.mode}), below '
                    f'{below}. Move slower, or raise the vacuum.')
     elif bending > STRONGEST_BENDING:

@@ -93,7 +93,7 @@ class Load:
 
     Attributes
     ----------
-    least : float
+    required : float
         Below this safety factor somebody should look.
     pressure : float or None
         As heard last.
@@ -106,7 +106,7 @@ class Load:
         """Take the limits."""
         self._values = values
         self.hear(pressure)
-        self.least = float(values['safety.least'])
+        self.required = float(values['safety.least'])
         self._mass = values['package.mass']
         self._envelope = known_envelope(values)
         self._clear()

@@ -231,13 +231,14 @@ def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | No
     return grip if is_single(places) else (*grip, places)
 
 
-def safety_sentence(factor: float, mode: str, time: float, std: float, least: float) -> str:
+def safety_sentence(factor: float, mode: str, time: float, std: float, required: float) -> str:
     """Return a sentence about a safety factor that is too small, else ''."""
     sigma = f' ± {std:.2g}' if std > 0.0 else ''
     finding = f'The smallest safety factor is {factor:.3g}{sigma} ({mode}, at {time:.3f} s)'
     if factor < 1.0:
         return f'{finding}: the cup lets go. Move slower, or raise the vacuum.'
-    if factor - 2.0 * std < least:
+    if factor - 2.0 * std < required:
         less = ' less two standard deviations' if std > 0.0 else ''
-        return f'{finding},{less} below safety.least, {least:g}. Move slower, or raise the vacuum.'
+        return (f'{finding},{less} below safety.least, {required:g}. Move slower, or raise the '
+                'vacuum.')
     return ''

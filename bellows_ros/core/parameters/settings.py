@@ -66,18 +66,14 @@ class Settings:
         return f'{self.path}.{name}' if self.path else name
 
     def number(
-        self, name: str, default: float | None = None, unit: str = '',
-        least: float | None = None, above: float | None = None, most: float | None = None,
+        self, name: str, default: float | None = None, unit: str = '', **bounds: float
     ) -> float:
-        """Return a finite number in a range; without a default it must be given."""
-        return float(self._take(
-            name, default, 'double', unit=unit, minimum=least, above=above, maximum=most))
+        """Return a finite number in bounds (minimum, above, maximum), required if no default."""
+        return float(self._take(name, default, 'double', unit=unit, **bounds))
 
-    def whole(
-        self, name: str, default: int, least: int = 0, most: int | None = None
-    ) -> int:
-        """Return an integer in a range."""
-        return int(self._take(name, default, 'integer', minimum=least, maximum=most))
+    def whole(self, name: str, default: int, minimum: int = 0, **bounds: int) -> int:
+        """Return an integer in bounds (minimum, maximum)."""
+        return int(self._take(name, default, 'integer', minimum=minimum, **bounds))
 
     def flag(self, name: str, default: bool) -> bool:
         """Return a truth value."""
@@ -98,12 +94,10 @@ class Settings:
         return np.array(self._take(name, default, 'double_array', unit=unit, length=length))
 
     def numbers(
-        self, name: str, unit: str = '', least: float | None = None, most: float | None = None,
-        default: Sequence[float] | None = None,
+        self, name: str, unit: str = '', default: Sequence[float] | None = None, **bounds: float
     ) -> Array:
-        """Return finite numbers, each in a range; one or more without a default."""
-        found = np.array(self._take(
-            name, default, 'double_array', unit=unit, minimum=least, maximum=most))
+        """Return finite numbers, each in bounds; one or more without a default."""
+        found = np.array(self._take(name, default, 'double_array', unit=unit, **bounds))
         if default is None and not len(found):
             raise self.refuse(name, 'a list of one or more numbers', [])
         return found

@@ -49,10 +49,10 @@ class Fastest(NamedTuple):
 
 
 def fastest(
-    values: Mapping[str, Any], model: ModelTuple, grip: Grip, tool: Trajectory, least: float
+    values: Mapping[str, Any], model: ModelTuple, grip: Grip, tool: Trajectory, required: float
 ) -> Fastest | None:
     """
-    Return the shortest time scale at which safety factor minus two sigma stays at `least`.
+    Return the shortest time scale at which safety factor minus two sigma stays at `required`.
 
     The safety factor is not monotone in speed, as swing builds up or cancels: all scales are
     scanned from the quickest up, and the first that holds is narrowed down.
@@ -65,7 +65,7 @@ def fastest(
         As the kernels take them, of the same values.
     tool : Trajectory
         The plan, which ends at rest.
-    least : float
+    required : float
         Safety factor that is needed.
 
     Returns
@@ -85,7 +85,7 @@ def fastest(
 
     def margin(scale: float, part: float, run: PlanSimulation) -> float:
         """Return the excess of the factor, less two sigma, over the required one."""
-        needed = least / max(1.0 - 2.0 * part, 0.01)
+        needed = required / max(1.0 - 2.0 * part, 0.01)
         return _factor(run, scale, 1.0 / (ABORT_BELOW * needed)) / needed - 1.0
 
     def sigma(scale: float) -> float:

@@ -317,10 +317,10 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
     way = np.linalg.norm(body.position - np.median(start.position, axis=0), axis=1)
     turn = np.linalg.norm(log_so3(reference.T @ body.rotation), axis=1)
     moves = np.zeros(len(body), dtype=bool)
-    for size, least in ((way, STILL_POSITION), (turn, STILL_ROTATION)):
+    for size, smallest in ((way, STILL_POSITION), (turn, STILL_ROTATION)):
         # Second differences are of the noise alone, also where the body moves at once.
         noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
-        moves |= size > least + STILL_DEVIATIONS * noise
+        moves |= size > smallest + STILL_DEVIATIONS * noise
     # A jump of tracking is over at once, a motion is not.
     lasting = moves & np.roll(moves, -max(1, len(start) // 4))
     return reference, float(

@@ -244,8 +244,8 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     period = float(np.quantile(since[2 * NEAR:] - since[:-2 * NEAR], 0.25)) / (2 * NEAR)
     for _ in range(MOST_GAPS):
         late = since - period * number
-        least = np.min(np.lib.stride_tricks.sliding_window_view(late, NEAR), axis=1)
-        steps = least[NEAR:] - least[:-NEAR]
+        earliest = np.min(np.lib.stride_tricks.sliding_window_view(late, NEAR), axis=1)
+        steps = earliest[NEAR:] - earliest[:-NEAR]
         drift = float(np.median(steps))
         period += drift / NEAR
         i = int(np.argmax(steps))
@@ -253,7 +253,7 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
         if lost < 1:
             sampled = _line_below(number, since)
             return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
-        before = np.flatnonzero(late[i:i + 3 * NEAR] < least[i] + (lost - 0.1) * period)
+        before = np.flatnonzero(late[i:i + 3 * NEAR] < earliest[i] + (lost - 0.1) * period)
         number[i + before[-1] + 1:] += lost
     return None
 

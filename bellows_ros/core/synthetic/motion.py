@@ -326,7 +326,7 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     """
     kind = settings.choice('kind', KINDS)
     start = pose_from(settings.block('start'))
-    rest = settings.number('rest_duration', 2.0, 's', least=0.0, most=LONGEST)
+    rest = settings.number('rest_duration', 2.0, 's', minimum=0.0, maximum=LONGEST)
     motion = (
         _oscillation(settings, kind, start, rest, phases)
         if kind in ('multi_sine', 'chirp')
@@ -362,8 +362,8 @@ def _oscillation(
     settings: Settings, kind: str, start: Pose, rest: float, phases: Generator
 ) -> Oscillation:
     """Return a multi-sine or a chirp."""
-    duration = settings.number('duration', unit='s', above=rest, most=LONGEST)
-    ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, most=LONGEST)
+    duration = settings.number('duration', unit='s', above=rest, maximum=LONGEST)
+    ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, maximum=LONGEST)
     block = settings.block(kind)
     axis, amplitude, frequency = _sines(block) if kind == 'multi_sine' else _sweeps(block)
     block.done()
@@ -378,7 +378,7 @@ def _oscillation(
         block = settings.block('hold')
         hold = block.vector('rotation', 3, unit='rad')
         most = duration - rest - ramp - HOLD_MOVE
-        held = block.number('duration', unit='s', above=0.0, most=most)
+        held = block.number('duration', unit='s', above=0.0, maximum=most)
         block.done()
     return Oscillation(
         start, rest, ramp, duration, amplitude, axis, frequency, phase, hold, held)
@@ -393,7 +393,7 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
             lines, given = block.block(axis), () if axis not in block else None
             amplitude = lines.numbers('amplitude', unit, default=given)
             frequency = lines.numbers(
-                'frequency', 'Hz', least=0.0, most=LARGEST_FREQUENCY, default=given)
+                'frequency', 'Hz', minimum=0.0, maximum=LARGEST_FREQUENCY, default=given)
             if len(amplitude) != len(frequency):
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
@@ -414,7 +414,7 @@ def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
         ]
     )
     ends = [
-        settings.number(name, unit='Hz', least=0.0, most=LARGEST_FREQUENCY)
+        settings.number(name, unit='Hz', minimum=0.0, maximum=LARGEST_FREQUENCY)
         for name in ('from', 'to')
     ]
     axes = np.flatnonzero(amplitude)
@@ -426,10 +426,10 @@ def _segments(settings: Settings, kind: str) -> tuple[MoveAndHold, ...]:
     common = _times(settings) if kind == 'static' else None
     segments = tuple(MoveAndHold(pose_from(block), *(common or _times(block)))
                      for block in settings.blocks('poses'))
-    return (1 + settings.whole('repeat', 0, most=1000)) * segments
+    return (1 + settings.whole('repeat', 0, maximum=1000)) * segments
 
 
 def _times(settings: Settings) -> tuple[float, float]:
     """Return the durations of a move and of the hold after it, s."""
-    move = settings.number('move', unit='s', least=SHORTEST_MOVE, most=LONGEST)
-    return move, settings.number('hold', 0.0, 's', least=0.0, most=LONGEST)
+    move = settings.number('move', unit='s', minimum=SHORTEST_MOVE, maximum=LONGEST)
+    return move, settings.number('hold', 0.0, 's', minimum=0.0, maximum=LONGEST)

@@ -126,7 +126,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         storage=settings.choice('storage', ('mcap', 'sqlite3'), 'mcap'),
         zstd=settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd',
         seed=seed,
-        start_ns=settings.whole('start_time_ns', START_NS, least=10**9, most=2**62),
+        start_ns=settings.whole('start_time_ns', START_NS, minimum=10**9, maximum=2**62),
         truth=settings.flag('truth', False),
         releases=releases,
         pickup=pickup,
@@ -137,7 +137,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
 
 def _releases(settings: Settings, duration: float) -> tuple[tuple[float, ...], float]:
     """Return when the valve is switched off, and how long after it the next package hangs."""
-    times = settings.numbers('times', 's', least=0.0, default=())
+    times = settings.numbers('times', 's', minimum=0.0, default=())
     pickup = settings.number('pickup', 2.0, 's', above=0.0)
     if (np.diff(times) <= pickup).any():
         raise settings.refuse(

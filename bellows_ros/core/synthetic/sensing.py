@@ -259,27 +259,27 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
     noise, marker, stamps = (settings.block(name) for name in ('noise', 'marker', 'stamps'))
     return Sensor(
         settings.path,
-        rate_hz=settings.number('rate_hz', unit='Hz', above=0.0, most=FASTEST),
-        position_noise=noise.number('position', 0.0, 'm', least=0.0),
-        rotation_noise=noise.number('rotation', 0.0, 'rad', least=0.0),
+        rate_hz=settings.number('rate_hz', unit='Hz', above=0.0, maximum=FASTEST),
+        position_noise=noise.number('position', 0.0, 'm', minimum=0.0),
+        rotation_noise=noise.number('rotation', 0.0, 'rad', minimum=0.0),
         origin=np.zeros(3) if origin is None else origin,
         marker=marker.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad'),
         jumps=_faults(settings.block('outliers'), True),
         dropouts=_faults(settings.block('dropouts'), False),
-        jitter=stamps.number('jitter', 0.0, 's', least=0.0),
-        latency=stamps.number('latency', 0.0, 's', least=0.0, most=60.0),
+        jitter=stamps.number('jitter', 0.0, 's', minimum=0.0),
+        latency=stamps.number('latency', 0.0, 's', minimum=0.0, maximum=60.0),
     )
 
 
 def _faults(settings: Settings, moved: bool) -> Faults:
     """Return the jumps or gaps; if there are any, their sizes must be given."""
-    count = settings.whole('count', 0, most=100_000)
+    count = settings.whole('count', 0, maximum=100_000)
     needed = None if count else 0.0
     sizes = (
-        settings.number('position', needed, 'm', least=0.0),
-        settings.number('rotation', needed, 'rad', least=0.0, most=3.0),
+        settings.number('position', needed, 'm', minimum=0.0),
+        settings.number('rotation', needed, 'rad', minimum=0.0, maximum=3.0),
     ) if moved else ()
-    return Faults(count, settings.number('duration', needed, 's', least=0.0), *sizes)
+    return Faults(count, settings.number('duration', needed, 's', minimum=0.0), *sizes)
 
 
 def twist_sensor_from(settings: Settings) -> TwistSensor | None:
@@ -287,7 +287,7 @@ def twist_sensor_from(settings: Settings) -> TwistSensor | None:
     noise = settings.block('noise')
     sensor = TwistSensor(
         settings.choice('frame', ('world', 'tool'), 'world'),
-        noise.number('linear', 0.0, 'm/s', least=0.0),
-        noise.number('angular', 0.0, 'rad/s', least=0.0),
+        noise.number('linear', 0.0, 'm/s', minimum=0.0),
+        noise.number('angular', 0.0, 'rad/s', minimum=0.0),
     )
     return sensor if settings.flag('publish', True) else None

@@ -29,10 +29,10 @@ Box = tuple[Vector, Vector]
 
 
 @kernel
-def secant_root(low: float, high: float, above: float, below: float, least: float) -> float:
-    """Return where a value vanishes between two ends, by the secant, and off both by `least`."""
+def secant_root(low: float, high: float, above: float, below: float, margin: float) -> float:
+    """Return where a value vanishes between two ends, by the secant, off both by a margin."""
     s = low + (high - low) * above / (above - below)
-    return min(max(s, low + least), high - least)
+    return min(max(s, low + margin), high - margin)
 
 
 @kernel
