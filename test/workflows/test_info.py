@@ -59,6 +59,26 @@ def test_names_say_nothing_but_poses_do(tmp_path):
     assert found.rest_s == pytest.approx(REST, abs=0.2)
 
 
+def test_two_worlds_are_said_and_not_measured(tmp_path):
+    """Ask for the transform, and tell nothing that compares poses of two worlds."""
+    m = motion()
+    turn = exp_so3(np.array([0.2, -0.1, 2.0]))
+    tool = poses('/tcp_pose_broadcaster/pose', m['t'], m['o'], m['R'])
+    plate = poses('/vrpn_mocap/plate/pose', m['t'], apply(turn, m['o_p']) + 1.0, turn @ m['R_p'])
+    write_bag(tmp_path / 'bag', [replace(tool, frame_id='base'), replace(plate, frame_id='mocap')])
+    found = info(tmp_path / 'bag')
+    assert found.settings['recording.package_world'] == 'estimate'
+    assert found.settings['fit.method'] == 'output_error' and found.settings['fit.time_offset']
+    assert found.settings['fit.free'] == ('package_marker',)
+    assert 'recording.world' not in found.settings
+    assert not found.settings['recording.align_at_rest']
+    (note,) = [note for note in found.notes if 'frame' in note]
+    assert "in frame 'base', the package in 'mocap'" in note
+    assert not any(' mm from the tool' in note or 'off the vertical' in note
+                   for note in found.notes)
+    assert found.tool.topic == tool.topic and found.package.topic == plate.topic
+
+
 @pytest.mark.parametrize('frame', ['world', 'tool'])
 def test_axes_of_the_twist_are_found(frame, tmp_path):
     """Tell world from tool axes by integrating the twist."""
@@ -145,6 +165,19 @@ def test_one_body_alone_is_named_and_said_to_be_too_little(tmp_path):
     assert found.tool and found.tool.topic == '/ur/tcp_pose'
     assert found.package is None
     assert any('needs the poses of tool and package' in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ('name', 'expected'),
+    [('clean', ('/tool_arm/pose', '/package/pose', 'z_up', False)),
+     ('lab', ('/mocap/tool_arm/pose', '/mocap/plate/pose', 'motive_y_up', True))],
+)
+def test_recordings_with_known_truth_are_read_right(name, expected, rig):
+    """Propose the settings with which these are identified."""
+    settings = info(rig / name).settings
+    keys = ('topics.tool_pose', 'topics.package_pose', 'recording.world',
+            'recording.align_at_rest')
+    assert tuple(settings[key] for key in keys) == expected
 
 
 def test_a_recording_without_a_hold_is_told_to_have_one(root):

@@ -85,3 +85,11 @@ def test_a_cup_that_opens_is_simulated_and_found(tmp_path):
     assert found.fit.chi2 == pytest.approx(1.0, abs=0.4)  # one mass does not tell all numbers
     late = [toss.release_time - toss.valve_time for toss in drawn]
     np.testing.assert_allclose([drop.released for drop in found.fit.drops], late, atol=2e-3)
+
+
+def test_a_recording_without_tosses_is_refused(tmp_path):
+    """Say that the valve is missing."""
+    motion = {**load(BAGS / 'throw.yaml'), 'package': {'rate_hz': 120.0}}
+    simulate_recording(VALUES, motion, tmp_path / 'bag')
+    with pytest.raises(BellowsError, match='topics.valve'):
+        identify_release({**VALUES, 'bags': [str(tmp_path / 'bag')]})

@@ -211,6 +211,23 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
     assert np.abs(other['tool_pose'].position - first['tool_pose'].position).max() > 1e-3
 
 
+def test_events_of_the_report_are_where_they_are_in_the_recording(tmp_path):
+    streams, report = recorded(tmp_path, motion(**NOISY))
+    assert [event.kind for event in report.events].count('outlier') == 2
+    assert [event.kind for event in report.events].count('dropout') == 1
+    assert report.messages['/package/pose'] == 241 - 12
+    t = (streams['pose'].stamps_ns - START_NS) * 1e-9
+    for event in report.events:
+        assert event.topic == '/package/pose' and event.start_s > 0.3
+        if event.kind == 'dropout':
+            gap = int(np.argmax(np.diff(t)))
+            assert t[gap] < event.start_s < t[gap + 1]
+        else:
+            at = int(np.argmin(np.abs(t - event.start_s)))
+            step = streams['pose'].position[at] - streams['pose'].position[at - 1]
+            assert np.linalg.norm(step) > 0.04
+
+
 def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     shake = {'position': {'y': {'amplitude': [0.08], 'frequency': [3.0]}}}
     soft = {**PARAMETERS, 'cup.damping': (0.2 * P).ravel().tolist()}
