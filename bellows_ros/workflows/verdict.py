@@ -214,7 +214,7 @@ def verdict_of(
                      given_structure(values).places)
     found = FitVerdict(tuple(_simulated(cup, own) for own in some if fit.usable), diagnosis,
                        values, fit.method == 'output_error')
-    if (found.refusals or not fit.usable) and not found.cause:  # wrenches show none
+    if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes, *diagnosis.findings)))
     return found

@@ -82,6 +82,15 @@ def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypat
     assert verdict.cause and verdict.diagnosis.findings[0].name == cause
 
 
+def test_a_mass_that_wrenches_do_not_show_is_named_by_the_fit():
+    laboratory = Laboratory(302, seconds=10.0)
+    FAULTS['mass 10 %'][0](laboratory)
+    recordings, values = laboratory.recordings(), parameters(laboratory)
+    assert not verdict_of(None, recordings, values['cup.length'], values).refusals
+    verdict = verdict_of(fit(recordings, values).fit, recordings, values['cup.length'], values)
+    assert verdict.refusals and verdict.diagnosis.findings[0].name == 'inertia'
+
+
 def test_no_spring_explains_a_wrong_centre_of_mass_that_is_negative_at_rest():
     laboratory = Laboratory(245)
     FAULTS['centre of mass along z'][0](laboratory)
