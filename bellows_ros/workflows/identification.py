@@ -17,7 +17,8 @@ from bellows_ros.core.parameters.checks import pose_text
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.results import attributes, versions, with_units
+from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.results import attributes, versions, with_units, write_json
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
 import numpy as np
 
@@ -324,14 +325,10 @@ def save(
 
     """
     if json_path:
-        from bellows_ros.files.results import write_json
-
         write_json(json_path, result)
     if not parameters_path:
         return
     result.require_usable(force)
-    from bellows_ros.files.parameter_files import write_parameters
-
     write_parameters(parameters_path, result.parameters(), result.header())
 
 

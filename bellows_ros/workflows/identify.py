@@ -23,7 +23,8 @@ from bellows_ros.core.identification.methods import (
 )
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.model.cup_package import is_gripper
+from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.model.cup_package import cup_of, is_gripper
 from bellows_ros.core.model.structure import (
     fitted_structure,
     given_structure,
@@ -329,7 +330,6 @@ def _identified(
         selection=(selection(whole, effective, tell, verdict)
                    if values['fit.compare_structures'] else None), verdict=verdict, **more)
     if static:
-        from bellows_ros.core.model.cup_package import cup_of
         from bellows_ros.workflows.static import with_spring
 
         static = replace(static, cup_length=found.cup_length)
@@ -361,7 +361,6 @@ def selection(
     verdict: FitVerdict | None = None,
 ) -> 'StructureSelection':
     """Compare the structures, with a verdict where none fits; that of the fit where given."""
-    from bellows_ros.core.identification.samples import samples_of
     from bellows_ros.core.identification.structure_selection import select_structure
 
     tell('comparing structures', FIT_ENDS)
