@@ -14,8 +14,8 @@ from std_srvs.srv import Trigger
 from .conversions import stamp_to_ns
 from .guarding import GuardedNode
 from .tool_inputs import SensorInput
-from ..core.live.check import is_held, why_no_pressure
 from ..core.live.health import Status, vacuum_status
+from ..core.live.load import is_held, why_no_pressure
 
 
 class Attachment:

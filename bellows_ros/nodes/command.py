@@ -130,7 +130,7 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         make_node = resolve_name(node)
         from rclpy.utilities import try_shutdown
 
-        from .spinning import spin
+        from .guarding import spin
 
         try:
             _initialise([interface.name, *arguments])

@@ -73,7 +73,7 @@ class Observing:
             self._is_warm = True
             warm_up_observer(self._values, self._live.model)
             gc.collect()
-            gc.freeze()  # as `spinning` does: what a compiler leaves is never looked at again
+            gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
 
     def _on_measured(self, message: Any) -> None:
         """Correct the prediction."""

@@ -27,8 +27,8 @@ from .tossing import Tossing
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import LivePredictor, Prediction, warm_up
-from ..core.live.check import check_live
 from ..core.live.health import summary
+from ..core.live.load import check_live
 from ..core.live.uncertainty import warm_up_uncertainty
 from ..core.model.cup_package import cup_of, package_of
 from ..core.model.grip import grip_of

@@ -30,7 +30,7 @@ from rclpy.parameter import Parameter
 from bellows_ros.core.geometry import jit
 from bellows_ros.nodes.outputs import Topic
 from bellows_ros.nodes.predictor_node import PredictorNode
-from bellows_ros.nodes.spinning import executor_for
+from bellows_ros.nodes.guarding import executor_for
 
 VALUES = {
     'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],

@@ -7,7 +7,7 @@ import time
 from types import FrameType
 from typing import Any
 
-from bellows_ros.nodes.spinning import executor_for, spin
+from bellows_ros.nodes.guarding import executor_for, spin
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 import pytest

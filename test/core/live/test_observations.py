@@ -3,7 +3,6 @@
 import math
 
 from bellows_ros.core.live import health, REFUSALS, RESTARTS
-from bellows_ros.core.live.check import check_thresholds, is_held, why_no_pressure
 from bellows_ros.core.live.health import (
     Arrivals,
     InputSeen,
@@ -15,7 +14,16 @@ from bellows_ros.core.live.health import (
     Rhythm,
     Window,
 )
-from bellows_ros.core.live.load import deflection, equivalent_box, lip_position, Load, Safety
+from bellows_ros.core.live.load import (
+    check_thresholds,
+    deflection,
+    equivalent_box,
+    is_held,
+    lip_position,
+    Load,
+    Safety,
+    why_no_pressure,
+)
 from bellows_ros.core.live.samples import ORIGIN, Prediction
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
