@@ -24,19 +24,33 @@ from bellows_ros.core.geometry.tuples import (
     add_scaled,
     add_scaled_matrix,
     apply,
+    cross,
     hat,
     Matrix,
     multiply,
     rotation_matrix,
     scale,
     scale_matrix,
+    subtract,
+    transposed,
+    unit,
     Vector,
 )
 from bellows_ros.core.model.equilibrium import linearise, moved, substeps_for
 from bellows_ros.core.model.jacobians import (
     acceleration_at,
+    accelerations,
     body_jacobians,
+    by_com,
+    by_length,
+    ends_of_spring,
+    IDENTITY,
+    NOTHING,
     parameter_jacobian,
+    shift_left,
+    Square,
+    strain_jacobian,
+    wrench_jacobians,
     write_block,
     write_column,
     write_square,
@@ -45,9 +59,12 @@ from bellows_ros.core.model.kernels import (
     advance,
     Blocks,
     CupTuple,
+    effective_strain,
     lip_wrench,
     ModelTuple,
+    multiply_blocks,
     State,
+    strain,
     tool_at,
     tool_segment,
     with_twist,
@@ -250,8 +267,8 @@ def slopes(
         That of the twist's error by the other rows; m as in `identity_transition`.
 
     """
-    package, com = model[1], model[1][1]
-    v_hat, w_hat = hat(body[2]), hat(body[3])
+    package, com, turning = model[1], model[1][1], body[3]
+    v_hat, w_hat = hat(body[2]), hat(turning)
     by_pose, by_twist = body_jacobians(model, tool, body)
     write_block(A, 0, 0, scale_matrix(-1.0, w_hat))
     write_block(A, 0, 3, scale_matrix(-1.0, v_hat))
@@ -260,41 +277,65 @@ def slopes(
         A[i, 6 + i] = 1.0
     write_square(A, 6, 0, by_pose)
     write_square(A, 6, 6, by_twist)
-    columns = np.empty((6, 62))
-    parameter_jacobian(model, tool, body, 0, 62, columns, 0)
-    _by_axes(columns, nominal[2], B[:, STIFFNESS:])
-    if B.shape[1] > MARKER:
-        _by_axes(columns[:, 21:], nominal[3], B[:, MARKER:])
-        B[:, MARKER + INERTIA - DAMPING:] = columns[:, 43:46]
-    B[:, LENGTH], B[:, COM:LENGTH] = columns[:, 42], columns[:, 53:]
     f, m = lip_wrench(model, tool, body)
+    c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
+    B[:, STIFFNESS:] = 0.0
+    h = effective_strain(strain(o, R), model[0][4:], body[4:])
+    J_oo, J_oR, J_RR = strain_jacobian(o, R)
+    _by_axes(-0.125, nominal[2], accelerations(package, shift_left(
+        c, (transposed(J_oo), NOTHING, transposed(J_oR), transposed(J_RR)))),
+        h[0], h[1], B[:, STIFFNESS:])
+    if B.shape[1] > MARKER:
+        far = apply(R, w)
+        _by_axes(-0.25, nominal[3], accelerations(
+            package, shift_left(c, (IDENTITY, NOTHING, NOTHING, IDENTITY))), v, w, B[:, MARKER:])
+        _by_axes(-0.25, nominal[3], accelerations(package, shift_left(
+            c, (transposed(R), NOTHING, transposed(multiply(hat(o), R)), transposed(R)))),
+            add(apply(R, v), cross(o, far)), far, B[:, MARKER:])
+        parameter_jacobian(model, tool, body, 43, 46, B, MARKER + INERTIA - DAMPING)
+    dv, dw = by_length(model, tool, body, f)
+    write_column(B, LENGTH, dv, dw)
     dv, dw = acceleration_at(package, com, add(f, push[0]), add(m, push[1]))
     write_column(B, MASS, scale(-1.0 / grown, dv), scale(-1.0 / grown, dw))
-    x, y, z = push[0]
-    # by the centre of mass (m), the push has another arm: -e x push
-    ex = apply(package[3], (0.0, z, -y))
-    ey = apply(package[3], (-z, 0.0, x))
-    ez = apply(package[3], (y, -x, 0.0))
-    for i in range(3):
-        B[3 + i, COM] += ex[i]
-        B[3 + i, COM + 1] += ey[i]
-        B[3 + i, COM + 2] += ez[i]
+    at_S1 = wrench_jacobians(model, tool, body)
+    for i in range(3):  # by the centre of mass (m), the push has another arm, too
+        along = unit(i, 1.0)
+        dv, dw = by_com(package, c, at_S1[0], at_S1[1], turning, f, along)
+        write_column(B, COM + i, dv, subtract(dw, apply(package[3], cross(along, push[0]))))
+        write_column(B, WRENCH + i, scale(1.0 / package[0], along), apply(
+            package[3], cross(along, com)))
+        write_column(B, WRENCH + 3 + i, ZERO, apply(package[3], along))
     return apply(rotation_matrix(body[1]), f)
 
 
 @kernel
-def _by_axes(columns: Array, M: Blocks, out: Array) -> None:
-    """Write the slopes by relative changes along the axes, from those by entries of M (21)."""
-    out[:, :6] = 0.0
-    number = 0
-    for j in range(6):
-        for k in range(j, 6):
-            entry = M[(j > 2) + (k > 2)][3 * (j % 3) + k % 3]
-            for i in range(6 if entry != 0.0 else 0):
-                half = 0.5 * entry * columns[i, number]
-                out[i, j] += half
-                out[i, k] += half
-            number += 1
+def _by_axes(
+    factor: float, M: Blocks, S: Square, x: Vector, y: Vector, out: Array
+) -> None:
+    """
+    Add slopes (6, 6) by relative changes along the axes of M, of what M makes.
+
+    Entry jk of M makes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
+    """
+    a, b = multiply_blocks(M, x, y)
+    left = (
+        add_scaled_matrix(multiply(S[0], M[0]), 1.0, multiply(S[1], transposed(M[1]))),
+        add_scaled_matrix(multiply(S[0], M[1]), 1.0, multiply(S[1], M[2])),
+        add_scaled_matrix(multiply(S[2], M[0]), 1.0, multiply(S[3], transposed(M[1]))),
+        add_scaled_matrix(multiply(S[2], M[1]), 1.0, multiply(S[3], M[2])))
+    _add_block(out, 0, 0, factor, S[0], left[0], x, a)
+    _add_block(out, 0, 3, factor, S[1], left[1], y, b)
+    _add_block(out, 3, 0, factor, S[2], left[2], x, a)
+    _add_block(out, 3, 3, factor, S[3], left[3], y, b)
+
+
+@kernel
+def _add_block(
+    out: Array, row: int, column: int, factor: float, S: Matrix, SM: Matrix, x: Vector, Mx: Vector
+) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[row + i, column + j] += factor * (S[3 * i + j] * Mx[j] + SM[3 * i + j] * x[j])
 
 
 @array_kernel
@@ -344,10 +385,8 @@ def accumulate(
             product(F, lost[c], without)
             add_product(-by_twist, taken, without)
         lost[c] = without
-    moved = add_product(by_twist, B, product(F, T[:STATE], np.empty((12, n))))
+    T[:STATE] = add_product(by_twist, B, product(F, T[:STATE], np.empty((12, n))))
     for i in range(12):
-        for j in range(n):
-            T[i, j] = moved[i, j]
         for k in range(6):
             T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_twist[i, k] * B[k, LENGTH]
     for i in range(3):
@@ -426,20 +465,19 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
         for j in range(STATE):
             side[j, WRENCH + i] += more * T[j, WRENCH + i]
     side[:, :STATE] = times_transition(T, transpose(side), np.empty((STATE, STATE))) + Q
-    for j in range(n):
-        out[LENGTH, j] += h * out[LENGTHENING, j]
-    kept = correlations(memory, h)
+    out[LENGTH] += h * out[LENGTHENING]
+    fade = np.repeat(np.array(correlations(memory, h)), 3)
     for i in range(n):  # both halves are rounded alike
         out[i, LENGTH] += h * out[i, LENGTHENING]
-        a = kept[(i - NOISE) // 3] if 0 <= i - NOISE < 6 else 1.0
+        a = fade[i - NOISE] if 0 <= i - NOISE < 6 else 1.0
         for j in range(6):
-            out[i, NOISE + j] *= a * kept[j // 3]
+            out[i, NOISE + j] *= a * fade[j]
         for j in range(min(i, STATE)):
             out[i, j] = out[j, i]
     for i in range(6):
         for j in range(STATE, n):
             out[NOISE + i, j] = out[j, NOISE + i]
-        out[NOISE + i, NOISE + i] += 1.0 - kept[i // 3] ** 2
+        out[NOISE + i, NOISE + i] += 1.0 - fade[i] ** 2
     return out
 
 

@@ -53,8 +53,11 @@ WHITE = 0.05
 COUNTED = 1000.0
 """The noise's memory is that of so many measurements."""
 
-FIRST_MEMORY = 0.03, 15.0
-"""Time (s) between measurements, and sum of squares of noise, before the first: as of 5."""
+FIRST_MEMORY = 0.03, 100.0
+"""
+Time (s) between measurements, and sum of squares of noise, before the first: as of 33. With fewer
+a payload that is off from the start is taken for noise with a long memory.
+"""
 
 
 class Measurement(NamedTuple):
@@ -313,10 +316,10 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
 @array_kernel
 def corrected(
     body: State, theta: Array, P: Array, found: tuple[Array, Array, Array, float, Array]
-) -> tuple[State, Array, Array]:
-    """Return state, theta and covariance after a measurement, by its `Innovation`."""
+) -> tuple[State, Array]:
+    """Return state and theta after a measurement, by its `Innovation`; P is changed in place."""
     y, _, W, _, Z = found
-    error, out = np.zeros(len(P)), P.copy()
+    error = np.zeros(len(P))
     for i in range(6):
         z = 0.0
         for j in range(i + 1):
@@ -324,10 +327,10 @@ def corrected(
         for j in range(len(P)):
             error[j] += Z[i, j] * z
     body, theta = changed_by(body, theta, error)
-    subtract_product(Z, Z, out)
     for i in range(len(P)):
-        out[i, i] += ROUNDING * P[i, i]
-    return body, theta, out
+        P[i, i] *= 1.0 + ROUNDING
+    subtract_product(Z, Z, P)
+    return body, theta
 
 
 @kernel
@@ -358,7 +361,7 @@ def updated(
     model: ModelTuple, tool: State, body: State, theta: Array, P: Array, memory: Array,
     seconds: float, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
     reach: float, gate: float,
-) -> tuple[int, tuple[Array, Array, Array, float, Array], State, Array, Array, Array]:
+) -> tuple[int, tuple[Array, Array, Array, float, Array], State, Array, Array]:
     """
     Update an estimate with a measurement.
 
@@ -379,8 +382,8 @@ def updated(
         `USED`, `OUTSIDE` the gate or `OUT_OF_REACH`, where no lip can be: another package.
     tuple
         `Innovation`.
-    State, ndarray (n - 12,), ndarray (n, n), ndarray (11,)
-        Body, theta, covariance and memory: corrected where it is used, else as they were.
+    State, ndarray (n - 12,), ndarray (11,)
+        Body, theta and memory: corrected where it is used, as P is in place, else as they were.
 
     """
     model = with_theta(model, theta)
@@ -395,6 +398,6 @@ def updated(
     elif found[3] > gate:
         verdict = OUTSIDE
     else:
-        body, theta, P = corrected(body, theta, P, found)
+        body, theta = corrected(body, theta, P, found)
         memory = remembered(memory, theta, seconds)
-    return verdict, found, body, theta, P, memory
+    return verdict, found, body, theta, memory

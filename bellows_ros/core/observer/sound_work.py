@@ -8,6 +8,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import hat
+from bellows_ros.core.observer.correction import Outcome
 from bellows_ros.core.observer.filter import CAMERA, Estimate, LATENCY, NOISE, STATE
 from bellows_ros.core.observer.measurement import Measurement
 from bellows_ros.core.observer.observer import Observer
@@ -42,14 +43,15 @@ class SoundWork(Observer):
         self._squares: list[Array] = []
         self._places: list[tuple[float, float, float]] = []
 
-    def _updated(self, before: Estimate, seen: Measurement, is_new: bool) -> Estimate:
+    def _updated(self, before: Estimate, seen: Measurement, is_new: bool) -> Outcome:
         """Return the estimate after a measurement, and keep the expected square of its noise."""
-        known = super()._updated(before, seen, is_new)
-        if is_new and known is not before and not known.refused and not known.away:
+        outcome = super()._updated(before, seen, is_new)
+        if is_new and outcome.verdict == 'used':
+            known = outcome.known
             found = known.theta[NOISE - STATE:NOISE - STATE + 6]
             self._squares.append(found**2 + np.diag(known.covariance)[NOISE:NOISE + 6])
             self._places.append(seen.position)
-        return known
+        return outcome
 
     @property
     def found(self) -> int:

@@ -26,7 +26,7 @@ from bellows_ros.core.observer.filter import (
 )
 from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NO_LOSSES, without
 from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE
-from bellows_ros.core.observer.observer import first_memory
+from bellows_ros.core.observer.prior import first_memory
 import numpy as np
 import pytest
 
@@ -154,7 +154,7 @@ def test_innovation_is_what_it_says(of_lip):
 
     def seen(e):
         return updated(
-            model, tool[60], body, none, P, MEMORY, 0.03, *pose(e), noise, marker, 1.0,
+            model, tool[60], body, none, P.copy(), MEMORY, 0.03, *pose(e), noise, marker, 1.0,
             np.inf)[1]
 
     H = seen(np.zeros(ALL_ROWS))[1]
@@ -189,7 +189,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
         scale, position, q = seen[37 * k % len(seen)]
         noise = np.diag(NOISE_STD**2) * scale
         found = innovation(own, theta, P, position, q, noise, False)
-        own, theta, P = corrected(own, theta, P, found)
+        own, theta = corrected(own, theta, P, found)
     scale = np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > 0.0
     np.testing.assert_array_equal(P, P.T)

@@ -7,7 +7,7 @@ from bellows_ros.core.model.equilibrium import largest_step, pose_error, substep
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.observer.filter import changed, DAMPING
 from bellows_ros.core.observer.measurement import at_com
-from bellows_ros.core.observer.observer import prior_std
+from bellows_ros.core.observer.prior import bias_walk, prior_std
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -133,7 +133,7 @@ def test_error_is_what_the_covariance_says(runs):
         theta = rng.normal(size=10) * std[12:22]
         for k in range(1, len(tool)):
             body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
-            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * made._walk)
+            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * bias_walk(made._by.nominal))
         seen, noise = {}, rng.normal(size=6)
         for k in range(8, len(tool), 8):  # with the memory that is expected at the beginning
             noise = 0.5 * noise + np.sqrt(0.75) * rng.normal(size=6)

@@ -1,0 +1,239 @@
+"""Estimates of a held package: carried along with the tool, corrected, and judged."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import as_inputs
+from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.structure import places_of
+from bellows_ros.core.observer.alarms import Alarm, Alarms, CONFIRMED, processed
+from bellows_ros.core.observer.filter import (
+    driving,
+    Estimate,
+    Evidence,
+    NO_EVIDENCE,
+    NOT_FOLLOWED,
+    propagated,
+    STATE,
+    with_theta,
+    WRENCH,
+)
+from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NO_LOSSES, without
+from bellows_ros.core.observer.measurement import (
+    changed_by,
+    Measurement,
+    OUT_OF_REACH,
+    OUTSIDE,
+    PoseSensor,
+)
+from bellows_ros.core.observer.prior import bias_walk, first_memory, prior_std
+import numpy as np
+
+GATE = 27.86
+"""Squared Mahalanobis distance that 1 in 10,000 good measurements exceeds (chi^2 of 6)."""
+
+WRONG_GATE = 8
+"""Consecutive measurements outside the gate after which the filter restarts from them."""
+
+NOTHING_SEEN = Measurement(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), np.zeros((6, 6)))
+"""Stands for a measurement where there is none."""
+
+LEAST_ROOM = 4096
+"""Smallest buffer of tool samples: seconds of them."""
+
+
+class Track:
+    """The tool's samples of the last moments, the package at each, as the kernels take them."""
+
+    def __init__(self) -> None:
+        """Start without samples."""
+        self._make(LEAST_ROOM)
+
+    def _make(self, room: int) -> None:
+        """Make room for samples."""
+        self.count = 0
+        stamps, (starts, ends) = np.zeros(room, np.int64), np.zeros((2, room, 13))
+        bodies = np.zeros((room, 25))  # with internal strains, if there are any
+        self.rows = as_inputs(stamps, starts, ends, bodies)
+
+    def begin(self, stamp_ns: int) -> None:
+        """Discard all but the start of a motion."""
+        self.rows[0][0], self.count = stamp_ns, 1
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest sample."""
+        return int(self.rows[0][self.count - 1])
+
+    def after(self, stamp_ns: int) -> int:
+        """Return the number of the first sample after a stamp."""
+        return bisect_right(self.rows[0], stamp_ns, 0, self.count)
+
+    def make_room(self, since_ns: int) -> None:
+        """Make room for another sample; discard those before a stamp."""
+        if self.count < len(self.rows[0]):
+            return
+        before, kept = self.rows, slice(self.after(since_ns) - 1, self.count)
+        self._make(max(LEAST_ROOM, 4 * (kept.stop - kept.start)))
+        self.count = kept.stop - kept.start
+        for old, new in zip(before, self.rows, strict=True):
+            new[:self.count] = old[kept]
+
+
+class Outcome(NamedTuple):
+    """What a measured pose makes of an estimate."""
+
+    known: Estimate
+    verdict: str
+    """`used`, `recovered`, `gate` or `out_of_reach`."""
+    alarm: Alarm | None = None
+
+
+class Correction:
+    """
+    The filter of one model: each method takes an estimate, and returns another.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by name, as of `Observer`.
+    sensor : PoseSensor
+    model : tuple
+        Nominal.
+    longest, reach : float
+        The longest step (s) of the model, and how far (m) a lip can be.
+
+    Attributes
+    ----------
+    alarms : Alarms or None
+
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], sensor: PoseSensor, model: ModelTuple, longest: float,
+        reach: float,
+    ) -> None:
+        """Know what is uncertain."""
+        self.nominal, self.longest, self.reach = model, longest, reach
+        self.prior, self._walk = prior_std(values, model), bias_walk(model)
+        self._marker, places = sensor.marker, places_of(values)
+        self._cups = cups_of(model, places)
+        allowed = values['alarm.false_per_hour']
+        self.alarms = Alarms(
+            allowed, len(self.prior), self._marker[2], places) if allowed > 0.0 else None
+        self._steps = self.alarms.steps if self.alarms else NOT_FOLLOWED
+        self.first_memory = first_memory(values['measured.memory'])
+        self._tool_noise = np.repeat(
+            [values['tool_noise.position'], values['tool_noise.rotation']], 3)
+
+    def start(
+        self, stamp_ns: int, tool: State, body: State, kept: tuple[Array, Array, Array],
+        opened: tuple[int, ...],
+    ) -> Estimate:
+        """Return the estimate of a package at rest, with theta, covariance and memory as kept."""
+        self._drive = driving(self.nominal, tool, body, self._tool_noise)
+        return Estimate(
+            stamp_ns, tool, body, *kept, self.model_with(kept[0], opened),
+            self._evidence(stamp_ns, opened), opened)
+
+    def model_with(self, theta: Array, opened: tuple[int, ...]) -> ModelTuple:
+        """Return the model with its numbers as estimated, without those cups that are lost."""
+        return with_theta(self._gripper(opened), theta)
+
+    def _gripper(self, opened: tuple[int, ...]) -> ModelTuple:
+        """Return the nominal model without those cups that are lost."""
+        return without(self.nominal, self._cups[list(opened)]) if opened else self.nominal
+
+    def _holding(self, opened: tuple[int, ...]) -> Array:
+        """Return the cups, see `cups_of`, that hold; none where the last would be."""
+        cups = np.delete(self._cups, list(opened), axis=0) if opened else self._cups
+        return cups if len(cups) > 1 else NO_CUPS
+
+    def _evidence(
+        self, stamp_ns: int, opened: tuple[int, ...], is_first: bool = True
+    ) -> Evidence:
+        """Return that of no fault yet."""
+        return NO_EVIDENCE if self.alarms is None else self.alarms.start(
+            stamp_ns, len(self._holding(opened)), is_first)
+
+    def _processed(
+        self, known: Estimate, track: Track, stamp_ns: int, is_known: bool,
+        seen: Measurement = NOTHING_SEEN, gate: float = 0.0,
+    ) -> Any:
+        """Return what `processed` does of an estimate; nothing is seen with a gate of zero."""
+        opened, evidence = known.opened, known.evidence
+        return processed(
+            self._gripper(opened), known.theta, known.tool, known.body, known.covariance,
+            known.memory, *track.rows, is_known, track.after(known.stamp_ns), known.stamp_ns,
+            stamp_ns, self.longest, self._drive, self._walk, evidence.signatures,
+            evidence.numbers, evidence.onsets, evidence.is_first, self._steps,
+            self._holding(opened), gate > 0.0, *seen[1:], self._marker, self.reach, gate)
+
+    def carried(
+        self, known: Estimate, track: Track, stamp_ns: int, with_evidence: bool = True
+    ) -> Estimate:
+        """Return an estimate carried along with the tool, where the package has been before."""
+        if not with_evidence:
+            known = known._replace(evidence=NO_EVIDENCE)
+        _, tool, body, theta, P, memory, E, *_ = self._processed(known, track, stamp_ns, True)
+        return known._replace(
+            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
+            evidence=known.evidence._replace(signatures=E))
+
+    def body_at_end(self, known: Estimate, track: Track) -> State:
+        """Return the package at the newest sample of the tool, and write it into the samples."""
+        if known.stamp_ns == track.newest_ns:
+            return known.body
+        return propagated(
+            self._gripper(known.opened), known.theta, known.tool, known.body, NOT_FOLLOWED,
+            NOT_FOLLOWED, *track.rows, False, track.after(known.stamp_ns), known.stamp_ns,
+            track.newest_ns, self.longest, self._drive, NO_CUPS, NO_LOSSES)[1]
+
+    def updated(
+        self, before: Estimate, track: Track, seen: Measurement, is_known: bool
+    ) -> Outcome:
+        """Return the estimate after a measurement: the one before it where that is no package."""
+        stamp_ns, opened, (*_, half_way, is_first) = seen.stamp_ns, before.opened, before.evidence
+        verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome, model = (
+            self._processed(before, track, stamp_ns, is_known, seen, GATE))
+        if verdict == OUT_OF_REACH:
+            return Outcome(before, 'out_of_reach')
+        refused = before.refused + 1 if verdict == OUTSIDE else 0
+        name = 'used' if not refused else 'recovered' if refused >= WRONG_GATE else 'gate'
+        if self.alarms is not None:
+            half_way = self.alarms.half_way(half_way, stamp_ns, outcome[0])
+        after = Estimate(
+            stamp_ns, tool, body, theta, P, memory, model,
+            Evidence(E, numbers, onsets, half_way, is_first), opened, refused,
+            before.away if refused else 0)
+        if self.alarms is not None and len(half_way) > CONFIRMED and (
+                fault := self.alarms.found(after.evidence, stamp_ns, outcome, opened)):
+            opened += (fault.cup,) if fault.cup >= 0 else ()
+            body, theta = changed_by(body, theta, fault.error)
+            return Outcome(after._replace(  # the fault was taken for noise, too
+                body=body, theta=theta, memory=self.first_memory, refused=0, opened=opened,
+                model=self.model_with(theta, opened),
+                evidence=self._evidence(stamp_ns, opened, False),
+                covariance=P + fault.spread @ fault.spread.T), name, fault.alarm)
+        if name == 'recovered':
+            return Outcome(self._restarted(after, before.memory, track, seen), name)
+        return Outcome(after, name)
+
+    def _restarted(
+        self, known: Estimate, memory: Array, track: Track, seen: Measurement
+    ) -> Estimate:
+        """Return an estimate as uncertain as at the start, corrected with what is seen there."""
+        rows = np.r_[:STATE, WRENCH:WRENCH + 6]
+        P = known.covariance.copy()
+        P[rows, rows] += np.square(self.prior[rows])
+        restarted = known._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
+        _, tool, body, theta, P, *_, model = self._processed(
+            restarted, track, seen.stamp_ns, True, seen, math.inf)
+        return known._replace(
+            tool=tool, body=body, theta=theta, covariance=P, memory=memory, model=model,
+            evidence=self._evidence(seen.stamp_ns, known.opened, False), refused=0, away=0)
