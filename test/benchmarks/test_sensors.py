@@ -11,3 +11,11 @@ def test_all_that_the_recording_determines_is_told_with_its_error():
     assert found.converged and np.isfinite(found.std[judged]).all()
     assert np.all(np.abs(found.error[judged]) < 3.5 * found.std[judged])
     assert np.all(found.std[judged] < 2.0 * found.bound[judged])
+
+
+def test_all_entries_of_a_full_cup_are_found_from_a_start_twice_too_large():
+    found = trial(CELLS['motion capture, 0.3 mm'], 0, 8.0, 'full')
+    judged = found.bound < JUDGED
+    assert found.converged and np.count_nonzero(judged) > 21
+    assert np.isfinite(found.std[judged]).all()
+    assert np.all(np.abs(found.error[judged]) < 3.5 * found.std[judged])

@@ -9,9 +9,9 @@ likelihood, is not. K and P move along geodesics of the definite matrices, with 
 logarithm of their size, K about the start, P about that of ordinary rubber, which no number that
 the recordings determine feels.
 
-A start that is far off is brought near first, its damping hardly changed: with an unknown
-acceleration of the package, which is taken away in stages, all that lies further back than a
-moment is forgotten.
+A start that is far off is brought near first, its damping hardly changed, and without couplings,
+which noise would move anywhere: with an unknown acceleration of the package, which is taken away
+in stages, all that lies further back than a moment is forgotten.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error
 from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import pose_noise, Recording
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import bridged, first_order, savgol
@@ -361,6 +361,13 @@ class Search:
         self.largest = np.concatenate(known)
         self.start = np.zeros(len(self.units))
         self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
+        self.near = np.eye(len(self.start))  # directions in which a start is brought near
+        if self.count > 2 * STRUCTURES['diagonal'].size:
+            others = np.zeros(len(self.start) - self.count)
+            own = [np.append(structure.parameters(*pair), others)
+                   for unit in STRUCTURES['diagonal'].basis
+                   for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
+            self.near = np.vstack([own / self.units, self.near[self.count:]]).T
 
     def cup(self, theta: Array) -> Cup:
         """Return the cup of the unknowns, one of those of a gripper."""
@@ -415,9 +422,10 @@ class Search:
             for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
                 if number >= MOST_OF_MISFIT and squares(parts) > MISFIT * expected:
                     break
-                step, free = np.zeros(len(theta)), self.unbounded(theta, g)
-                step[free] = np.linalg.solve(
-                    (H + damping * np.diag(np.diag(H)))[np.ix_(free, free)], g[free])
+                D = self.near if forgets else np.eye(len(theta))
+                D = D[:, ~np.any(D[~self.unbounded(theta, g)], axis=0)]
+                step = D @ np.linalg.solve(
+                    D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
                 size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
                 along = float(step @ H @ last) / max(size, 1e-99)
                 if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
