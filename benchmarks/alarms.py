@@ -5,7 +5,7 @@ Alarms of simulated cells, counted: false ones an hour, and how soon faults are 
 error of the state (12 where the covariance is right); `--faults` lets so many faults of each kind
 happen in one condition, and prints how many causes are right, and after how many seconds half and
 90 % of them are named; beside it, after how many the likelihood-ratio test finds them that knows
-time and size of each fault, at the same rate of false alarms. `--drops` lets packages fall, seen
+time and size of each fault, with the same threshold. `--drops` lets packages fall, seen
 at 30 and at 10 Hz until 0.55 m below. `--slips` lets so many packages slip by 3 to 10 mm, at once
 and within 0.25 s, and prints how many first alarms are right, and the errors in each half second
 since, relative to the 2 s before.
@@ -15,7 +15,7 @@ import argparse
 from collections import Counter
 import math
 
-from bellows_ros.core.observer.alarms import ONSET_NS
+from bellows_ros.core.observer.alarms import MARGIN, ONSET_NS
 from bellows_ros.core.observer.measurement import (
     corrected_pose,
     innovation,
@@ -111,10 +111,11 @@ def least_delays(
     Return how long (s) the test takes that knows time and size of each fault, in order.
 
     The means of its innovations are the differences of two runs with the same noise. Without a
-    fault their log-likelihood ratio ever reaches log A in one of A onsets at most.
+    fault their log-likelihood ratio ever reaches log A in one of A onsets at most; here it has the
+    threshold of the alarms.
     """
     at, more = 0.0 if kind in FROM_START else 3.0, EXACTLY if name == 'white' else {}
-    threshold, delays = math.log(3.6e12 / ONSET_NS), []
+    threshold, delays = math.log(3.6e12 / ONSET_NS) + MARGIN, []
     for seed in range(first, first + runs):
         cup = {'lost': seed % 4} if kind == 'cup' else {}
         (stamps, y1, _), (_, y0, W) = (innovations(Cell(

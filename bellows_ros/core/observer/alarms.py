@@ -163,9 +163,8 @@ LARGEST = max(len(cause.steps) for cause in HYPOTHESES)
 
 MARGIN = -1.0
 """
-So much higher the logarithm of the threshold is than for sums over all onsets: only some of the
-older ones are tested, but the memory of the noise is estimated. Counted in
-`python -m benchmarks.alarms`.
+Added to the logarithm of the threshold for sums over all onsets: only some of the older ones are
+tested. Counted in `python -m benchmarks.alarms`.
 """
 
 START_WEIGHS = 30.0
