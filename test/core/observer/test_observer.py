@@ -71,7 +71,7 @@ def test_nothing_seen_changes_nothing():
     """Predict bit for bit what the model alone does, observed or not, until something is seen."""
     stamps, tool, body, _ = scene(8, seconds=0.3)
     alone, watched = (LivePredictor(CUP, PACKAGE, 9.81, 'tool') for _ in range(2))
-    watched.observe(observer())
+    watched.package.observe(observer())
     model, states = model_tuple(CUP, PACKAGE, 9.81), []
     for stamp_ns, (position, q, linear, angular) in zip(stamps.tolist(), tool, strict=True):
         for live in (alone, watched):
