@@ -8,17 +8,21 @@ import ctypes
 import os
 import sys
 
-M_MMAP_THRESHOLD, LARGE = -3, 2 * 2**20
-"""An option of glibc's allocator, and its value: bytes from which arrays have own pages."""
+M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
+"""Options of glibc's allocator."""
+
+LARGE = 2 * 2**20
+"""Bytes from which arrays have pages of their own."""
 
 
-def configure_process() -> None:
+def configure_process(is_node: bool = False) -> None:
     """
     Keep linear algebra to one thread, and free arrays at once; call it before NumPy is imported.
 
     More threads only contend: on two busy cores least squares takes two to seven times as long
     with them. And by itself glibc soon keeps the memory of freed arrays, a tenth of what a long
-    recording needs. What the user has set prevails.
+    recording needs; so do threads with memory of their own, which those of a node may have.
+    What the user has set prevails.
     """
     for variable in ('OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
         os.environ.setdefault(variable, '1')
@@ -26,3 +30,5 @@ def configure_process() -> None:
         set_option = getattr(ctypes.CDLL(None), 'mallopt', None)  # not in musl
         if set_option:
             set_option(M_MMAP_THRESHOLD, LARGE)
+            if not is_node:
+                set_option(M_ARENA_MAX, 1)

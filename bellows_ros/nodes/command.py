@@ -101,7 +101,7 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
     """
     arguments = list(sys.argv[1:] if args is None else args)
     own = list(takewhile(lambda argument: argument != '--ros-args', arguments))
-    configure_process()
+    configure_process(is_node=True)
     if {'-h', '--help'} & set(own):
         print(help_text(interface), end='')
         return 0

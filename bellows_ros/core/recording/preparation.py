@@ -7,10 +7,8 @@ package's stamps. Nothing is repaired in silence: all that is left out is in the
 """
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -185,18 +183,15 @@ def filter_streams(
     if tool_twist is not None and tool_arrivals:
         tool_twist = replace(tool_twist, stamps_ns=_as_moved(
             tool_twist.stamps_ns, of_tool_ns, tool.stamps_ns))
-    with ThreadPoolExecutor(2) as beside:  # NumPy leaves the second core to the other body
-        (of_tool, tool_poses), (of_package, package_poses) = beside.map(
-            partial(_clean, R_world_recorded=turn), (tool, package))
+    (of_tool, tool_poses), (of_package, package_poses) = _clean(tool, turn), _clean(package, turn)
     _common(tool_poses.stamps_ns, package_poses.stamps_ns, (tool, package))
     as_they_are = not settings.align_at_rest and alignment is None
     alignment = alignment or _alignment(tool_poses, package_poses, settings)
     aligned = alignment.tool(tool_poses), alignment.package(package_poses)
-    with ThreadPoolExecutor(2) as beside:
-        of_e, of_b = beside.map(
-            _filtered, aligned, (settings.tool_half_window, settings.package_half_window),
-            (settings.tool_order, settings.package_order), (tool.name, package.name))
-    filtered = of_e, of_b
+    filtered = (
+        _filtered(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
+        _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name),
+    )
     of_tool, of_package = (
         replace(report, arrivals=arrivals, overlapping_gap=int(np.count_nonzero(
             _at(poses, kept.stamps_ns).valid & ~kept.valid)))
