@@ -105,8 +105,8 @@ MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
 """
 Largest numbers of steps: of a stage, of the last one, and of the last one with a misfit.
 
-So a search simulates a wrong recording 64 times at most, and the whole fit, with relaxation, the
-likeliest cause and what was given free in turn, 165 times.
+So a search simulates a wrong recording 64 times at most, a full cup's 128 times, and a whole fit,
+with relaxation, the likeliest cause and what was given free in turn, 165 or 229 times.
 """
 
 MISFIT = 1.5
@@ -252,9 +252,13 @@ class Segment:
         self.variance = np.where(known, measured.tool_noise.std, MISSING)[self.inner] ** 2
         self.package = measured.package.select(measured.package.valid)
         self.moves = np.array(measured.moves_with_com, dtype=float)
-        self.std = measured.package_noise.std
-        self.expected = self.first = state_row(
+        self.expected = state_row(
             self.package.position[0], rotation_to_quaternion(self.package.rotation[:1])[0])
+        self.begin()
+
+    def begin(self) -> None:
+        """Take the tool's path, the package's first state and its noise as they were measured."""
+        self.std, self.first = self.measured.package_noise.std, self.expected
         self.go(np.zeros((len(self.variance), 6)))
 
     def go(self, change: Array) -> None:
@@ -406,7 +410,28 @@ class Search:
         self, note: Callable[[Cup, float], None], near: Array | None = None,
         begun: System | None = None,
     ) -> Minimum:
-        """Go to the root, from unknowns near to it, and the system there, where they are given."""
+        """
+        Go to the root, from unknowns near to it, and the system there, where they are given.
+
+        Strong couplings are not found without any: then all directions are free from the start.
+        """
+        found = self._found(self.near, note, near, begun)
+        if near is None and len(self.near) > len(self.near.T) and not (
+                found.converged and squares(found.parts) < MISFIT * sum(
+                    len(own.innovations) for own in found.parts)):
+            for segment in self.segments:
+                segment.begin()
+            again = self._found(np.eye(len(self.near)), note)
+            if again.converged or not found.converged:
+                return again
+            self.take(found.parts)
+        return found
+
+    def _found(
+        self, directions: Array, note: Callable[[Cup, float], None], near: Array | None = None,
+        begun: System | None = None,
+    ) -> Minimum:
+        """Return the root, after a start that is brought near in some directions."""
         theta = self.start if near is None else near
         for forgets in STAGES if near is None else STAGES[-1:]:
             parts, H, g = begun or self.system(theta, forgets)
@@ -422,7 +447,7 @@ class Search:
             for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
                 if number >= MOST_OF_MISFIT and squares(parts) > MISFIT * expected:
                     break
-                D = self.near if forgets else np.eye(len(theta))
+                D = directions if forgets else np.eye(len(theta))
                 D = D[:, ~np.any(D[~self.unbounded(theta, g)], axis=0)]
                 step = D @ np.linalg.solve(
                     D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
