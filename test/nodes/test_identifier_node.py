@@ -6,6 +6,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import read_result
+from bellows_ros.files.safe_yaml import load
 from bellows_ros.nodes.predictor_node import PredictorNode
 from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
@@ -93,6 +94,28 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path)
                 and value == PARAMETERS[name].default]
 
 
+def test_one_cup_of_a_gripper_is_found_and_set_with_its_layout(ros, root, tmp_path):
+    """The predictor composes it: what it has of one cup is what was found."""
+    layout = [0.06, 0.05, 0.0, -0.06, 0.03, 0.0, 0.01, -0.07, 0.0]
+    cup = read_parameters(root / 'bags/cup.yaml')
+    motion = {**load(root / 'bags/validation.yaml'), 'package': {
+        'rate_hz': 360.0, 'frame': 'com', 'noise': {'position': 2e-5, 'rotation': 1e-4}}}
+    simulate_recording({**cup, 'cup.layout': layout}, motion, str(tmp_path / 'bag'))
+    predictor = PredictorNode(context=ros.context, parameter_overrides=[
+        Parameter(name, value=value) for name, value in PACKAGE.items()])
+    ros.executor.add_node(predictor)
+    node = make(
+        ros, bags=[str(tmp_path / 'bag')], cup__layout=layout, fit__structure='layout',
+        topics__tool_pose='/tool_arm/pose', topics__package_pose='/package/pose',
+        package__mass=1.8, package__inertia=list(cup['package.inertia']),
+        cup__length=cup['cup.length'], predictor='/predictor', exit_when_done=True)
+    assert ros.spin_until(node.finished.done, LONGEST)
+    assert node.finished.result() is None
+    assert list(predictor.values['cup.layout']) == layout
+    found = np.diag(np.reshape(predictor.values['cup.stiffness'], (6, 6)))
+    assert_allclose(found[:3], np.diag(np.reshape(cup['cup.stiffness'], (6, 6)))[:3], rtol=0.05)
+
+
 def test_absent_predictor_is_said(ros, rig, monkeypatch):
     """Give up after a while, with the cup found."""
     monkeypatch.setattr('bellows_ros.nodes.identifier_node.LONGEST_WAIT', 0.2)
@@ -147,13 +170,25 @@ def test_packages_in_files_are_enough(ros, root):
     assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), LONGEST)
 
 
-def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path):
+@pytest.mark.parametrize('written', ['', 'cup.yaml'])
+def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path, written):
     """Take the thesis' length for a cup that is 2 mm shorter: say that it was not set."""
     node = make(
         ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
         topics__package_pose='/package/pose',
-        output__parameters=str(tmp_path / 'cup.yaml'))
+        output__parameters=str(tmp_path / written) if written else '')
     assert ros.spin_until(node.finished.done, LONGEST)
     with pytest.raises(BellowsError, match='wrong by about 2.1 mm.* cup.length is not set'):
         node.finished.result()
     assert not (tmp_path / 'cup.yaml').exists()
+
+
+def test_a_cup_that_cannot_be_ends_the_node_with_the_reason(ros, root):
+    """Take a length that is wrong by millimetres: the package would push the cup."""
+    node = make(
+        ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
+        topics__package_pose='/package/pose', cup__length=0.049)
+    assert ros.spin_until(node.finished.done, LONGEST)
+    with pytest.raises(BellowsError, match=r'cup\.length.*3\.0'):
+        node.finished.result()
+    assert not node.has_parameter('cup.stiffness')

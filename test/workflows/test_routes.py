@@ -256,3 +256,11 @@ def test_what_needs_all_recordings_at_one_place_gets_them(settings):
     assert [found['bag'] for found in apart['validations']] == [second]
     taken = ('.validations[0].live.took', '.validations[0].live.real_time_factor')
     assert not [path for path in differences(apart, whole) if not path.startswith(taken)]
+
+
+def test_time_offsets_are_those_of_one_fit(settings, one_result):
+    """Tell the offset of each recording, here of one clock."""
+    fit = identify({**settings, 'fit.time_offset': True}).fit
+    assert len(fit.delays) == len(NAMES)
+    assert np.all(np.abs(fit.delays) < 4.0 * np.array(fit.delays_std))
+    assert_allclose(fit.stiffness, one_result.fit.stiffness, rtol=1e-3)
