@@ -112,6 +112,9 @@ with relaxation, the likeliest cause and what was given free in turn, 165 or 229
 MISFIT = 1.5
 """Chi^2 per difference above which more than noise is left."""
 
+NOISE_ALONE = 1.02
+"""Chi^2 per difference below which a minimum of a full cup is the lowest."""
+
 NEAR, ENOUGH = 3.0, 3e-3
 """Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
 
@@ -417,12 +420,13 @@ class Search:
         """
         found = self._found(self.near, note, near, begun)
         if near is None and len(self.near) > len(self.near.T) and not (
-                found.converged and squares(found.parts) < MISFIT * sum(
+                found.converged and squares(found.parts) < NOISE_ALONE * sum(
                     len(own.innovations) for own in found.parts)):
             for segment in self.segments:
                 segment.begin()
             again = self._found(np.eye(len(self.near)), note)
-            if again.converged or not found.converged:
+            if not found.converged or (
+                    again.converged and squares(again.parts) < squares(found.parts)):
                 return again
             self.take(found.parts)
         return found
