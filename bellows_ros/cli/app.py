@@ -41,7 +41,6 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         'excite': 'design a motion that identifies a cup best',
         'simulate': 'simulate a recording of a known cup',
         'plot': 'draw recordings, fits and predictions',
-        'view': 'show a replay in the viewer Rerun, or write it to a file',
         'play': 'play the poses and twists of a recording to ROS',
         'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or '
                    'tf',

@@ -7,16 +7,14 @@ that the cup was not identified from.
 """
 
 import argparse
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.extras import require_pictures
 
 from . import options
 from .console import Console, NOT_USABLE, OK
-
-if TYPE_CHECKING:
-    pass
 
 EXAMPLES = (
     ('bellows replay bags/validation --params bags/cup.yaml',
@@ -35,6 +33,10 @@ EXAMPLES = (
     ('bellows replay sound_work --params bags/cup.yaml --observe camera/box \\\n'
      '      --calibrate-alarms --out alarms.yaml',
      'find what alarms must allow for, and the false alarms to expect'),
+    ('bellows replay bags/validation --params bags/cup.yaml --view',
+     'open the viewer Rerun'),
+    ('bellows replay bags/validation --params bags/cup.yaml --view replay.rrd',
+     "write a file; 'rerun replay.rrd' opens it on any machine"),
     ('bellows replay second --params bags/cup.yaml --limit 5',
      'in a script: exit code 1 unless every axis that moves is within 5 %'),
 )
@@ -49,6 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_parameter_options(parser)
     options.add_json_option(parser, 'all figures')
     options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
+    parser.add_argument(
+        '--view', metavar='FILE', nargs='?', default=None, const='', type=options.Binary,
+        help='show tool, cup and package (predicted, and measured as an outline), deflection and '
+             'errors in the viewer Rerun (extra view), or write an .rrd file that it opens')
     parser.add_argument(
         '--observe', metavar='TOPIC', default='',
         help='poses of the package from a camera, which correct a second live prediction; see '
@@ -67,15 +73,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Replay, write, report."""
-    settings = options.cup_parameters(arguments, console)
-    from bellows_ros.core.identification.validation import LIMIT
-    from bellows_ros.report.text import print_replay
-    from bellows_ros.workflows.replay import replay
-
+def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
+    """Refuse what cannot be drawn or written, before any work."""
     if arguments.report:
         require_pictures()
+    if arguments.view is not None:
+        from bellows_ros.plots.viewer import require_viewer
+
+        require_viewer(arguments.view)
     if arguments.calibrate_alarms and not arguments.observe:
         raise BellowsError(
             '--calibrate-alarms takes the poses of a camera. Give their topic with --observe.')
@@ -84,6 +89,18 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         raise BellowsError(
             '--out writes the calibration of a camera, which is not estimated here. Give its '
             'topic with --observe, and --calibrate-alarms or --set measured.calibrate=true.')
+
+
+def run(arguments: argparse.Namespace, console: Console) -> int:
+    """Replay, write, report."""
+    settings = options.cup_parameters(arguments, console)
+    from bellows_ros.core.identification.validation import LIMIT
+    from bellows_ros.plots.viewer import open_view, write_view
+    from bellows_ros.report.text import print_replay
+    from bellows_ros.workflows.plot import with_bodies
+    from bellows_ros.workflows.replay import replay
+
+    _check(arguments, settings)
     with console.progress() as progress:
         result = replay(
             arguments.bag, settings, progress, arguments.observe, arguments.calibrate_alarms)
@@ -101,6 +118,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
             write_text(arguments.report, replay_report(result, arguments.params))
             written += [arguments.report]
+        if arguments.view is not None and result.live:
+            shown = with_bodies(result.values, result.recording, result.live)
+            if arguments.view:
+                write_view(arguments.view, shown, result.bag)
+                written += [arguments.view]
         options.put_json(arguments.json, result.as_json(limit, arguments.params))
     print_replay(result, console, limit)
     if result.live:
@@ -108,6 +130,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             f'The live prediction took {result.live.took:.2f} s, '
             f'{result.live.real_time_factor:.0f} times faster than real time.')
     console.wrote(arguments.json, arguments.report, arguments.out)
+    if arguments.view:
+        console.wrote(arguments.view, then=('Open it with:', f'  rerun {arguments.view}'))
+    elif arguments.view is not None:
+        open_view(shown, result.bag)
     failing = result.validation.failing(limit)
     worse = failing if arguments.limit is not None else result.validation.worse_than_noise
     return NOT_USABLE if worse else OK

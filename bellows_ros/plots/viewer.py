@@ -98,7 +98,8 @@ def open_view(replayed: Replayed, note: str) -> None:
     if done.returncode != 0:
         raise BellowsError(
             f'The viewer Rerun exited with {done.returncode}, with the reason above. Without a '
-            "display, write a file with --out view.rrd, and open it elsewhere: 'rerun view.rrd'."
+            'display, write a file with --view replay.rrd, and open it elsewhere: '
+            "'rerun replay.rrd'."
         )
 
 

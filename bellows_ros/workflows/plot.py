@@ -227,8 +227,25 @@ def replayed(
     """Return a replay with the poses of all bodies."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
-    found = predicted_live(recording, values, *filter(None, [progress]))
-    result = _picked(found, np.isfinite(found.predicted[:, 0]))
+    return with_bodies(
+        values, recording, predicted_live(recording, values, *filter(None, [progress])))
+
+
+def with_bodies(values: Mapping[str, Any], recording: Recording, live: Live) -> Replayed:
+    """
+    Return the poses of all bodies of a live prediction, where the tool is known.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by name: cup and package.
+    recording : Recording
+        As it was prepared.
+    live : Live
+        Its prediction.
+
+    """
+    result = _picked(live, np.isfinite(live.predicted[:, 0]))
     index = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
     measured = _picked(_motion(recording), index)
     package, length = package_of(values), cup_of(values).length

@@ -61,7 +61,7 @@ for line in {lines!r}:
 
 
 READ_RECORDINGS = ('convert', 'excite', 'identify', 'info', 'plan', 'play', 'plot', 'replay',
-                   'static', 'steer', 'structures', 'toss', 'view')
+                   'static', 'steer', 'structures', 'toss')
 
 
 @pytest.mark.parametrize('name', READ_RECORDINGS)
