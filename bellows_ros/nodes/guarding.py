@@ -45,12 +45,12 @@ class GuardedNode(Node):
         self.failures: Counter[str] = Counter()
         super().__init__(*arguments, **options)
 
-    def note_failure(self, error: Exception) -> None:
-        """Count an exception by its place, and log it where it is new."""
+    def note_failure(self, error: Exception, place: str = '') -> None:
+        """Count an exception by its place, unless given that in the code; log it if new."""
         frames = traceback.extract_tb(error.__traceback__)
         ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
         innermost = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
-        place = f'{Path(innermost.filename).name}:{innermost.lineno}'
+        place = place or f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
         if self.failures[place] > 1:
             return

@@ -93,7 +93,13 @@ class Topic:
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self.name = str(self._publisher.topic_name)
-        self.publish: Callable[[Any], None] = self._publisher.publish
+
+    def publish(self, message: Any) -> None:
+        """Send a message; a failure is noted, and keeps no other topic from being sent."""
+        try:
+            self._publisher.publish(message)
+        except Exception as error:  # noqa: BLE001 (of the middleware)
+            self._node.note_failure(error, self.name)
 
     def _on_matched(self, matched: Any) -> None:
         """Note whether somebody listens."""

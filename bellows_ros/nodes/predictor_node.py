@@ -342,6 +342,7 @@ class PredictorNode(ManagedNode):
             self._publish(live.flush)
         if idle:
             self._publish(live.coast, self._ticked_ns)
+        self._publish_state()
         held = self._planning.held
         if held is not None and self._ticks % LOAD_TICKS == 0:
             self._diagnostics.load.watch_deflection(live.model, held)
@@ -349,7 +350,6 @@ class PredictorNode(ManagedNode):
         if held is not None and flight.known and not flight.state:
             self._tossing.publish(
                 live.model, held, live.frame_id, self._outputs.uncertainty.covariance)
-        self._publish_state()
 
     def _report_health(self) -> None:
         """Report the health of the node, and log what is wrong."""

@@ -3,6 +3,7 @@
 from operator import attrgetter
 
 import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
 from .conftest import PACKAGE
@@ -159,6 +160,24 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
     found = [(p.pose.position.x, p.pose.position.z) for p in partner.poses]
     assert found == [(p.position[0], p.position[2]) for p in expected]
     assert not predictor._live.restarts['failure']
+
+
+@pytest.mark.parametrize('broken', ['_twist', '_state'])
+def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, make_partner, capfd):
+    """Send the wrench beside the twist, name the topic, and let the node be deactivated."""
+    partner = make_partner(with_twists=False)
+    predictor = partner.predictor
+
+    def fail(*arguments):
+        raise ZeroDivisionError('broken')
+
+    topic = getattr(predictor._outputs, broken)
+    topic._publisher.publish = fail
+    partner.send_pose(START)
+    assert partner.ros.spin_until(lambda: partner.wrenches)
+    assert predictor.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    assert set(predictor.failures) == {topic.name}
+    assert f'A callback failed at {topic.name}' in capfd.readouterr().err
 
 
 def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(make_partner):
