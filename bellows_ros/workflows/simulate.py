@@ -20,6 +20,7 @@ from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
+from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic import sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
@@ -204,6 +205,13 @@ def _simulated(
     fine = sample_stamps(rate, motion.duration, recipe.start_ns)
     stamps_ns = np.unique(np.concatenate([fine, *(p.sampled_ns for p in plans.values())]))
     tool = motion.trajectory(stamps_ns, recipe.start_ns)
+    speed, rate = (float(np.max(np.linalg.norm(part, axis=1)))
+                   for part in np.hsplit(np.asarray(tool.twist), 2))
+    if speed > LARGEST_SPEED or rate > LARGEST_RATE:
+        raise BellowsError(
+            f'The tool reaches {speed:.3g} m/s and {rate:.3g} rad/s; expected at most '
+            f'{LARGEST_SPEED:g} and {LARGEST_RATE:g}, as no arm is faster. Check the units of the '
+            'motion: m, rad and s.')
     if not recipe.releases:
         always = np.ones(len(tool), dtype=bool)
         hanging = simulate(cup, package, tool, gravity=values['gravity.magnitude'])

@@ -261,6 +261,7 @@ def without(name):
         (PARAMETERS, motion(**{'topics.package_pose': 'tool_arm/pose'}), 'no other stream has'),
         (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
         (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
+        (PARAMETERS, motion(**{'multi_sine.position.x.amplitude': [30.0]}), 'as no arm is'),
     ],
 )
 def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):

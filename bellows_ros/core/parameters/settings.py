@@ -17,6 +17,9 @@ import numpy as np
 
 Where = Callable[[Sequence[str]], str]
 
+LARGEST = 1e6
+"""Bound of all numbers, which few come near: no square or product of some overflows."""
+
 
 def _nowhere(_: Sequence[str]) -> str:
     """Return that nothing is known of where a setting stands."""
@@ -160,6 +163,9 @@ class Settings:
             raise self.error(
                 name, f'{parameter.name} is missing; it must be {parameter.constraint}.')
         try:
-            return convert(parameter, value)
+            found = convert(parameter, value)
         except BellowsError as error:
             raise self.error(name, str(error)) from None
+        if kind in ('double', 'double_array') and np.max(np.abs(found), initial=0.0) > LARGEST:
+            raise self.refuse(name, f'between {-LARGEST:g} and {LARGEST:g}', value)
+        return found

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.parameters.settings import LARGEST
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -173,8 +174,8 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     Raises
     ------
     BellowsError
-        If it is no URDF, the link is not in it, or a joint on the way is of another kind than
-        fixed, revolute, continuous or prismatic.
+        If it is no URDF, the link is not in it or does not move, or a joint on the way is of
+        another kind than fixed, revolute, continuous or prismatic.
 
     """
     robot = _robot(urdf)
@@ -194,7 +195,12 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
             raise BellowsError(f"The URDF has a circle of joints at the link '{link}'.")
         chain.append(by_child[link])
         link = _link(by_child[link], 'parent')
-    return Arm(link, tool_link, tuple(_joint(element) for element in reversed(chain)))
+    arm = Arm(link, tool_link, tuple(_joint(element) for element in reversed(chain)))
+    if not arm.moving:
+        raise BellowsError(
+            f"No joint of the URDF moves tool_link '{tool_link}'; expected the link at the tool "
+            f'tip. Links that joints carry: {", ".join(list(by_child)[:20])}.')
+    return arm
 
 
 def _robot(urdf: str) -> ElementTree.Element:
@@ -256,7 +262,8 @@ def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:
         numbers = np.array([])
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+    largest = math.inf if count == 1 else LARGEST  # limits may be as good as none
+    if numbers.shape != (count,) or not (np.abs(numbers) < largest).all():
         wanted = 'a number' if count == 1 else 'three numbers'
         raise BellowsError(
             f"Joint '{name}' of the URDF: {what} must be {wanted}, got '{text[:60]}'.")

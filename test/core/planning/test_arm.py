@@ -93,6 +93,8 @@ def test_a_plan_of_joints_goes_through_its_points():
     ('<!DOCTYPE a [<!ENTITY b "c">]><robot/>', 'tool', 'defines entities'),
     (URDF.replace('0 0 2', '0 0 0'), 'tool', "'turn' of the URDF has an axis of zero length"),
     (URDF.replace('0 0 2', '0 0 x'), 'tool', "axis must be three numbers, got '0 0 x'"),
+    (URDF.replace('0 0 2', '0 0 1e300'), 'tool', "axis must be three numbers, got '0 0 1e300'"),
+    (URDF, 'world', "No joint of the URDF moves tool_link 'world'"),
     (URDF.replace('<parent link="b"/>', ''), 'tool', "'spin' of the URDF has no parent link"),
     (URDF.replace('<parent link="world"/>', '<parent link="tool"/>'), 'tool', 'a circle'),
     (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="turn"/>'), 'tool', 'mimics another'),
