@@ -128,7 +128,7 @@ def check_refusal(bellows, folder, line, words):
     'replay recording CUP --report cup.yaml',
     'simulate CUP --motion motion.yaml --out new --json motion.yaml',
     'plot motion recording CELL --out x.png --json package.yaml',
-    'view recording CUP --out recording/view.rrd',
+    'replay recording CUP --view recording/view.rrd',
     'convert poses.tum --topic /p --out poses.tum',
     'export cup.yaml --to sdf --out cup.yaml',
 ])
@@ -142,7 +142,7 @@ def test_output_that_is_read_is_refused(bellows, cell, line):
     ('PLAN transport.yaml --plot plan.txt', 'must end in .png, .svg or .pdf'),
     ('simulate CUP --motion motion.yaml --out -', 'is for text'),
     ('export cup.yaml --to c --out - --json -', 'has room for one'),
-    ('view recording CUP --out a.png', 'must end in .rrd'),
+    ('replay recording CUP --view a.png', 'must end in .rrd'),
     ('plot animation recording CUP --out a.png', 'must end in .gif or .mp4'),
     ('STEER zv transport.yaml --plot plan.avi', '.pdf, .gif or .mp4'),
 ])
