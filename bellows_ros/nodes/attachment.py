@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 import math
-import re
 import time
 from typing import Any
 
@@ -15,7 +14,7 @@ from .conversions import stamp_to_ns
 from .guarding import GuardedNode
 from .tool_inputs import SensorInput
 from ..core.live.health import Status, vacuum_status
-from ..core.live.load import is_held, why_no_pressure
+from ..core.live.vacuum import ALL, Vacuum
 
 
 class Attachment:
@@ -35,7 +34,8 @@ class Attachment:
     hear : callable
         Takes each pressure in the cup, Pa; of several sensors the highest of cups that hold.
     on_held : callable
-        Takes of each message of the vacuum whether the cup holds, before anything is changed.
+        Takes of each message of the vacuum whether the cup holds, or one of a gripper and its
+        index, before anything is changed.
     on_open : callable
         Is called when other cups of a gripper hold.
 
@@ -45,22 +45,19 @@ class Attachment:
         Whether the cup holds the package, as far as is known.
     signal : SensorInput or None
         The vacuum signal, where one is asked for.
-    open_cups : tuple of int
-        Cups of cup.layout without vacuum, by sensors of their own.
+    vacuum : Vacuum
+        What pressures say.
 
     """
 
     def __init__(
         self, node: GuardedNode, values: Mapping[str, Any], change: Callable[[bool, str], bool],
-        hear: Callable[[float], None], on_held: Callable[[bool], None],
+        hear: Callable[[float], None], on_held: Callable[[bool, int], None],
         on_open: Callable[[], None],
     ) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
         self._change, self._hear, self._join, self._on_open = change, hear, on_held, on_open
-        self.open_cups: tuple[int, ...] = ()
-        self._pressures: dict[int, float] = {}  # by cup, of those that hold
-        self._seen: set[int] = set()  # cups with a sensor
-        self.set_values(values)
+        self.vacuum = Vacuum(values)
         self._kind = signal = values['vacuum.signal']
         self.held = values['package.attached'] and signal == 'none'
         for service, held, words in (
@@ -76,10 +73,6 @@ class Attachment:
                 'bool': (Bool, 'vacuum/held', self._on_held),
                 'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[signal])
 
-    def set_values(self, values: Mapping[str, Any]) -> None:
-        """Take other thresholds."""
-        self._values = values
-
     def _answer(
         self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
@@ -94,43 +87,28 @@ class Attachment:
         """Follow a vacuum switch."""
         assert self.signal
         self.signal.arrivals.add(time.monotonic_ns(), math.nan)  # without a stamp
+        self._join(message.data, ALL)
         self._follow(message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
         """Follow the pressure in the cup."""
         assert self.signal
         self.signal.note(time.monotonic_ns(), stamp_to_ns(message.header.stamp))
-        pressure, cups = message.fluid_pressure, len(self._values['cup.layout']) // 3
-        of_cup = re.search(r'cup_(\d{1,3})$', message.header.frame_id) if cups > 1 else None
-        reason = why_no_pressure(pressure)
-        if of_cup and not reason and int(of_cup[1]) >= cups:
-            reason = 'no_such_cup'
-        if reason:
-            self._refused[reason] += 1
-        elif of_cup:
-            self._follow_cup(int(of_cup[1]), pressure)
-        else:
-            self._hear(pressure)
-            self._follow(is_held(pressure, bool(self._said), self._values))
-
-    def _follow_cup(self, cup: int, pressure: float) -> None:
-        """Follow the pressure in one cup of a gripper, which holds while any of its cups does."""
-        if is_held(pressure, cup in self._pressures, self._values):
-            self._pressures[cup] = pressure
-        else:
-            self._pressures.pop(cup, None)
-        self._seen.add(cup)
-        if self._pressures:
-            self._hear(max(self._pressures.values()))
-            opened = tuple(sorted(self._seen - set(self._pressures)))
-            if opened != self.open_cups:
-                self.open_cups = opened
-                self._on_open()
-        self._follow(bool(self._pressures))
+        vacuum, opened = self.vacuum, self.vacuum.open_cups
+        said = vacuum.hear(message.fluid_pressure, message.header.frame_id)
+        if isinstance(said, str):
+            self._refused[said] += 1
+            return
+        for held, cup in said:
+            self._join(held, cup)
+        if vacuum.pressure is not None:
+            self._hear(vacuum.pressure)
+        if vacuum.open_cups != opened:
+            self._on_open()
+        self._follow(vacuum.held)
 
     def _follow(self, held: bool) -> None:
         """Follow the vacuum when it changes; a node that is not active yet does so once it is."""
-        self._join(held)
         changed, self._said = held != self._said, held
         if changed and held != self.held:
             self.held = held

@@ -306,9 +306,9 @@ class PredictorNode(ManagedNode):
         self.advance(self._live.switch_valve, on, stamp_ns)
         self._publish_state()
 
-    def _on_vacuum(self, held: bool) -> None:
-        """Join the vacuum with what a camera sees."""
-        self._live.hear_vacuum(held)
+    def _on_vacuum(self, held: bool, cup: int) -> None:
+        """Join the vacuum, or that of one cup, with what a camera sees."""
+        self._live.hear_vacuum(held, cup)
         self._observing.log_alarms()
 
     def _attach(self, held: bool, why: str) -> bool:
@@ -383,7 +383,7 @@ class PredictorNode(ManagedNode):
 
     def _on_open_cups(self) -> None:
         """Go on without the cups of a gripper that have no vacuum."""
-        cups = ', '.join(map(str, self._attachment.open_cups))
+        cups = ', '.join(map(str, self._attachment.vacuum.open_cups))
         self.get_logger().warning(
             f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
         self.use_values()
@@ -392,7 +392,7 @@ class PredictorNode(ManagedNode):
         """Pass on the parameters, with the cups that are open; the package keeps its motion."""
         values = with_chosen_cup(self.values)
         opened = {*values['cup.open'], *map(
-            float, {*self._attachment.open_cups, *self._observing.lost_cups})}
+            float, {*self._attachment.vacuum.open_cups, *self._observing.lost_cups})}
         if len(opened - {-1.0}) < len(values['cup.layout']) // 3:  # else none holds: see detached
             values = {**values, 'cup.open': tuple(opened)}
         cup, package = cup_of(values), package_of(values)
@@ -400,7 +400,7 @@ class PredictorNode(ManagedNode):
             warm_up(cup, package, gravity_of(values), values['tool_twist.frame'])
             warm_up_uncertainty(cup.relaxation)
         self._live.set_model(cup, package)
-        self._attachment.set_values(values)
+        self._attachment.vacuum.values = values
         self._diagnostics.set_values(values)
         self._apply(self._live, values)
 

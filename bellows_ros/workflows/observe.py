@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
+from operator import itemgetter
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
+from bellows_ros.core.live.vacuum import ALL, Vacuum
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Calibration, Observer, Payload
 from bellows_ros.core.observer.measurement import at_com
@@ -20,7 +22,8 @@ from bellows_ros.core.signals.residuals import compare, Comparison
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
-from bellows_ros.files.bags import read_streams
+from bellows_ros.files.bags import decoded, messages_of, read_streams
+from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import attributes
 from bellows_ros.workflows.alarm_calibration import AlarmCalibration, calibrated_alarms
 import numpy as np
@@ -176,10 +179,12 @@ def observed(
         stream.stamps_ns.tolist(), map(tuple, stream.position.tolist()),
         map(tuple, rotation_to_quaternion(stream.rotation).tolist()), covariances, strict=True))
 
+    heard = _vacuum(bag, values)
+
     def run(by: Observer) -> Trajectory:
         corrected = live_predictor(values)
         corrected.package.observe(by)
-        return predictions(corrected, messages, seen=seen)
+        return predictions(corrected, messages, seen=seen, heard=heard)
 
     ways = predictions(live_predictor(values), messages), run(observer)
     held = _held(observer, stream, recording.measured_package, package_of(values).com)
@@ -229,6 +234,36 @@ def _calibrated(found: Calibration | None, pose: Array, turn: Array) -> dict[str
         'measured.offset_std': (float(found.shift_std.max()), float(found.turn_std.max())),
         'measured.latency_std': math.hypot(found.latency, found.latency_std),
     }
+
+
+def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]:
+    """
+    Return when (ns) which cup holds by the recorded vacuum, in order; see `Vacuum`.
+
+    It is on the topic that the node listens to, of vacuum.signal, in whichever namespace.
+    """
+    vacuum, said = Vacuum(values), []
+    if (signal := values['vacuum.signal']) == 'none':
+        return []
+    kind, topic = {'bool': (BOOL, 'vacuum/held'),
+                   'pressure': ('sensor_msgs/msg/FluidPressure', 'vacuum/pressure')}[signal]
+    for name, _, log_ns, data in messages_of(bag, (kind,)):
+        if not name.endswith('/' + topic):
+            continue
+        if signal == 'bool':
+            held = decode_bool(data)
+            said += [] if held is None else [(log_ns, held, ALL)]
+            continue
+        message = decoded(data, kind)
+        stamp, found = message.header.stamp, vacuum.hear(
+            message.fluid_pressure, message.header.frame_id)
+        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or log_ns
+        said += [] if isinstance(found, str) else [(stamp_ns, *each) for each in found]
+    if not said:
+        raise BellowsError(
+            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {topic}. "
+            'Record it, or add --set vacuum.signal=none.')
+    return sorted(said, key=itemgetter(0))
 
 
 def live_predictor(values: Mapping[str, Any]) -> LivePredictor:

@@ -256,7 +256,19 @@ def replay(
         bag, recording, tool_messages(recording, values), values, observe,
         calibrate_alarms) if observe else None
     tell('done', 1.0)
-    return replace(free, live=live, observed=found)
+    return replace(free, live=live, observed=found, warnings=_without_loss(free, found))
+
+
+def _without_loss(free: Replay, found: Observed | None) -> tuple[str, ...]:
+    """Return the warnings; a package that is lost explains the errors, instead of their causes."""
+    lost = [seconds for seconds, alarm in found.alarms if alarm.cause == 'lost'] if found else []
+    if not lost:
+        return free.warnings
+    causes = tuple(_causes(free.values, free.validation))
+    return (
+        f'The package is lost {lost[0]:.2f} s after the first pose of the tool; errors after that '
+        f'are not of the cup. Rate it with --set recording.end={max(lost[0] - 0.5, 0.0):.1f}.',
+        *(each for each in free.warnings if each not in causes))
 
 
 def validated(values: Mapping[str, Any], recording: Recording) -> Replay:

@@ -64,13 +64,13 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(make_partner, capfd):
     hang([-1])
     assert abs(rest([2])[1][0]) > 0.01  # far from where it hung
     breathe(2, 5e3)
-    assert partner.ros.spin_until(lambda: node._attachment.open_cups == (2,))
+    assert partner.ros.spin_until(lambda: node._attachment.vacuum.open_cups == (2,))
     assert 'Without vacuum: cups 2' in capfd.readouterr().err
     hang([2])
     breathe(7, 60e3)
     assert partner.ros.spin_until(lambda: node._attachment._refused['no_such_cup'] == 1)
     breathe(2, 60e3)
-    assert partner.ros.spin_until(lambda: node._attachment.open_cups == ())
+    assert partner.ros.spin_until(lambda: node._attachment.vacuum.open_cups == ())
     hang([-1])
     for cup in range(3):
         breathe(cup, 0.0)

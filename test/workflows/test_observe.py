@@ -11,7 +11,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.package_world import pose_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
-from bellows_ros.files.bags import read_streams
+from bellows_ros.files.bags import message_types, read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.observe import observed
 from bellows_ros.workflows.recordings import load
@@ -181,6 +181,52 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
     apart = seen('apart', known * [1, 5, 1, 1, 1, 1], inverse_transform(T), **{
         'recording.package_world': ' '.join(map(str, pose))})
     np.testing.assert_allclose(apart, uneven, rtol=1e-3)
+
+
+def breaking(stamps, at_ns, bad=False):
+    """Give pressures (ns, Pa) that rise at a time, as they are recorded."""
+    types, kind = message_types(), 'sensor_msgs/msg/FluidPressure'
+    t, data = types.types, []
+    for ns in stamps.tolist():
+        stamp = t['builtin_interfaces/msg/Time'](*divmod(ns, 1_000_000_000))
+        pressure = np.nan if bad else 40e3 if ns < at_ns else 100e3
+        data.append(bytes(types.serialize_cdr(
+            t[kind](t['std_msgs/msg/Header'](stamp, ''), pressure, 0.0), kind)))
+    return Encoded('/cell/vacuum/pressure', kind, stamps, data)
+
+
+def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
+    """By its camera until it is 0.5 m below, sooner with the vacuum; no other cause is named."""
+    bag, values = filmed
+    streams = read_streams(bag, {**ROLES, 'camera': 'camera/box'})
+    at_ns, recorded = int(streams['tool'].stamps_ns[0]) + 5_000_000_000, []
+    for role, topic in {**ROLES, 'camera': 'camera/box'}.items():
+        own = streams[role]
+        if role == 'twist':
+            continue
+        position, falls = own.position.copy(), role != 'tool'
+        position[:, 2] -= falls * 4.9 * np.square(np.maximum(own.stamps_ns - at_ns, 0) * 1e-9)
+        seen = own.stamps_ns < at_ns + (320_000_000 if falls else 10**15)
+        recorded.append(Recorded('/' + topic, 'geometry_msgs/msg/PoseStamped',
+                                 own.stamps_ns[seen], rows(position, own.rotation)[seen]))
+    values = {**values, 'topics.tool_twist': '', 'recording.start': 3.0}
+    write_bag(tmp_path / 'dropped', recorded)
+    found = replay(tmp_path / 'dropped', values, observe='camera/box')
+    (seconds, alarm), = found.observed.alarms
+    assert (alarm.cause, alarm.second) == ('lost', 'camera')
+    assert 2.0 < seconds < 2.3
+    assert f'The package is lost {seconds:.2f} s after' in found.warnings[0]
+    assert not any('package.mass' in warning for warning in found.warnings)
+    pressures = streams['tool'].stamps_ns[::20]
+    values['vacuum.signal'] = 'pressure'
+    write_bag(tmp_path / 'heard', [*recorded, breaking(pressures, at_ns)])
+    (seconds, alarm), = replay(
+        tmp_path / 'heard', values, observe='camera/box').observed.alarms
+    assert (alarm.cause, alarm.second) == ('lost', 'leak')
+    assert 2.0 <= seconds < 2.06
+    write_bag(tmp_path / 'deaf', [*recorded, breaking(pressures, at_ns, bad=True)])
+    with pytest.raises(BellowsError, match="vacuum.signal is 'pressure'.*vacuum/pressure"):
+        replay(tmp_path / 'deaf', values, observe='camera/box')
 
 
 def with_memory(streams, which, seconds, rng, noise=NOISE):

@@ -207,20 +207,6 @@ def check_live(values: Mapping[str, Any]) -> None:
         ) from None
 
 
-def is_held(pressure: float, was_held: bool, values: Mapping[str, Any]) -> bool:
-    """Return whether the package is held, by absolute pressure (Pa), with hysteresis."""
-    if was_held:
-        return bool(pressure <= values['vacuum.detach_above'])
-    return bool(pressure < values['vacuum.attach_below'])
-
-
-def why_no_pressure(pressure: float) -> str:
-    """Return why a number is not an absolute pressure, or ''."""
-    if not math.isfinite(pressure):
-        return 'nan'
-    return 'negative' if pressure < 0.0 else ''
-
-
 def check_thresholds(values: Mapping[str, Any]) -> None:
     """Raise BellowsError where the pressure for attaching lies above that for detaching."""
     low, high = values['vacuum.attach_below'], values['vacuum.detach_above']

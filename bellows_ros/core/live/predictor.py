@@ -18,6 +18,7 @@ from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import Screen, TwistScreen
 from bellows_ros.core.live.tool_twist import ToolMotion
+from bellows_ros.core.live.vacuum import ALL
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -123,7 +124,7 @@ class LivePredictor:
         self.poses_in = self.twists_in = self.predictions = self.twists_estimated = 0
         self.coasted = 0
         self.attached = True
-        self._has_vacuum = False
+        self._vacuum: dict[int, bool] = {}  # whether a cup holds by it, or all together
         self.flight: Flight | None = None
         self._forget_arrivals()
 
@@ -329,13 +330,13 @@ class LivePredictor:
         else:
             self.package.see(seen)
 
-    def hear_vacuum(self, is_held: bool) -> None:
-        """Join what is measured with the vacuum: whether the cup holds by it."""
+    def hear_vacuum(self, is_held: bool, cup: int = ALL) -> None:
+        """Join what is measured with the vacuum: whether the cup, or one of them, holds by it."""
         observer, sample = self.package.observer, self.package.sample
-        breaks, self._has_vacuum = self._has_vacuum and not is_held, is_held
+        breaks, self._vacuum[cup] = self._vacuum.get(cup, False) and not is_held, is_held
         if observer is not None and not (self.flight is not None and self.flight.state):
             speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
-            observer.hear_vacuum(is_held, breaks, speed > MOVES[0] or rate > MOVES[1])
+            observer.hear_vacuum(is_held, breaks, speed > MOVES[0] or rate > MOVES[1], cup)
 
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""

@@ -105,8 +105,8 @@ CUP_USUAL, CUP_SHARE = 0.15, 0.1
 """Prior standard deviation of the part of a cup's wrench that is lost, whose mean is 1; share."""
 
 CUP_MESSAGE = (
-    'Cup {:.0f} of cup.layout, at x {:.0f} mm, y {:.0f} mm, holds no more (lost: {} % of its '
-    'wrench): check its lip and its vacuum, and add it to cup.open.')
+    'Cup {:.0f} of cup.layout, at x {:.0f} mm, y {:.0f} mm, holds no more ({}): check its lip and '
+    'its vacuum, and add it to cup.open.')
 
 OF_LEAK, LOST, OF_CAMERA = 1, 4, 5
 
@@ -308,7 +308,8 @@ class Alarms:
         variance = 1.0 / (J + CUP_USUAL**-2.0)
         size, std = 1.0 + variance * (d - J), math.sqrt(variance)
         x, y, _, index = self._places[number].tolist()
-        message = CUP_MESSAGE.format(index, 1e3 * x, 1e3 * y, _with_std(100.0, size, std))
+        message = CUP_MESSAGE.format(
+            index, 1e3 * x, 1e3 * y, f'lost: {_with_std(100.0, size, std)} % of its wrench')
         E: Array = known.signatures[:-FALLEN, COLUMNS[-1] + at].astype(np.float64)
         return DetectedFault(
             Alarm(stamp_ns, self._cup(number), size, std, second, odds,
@@ -348,6 +349,17 @@ class Alarms:
         columns = [column + slot for column in COLUMNS[first:end]]
         P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
         return mean + P @ (known.numbers[columns] - J @ mean), P, columns
+
+    def without_vacuum(self, stamp_ns: int, cup: int) -> Alarm | None:
+        """Return the alarm on a cup whose vacuum breaks down, by its index; None if it is open."""
+        leak, place = CAUSES[OF_LEAK], self._places[self._places[:, 3] == cup]
+        if not len(place):
+            return None
+        odds = VACUUM_ODDS * CUP_SHARE / leak.share
+        x, y = (1e3 * place[0, :2]).tolist()
+        return Alarm(
+            stamp_ns, f'cup {cup}', 1.0, 0.0, leak.name, odds,
+            CUP_MESSAGE.format(cup, x, y, 'its vacuum breaks down') + _runner_up(leak.name, odds))
 
     def lost(
         self, stamp_ns: int, is_held: bool | None, is_seen: bool = True, reach: float = 0.0

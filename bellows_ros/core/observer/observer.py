@@ -259,8 +259,7 @@ class Observer:
             outcome = self._updated(self._known[k], self._seen[k], k == at)
             if k == at:
                 self.counts[outcome.verdict] += 1
-            if outcome.alarm is not None:
-                self._raise(outcome.alarm)
+            self._raise(outcome.alarm)
             self._known.append(self._away(outcome.known, self._seen[k].stamp_ns) if (
                 outcome.verdict == 'out_of_reach') else outcome.known)
         known = self._known[-1]
@@ -294,13 +293,17 @@ class Observer:
             if not (is_held := self._is_held_since(last_ns)):  # else one wrong pose, then none
                 self._raise(self._by.alarms.lost(stamp_ns, is_held))
 
-    def hear_vacuum(self, is_held: bool, breaks: bool, moves: bool) -> None:
+    def hear_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
         """
         Join what is measured with the vacuum of the cup.
 
         Where it breaks down the package is lost, unless the tool is at rest, as for a release, and
-        no pose is out of reach.
+        no pose is out of reach. That of one cup of a gripper says that this cup is lost.
         """
+        if cup >= 0:
+            if breaks and moves and self._known and self._by.alarms:
+                self._raise(self._by.alarms.without_vacuum(self._track.newest_ns, cup))
+            return
         self._vacuum = self._track.newest_ns, is_held
         if breaks and self._known and self._by.alarms:
             is_seen = self._known[-1].away > 0
@@ -311,8 +314,10 @@ class Observer:
         """Return whether the vacuum holds at a stamp or later; None if it was not heard since."""
         return self._vacuum[1] if self._vacuum and self._vacuum[0] >= stamp_ns else None
 
-    def _raise(self, alarm: Alarm) -> None:
-        """Keep an alarm, unless the same one has just been raised."""
+    def _raise(self, alarm: Alarm | None) -> None:
+        """Keep an alarm if there is one, unless the same has just been raised."""
+        if alarm is None:
+            return
         before = next((a for a in reversed(self.alarms) if a.cause == alarm.cause), None)
         if before is None or alarm.stamp_ns - before.stamp_ns >= REPEATED_NS:
             self.alarms.append(alarm)

@@ -18,13 +18,12 @@ from bellows_ros.core.live.load import (
     check_thresholds,
     deflection,
     equivalent_box,
-    is_held,
     lip_position,
     Load,
     Safety,
-    why_no_pressure,
 )
 from bellows_ros.core.live.samples import ORIGIN, Prediction
+from bellows_ros.core.live.vacuum import ALL, Vacuum
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
@@ -66,14 +65,27 @@ def test_rate_jitter_and_age():
 
 
 def test_pressure_switch_has_hysteresis():
-    values, held, seen = {'vacuum.attach_below': 60e3, 'vacuum.detach_above': 80e3}, False, []
-    for pressure in (101e3, 70e3, 59e3, 70e3, 79e3, 81e3, 70e3):
-        held = is_held(pressure, held, values)
-        seen.append(held)
-    assert seen == [False, False, True, True, True, False, False]
-    assert [why_no_pressure(p) for p in (math.nan, -70.0, 0.0)] == ['nan', 'negative', '']
+    vacuum = Vacuum(resolve({'vacuum.attach_below': 60e3, 'vacuum.detach_above': 80e3}))
+    seen = [vacuum.hear(pressure, 'cup_7') for pressure in (
+        101e3, 70e3, 59e3, 70e3, 79e3, 81e3, 70e3)]
+    assert seen == [((held, ALL),) for held in (False, False, True, True, True, False, False)]
+    assert [vacuum.hear(p, '') for p in (math.nan, -70.0, 0.0)] == [
+        'nan', 'negative', ((True, ALL),)]
     with pytest.raises(BellowsError):
         check_thresholds({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0})
+
+
+def test_vacuum_of_each_cup():
+    """Hold while one cup does, say which do not, and keep that when the package is lost."""
+    vacuum = Vacuum(resolve({'cup.layout': [0.05, 0.0, 0.0, -0.05, 0.0, 0.0]}))
+    assert vacuum.hear(50e3, 'cup_0') == ((True, 0), (True, ALL))
+    assert vacuum.hear(40e3, 'left/cup_1') == ((True, 1), (True, ALL))
+    assert (vacuum.held, vacuum.pressure, vacuum.open_cups) == (True, 50e3, ())
+    assert vacuum.hear(90e3, 'cup_0') == ((False, 0), (True, ALL))
+    assert (vacuum.held, vacuum.pressure, vacuum.open_cups) == (True, 40e3, (0,))
+    assert vacuum.hear(90e3, 'cup_2') == 'no_such_cup'
+    assert vacuum.hear(90e3, 'cup_1') == ((False, ALL),)
+    assert (vacuum.held, vacuum.pressure, vacuum.open_cups) == (False, None, (0,))
 
 
 def prediction(force=(0.0, 0.0, 20.0), moment=ZERO, tilt=0.0):

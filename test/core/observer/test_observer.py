@@ -28,6 +28,7 @@ from .cases import (
     values,
     with_noise,
 )
+from .cell import gripper_of, HEAVY, OF_GRIPPER
 
 
 def scene(seed, seconds=2.0, every=8):
@@ -316,6 +317,23 @@ def test_vacuum_that_ends_at_rest_is_a_release():
     """Raise no alarm where no pose is out of reach."""
     assert not watched(0, {0: False}, moves=False).alarms
     assert watched(0, {0: False}, moves=True).alarms
+
+
+def test_vacuum_of_one_cup_that_breaks_down_in_motion_is_its_loss():
+    """Name the cup, with what else it may be, once; not at rest, nor where it is open anyhow."""
+    for moves, opened, causes in ((True, -1, ['cup 2']), (False, -1, []), (True, 2, [])):
+        made = observer(HEAVY, gripper_of(CUP), **OF_GRIPPER, alarm__false_per_hour=1.0,
+                        cup__open=[opened])
+        tool = tool_motion(np.random.default_rng(0), 0.1)[1]
+        made.start(1, tool[0], truth(tool[:1], HEAVY, gripper_of(CUP))[0])
+        for held, breaks in ((True, False), (False, True), (False, True)):
+            made.hear_vacuum(held, breaks, moves, 2)
+        assert [alarm.cause for alarm in made.alarms] == causes
+    made.hear_vacuum(False, True, True, 0)
+    (alarm,) = made.alarms
+    assert (alarm.second, alarm.odds) == ('leak', pytest.approx(1e3))
+    assert alarm.message.startswith(
+        'Cup 0 of cup.layout, at x 60 mm, y 40 mm, holds no more (its vacuum breaks down)')
 
 
 def test_one_wrong_pose_is_no_loss_while_the_vacuum_holds():
