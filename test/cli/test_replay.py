@@ -48,16 +48,6 @@ def test_a_wrong_cup_exits_with_1(bellows, workshop):
     assert bellows(*arguments, cwd=workshop).returncode == 1
 
 
-def test_json_and_page_are_written(bellows, workshop, tmp_path):
-    """Write both; JSON alone on stdout."""
-    arguments = ('replay', 'recording', '--params', 'cup.yaml', '--report', tmp_path / 'v.html')
-    done = bellows(*arguments, '--json', '-', cwd=workshop)
-    assert done.returncode == 0, done.stderr
-    content = json.loads(done.stdout)
-    assert content['provenance']['parameter_files'][0]['path'] == 'cup.yaml'
-    assert (tmp_path / 'v.html').read_text().startswith('<!DOCTYPE html>')
-
-
 def test_twists_in_degrees_are_named_and_left_out_as_the_sentence_says(
     bellows, workshop, tmp_path
 ):
@@ -77,14 +67,17 @@ def test_twists_in_degrees_are_named_and_left_out_as_the_sentence_says(
     assert (done.returncode, done.stderr) == (0, '')
 
 
-def test_a_time_offset_is_said(bellows, root, tmp_path):
-    """Say what was taken from the tool's stamps, on the screen and on the page."""
-    wanted = (
-        'bags/validation', '--params', 'bags/cup.yaml', '--set', 'fit.time_offset=true')
+def test_a_time_offset_is_said_and_json_and_page_are_written(bellows, workshop, tmp_path):
+    """Say what was taken from the tool's stamps, on the screen and the page; JSON on stdout."""
     page = tmp_path / 'page.html'
-    done = bellows('replay', *wanted, '--report', page, cwd=root)
-    for text in (done.stdout, page.read_text()):
-        assert 'bags/validation: the stamps of the tool were 0.0' in text
+    done = bellows('replay', 'recording', '--params', 'cup.yaml', '--set', 'fit.time_offset=true',
+                   '--report', page, '--json', '-', cwd=workshop)
+    assert done.returncode == 0, done.stderr
+    for text in (done.stderr, page.read_text()):
+        assert 'recording: the stamps of the tool were 0.0' in text
+    content = json.loads(done.stdout)
+    assert content['provenance']['parameter_files'][0]['path'] == 'cup.yaml'
+    assert page.read_text().startswith('<!DOCTYPE html>')
 
 
 @pytest.mark.parametrize(('changes', 'words', 'code'), [
