@@ -78,8 +78,7 @@ def write_animation(
 
 
 def write_steering(
-    path: File, report: SteerReport, note: str, theme: str = 'light',
-    progress: Progress | None = None, speed: float = 1.0,
+    path: File, report: SteerReport, note: str, speed: float
 ) -> None:
     """Write a motion as planned and as steered, side by side; see `write_animation`."""
     values = report.source.values
@@ -95,8 +94,8 @@ def write_steering(
                 name, motion.along.seconds[shown], (tool.position, tool.rotation),
                 (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
                 (wanted.position, wanted.rotation), com, box, values['cup.length'], WAY_ZOOM))
-    _write(path, views, 'The same way, with and without swing; wanted as an outline', note, theme,
-           progress, speed)
+    _write(path, views, 'The same way, with and without swing; wanted as an outline', note,
+           'light', None, speed)
 
 
 Poses = tuple[Array, Array]

@@ -53,15 +53,11 @@ def six(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
     return panels
 
 
-def row(
-    figure: Any, count: int = 1, left: float = LEFT, between: float = 0.2
-) -> list[Any]:
-    """Return panels side by side below the head."""
+def single_panel(figure: Any, left: float = LEFT) -> Any:
+    """Return the one panel of a figure, below the head."""
     height = figure.get_figheight()
-    panels = figure.subplots(1, count, squeeze=False, gridspec_kw={
-        'left': left, 'right': 0.985, 'top': 1.0 - HEAD / height, 'bottom': FOOT / height,
-        'wspace': between})
-    return list(panels[0])
+    return figure.subplots(gridspec_kw={
+        'left': left, 'right': 0.985, 'top': 1.0 - HEAD / height, 'bottom': FOOT / height})
 
 
 class Line(NamedTuple):

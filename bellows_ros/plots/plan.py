@@ -13,7 +13,7 @@ from bellows_ros.workflows.plan import Curves, PlanReport
 from bellows_ros.workflows.replay import Margins
 import numpy as np
 
-from .panels import BELOW_HEAD, box_corners, BOX_EDGES, MILLI, name_panel, picture, row
+from .panels import BELOW_HEAD, box_corners, BOX_EDGES, MILLI, name_panel, picture, single_panel
 from .style import Theme
 
 WIDE = (9.4, 4.2)  # inches
@@ -133,7 +133,7 @@ def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
     """
     note = f'{note}; bands: two standard deviations'
     with picture('How firmly the grip holds', note, theme, WIDE) as (figure, colours):
-        panel, = row(figure)
+        panel = single_panel(figure)
         _draw_margins(panel, margins, colours)
         panel.set_xlim(margins.seconds[0], margins.seconds[-1])
         panel.set_xlabel('time (s)')
@@ -281,7 +281,6 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
     """
     found, tool = result.toss, result.case.tool
     path = flight_path(result.case.model, found, PATH_POINTS)
-    half, middle = map(np.array, result.case.release.box)
     held = result.held.states[result.held.times <= found.release_time]
     valve = held[np.searchsorted(result.held.times[:len(held)], result.case.switched) - 1]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
@@ -305,13 +304,7 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
                        label='package, held')
             panel.plot(path[:, i], path[:, j], color=colours.predicted, linewidth=1.2,
                        label='package, flying')
-            for k in np.linspace(0, len(path) - 1, GHOSTS).astype(int):
-                last = k == len(path) - 1
-                R = quaternion_to_rotation(path[k, 3:7])
-                corners = box_corners(path[k, :3] + R @ middle, R, 2.0 * half)
-                for line in corners[BOX_EDGES]:
-                    panel.plot(line[:, i], line[:, j], color=colours.predicted,
-                               linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
+            _draw_ghosts(panel, path, result.case.release.box, i, j, colours)
             for o, marker, name in ((valve, 'v', 'valve'), (path[0], 'o', 'lets go')):
                 panel.plot([o[i]], [o[j]], marker, color=colours.text, markersize=6.0,
                            zorder=5, label=name)
@@ -333,6 +326,17 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
         figure.legend(handles, labels, loc='upper right', bbox_to_anchor=(0.99, 0.985), ncols=3,
                       fontsize=8.5)
     return figure
+
+
+def _draw_ghosts(panel: Any, path: Array, box: Any, i: int, j: int, colours: Theme) -> None:
+    """Draw the edges of the flying box (half size, middle) at a few places, in two axes."""
+    half, middle = map(np.array, box)
+    for k in np.linspace(0, len(path) - 1, GHOSTS).astype(int):
+        last = k == len(path) - 1
+        R = quaternion_to_rotation(path[k, 3:7])
+        for line in box_corners(path[k, :3] + R @ middle, R, 2.0 * half)[BOX_EDGES]:
+            panel.plot(line[:, i], line[:, j], color=colours.predicted,
+                       linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
 
 
 def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:

@@ -106,7 +106,7 @@ def samples_figure(recording: Recording, note: str, theme: str = 'light') -> Any
     seconds = recording.since_start(recording.package.stamps_ns)
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
     with panels.picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
-        panel, = panels.row(figure, left=0.14)
+        panel = panels.single_panel(figure, left=0.14)
         rows = ((recording.valid, colours.measured),
                 (~recording.measured_tool.valid, colours.predicted),
                 (~recording.measured_package.valid, colours.predicted))

@@ -142,9 +142,8 @@ def simulate_recording(
     """
     say = progress or (lambda sentence: None)
     values: dict[str, Any] = resolve(parameters, PACKAGE_PARAMETERS)
-    cup, package = cup_of(values), package_of(values)
     R_world_level = levelling(values['gravity.direction']).T
-    recipe = read_recipe(motion, package.com)
+    recipe = read_recipe(motion, package_of(values).com)
     if plan:
         tool = read_plan(plan, values).tool
         recipe = changed(recipe, motion=Planned(changed(
@@ -165,24 +164,33 @@ def simulate_recording(
     say(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
     write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
-        atomic.write_bytes(truth_file, _truth_bytes(cup, recipe, plans, truth, R_world_level))
+        atomic.write_bytes(truth_file, _truth_bytes(
+            cup_of(values), recipe, plans, truth, R_world_level))
     angle, worst, warnings = _bending(truth)
+    return SimulationReport(
+        bag, truth_file, recipe.motion.duration,
+        {own.topic: len(own.stamps_ns) for own in recorded}, _events(recipe, plans),
+        angle, worst, warnings, _smallest_margin(values, truth), truth.tosses)
+
+
+def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Event, ...]:
+    """Return outliers and dropouts by topic and time."""
     events = [
         Event(recipe.topics[f'{name}_pose'], kind, (int(ns) - recipe.start_ns) / NS_PER_S)
         for name, own in plans.items()
         for kind, starts in (('outlier', own.jumps), ('dropout', own.dropouts))
         for ns in own.sampled_ns[list(starts)]]
-    grip, smallest = grip_of(values), None
-    if grip is not None:
-        model = model_tuple(cup, package, values['gravity.magnitude'])
-        factors = factors_along(model, grip, *(
-            tool_rows(each)[truth.held] for each in (truth.tool, truth.package)))
-        smallest = margin(grip, factors, truth.tool.seconds[truth.held])
-    return SimulationReport(
-        bag, truth_file, recipe.motion.duration,
-        {own.topic: len(own.stamps_ns) for own in recorded},
-        tuple(sorted(events, key=lambda event: (event.topic, event.start_s))),
-        angle, worst, warnings, smallest, truth.tosses)
+    return tuple(sorted(events, key=lambda event: (event.topic, event.start_s)))
+
+
+def _smallest_margin(values: Mapping[str, Any], truth: Truth) -> Margin | None:
+    """Return the smallest safety factor while the package is held; None if unknown."""
+    grip = grip_of(values)
+    if grip is None:
+        return None
+    model = model_tuple(cup_of(values), package_of(values), values['gravity.magnitude'])
+    tool, package = (tool_rows(each)[truth.held] for each in (truth.tool, truth.package))
+    return margin(grip, factors_along(model, grip, tool, package), truth.tool.seconds[truth.held])
 
 
 def _simulated(

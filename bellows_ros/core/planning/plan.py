@@ -144,7 +144,7 @@ class PlanPrediction:
 
 def predict(
     model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows, start: State | None = None,
-    tail: float = LONGEST_TAIL, longest: float = 0.0,
+    tail: float = LONGEST_TAIL,
 ) -> PlanPrediction:
     """
     Predict the package along a plan and while it swings out.
@@ -161,8 +161,6 @@ def predict(
         Of B in the world at the first point; in steady motion there when left out.
     tail : float
         Longest time (s) simulated after the end.
-    longest : float
-        Longest step of the integration (s), that of the model when left out.
 
     Raises
     ------
@@ -170,7 +168,7 @@ def predict(
         If the package cannot rest under the tool, or the prediction does not stay finite.
 
     """
-    return PlanSimulation(model, grip, tool, start, tail, longest).predict(1.0)
+    return PlanSimulation(model, grip, tool, start, tail).predict(1.0)
 
 
 class PlanSimulation:

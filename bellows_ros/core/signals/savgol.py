@@ -16,7 +16,6 @@ from bellows_ros.core.signals.trajectory import (
     any_within,
     Filtered,
     frozen,
-    NS_PER_S,
     Trajectory,
     uniform_rate_hz,
 )
@@ -300,12 +299,8 @@ def displaced(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
     )
 
 
-def bridged(poses: Trajectory, longest: float | None = None) -> Trajectory:
-    """
-    Return poses with gaps bridged by cubics that meet poses and twists on both sides.
-
-    Those longer than the longest (s) stay, where one is given.
-    """
+def bridged(poses: Trajectory) -> Trajectory:
+    """Return poses with gaps bridged by cubics that meet poses and twists on both sides."""
     lost = ~poses.valid
     if not lost.any():
         return poses
@@ -316,8 +311,7 @@ def bridged(poses: Trajectory, longest: float | None = None) -> Trajectory:
     lost &= poses.stamps_ns > known.stamps_ns[0]
     lost &= poses.stamps_ns < known.stamps_ns[-1]
     between = Trajectory(known.stamps_ns, known.position, known.rotation, known.twist)
-    bridge = resample(
-        between, poses.stamps_ns[lost], None if longest is None else round(longest * NS_PER_S))
+    bridge = resample(between, poses.stamps_ns[lost])
     position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
     position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
     return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
