@@ -17,7 +17,7 @@ import numpy as np
 
 Where = Callable[[Sequence[str]], str]
 
-LARGEST = 1e6
+LARGEST = 1e15
 """Bound of all numbers, which few come near: no square or product of some overflows."""
 
 

@@ -61,7 +61,7 @@ def test_what_is_not_given_has_its_default():
         (lambda s: s.vector('vector', 2, unit='m'), 'a list of 2 numbers (m), got 3 of them.'),
         (lambda s: s.numbers('vector', 'Hz', minimum=0.0),
          'numbers, each at least 0 (Hz), got -3 at index 2.'),
-        (lambda s: s.number('far'), "'far' must be between -1e+06 and 1e+06, got -1e+300."),
+        (lambda s: s.number('far'), "'far' must be between -1e+15 and 1e+15, got -1e+300."),
         (lambda s: s.block('rate'), "Setting 'rate' must hold names and values, got 3."),
         (lambda s: s.blocks('list')[1].number('b'), "'list[1].b' is missing"),
     ],
