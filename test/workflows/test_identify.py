@@ -116,7 +116,7 @@ def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_p
     'output_error', marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
 def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
-    settings = {**shipped[0].values, 'fit.method': method, 'recording.end': 8.0,
+    settings = {**shipped[0].values, 'fit.method': method, 'recording.end': 6.0,
                 'bags': [str(root / 'bags/validation')]}
     found = []
     texts = [

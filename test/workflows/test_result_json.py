@@ -50,7 +50,8 @@ def settings(root):
     pytest.param('output_error', ['m'] * 3 + ['rad'] * 3, marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes'))])
 def test_every_number_has_its_unit(settings, method, unit):
-    short = {'bags': settings['validation.bags'], 'validation.bags': [], 'fit.time_offset': False}
+    short = {'bags': settings['validation.bags'], 'validation.bags': [], 'fit.time_offset': False,
+             'recording.end': 6.0}
     asked = {**settings, 'fit.method': method, **(
         {'fit.compare_structures': True} if method == 'least_squares' else short)}
     content = json.loads(format_json(identify(asked).as_json()))

@@ -86,14 +86,10 @@ def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, structur
     at_once = identify(asked)
     wanted = content_of(at_once)
     assert wanted['recordings'][0]['noise'] and wanted['one_cup'] and wanted['envelope']
-    for route in (identify(asked, jobs=1), identify(asked, jobs=2)):
-        assert list(differences(content_of(route), wanted)) == []
-
-
-def test_one_process_after_the_other(settings, one_result):
     said = []
-    result = identify(settings, lambda what, part: said.append(part), jobs=1)
-    assert_same(result.fit, one_result.fit)
+    for route in (identify(asked, lambda what, part: said.append(part), jobs=1),
+                  identify(asked, jobs=2)):
+        assert list(differences(content_of(route), wanted)) == []
     assert said[0] == 0.0 and said[-1] == 1.0 and said == sorted(said)
 
 
@@ -118,16 +114,21 @@ def test_nothing_usable(settings):
         identify({**settings, 'bags': ['a', 'b']}, jobs=1)
 
 
-def test_dask_cluster_gives_the_same(settings, one_result, tmp_path):
+@pytest.fixture(scope='module')
+def cluster(tmp_path_factory):
+    """Return a Dask cluster of two workers."""
     distributed = pytest.importorskip('distributed', reason='extra dask')
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, host='127.0.0.1', scheduler_port=0,
-        dashboard_address=None, local_directory=tmp_path,
-    ) as cluster:
-        address = cluster.scheduler_address
-        assert address.startswith('tcp://127.0.0.1')
-        bags = [*settings['bags'], 'nowhere']
-        result = identify({**settings, 'bags': bags}, dask=address)
+        dashboard_address=None, local_directory=tmp_path_factory.mktemp('dask'),
+    ) as started:
+        yield started
+
+
+def test_dask_cluster_gives_the_same(settings, one_result, cluster):
+    assert cluster.scheduler_address.startswith('tcp://127.0.0.1')
+    bags = [*settings['bags'], 'nowhere']
+    result = identify({**settings, 'bags': bags}, dask=cluster.scheduler_address)
     assert_same(result.fit, one_result.fit)
     assert [failed.bag for failed in result.failed] == ['nowhere']
     assert len(result.verdict.simulated) == len(settings['bags'])  # read where the workers are
@@ -192,17 +193,6 @@ def test_a_recording_that_kills_its_worker_is_left_out(settings):
     assert [results[n].bag for n in range(4)] == ['a', 'deadly', 'b', 'c']
     assert 'was ended from outside' in results[1].reason
     assert all(results[n].reason.startswith('Not set') for n in (0, 2, 3))
-
-
-@pytest.fixture
-def cluster(tmp_path):
-    """Return a Dask cluster of one worker."""
-    distributed = pytest.importorskip('distributed', reason='extra dask')
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, host='127.0.0.1', scheduler_port=0,
-        dashboard_address=None, local_directory=tmp_path,
-    ) as started:
-        yield started
 
 
 def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
