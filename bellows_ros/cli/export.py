@@ -44,11 +44,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the model, and list what the format cannot express."""
     from bellows_ros.core.model.cup_package import cup_of, package_of
     from bellows_ros.core.model.grip import grip_of
-    from bellows_ros.core.parameters.checks import gravity_of, PACKAGE_PARAMETERS, resolve
+    from bellows_ros.core.parameters.checks import (
+        gravity_of,
+        implausible,
+        PACKAGE_PARAMETERS,
+        resolve,
+    )
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import Exported, limits, TARGETS
 
     settings = resolve(options.cup_parameters(arguments, console), PACKAGE_PARAMETERS)
+    console.remarks += implausible(settings)
     cup, package = cup_of(settings), package_of(settings)
     target = TARGETS[arguments.to]
     lost = limits(target, cup)

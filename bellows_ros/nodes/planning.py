@@ -231,7 +231,7 @@ class Planning:
                 wait = (stamp_ns - now.stamp_ns) / NS_PER_S
                 if wait > FARTHEST_BEGIN:
                     raise BellowsError(
-                        f'It begins {wait:.3g} s after the newest pose of the tool; expected at '
+                        f'It begins {wait:.6g} s after the newest pose of the tool; expected at '
                         f'most {FARTHEST_BEGIN:g} s. Stamp plans and poses with one clock, or '
                         'give the plan the stamp 0.')
                 tracker.follow(now)

@@ -5,7 +5,7 @@ import sys
 import time
 from typing import Any
 
-from bellows_ros.core.parameters.checks import gravity_of
+from bellows_ros.core.parameters.checks import gravity_of, implausible
 from bellows_ros.files.parameter_files import with_chosen_cup
 from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock, JumpThreshold
@@ -196,6 +196,8 @@ class PredictorNode(ManagedNode):
                 "with 'bellows identify'.")
         origin = short(origin_of('package.mass', sys.argv), 200)
         log(f"Package of {values['package.mass']:g} kg" + (f', from {origin}.' if origin else '.'))
+        for sentence in implausible(values):
+            self.get_logger().warning(sentence)
         log(f'Listens to {self._pose_in.topic} and {self._twist_in.topic}, publishes '
             f'{self._outputs.pose.name}.')
         if grip_of(values, 0.0 if values['vacuum.signal'] == 'pressure' else None) is None:

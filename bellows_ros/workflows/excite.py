@@ -35,7 +35,7 @@ from bellows_ros.core.model.cup_package import (
 )
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.structure import fitted_structure, Structure
-from bellows_ros.core.parameters.checks import gravity_of, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import gravity_of, implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals.resampling import resample
@@ -113,7 +113,9 @@ class DesignedMotion(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings before the motion: what it cannot identify, and what would."""
-        found: tuple[str, ...] = () if LOADS[-1] in self.design.ratios else (NO_GRIP,)
+        found = implausible(self.values)
+        if LOADS[-1] not in self.design.ratios:
+            found += (NO_GRIP,)
         if self.hold and not self.design.motion.hold:
             found += (NO_HOLD,)
         limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')

@@ -18,7 +18,7 @@ from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
-from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -170,7 +170,8 @@ def simulate_recording(
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
         {own.topic: len(own.stamps_ns) for own in recorded}, _events(recipe, plans),
-        angle, worst, warnings, _smallest_margin(values, truth), truth.tosses)
+        angle, worst, (*implausible(values), *warnings), _smallest_margin(values, truth),
+        truth.tosses)
 
 
 def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Event, ...]:

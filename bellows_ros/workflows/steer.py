@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.perturbed import deviations_of, mean_square
+from bellows_ros.core.parameters.checks import implausible
 from bellows_ros.core.parameters.settings import Settings
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
 from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED
@@ -103,7 +104,7 @@ class SteerReport(CommandResult):
     @property
     def notes(self) -> tuple[str, ...]:
         """Return notes on the motion."""
-        found = list(self.source.notes)
+        found = [*self.source.notes, *implausible(self.source.values)]
         if self.steered.smoothed > 0.0:
             found.append(
                 'The plan is not C^4, so it was driven faster and smoothed over '

@@ -11,12 +11,15 @@ import numpy as np
 STRUCTURE = STRUCTURES['axisymmetric']
 GUESS = np.array([5400.0, 9200.0, 4.2, 1.35, 55.0, 24.0, 0.06, 0.1])
 
+PACKAGE = {'package.mass': 1.8, 'package.inertia': (4e-3, 6e-3, 9e-3, 0.0, 0.0, 0.0),
+           'package.com': (0.0, 0.0, -0.03)}
+
 
 def warnings_of(relative, more=1.0):
     """Give the warnings by relative standard errors, with so many times the information."""
     information = more * np.diag(1.0 / np.square(GUESS * relative))
     design = Design(SimpleNamespace(hold=0.0), {}, {'jerk': 0.7, 'bending': 0.3}, information)
-    return DesignedMotion(design, STRUCTURE, GUESS, {}, {}, {}, 0.0).warnings
+    return DesignedMotion(design, STRUCTURE, GUESS, {}, {}, PACKAGE, 0.0).warnings
 
 
 def test_number_that_is_not_identifiable_is_named_with_what_would_make_it_so():

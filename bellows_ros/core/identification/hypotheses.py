@@ -24,9 +24,7 @@ from bellows_ros.core.identification.plausibility import (
     DISTINCT,
     DOUBTED,
     Finding,
-    GYRATION,
     implausible_inputs,
-    INERTIA_UNITS,
     MATERIAL,
     NONE,
     radius_of_gyration,
@@ -34,6 +32,7 @@ from bellows_ros.core.identification.plausibility import (
 )
 from bellows_ros.core.identification.variations import Given, Variation
 from bellows_ros.core.model.structure import Structure, STRUCTURES
+from bellows_ros.core.parameters.checks import GYRATION, INERTIA_UNITS
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.recording.recording import Recording
 import numpy as np

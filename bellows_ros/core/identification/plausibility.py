@@ -6,6 +6,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification.samples import require_hanging
 from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.parameters.checks import GYRATION, LARGEST_MASS, unit_of_inertia
 from bellows_ros.core.recording.alignment import ALIKE, turn_correlation
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
@@ -23,15 +24,6 @@ of it is asked where it must explain nearly all, and of what the cup may be besi
 
 DOUBTED = 1.0
 """Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
-
-HEAVIEST = 50.0
-"""No suction cup of this kind holds more, kg: beyond it the mass has the wrong unit."""
-
-GYRATION = (0.01, 0.3, 1.0)
-"""Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
-
-INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
-"""What moments of inertia may be in, and how many of each are 1 kg m^2."""
 
 NONE = np.empty(0)
 
@@ -117,14 +109,10 @@ def radius_of_gyration(held: Package) -> float:
 
 def _package(held: Package) -> Finding | None:
     """Return the unit of a mass or an inertia that no package has, None where it may have it."""
-    gyration, (_, usual, largest) = radius_of_gyration(held), GYRATION
-    if held.mass > HEAVIEST:
+    gyration = radius_of_gyration(held)
+    if held.mass > LARGEST_MASS:
         return Finding('mass', 'g')
-    if gyration < largest:
-        return None
-    return Finding('inertia', next(
-        (unit for unit, many in INERTIA_UNITS if gyration < usual * np.sqrt(many)),
-        INERTIA_UNITS[-1][0]))
+    return None if gyration < GYRATION[-1] else Finding('inertia', unit_of_inertia(gyration))
 
 
 def _clocks(own: Recording) -> Finding | None:

@@ -34,8 +34,17 @@ POSES = ('recording.package_world', 'tool_pose.offset')
 LEAST_VACUUM = 1000.0
 """Smallest vacuum (Pa below ambient) that is no mistake of unit."""
 
+VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (LEAST_VACUUM, 'mbar', 1e2))
+"""Below the first number a smaller one is likely in this unit, of so many Pa."""
+
 LEAST_MASS, LARGEST_MASS = 0.01, 50.0
 """Masses (kg) outside are likely in another unit."""
+
+GYRATION = (0.01, 0.3, 1.0)
+"""Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
+
+INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
+"""What moments of inertia may be in, and how many of each are 1 kg m^2."""
 
 
 def validate(name: str, value: object) -> Value:
@@ -108,9 +117,10 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
             )
     holding = resolved['vacuum.holding']
     if isinstance(holding, float) and 0.0 < holding < LEAST_VACUUM:
+        _, unit, pascals = next(of for of in VACUUM_UNITS if holding < of[0])
         raise BellowsError(
             f'vacuum.holding is {holding:g} Pa, which holds nothing; expected 0 for unknown, or '
-            f'{LEAST_VACUUM:g} Pa and more. If it is in bar, give {1e5 * holding:g}.')
+            f'{LEAST_VACUUM:g} Pa and more. If it is in {unit}, give {pascals * holding:g}.')
     return resolved
 
 
@@ -126,7 +136,18 @@ def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
         found.append(
             f'package.mass is {mass:g} kg; cups of this kind carry {LEAST_MASS:g} to '
             f'{LARGEST_MASS:g} kg. Is it in another unit?')
+    gyration = math.sqrt(sum(values['package.inertia'][:3]) / mass)
+    if gyration > GYRATION[-1]:
+        found.append(
+            f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '
+            f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
     return tuple(found)
+
+
+def unit_of_inertia(gyration: float) -> str:
+    """Return the unit that moments of inertia likely have, from a radius of gyration (m)."""
+    return next((unit for unit, many in INERTIA_UNITS if gyration < GYRATION[1] * math.sqrt(many)),
+                INERTIA_UNITS[-1][0])
 
 
 def pose_text(pose: Array) -> str:

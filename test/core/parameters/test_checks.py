@@ -254,6 +254,21 @@ def test_the_filter_needs_enough_samples_for_its_order():
         checks.resolve({'filter.package.half_window': 1})
 
 
+@pytest.mark.parametrize(('holding', 'pascals'), [
+    (0.6, '60000'), (60.0, '60000'), (600.0, '60000')])
+def test_a_vacuum_in_another_unit_is_refused_with_the_number_in_pascals(holding, pascals):
+    with pytest.raises(BellowsError, match=f'give {pascals}'):
+        checks.resolve({'vacuum.holding': holding})
+
+
+@pytest.mark.parametrize(('units', 'said'), [
+    (1.0, None), (1e3, 'g m^2'), (1e4, 'kg cm^2'), (1e6, 'kg mm^2')])
+def test_an_inertia_in_another_unit_is_named_with_it(units, said):
+    values = {**PACKAGE, 'package.inertia': [units * x for x in PACKAGE['package.inertia']]}
+    found = checks.implausible(checks.resolve(values))
+    assert not found if said is None else f'in {said} instead' in found[0]
+
+
 anything = strategies.recursive(
     strategies.none()
     | strategies.booleans()
