@@ -313,13 +313,13 @@ def uneven(seed, rough):
 
 
 @pytest.mark.parametrize('rough, most', [(False, 0.0), (True, 0.003)])
-@pytest.mark.parametrize('seed', [30, 31, 34])
+@pytest.mark.parametrize('seed', [30, 31, 39])
 def test_uneven_stamps_with_many_gaps_and_bursts_of_noise_are_no_faults(seed, rough, most):
     poses = uneven(seed, rough)
     found = found_in(poses)
     isolated = sum(run.last - run.first + 1 for run in found.isolated)
     assert np.count_nonzero(~found.good) - isolated <= most * len(poses)
-    assert len(found.steps) <= (1 if rough else 0)
+    assert found.steps == ()
     assert all(run.last - run.first < 5 for run in found.excursions)
 
 
