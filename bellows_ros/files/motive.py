@@ -36,6 +36,7 @@ START = re.compile(
 SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
             'Capture Start Time')
 LARGEST_FILE = 2**31
+LONGEST = 1e9  # s, of the time of a frame
 HEAD_ROWS = 12  # in which the table must begin
 POSE = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W', 'Position X', 'Position Y',
         'Position Z')
@@ -118,8 +119,8 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
               for row in rows if any(row))
     table = dict(zip(needed, numbers(path, frames, range(len(needed))).T, strict=True))
     seconds = table[TIME]
-    if not len(seconds) or not np.all(np.isfinite(seconds)):
-        raise BellowsError(f"'{path}' has no frames, or frames without a time.")
+    if not len(seconds) or not np.all(np.abs(seconds) < LONGEST):
+        raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
     stamps = _start_ns(about) + np.rint(seconds * NS_PER_S).astype(np.int64)
     found = []
     for name, (pose_columns, qualities, positions) in columns.items():

@@ -85,6 +85,7 @@ def test_a_time_offset_is_said_and_json_and_page_are_written(bellows, workshop, 
     (('package.mass=180.0',), r'as by 1\.[789] kg: package.mass is likely', 2),
     (('topics.tool_pose=/package/pose', 'topics.package_pose=/tool_arm/pose',
       'topics.tool_twist='), '^bellows: topics.tool_pose and .* are exchanged', 2),
+    (('topics.package_pose=/tool_arm/pose',), '^bellows: topics.tool_pose .* one body', 2),
 ])
 def test_a_bad_prediction_is_a_no_and_names_its_cause(changes, words, code, bellows, workshop):
     """End with 1 where errors are several times those of noise, 2 where data cannot be used."""

@@ -143,6 +143,16 @@ def test_bodies_are_read_and_bad_frames_left_out(tmp_path):
     assert tool.stamps_ns[0] == 1_620_743_465_250_000_000
 
 
+def test_a_time_that_is_none_is_refused(tmp_path):
+    """Do not make a stamp of what no stamp can hold."""
+    file = export(tmp_path / 'take.csv')
+    lines = file.read_text().splitlines()
+    frame, _, rest = lines[-1].split(',', 2)
+    file.write_text('\n'.join([*lines[:-1], f'{frame},1e20,{rest}']))
+    with pytest.raises(BellowsError, match='frames without a time in s'):
+        read_motive(file)
+
+
 def test_fewer_markers_may_be_allowed(tmp_path):
     """Keep the pose that was made of two markers."""
     tool, _ = read_motive(export(tmp_path / 'take.csv'), fewest_markers=2)

@@ -27,6 +27,9 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
+ONE_BODY = 1e-3
+"""Poses that stay within this distance (m) of each other are of one body."""
+
 HELD = 0.3
 """In its own world the lip moves by at most this part of what it does in another."""
 
@@ -177,6 +180,12 @@ def require_hanging(recording: Recording) -> None:
     away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
     if wrong := convention_sentence(recording.tool_pose, recording.package_pose, recording.name):
         raise BellowsError(wrong)
+    centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
+    if min(away, float(np.median(np.linalg.norm(centre, axis=1)))) < ONE_BODY:
+        raise BellowsError(
+            f"topics.tool_pose ('{recording.tool_pose.name}') and topics.package_pose "
+            f"('{recording.package_pose.name}') are poses of one body. Name that of the package; "
+            "'bellows info BAG' lists the topics.")
     if away <= FARTHEST and above <= 0.0:
         return
     if wrong := _in_two_worlds(recording, tool, package, lip):
@@ -186,7 +195,6 @@ def require_hanging(recording: Recording) -> None:
             f"The poses of '{recording.tool_pose.name}' and '{recording.package_pose.name}' use "
             f'different worlds: the lip of the cup is {away:.3g} m from the tool tip. Set '
             'recording.package_world.')
-    centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
     below = -float(np.median(centre[:, 2]))
     if recording.settings.package_frame == 'com' and below > 0.0:
         raise BellowsError(
