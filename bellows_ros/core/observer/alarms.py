@@ -170,7 +170,7 @@ tested. Counted in `python -m benchmarks.alarms`.
 START_WEIGHS = 30.0
 """Prior odds of a fault from the start against an onset at any one of the times tested."""
 
-SETTLING = 8
+SETTLING = 4
 """Measurements from the start, or an alarm, that are not compared: the noise is learned first."""
 
 SURE, DECIDE_NS = 3.0, 500_000_000
