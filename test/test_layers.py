@@ -199,7 +199,7 @@ def test_a_plain_identification_loads_few_modules(root, user_environment):
 import sys
 from bellows_ros.cli import main
 code = main(['identify', {str(bags / 'identification')!r},
-             '--params', {str(bags / 'package.yaml')!r}])
+             '--params', {str(bags / 'package.yaml')!r}, '--to', '8'])
 loaded = [name for name, module in sys.modules.items()
           if name.startswith('bellows_ros') and not hasattr(module, '__path__')]
 print('ended', code, len(loaded), *sorted(loaded))
