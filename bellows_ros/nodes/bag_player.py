@@ -331,6 +331,15 @@ def converse(
         wait(ANSWER_TIMEOUT, 'does not answer its reset', future.done)
         send_all(executor, messages, send, say)
         spin_until(executor, lambda: sent_ns.keys() <= heard.keys(), ANSWER_TIMEOUT)
+    counts = Counter(names[message.topic.name] for message in messages)
+    return _exchange(counts, sent_ns, heard)
+
+
+def _exchange(
+    counts: Mapping[str, int], sent_ns: Mapping[bytes, int],
+    heard: Mapping[bytes, tuple[int, bytes]],
+) -> Exchange:
+    """Return what came back, from when (ns) poses were sent and answers came, by stamp."""
     answered = [stamp for stamp in sent_ns if stamp in heard]
     if not answered:
         raise BellowsError('The predictor did not answer. See its log.')
@@ -341,6 +350,6 @@ def converse(
     order = np.argsort(found.stamps_ns)
     values = found.values[order]
     return Exchange(
-        Counter(names[message.topic.name] for message in messages),
+        counts,
         Trajectory(found.stamps_ns[order], values[:, :3], quaternion_to_rotation(values[:, 3:])),
         1e-9 * np.array([heard[stamp][0] - sent_ns[stamp] for stamp in answered]))
