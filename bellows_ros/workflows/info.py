@@ -27,7 +27,14 @@ from bellows_ros.files.bags import accepted_types, Contents, read_contents, Topi
 from bellows_ros.files.messages import BOOL
 from bellows_ros.files.transforms import read_transforms, TF
 from bellows_ros.workflows.recordings import part_of
-from bellows_ros.workflows.roles import Guess, likely_alone, likely_pair, likely_twist, Pair
+from bellows_ros.workflows.roles import (
+    Guess,
+    is_in_degrees,
+    likely_alone,
+    likely_pair,
+    likely_twist,
+    Pair,
+)
 import numpy as np
 
 Stream = PoseStream | TwistStream
@@ -244,8 +251,11 @@ def _assigned(
     settings |= {f'topics.{role}': guess.topic for role, guess in
                  (('tool_pose', tool), ('package_pose', package)) if guess}
     settings['topics.tool_twist'] = twist.topic if twist else ''
+    in_degrees = twist is not None and tool is not None and is_in_degrees(
+        poses[tool.topic], twists[twist.topic])
     if twist:
-        settings['tool_twist.frame'] = twist.frame
+        settings |= ({'topics.tool_twist': ''} if in_degrees else
+                     {'tool_twist.frame': twist.frame})
     used = {guess.topic for guess in (tool, package, twist) if guess}
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]
@@ -277,6 +287,10 @@ def _assigned(
         rest_s, at_rest, more = _at_rest(poses, pair, bool(why_apart))
         settings |= at_rest if why_apart else {'recording.world': pair.world, **at_rest}
         notes = [wrong, *notes] if wrong else notes + more  # before that, nothing else is known
+    if in_degrees and twist:
+        notes.insert(0, (
+            f"The angular twists of '{twist.topic}' are in degrees per second, not in rad/s. "
+            "Correct the driver; topics.tool_twist: '' leaves them out."))
     return Info(
         str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
     )

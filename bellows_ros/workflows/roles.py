@@ -11,7 +11,7 @@ from itertools import permutations
 import re
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.recording.alignment import world_rotation, WORLDS
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
@@ -27,7 +27,7 @@ LARGEST_CHANGE = 0.25  # of the distance, between its quartiles, of a package th
 BELOW_WITHIN = np.deg2rad(40.0)  # of straight down, for what hangs below
 SAMPLES = 2000  # at which two streams are compared
 TWIST_WINDOW = 0.05  # s, over which a twist is compared with the way its body goes
-WAY = 2e-3  # m, over that time: less is too little to compare with
+WAY, TURN = 2e-3, 5e-3  # m and rad, over that time: less is too little to compare with
 SAME_WITHIN = 0.3  # relative difference between the two, at most, to belong together
 
 
@@ -183,6 +183,22 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> Guess |
             why = 'it has the stamps of the tool, which moves too little to determine its axes'
             return Guess(name, (why,), 'world')
     return None
+
+
+def is_in_degrees(tool: PoseStream, twist: TwistStream) -> bool:
+    """Return whether the angular velocity of a twist is 180 / pi times that of the poses."""
+    inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
+    stamps, angular = twist.stamps_ns[inside], twist.angular[inside]
+    if len(stamps) < 10:
+        return False
+    steps = np.diff(stamps)[:, None] / NS_PER_S
+    window = max(1, round(TWIST_WINDOW / float(np.median(steps))))
+    R = resample(tool.trajectory(), stamps).rotation
+    turned = log_so3(np.swapaxes(R[:-window], 1, 2) @ R[window:])
+    said = np.cumsum(np.vstack([np.zeros((1, 3)), 0.5 * steps * (angular[1:] + angular[:-1])]), 0)
+    sizes = [float(np.sqrt(np.mean(np.sum(own**2, axis=1))))
+             for own in (turned, np.radians(said[window:] - said[:-window]))]
+    return sizes[0] > TURN and abs(sizes[1] / sizes[0] - 1.0) < SAME_WITHIN
 
 
 def _compared(tool: PoseStream, twist: TwistStream) -> tuple[float, str] | None:

@@ -34,10 +34,11 @@ def poses(topic, t, position, rotation):
     return Recorded(topic, POSE, stamps, np.hstack([position, rotation_to_quaternion(rotation)]))
 
 
-def twists(topic, t, linear):
+def twists(topic, t, linear, angular=None):
     """Return twists to record."""
     stamps = START_NS + np.rint(t * 1e9).astype(np.int64)
-    return Recorded(topic, TWIST, stamps, np.hstack([linear, np.zeros_like(linear)]))
+    return Recorded(topic, TWIST, stamps, np.hstack([
+        linear, np.zeros_like(linear) if angular is None else angular]))
 
 
 def by_name(topics):
@@ -92,6 +93,40 @@ def test_axes_of_the_twist_are_found(frame, tmp_path):
     assert found.twist is not None
     assert (found.twist.topic, found.twist.frame) == ('/tcp/twist', frame)
     assert found.settings['tool_twist.frame'] == frame
+
+
+@pytest.mark.parametrize('unit', ['degrees', 'radians'])
+def test_twists_in_degrees_are_said_first_and_left_out(tmp_path, unit):
+    """Whatever else is remarked; noise of the poses is no turn."""
+    m, rng = motion(), np.random.default_rng(1)
+    turn = np.array([0.2, 0.1, 1.2]) * 2.0 * np.sin(2.0 * np.maximum(m['t'] - REST, 0.0))[:, None]
+    angular = apply(m['R'], turn)
+    write_bag(tmp_path / 'bag', [
+        poses('/p', m['t'], m['o_p'], m['R_p']),
+        poses('/e', m['t'], m['o'], m['R'] @ exp_so3(1e-3 * rng.standard_normal(m['o'].shape))),
+        twists('/v', m['t'], m['v'], np.degrees(angular) if unit == 'degrees' else angular)])
+    found = info(tmp_path / 'bag')
+    if unit == 'radians':
+        assert found.settings['topics.tool_twist'] == '/v'
+        assert not any('degrees per second' in note for note in found.notes)
+    else:
+        assert "'/v' are in degrees per second" in found.notes[0]
+        assert found.settings['topics.tool_twist'] == ''
+        assert 'tool_twist.frame' not in found.settings
+
+
+@pytest.mark.parametrize(('every', 'many'), [(1, 50), (2, 50)])
+def test_bursts_are_said_first_and_are_no_jitter(tmp_path, every, many):
+    """Beside a tool that is stamped when it is measured."""
+    m = motion()
+    t, o, R = (m[name][::every] for name in ('t', 'o_p', 'R_p'))
+    number = np.arange(len(t))
+    last = np.minimum(number // many * many + many - 1, len(number) - 1)
+    write_bag(tmp_path / 'bag', [poses('/p', t[last] + 2e-4 * (number % many), o, R),
+                                 poses('/e', m['t'], m['o'], m['R'])])
+    notes = info(tmp_path / 'bag').notes
+    assert "'/p' come in bursts, as if stamped on arrival" in notes[0]
+    assert not any('jitter' in note for note in notes)
 
 
 def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(tmp_path):

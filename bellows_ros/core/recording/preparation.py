@@ -121,12 +121,8 @@ class FilteredStreams:
                 f'{len(r.timing.gaps)} gaps, '
                 f'{r.overlapping_gap} filtered samples touch one of these'
                 for r in (self.report.tool, self.report.package))
-            bursts = [f"'{r.recorded.name}'" for r in (self.report.tool, self.report.package)
-                      if sum(gap.duration_s for gap in r.timing.gaps) > MOST_IN_GAPS * float(
-                          np.ptp(r.recorded.stamps_ns)) / NS_PER_S]
-            remedy = (
-                f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: '
-                'stamp them when they are measured.' if bursts else
+            remedy = burst_sentence(
+                *((r.recorded, r.timing) for r in (self.report.tool, self.report.package))) or (
                 'Use smaller half windows, or a recording with fewer gaps and outliers.')
             raise BellowsError(
                 f'None of the {len(common)} common samples is left: {found}. {remedy}')
@@ -341,6 +337,8 @@ def stream_warnings(
     repeats = repeats_in_motion(recorded)
     if arrivals:
         found.append(arrivals.sentence(name))
+    elif bursts := burst_sentence((recorded, time)):
+        return [bursts, *found]
     return found + [text for noticed, text in (
         (way > LARGE_WAY,
          f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
@@ -356,6 +354,15 @@ def stream_warnings(
          f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
          'stamp the poses when they are measured.'),
     ) if noticed]
+
+
+def burst_sentence(*streams: tuple[PoseStream, Timing]) -> str:
+    """Return a sentence on streams in which no pose comes most of the time, '' without any."""
+    bursts = [f"'{poses.name}'" for poses, time in streams
+              if sum(gap.duration_s for gap in time.gaps) > MOST_IN_GAPS * float(
+                  np.ptp(poses.stamps_ns)) / NS_PER_S]
+    return (f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: stamp '
+            'them when they are measured.') if bursts else ''
 
 
 def _is_of_jitter(poses: PoseStream, time: Timing, step: LastingStep) -> bool:
