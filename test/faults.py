@@ -23,11 +23,12 @@ from .core.identification.hypotheses.laboratory import FAULTS, Laboratory, param
 SOUND = 'sound'
 
 
-def outcome(laboratory, cause, other=''):
+def outcome(laboratory, cause, other='', quick=False):
     """
     Return what is said first of a laboratory in a word, and all that is said.
 
-    Of two causes both are named, or neither is certain.
+    Of two causes both are named, or neither is certain. Quick is without the fit, which is where
+    what the wrenches do not show is named.
     """
     try:
         recordings = laboratory.recordings()
@@ -35,32 +36,46 @@ def outcome(laboratory, cause, other=''):
         values = parameters(laboratory)
         length = values['cup.length']
         verdict, found = verdict_of(None, recordings, length, values), None
-        if not verdict.refusals:
+        if not (verdict.refusals or quick):
             found = fit(recordings, values).fit
             verdict = verdict_of(found, recordings, length, values)
     except BellowsError as error:
         named = [own for own in (cause, other) if own and own in str(error)]
         return ('refused otherwise', 'one of two' if other else 'right', 'right')[len(named)], (
             str(error)[:90])
+    findings, besides = verdict.diagnosis.findings, verdict.diagnosis.besides
     named = [f'{own.name} {own.value} {own.instead} {"certain" if own.certain else "perhaps"}'
-             for own in verdict.diagnosis.findings]
+             for own in (*findings, *besides)]
     said = '; '.join([*named, *verdict.refusals])[:200]
+    if any('certain' in word and cause not in word and not (other and other in word)
+           for word in named[len(findings):]):
+        return 'wrong besides', said
     if other and named:
-        both = [any(own in word for word in named) for own in (cause, other)]
-        if all(both) or 'certain' not in named[0]:
-            return ('right' if all(both) else 'neither certain'), said
-        return ('one of two' if any(own in named[0] for own in (cause, other)) else
-                'wrong and certain'), said
+        return of_two(named, cause, other), said
     if cause == SOUND:
         if verdict.refusals or 'does not return' in warned:
             return 'refused', f'{said} {warned}'
         return 'right', said
-    if verdict.cause and cause in named[0]:
-        return 'right', said
-    if verdict.cause and verdict.diagnosis.findings:
-        return ('wrong and certain' if 'certain' in named[0] else 'wrong, not certain'), said
+    if verdict.cause and findings:
+        return ('right' if cause in named[0] else
+                'wrong and certain' if 'certain' in named[0] else 'wrong, not certain'), said
+    return unnamed(laboratory, verdict, found, said)
+
+
+def of_two(named, cause, other):
+    """Return whether both causes are named, or at least none is certain alone."""
+    if all(any(own in word for word in named) for own in (cause, other)):
+        return 'right'
+    if 'certain' not in named[0]:
+        return 'neither certain'
+    return ('one of two' if any(own in named[0] for own in (cause, other)) else
+            'wrong and certain')
+
+
+def unnamed(laboratory, verdict, found, said):
+    """Return what it is worth where no cause is named."""
     if verdict.refusals or found is None:
-        return 'refused without a cause', said
+        return 'refused without a cause' if verdict.refusals else 'not named before the fit', said
     std = np.diag(found.stiffness_std)
     off = np.abs(np.diag(found.stiffness) - laboratory.K)
     wrong = np.isfinite(std) & (off > 5.0 * std) & (off > 0.02 * laboratory.K)
@@ -87,6 +102,9 @@ def main():
     parser.add_argument('--sound', type=int, default=1, help='sound recordings')
     parser.add_argument('--first', type=int, default=100, help='seed')
     parser.add_argument('--seconds', type=float, default=12.0, help='length of recordings')
+    parser.add_argument('--quick', action='store_true', help='what is said before the fit')
+    parser.add_argument('--coloured', action='store_true',
+                        help='noise with a memory of 26 ms in all, not in every second sound one')
     parser.add_argument('--kinds', nargs='*', choices=FAULTS, default=list(FAULTS))
     arguments = parser.parse_args()
     work = []
@@ -101,11 +119,13 @@ def main():
     counts = {}
     for group, names, seed in work:
         laboratory = Laboratory(
-            seed, coloured=group == SOUND and seed % 2 == 1, seconds=arguments.seconds)
+            seed, coloured=arguments.coloured or (group == SOUND and seed % 2 == 1),
+            seconds=arguments.seconds)
         for name in names:
             FAULTS[name][0](laboratory)
         began = time.process_time()
-        word, said = outcome(laboratory, *([FAULTS[name][1] for name in names] or [SOUND]))
+        word, said = outcome(laboratory, *([FAULTS[name][1] for name in names] or [SOUND]),
+                             quick=arguments.quick)
         counts.setdefault(group, Counter())[word] += 1
         print(f'{" and ".join(names) or SOUND} {seed}: {word} ({said}; '
               f'{time.process_time() - began:.0f} s)', flush=True)

@@ -33,7 +33,7 @@ from bellows_ros.core.model.structure import (
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, MisreadError
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.identification import (
@@ -271,7 +271,11 @@ def read_all(
     if jobs is None and not dask:
         for number, bag, own in work:
             tell(f'reading {bag}', FIT_BEGINS * number / len(bags))
-            parts.append(task(bag, own))
+            try:
+                parts.append(task(bag, own))
+            except MisreadError as error:
+                verdict = verdict_of(None, [error.recording], own['cup.length'], own)
+                raise BellowsError(' '.join(verdict.cause if verdict else [str(error)])) from None
             for _, sentence in repeats((part.name, part.digest) for part in parts):
                 raise BellowsError(sentence)
         return parts, []

@@ -11,6 +11,7 @@ from bellows_ros.core.identification.plausibility import (
     DOUBTED,
     Finding,
     implausible_inputs,
+    MISREAD,
     ROUGH,
 )
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
@@ -33,7 +34,7 @@ UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
 
 MISFIT = 2.0
-"""Times the noise by which a free simulation of output error may be off."""
+"""Times the noise by which output error may be off: a free simulation, and what it leaves."""
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
@@ -74,13 +75,14 @@ class FitVerdict(NamedTuple):
     """
     Free simulations of recordings of the fit, and what was found to be otherwise.
 
-    Strict is whether a misfit beyond the noise refuses a cup, as for the output error.
+    A misfit beyond the noise refuses a cup of the output error, whose chi^2 per degree of freedom
+    is given, from their median; None for others.
     """
 
     simulated: tuple[Simulated, ...]
     diagnosis: Diagnosis
     given: Mapping[str, Any]
-    strict: bool = False
+    chi2: float | None = None
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -89,17 +91,26 @@ class FitVerdict(NamedTuple):
 
     @property
     def cause(self) -> tuple[str, ...]:
-        """A sentence about what explains most, or none."""
+        """Sentences about what explains most, and what is wrong beside it, or none."""
         if not self.diagnosis.findings:
             return ()
-        first = self.diagnosis.findings[0]
+        first, *others = self.diagnosis.findings
+        others = [*(others if first.is_fact else ()), *self.diagnosis.besides]
+        besides = [f'Besides{"" if own.certain else ", likely"}: '
+                   f'{finding_sentence(own, self.given)}' for own in others]
+        if self.diagnosis.is_open:
+            besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
-            return (finding_sentence(first, self.given),)
+            return (finding_sentence(first, self.given), *besides)
         if self.simulated and all(
                 (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
             return ()
         if first.likely:
-            return (f'Likely, but not certain: {finding_sentence(first, self.given)}',)
+            more = () if besides or first.rest < DOUBTED else (
+                f'It leaves {np.sqrt(first.rest):.2g} times what noise and rubber explain: more '
+                'may be wrong.',)
+            return (f'Likely, but not certain: {finding_sentence(first, self.given)}', *besides,
+                    *more)
         if self.diagnosis.excess < DOUBTED:
             return ()
         return ('Noise does not explain the residuals, and no tested cause explains most of '
@@ -117,12 +128,18 @@ class FitVerdict(NamedTuple):
                 found.append(
                     f'{own.bag}: more than {100.0 * UNEXPLAINED:g} % of the motion is unexplained '
                     f'in {", ".join(own.unexplained)}.')
-            elif self.strict and (own.rms > MISFIT * own.noise).any():
+            elif self.chi2 is not None and (own.rms > MISFIT * own.noise).any():
                 found.append(
                     f'{own.bag}: the free simulation is off by up to '
                     f'{np.max(own.rms / own.noise):.1f} times the noise, so model or data are '
                     'wrong. Check package.mass, package.com, package.inertia and the frames, or '
                     'use a richer fit.structure.')
+        if self.simulated and not found and self.chi2 is not None and self.chi2 > MISFIT**2:
+            found.append(
+                f'What the fit leaves of each pose is {np.sqrt(self.chi2):.1f} times the noise '
+                f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
+                'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
+                'use a simpler fit.structure.')
         first = self.diagnosis.findings[:1]
         if first and first[0].material:
             found.append(
@@ -138,7 +155,8 @@ class FitVerdict(NamedTuple):
                 {**found._asdict(), 'material': found.material, 'setting': setting_of(found),
                  'sentence': finding_sentence(found, self.given),
                  'units': dict.fromkeys(('theta', 'std'), UNITS.get(found.name, '1'))}
-                for found in self.diagnosis.findings],
+                for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
+            'besides': len(self.diagnosis.besides),
         }
 
 
@@ -152,7 +170,8 @@ SETTINGS = {
     'inertia': 'package.inertia', 'mass': 'package.mass', 'structure': 'fit.structure',
     'package_world': 'recording.package_world', 'package_marker': 'recording.align_at_rest',
     'slip': 'recording.start or recording.end', 'low-pass': 'the tracking system',
-    'tool': 'the axes of topics.tool_pose', 'package': 'the axes of topics.package_pose',
+    MISREAD: 'the recording', 'tool': 'the axes of topics.tool_pose',
+    'package': 'the axes of topics.package_pose',
 }
 
 
@@ -205,7 +224,8 @@ def verdict_of(
         not are_differentiable(some, values))
     if fit is not None and slow:
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
-            *(wrong for own in some for wrong in implausible_inputs(own)), *fit.causes))
+            *(wrong for own in some for wrong in implausible_inputs(own)), *fit.causes[:1]),
+            fit.causes[1:])
     else:
         diagnosis = diagnose(some, length, given_structure(values), known)
     if fit is None:
@@ -213,10 +233,10 @@ def verdict_of(
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)
     found = FitVerdict(tuple(_simulated(cup, own) for own in some if fit.usable), diagnosis,
-                       values, fit.method == 'output_error')
+                       values, fit.robust_chi2)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
-            findings=(*fit.causes, *diagnosis.findings)))
+            findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))
     return found
 
 
@@ -251,6 +271,8 @@ def setting_of(found: Finding) -> str:
 
 def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
     """Return what was found, its size, by how much residuals fall, and what to change."""
+    if found.name == MISREAD:
+        return found.value
     what, remedy = _words(found, given)
     falls = f' With that, the residuals fall to {100.0 * found.left:.2g} %.'
     return f'{what}.{falls if found.left else ""} {remedy}'

@@ -1,9 +1,19 @@
 """What is said of residuals: no doubt where a free simulation is as good as the poses."""
 
+from bellows_ros.core.geometry.jit import COMPILED
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.hypotheses import Diagnosis, Finding
+from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.workflows import verdict
+from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
 import numpy as np
 import pytest
+
+from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory, parameters
 
 
 @pytest.mark.parametrize(('off', 'left', 'said'), [
@@ -14,6 +24,43 @@ def test_what_filters_take_is_not_doubted(off, left, said):
     rms = noise * np.where(np.arange(6) == 4, off, 1.0)
     none = np.empty(0)
     finding = Finding('structure', 'full', none, none, left, 0.0, False, False, '')
-    verdict = FitVerdict(
+    found = FitVerdict(
         (Simulated('recording', rms, noise, 100.0 * noise, ()),), Diagnosis(2.7, (finding,)), {})
-    assert len(verdict.cause) == bool(said) and said in ' '.join(verdict.cause)
+    assert len(found.cause) == bool(said) and said in ' '.join(found.cause)
+
+
+@pytest.mark.parametrize(('method', 'off', 'chi2', 'refused'), [
+    ('output_error', 1.02, 1.1, ''), ('output_error', 1.5, 29.5, '5.4 times the noise'),
+    ('output_error', 5.4, 29.5, 'free simulation'), ('least_squares', 1.5, None, '')])
+def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
+        monkeypatch, method, off, chi2, refused):
+    """Whether its search converged or not: chi^2 was 29.5 with K thirteen times off."""
+    noise = np.repeat([1e-4, 5e-4], 3)
+    monkeypatch.setattr(verdict, '_simulated', lambda cup, own: Simulated(
+        own.name, off * noise, noise, 100.0 * noise, ()))
+    laboratory = Laboratory(4, seconds=4.0)
+    values = {**parameters(laboratory), 'fit.structure': 'full'}
+    monkeypatch.setattr(verdict, 'diagnose', lambda *given: Diagnosis(0.0, ()))
+    x = STRUCTURES['full'].parameters(np.diag(laboratory.K), laboratory.P)
+    fit = Fit(
+        method=method, structure='full', parameters=x, covariance=np.zeros((len(x),) * 2),
+        samples_used=1, samples_rejected=0, condition_number=1.0, weight=np.eye(6),
+        residual_rms=noise, chi2=chi2, robust_chi2=chi2)
+    found = verdict.verdict_of(fit, laboratory.recordings(), laboratory.length, values)
+    assert fit.usable and bool(refused) == bool(found.refusals)
+    assert refused in ' '.join(found.refusals)
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
+def test_what_else_is_wrong_is_said_of_a_recording_that_was_misread(tmp_path):
+    laboratory = Laboratory(320, seconds=10.0)
+    for fault in ('millimetres', 'inertia'):
+        FAULTS[fault][0](laboratory)
+    own = laboratory.recording()
+    write_bag(tmp_path / 'bag', [
+        Recorded(f'/{poses.name}', 'geometry_msgs/msg/PoseStamped', poses.stamps_ns, np.hstack([
+            poses.position, rotation_to_quaternion(poses.rotation)]), 'world')
+        for poses in (own.tool_pose, own.package_pose)])
+    with pytest.raises(BellowsError, match='in millimetres.* Besides: package.inertia is'):
+        identify({**parameters(laboratory), 'bags': [str(tmp_path / 'bag')],
+                  'topics.tool_pose': '/tool', 'topics.package_pose': '/package'})

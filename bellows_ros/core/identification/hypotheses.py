@@ -7,6 +7,7 @@ nearly as much, and where the change is many times its standard error.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array
@@ -21,10 +22,10 @@ from bellows_ros.core.identification.objective import (
     Solved,
 )
 from bellows_ros.core.identification.plausibility import (
+    corrected,
     DISTINCT,
     DOUBTED,
     Finding,
-    implausible_inputs,
     MATERIAL,
     NONE,
     radius_of_gyration,
@@ -35,6 +36,7 @@ from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.parameters.checks import GYRATION, INERTIA_UNITS
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.recording.recording import Recording
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 if TYPE_CHECKING:
@@ -51,6 +53,9 @@ ONE_OF_MANY = 3.0
 
 QUICK_ROUNDS, MOST_RETRIED, MOST_FINDINGS = 3, 6, 2
 """Rounds of a first look without regard to noise; how many are tried again, and returned."""
+
+MOST_ROUNDS = 3
+"""Times that a second cause is looked for."""
 
 NOT_KNOWN = 1e200
 """Variance of what is not identifiable: finite, as 0 times infinity is no number."""
@@ -154,10 +159,26 @@ def _worlds(world: str) -> Iterator[tuple[str, Array]]:
 
 
 class Diagnosis(NamedTuple):
-    """What noise does not explain, in weights of the residuals, and findings, the best first."""
+    """
+    What was found to be otherwise.
+
+    Parameters
+    ----------
+    excess : float
+        What noise does not explain, in weights of the residuals.
+    findings : tuple of Finding
+        Each alone, the best first; or all that is wrong without any fit.
+    besides : tuple of Finding
+        What is wrong beside the first of them, once that is corrected.
+    is_open : bool
+        Whether what is seen without a fit leaves something that is not known.
+
+    """
 
     excess: float
     findings: tuple[Finding, ...]
+    besides: tuple[Finding, ...] = ()
+    is_open: bool = False
 
 
 def diagnose(
@@ -165,9 +186,10 @@ def diagnose(
     known: Sequence[str] = (),
 ) -> Diagnosis:
     """
-    Try every hypothesis where noise does not explain the residuals.
+    Try every hypothesis where noise does not explain the residuals, and again beside the best.
 
-    What the trials leave is kept with the first recording: another call costs nothing.
+    What is wrong without any fit is corrected first. What the trials leave is kept with the first
+    recording: another call costs nothing.
 
     Parameters
     ----------
@@ -181,38 +203,103 @@ def diagnose(
         Labels of the parameters that are identifiable; all where left out.
 
     """
-    for own in recordings:
-        if wrong := implausible_inputs(own):
-            return Diagnosis(np.inf, wrong)
-    before, tried = recordings[0].once(
-        ('trials', *(own.name for own in recordings), length, structure),
-        lambda: _trials(recordings, length, structure))
-    findings = [_finding(trial, tried, before, structure, known or structure.labels)
-                for trial in tried[:MOST_FINDINGS]]
-    if before.excess < _chance(before):
+    wrong, right = zip(*(own.once('corrected', partial(corrected, own)) for own in recordings),
+                       strict=True)
+    facts: tuple[Finding, ...] = next(filter(None, wrong), ())
+    try:
+        rounds = right[0].once(
+            ('trials', *(own.name for own in right), length, structure),
+            lambda: _rounds(right, length, structure))
+    except BellowsError:
+        if not facts:
+            raise
+        return Diagnosis(np.inf, facts, is_open=True)
+    found = [_finding(own.tried[0], own, known) for own in rounds if own.tried]
+    if facts:
+        said = {name for own in facts for name in (own.name, own.instead)}
+        besides = tuple(own for own in found if own.name not in said and (
+            own.certain if rounds[0].is_explained else own.likely))
+        return Diagnosis(np.inf, facts, besides, not (
+            rounds[0].is_explained or any(own.certain for own in found)))
+    first = rounds[0]
+    findings = [_finding(trial, first, known) for trial in first.tried[:MOST_FINDINGS]]
+    if first.is_explained and len(rounds) == 1:
         findings = [own for own in findings if own.certain]
-    return Diagnosis(before.excess, tuple(findings))
+    return Diagnosis(first.before.excess, tuple(findings), tuple(found[1:]))
 
 
-def _trials(
+def _rounds(
     recordings: Sequence[Recording], length: float, structure: Structure
-) -> 'tuple[Solved, list[_Trial]]':
-    """Return what is left as it was given, and by the hypotheses, the best first."""
-    ensemble = ensemble_of(recordings, length, structure)
-    objective = Objective.of(ensemble)
+) -> 'list[_Round]':
+    """
+    Return the trials of all hypotheses, or those of two causes, each beside the other.
+
+    The second is looked for where the first is corrected, and the first again where the second
+    is, until both stay. Together they explain nearly all.
+    """
+    ensemble, world = ensemble_of(recordings, length, structure), recordings[0].settings.world
+    alone = first = _trials(ensemble, world)
+    for _ in range(MOST_ROUNDS):
+        if not first.tried or first.is_explained:
+            break
+        best = first.tried[0]
+        second = _trials(ensemble.varied(best.vary), world, best.hypothesis)
+        if not second.is_likely:
+            break
+        first = _trials(ensemble.varied(second.tried[0].vary), world, second.tried[0].hypothesis)
+        if not first.is_likely:
+            break
+        again = first.tried[0].hypothesis
+        if (again.name, again.value) == (best.hypothesis.name, best.hypothesis.value):
+            both = alone.objective.solved(
+                ensemble.varied(best.vary).varied(second.tried[0].vary))
+            most = min(DISTINCT * _left(alone.before), _left(alone.tried[0].solved))
+            return [first, second] if _left(both) < DISTINCT * most else [alone]
+    return [alone]
+
+
+class _Round(NamedTuple):
+    """What is left as it was given, and by the hypotheses, the best first."""
+
+    before: Solved
+    tried: 'list[_Trial]'
+    structure: Structure
+    objective: Objective
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether noise explains what is left as it was given."""
+        return self.before.excess < _chance(self.before)
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether the best hypothesis explains most of what noise does not."""
+        return bool(self.tried) and not self.is_explained and (
+            _score(self.tried[0]) < DISTINCT * _left(self.before))
+
+
+def _trials(ensemble: Ensemble, world: str, beside: Hypothesis | None = None) -> _Round:
+    """Return the trials of all hypotheses but one that is corrected."""
+    objective, structure = Objective.of(ensemble, beside is not None), ensemble.given[0].structure
     before = objective.solved(ensemble)
     if before.excess < _chance(before):
-        return before, _in_order(_tried(h, objective, ensemble) for h in _OTHERWISE)
+        return _Round(before, _in_order(
+            _tried(h, objective, ensemble) for h in _OTHERWISE), structure, objective)
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
-    tried = _in_order(_tried(h, objective, quiet, rounds=QUICK_ROUNDS, level=level)
-                      for h in hypotheses(ensemble.given, recordings[0].settings.world))
+    tried = _in_order(
+        _tried(h, objective, quiet, rounds=QUICK_ROUNDS, level=level)
+        for h in hypotheses(ensemble.given, world)
+        if beside is None or h.name != beside.name and (h.datum or beside.datum))
+    if not tried:
+        return _Round(before, tried, structure, objective)
     # With weights as they are where the best of them is true.
     objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
-    return objective.solved(ensemble), _in_order(
+    return _Round(objective.solved(ensemble), _in_order(
         _tried(trial.hypothesis, objective, ensemble, trial.theta)
         for number, trial in enumerate(tried[:MOST_RETRIED])
-        if number < MOST_FINDINGS or DISTINCT**3 * _score(trial) < _score(tried[0]))
+        if number < MOST_FINDINGS or DISTINCT**3 * _score(trial) < _score(tried[0])), structure,
+        objective)
 
 
 class _Trial(NamedTuple):
@@ -300,11 +387,10 @@ def _score(trial: _Trial) -> float:
     return _left(trial.solved) * (1.0 + COST * trial.hypothesis.freed)
 
 
-def _finding(
-    trial: _Trial, tried: list[_Trial], before: Solved, structure: Structure,
-    labels: Sequence[str],
-) -> Finding:
+def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
     """Return what is said of a hypothesis."""
+    before, tried, structure, _ = among
+    labels = known or structure.labels
     own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
     left, first = _left(trial.solved), _left(before)
     least = SIGNIFICANT**2 / before.residuals  # squares that tell two hypotheses apart
@@ -346,4 +432,4 @@ def _finding(
     return Finding(
         own.name, value, theta, std, float(np.sqrt(left / first)), float(moved.max(initial=0.0)),
         own.datum, bool(certain and material and trial is tried[0]),
-        instead[0].hypothesis.value or instead[0].hypothesis.name if instead else '')
+        instead[0].hypothesis.value or instead[0].hypothesis.name if instead else '', excess)

@@ -1,15 +1,22 @@
 """Findings on wrong inputs, and those that need no fit: units, axes, clocks, smoothed poses."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
-from bellows_ros.core.identification.samples import require_hanging
+from bellows_ros.core.identification.samples import prepared_again, require_hanging
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.parameters.checks import GYRATION, LARGEST_MASS, unit_of_inertia
+from bellows_ros.core.parameters.checks import (
+    GYRATION,
+    INERTIA_UNITS,
+    LARGEST_MASS,
+    unit_of_inertia,
+)
 from bellows_ros.core.recording.alignment import ALIKE, turn_correlation
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError, MisreadError
 import numpy as np
 
 SIGNIFICANT = 6.0
@@ -25,7 +32,13 @@ of it is asked where it must explain nearly all, and of what the cup may be besi
 DOUBTED = 1.0
 """Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
 
+GRAMS = 1e3
+"""How many of what masses may be in are 1 kg."""
+
 NONE = np.empty(0)
+
+MISREAD, MOST_FACTS = 'recording', 4
+"""Name of a finding that is a sentence on how poses were read, and most findings without a fit."""
 
 SWINGING = -0.2, 0.05
 """Time offsets (s) that the swing of the package can explain: it turns after its tool, not before.
@@ -72,6 +85,10 @@ class Finding(NamedTuple):
         Whether it is of what was given, and whether nothing else explains the recordings so well.
     instead : str
         Name or value of another datum that these recordings cannot tell from it; '' for none.
+    rest : float
+        Squares beyond noise that it leaves, in those expected of noise and rubber.
+    is_fact : bool
+        Whether it is seen without any fit.
 
     """
 
@@ -84,6 +101,8 @@ class Finding(NamedTuple):
     datum: bool = True
     certain: bool = True
     instead: str = ''
+    rest: float = 0.0
+    is_fact: bool = False
 
     @property
     def material(self) -> bool:
@@ -99,7 +118,49 @@ class Finding(NamedTuple):
 def implausible_inputs(own: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with a recording or what was given with it, without any fit."""
     found = (_package(own.payload), _clocks(own), wrong_twists(own), _smoothed(own))
-    return tuple(finding for finding in found if finding is not None)
+    return tuple(own._replace(is_fact=True) for own in found if own is not None)
+
+
+def corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
+    """Return what is wrong with a recording without any fit, and the recording without that."""
+    found = list[Finding]()
+    while len(found) < MOST_FACTS:
+        try:
+            require_hanging(own)
+            new = [wrong for wrong in implausible_inputs(own)
+                   if wrong.name not in {known.name for known in found}]
+            if not new:
+                break
+            found += new
+            for wrong in new:
+                own = _mended(own, wrong)
+        except BellowsError as error:
+            if not (found or isinstance(error, MisreadError)):
+                raise
+            found.append(Finding(MISREAD, str(error), is_fact=True,
+                                 instead=getattr(error, 'setting', '')))
+            if not isinstance(error, MisreadError):
+                break
+            own = error.mended()
+    return tuple(found), own
+
+
+def _mended(own: Recording, wrong: Finding) -> Recording:
+    """Return a recording without something that is wrong, as it is where that cannot be."""
+    held = own.payload
+    if wrong.name == 'mass':
+        held = Package(held.mass / GRAMS, held.inertia, held.com)
+    elif wrong.name == 'inertia':
+        held = Package(held.mass, held.inertia / dict(INERTIA_UNITS)[wrong.value], held.com)
+    elif wrong.name == 'time_offset':
+        shift = round(float(wrong.theta[0]) * NS_PER_S)
+        tool, twist = own.tool_pose, own.tool_twist
+        return prepared_again(
+            own, replace(tool, stamps_ns=tool.stamps_ns - shift), own.package_pose,
+            twist and replace(twist, stamps_ns=twist.stamps_ns - shift))
+    else:
+        return own
+    return replace(own, settings=replace(own.settings, payload=held))
 
 
 def radius_of_gyration(held: Package) -> float:

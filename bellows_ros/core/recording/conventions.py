@@ -1,5 +1,6 @@
 """Units and quaternion orders in which poses of tool and package fit together."""
 
+from dataclasses import replace
 from itertools import product
 import os
 from typing import NamedTuple
@@ -44,6 +45,13 @@ class Convention(NamedTuple):
 def reordered(rotation: Array) -> Array:
     """Return rotations (N, 3, 3) whose quaternions were read as if w came last."""
     return lie.quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(rotation), -1, axis=-1))
+
+
+def converted(stream: PoseStream, own: Convention) -> PoseStream:
+    """Return poses in metres, with w last, that were recorded by a convention."""
+    return replace(
+        stream, position=stream.position * (1e-3 if own.millimetres else 1.0),
+        rotation=reordered(stream.rotation) if own.w_first else stream.rotation)
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:

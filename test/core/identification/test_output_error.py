@@ -200,6 +200,18 @@ def test_a_wrong_number_is_named_with_its_size_and_a_sound_recording_is_not_accu
     assert_allclose(moved, 0.003, atol=1e-3)
 
 
+def test_two_wrong_numbers_are_both_named(monkeypatch):
+    """With a bound on the simulations: 165 with one cause, and 65 to look for a second."""
+    simulations, system = [], Search.system
+    monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
+    own = measured(11, package_noise=(1e-4, 5e-4), tool_noise=ROBOT)
+    late = replace(own.tool, stamps_ns=own.tool.stamps_ns + 20_000_000)
+    wrong = replace(PLATE, com=PLATE.com + [0.003, 0.0, 0.0])
+    found = output_error([replace(own, payload=wrong, tool=late)], AXISYMMETRIC, TRUTH).causes
+    assert {own.name for own in found} == {'com', 'time_offset'}
+    assert 0 < len(simulations) <= 230
+
+
 @pytest.mark.parametrize('package_noise', [(1e-4, 5e-4), CAMERA])
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness(package_noise):
     rubber = replace(TRUTH, relaxation=(0.15, 0.16))
