@@ -128,14 +128,6 @@ def _scaled(factor: float, A: Square) -> Square:
     return add_scaled_square(A, factor - 1.0, A)
 
 
-@array_kernel
-def _horner(M: Any, X: Any, diagonal: float, out: Any) -> None:
-    """Write diagonal + M X."""
-    product(M, X, out)
-    for i in range(len(M)):
-        out[i, i] += diagonal
-
-
 @kernel
 def inner_states(body: State) -> int:
     """Return the size of x."""
