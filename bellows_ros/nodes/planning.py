@@ -307,6 +307,7 @@ class Planning:
         outside = found.outside(known_envelope(self._values), self._values['package.mass'])
         if outside:
             words.append(f'Outside the validity range: {"; ".join(outside)}.')
+        words.append(found.flips)
         said = ' '.join(word for word in words if word)
         lost = found.grip_known and found.smallest_safety[0] < 1.0
         level = Level.ERROR if lost else Level.WARN if said else Level.OK

@@ -251,6 +251,8 @@ class PlanReport(CommandResult):
         elif sentence := safety_sentence(
                 *self.prediction.smallest_safety, self.std['smallest_safety_factor'], self.least):
             found.append(sentence)
+        if self.prediction.flips:
+            found.append(self.prediction.flips)
         if not self.source.begins_at_rest:
             found.append(BEGINS_IN_MOTION)
         if not self.prediction.ends_at_rest:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from dataclasses import replace as changed
 import io
-import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -38,9 +38,6 @@ Progress = Callable[[str], None]
 
 POSE = 'geometry_msgs/msg/PoseStamped'
 TWIST = 'geometry_msgs/msg/TwistStamped'
-
-BENDING_LIMIT = math.radians(45.0)
-"""Bending (rad) beyond which the modelled restoring moment falls."""
 
 SAMPLES_PER_PERIOD = 100.0
 """The tool is simulated with this many samples in the shortest period of its motion ..."""
@@ -296,10 +293,7 @@ def _bending(truth: Truth) -> tuple[float, float, tuple[str, ...]]:
     angle = np.where(
         truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))
-    beyond = seconds[angle > BENDING_LIMIT]
+    beyond = seconds[angle > PEAK_MOMENT_BENDING]
     warnings = () if not len(beyond) else (
-        f'The cup bends by up to {math.degrees(angle[worst]):.0f} degrees, and by more than '
-        f'{math.degrees(BENDING_LIMIT):.0f} from {beyond[0]:.3f} s on. Beyond that the modelled '
-        'restoring moment falls and the package may flip. Real cups bend some 20 degrees; use '
-        'smaller or slower motions.',)
+        flip_sentence(angle[worst], f', and by more than 45 from {beyond[0]:.3f} s on'),)
     return float(angle[worst]), float(seconds[worst]), warnings

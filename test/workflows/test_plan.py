@@ -303,6 +303,10 @@ def test_what_lets_go_and_what_is_not_known_is_said(tmp_path):
     unknown = figures(source, values={'vacuum.holding': 0.0})
     assert 'set cup.lip_radius' in unknown['warnings'][0]
     assert unknown['smallest_safety_mode'] is None
+    soft = figures(source, values={
+        'cup.stiffness': np.diag([5400.0, 5400.0, 9200.0, 0.3, 0.3, 1.35]).ravel().tolist()})
+    assert np.degrees(soft['peak_bending']) > 45.0 and 'may flip' in ' '.join(soft['warnings'])
+    assert 'may flip' not in ' '.join(unknown['warnings'])
     seen = {'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
             'envelope.rates': [0.1] * 6, 'envelope.mass': [1.8, 1.8]}
     outside = figures(source, values=seen)['outside_validity']

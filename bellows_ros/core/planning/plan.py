@@ -50,6 +50,9 @@ TAIL_STEP = 4e-3
 COARSE = 3.0
 """... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
 
+PEAK_MOMENT_BENDING = 0.25 * math.pi
+"""Bending (rad) at which the cup's restoring moment is largest."""
+
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
 """Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
 
@@ -61,6 +64,14 @@ NEVER = np.zeros(1, np.bool_)
 
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Passed to the kernel if the grip is unknown; the loads are then not used."""
+
+
+def flip_sentence(angle: float, since: str = '') -> str:
+    """Return what is said of a cup that bends by an angle (rad) beyond that of the peak moment."""
+    return (
+        f'The cup bends by up to {math.degrees(angle):.0f} degrees{since}. Beyond '
+        f'{math.degrees(PEAK_MOMENT_BENDING):.0f} the modelled restoring moment falls and the '
+        'package may flip. Real cups bend some 20 degrees; use smaller or slower motions.')
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +126,12 @@ class PlanPrediction:
         load, time, row = self.peaks[worst].tolist()
         return Margin(1.0 / load if load > 0.0 else math.inf,
                       mode_name(self.grip or UNKNOWN_GRIP, worst, int(row)), time)
+
+    @property
+    def flips(self) -> str:
+        """What is said of a cup that bends too far, or ''."""
+        angle = float(self.peaks[PEAKS.index('bending'), 0])
+        return flip_sentence(angle) if angle > PEAK_MOMENT_BENDING else ''
 
     def figures(self) -> dict[str, float]:
         """Return the figures of a summary, SI units; NaN for unknown ones."""

@@ -23,7 +23,13 @@ from bellows_ros.core.model.equilibrium import resting_on_tool, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.planning.limits import TooFastError
-from bellows_ros.core.planning.plan import PlanPrediction, predict, rest_after, SETTLED
+from bellows_ros.core.planning.plan import (
+    PEAK_MOMENT_BENDING,
+    PlanPrediction,
+    predict,
+    rest_after,
+    SETTLED,
+)
 from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -37,8 +43,6 @@ GRID = 0.001
 SPACING, JUMP, RELATIVE_JUMP = 0.005, 100.0, 0.1
 """Spacing (s) at which the fourth derivative is evaluated, and changes that are none: of this size
 (m/s^4), or this part of it."""
-PEAK_MOMENT_BENDING = 0.25 * math.pi
-"""Bending (rad) at which the cup's restoring moment is largest."""
 SUBDIVISION = 5
 """Smoothing uses points this many times closer ..."""
 SMOOTHED, LONGEST_SMOOTHING = 0.12, 0.2
