@@ -39,6 +39,15 @@ Group = dict[str, Any]
 """Parameters and further groups whose names begin alike."""
 
 
+OTHER_FILES = {
+    'kind': "a motion, for --motion or 'bellows plan'",
+    'points': 'a plan',
+    'provenance': 'a result of --json',
+    'workspace': 'limits, for --limits',
+}
+"""What a file holds that has such a name at its beginning."""
+
+
 def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     """
     Read a parameter file.
@@ -76,6 +85,10 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
         raise BellowsError(
             f"Parameter file '{file}' holds no parameters. Give 'name: value' lines."
         )
+    if other := next((what for key, what in OTHER_FILES.items() if key in content), ''):
+        raise BellowsError(
+            f"'{file}' is no parameter file, but {other}. Give the file that "
+            "'bellows parameters --yaml' begins, or that --out or --write-params wrote.")
     values: dict[str, Value] = {}
     for keys, section in _sections(file, content, node):
         for name, value, line in _flattened(section, keys, lines):

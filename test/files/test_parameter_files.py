@@ -102,6 +102,13 @@ def test_errors_name_the_line_and_the_remedy(file, text, reason):
         file(text)
 
 
+@pytest.mark.parametrize(('name', 'words'), [
+    ('bags/transport.yaml', 'but a motion'), ('config/limits_example.yaml', 'but limits')])
+def test_another_file_of_ours_is_named_as_what_it_is(name, words, root):
+    with pytest.raises(BellowsError, match=words):
+        parameter_files.read_parameters(root / name)
+
+
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(BellowsError):
         read_parameters(tmp_path / 'none.yaml')
