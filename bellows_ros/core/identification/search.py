@@ -80,8 +80,11 @@ LEAST_STRENGTH, ORDINARY_STRENGTH = 1e-6, 0.05
 LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
 """Longest steps of the linearised model, and of the integrator (s)."""
 
-STAGES = (30.0, 10.0, 3.0, 0.0)
-"""What the unknown acceleration forgets per second, stage by stage; nothing in the last."""
+STAGES = (30.0, 10.0, 3.0)
+"""What the unknown acceleration forgets per second, stage by stage, before the last: nothing."""
+
+LEAST_DAMPING = 1e-2
+"""Of steps in all stages but the last, in which noise would carry away what is hardly known."""
 
 WIDE = 2.0, 1.0
 """Standard deviation of the logarithm of the size of K, about the start, and of P."""
@@ -105,15 +108,12 @@ MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
 """
 Largest numbers of steps: of a stage, of the last one, and of the last one with a misfit.
 
-So a search simulates a wrong recording 64 times at most, a full cup's 128 times, and a whole fit,
-with relaxation, the likeliest cause and what was given free in turn, 165 or 229 times.
+So a search simulates a wrong recording 64 times at most, and a whole fit, with relaxation, the
+likeliest cause and what was given free in turn, 165 times.
 """
 
 MISFIT = 1.5
 """Chi^2 per difference above which more than noise is left."""
-
-NOISE_ALONE = 1.02
-"""Chi^2 per difference below which a minimum of a full cup is the lowest."""
 
 NEAR, ENOUGH = 3.0, 3e-3
 """Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
@@ -416,64 +416,64 @@ class Search:
         """
         Go to the root, from unknowns near to it, and the system there, where they are given.
 
-        Strong couplings are not found without any: then all directions are free from the start.
+        Noise would carry couplings away while a cup is brought near, so they come last; strong
+        ones, without which there is a misfit, come first.
         """
-        found = self._found(self.near, note, near, begun)
-        if near is None and len(self.near) > len(self.near.T) and not (
-                found.converged and squares(found.parts) < NOISE_ALONE * sum(
-                    len(own.innovations) for own in found.parts)):
+        everything = np.eye(len(self.start))
+        if near is not None:
+            return self._stage(near, 0.0, everything, note, begun)
+        found = self._stage(self.start, STAGES[0], self.near, note)
+        stages: tuple[float, ...] = STAGES[1:]
+        if self.near.shape != everything.shape and not (
+                squares(found.parts) < MISFIT * sum(len(own.innovations) for own in found.parts)):
             for segment in self.segments:
                 segment.begin()
-            again = self._found(np.eye(len(self.near)), note)
-            if not found.converged or (
-                    again.converged and squares(again.parts) < squares(found.parts)):
-                return again
-            self.take(found.parts)
-        return found
+            found, stages = self._stage(self.start, STAGES[0], everything, note), ()
+        for forgets in stages:
+            found = self._stage(found.theta, forgets, self.near, note)
+        return self._stage(found.theta, 0.0, everything, note)
 
-    def _found(
-        self, directions: Array, note: Callable[[Cup, float], None], near: Array | None = None,
-        begun: System | None = None,
+    def _stage(
+        self, theta: Array, forgets: float, directions: Array,
+        note: Callable[[Cup, float], None], begun: System | None = None,
     ) -> Minimum:
-        """Return the root, after a start that is brought near in some directions."""
-        theta = self.start if near is None else near
-        for forgets in STAGES if near is None else STAGES[-1:]:
-            parts, H, g = begun or self.system(theta, forgets)
-            if not np.all(np.isfinite(g)):
-                nothing = [own._replace(**{name: np.nan_to_num(getattr(own, name), posinf=0.0)
-                                           for name in ('innovations', 'jacobian', 'spread')})
-                           for own in parts]
-                return Minimum(theta, nothing, np.eye(len(theta)), False)
-            damping, share, settled = 1e-2 if forgets else 0.0, 1.0, True
-            last: Array = np.zeros(len(theta))
-            end = NEAR if forgets else ENOUGH
-            expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
-            for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
-                if number >= MOST_OF_MISFIT and squares(parts) > MISFIT * expected:
-                    break
-                D = directions if forgets else np.eye(len(theta))
-                D = D[:, ~np.any(D[~self.unbounded(theta, g)], axis=0)]
-                step = D @ np.linalg.solve(
-                    D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
-                size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
-                along = float(step @ H @ last) / max(size, 1e-99)
-                if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
-                    share = max(0.5 * share, LEAST_SHARE)
-                elif along > 0.5 or share < 1.0:
-                    share = min(1.5 * share, LONGEST_SHARE)
-                there, way = self.moved(theta, step, share), self.length_of(step, H)
-                new = self.system(there, forgets)
-                if not squares(new[0]) < RISES * max(squares(parts), expected):  # or nan
-                    damping = max(10.0 * damping, 1e-2)
-                    continue
-                theta, (parts, H, g), last = there, new, step
-                self.take(parts)
-                settled = forgets > 0.0 or self.take_noise(parts)
-                damping = 0.1 * damping if damping > 1e-5 else 0.0
-                note(self.cup(theta), squares(parts) / expected)
-                if way < end and settled:
-                    break
-            self.take_noise(parts)
+        """Return the root in some directions, of what the unknown acceleration forgets (1/s)."""
+        parts, H, g = begun or self.system(theta, forgets)
+        if not np.all(np.isfinite(g)):
+            nothing = [own._replace(**{name: np.nan_to_num(getattr(own, name), posinf=0.0)
+                                       for name in ('innovations', 'jacobian', 'spread')})
+                       for own in parts]
+            return Minimum(theta, nothing, np.eye(len(theta)), False)
+        least = LEAST_DAMPING if forgets else 0.0
+        damping, share, settled = least, 1.0, True
+        last: Array = np.zeros(len(theta))
+        end = NEAR if forgets else ENOUGH
+        expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
+        for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
+            if number >= MOST_OF_MISFIT and squares(parts) > MISFIT * expected:
+                break
+            D = directions[:, ~np.any(directions[~self.unbounded(theta, g)], axis=0)]
+            step = D @ np.linalg.solve(
+                D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
+            size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
+            along = float(step @ H @ last) / max(size, 1e-99)
+            if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
+                share = max(0.5 * share, LEAST_SHARE)
+            elif along > 0.5 or share < 1.0:
+                share = min(1.5 * share, LONGEST_SHARE)
+            there, way = self.moved(theta, step, share), self.length_of(step, H)
+            new = self.system(there, forgets)
+            if not squares(new[0]) < RISES * max(squares(parts), expected):  # or nan
+                damping = max(10.0 * damping, 1e-2)
+                continue
+            theta, (parts, H, g), last = there, new, step
+            self.take(parts)
+            settled = forgets > 0.0 or self.take_noise(parts)
+            damping = max(0.1 * damping, least) if damping > 1e-5 else 0.0
+            note(self.cup(theta), squares(parts) / expected)
+            if way < end and settled:
+                break
+        self.take_noise(parts)
         return Minimum(theta, parts, H, way < STILL_ENOUGH and settled)
 
     def unbounded(self, theta: Array, slope: Array) -> Mask:
