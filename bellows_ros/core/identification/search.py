@@ -109,7 +109,7 @@ MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
 Largest numbers of steps: of a stage, of the last one, and of the last one with a misfit.
 
 So a search simulates a wrong recording 64 times at most, and a whole fit, with relaxation, the
-likeliest cause and what was given free in turn, 165 times.
+likeliest causes and what was given free in turn, 230 times.
 """
 
 MISFIT = 1.5
