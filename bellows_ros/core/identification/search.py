@@ -564,10 +564,12 @@ class Search:
         return parts, H, g
 
     def take(self, parts: list[Part]) -> None:
-        """Take the likeliest paths and first states."""
+        """Take the likeliest paths and first states; none from a simulation that diverges."""
         for segment, own in zip(self.segments, parts, strict=True):
-            segment.first = own.first
-            segment.go(own.change)
+            if np.isfinite(own.change).all() and all(
+                    np.isfinite(part).all() for part in own.first):
+                segment.first = own.first
+                segment.go(own.change)
 
     def take_noise(self, parts: list[Part]) -> bool:
         """Take the noise of poses that come slowly; return whether it is as it was."""

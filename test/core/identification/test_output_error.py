@@ -54,6 +54,18 @@ def z_of(fit):
     return (fit.parameters - NUMBERS) / np.sqrt(np.diag(fit.covariance))
 
 
+def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
+    segment = Segment(measured(3, duration=2.0))
+    search = Search([segment], AXISYMMETRIC, TRUTH, {})
+    (part,), _, _ = search.system(search.start, 0.0)
+    path, first = segment.path, segment.first
+    search.take([part._replace(change=np.nan * part.change)])
+    search.take([part._replace(first=tuple(np.inf * np.array(own) for own in part.first))])
+    assert segment.path is path and segment.first is first
+    search.take([part])
+    assert segment.path is not path and segment.first is part.first
+
+
 @pytest.mark.parametrize(('tool_noise', 'package_noise'), [
     (CAPTURE, CAPTURE), ((1e-7, 1e-6), CAPTURE)])
 def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, package_noise):
