@@ -83,7 +83,7 @@ def _print_result(played: 'Played', console: Console) -> None:
         console.line(f'  {name:{width}}  {count} messages')
     console.line(f'Played in {played.duration:.1f} s; the latest message was '
                  f'{1e3 * played.latest:.1f} ms late.')
-    if not played.heard:
+    if not played.has_subscriber:
         console.warn(
             'No subscriber was connected at the start. Start the predictor first, in the same '
             'ROS_DOMAIN_ID, and give --topic TOPIC:=NAME if the names differ.')

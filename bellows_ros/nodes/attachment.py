@@ -31,7 +31,7 @@ class Attachment:
         Parameters by name.
     change : callable
         Takes True to attach, False to detach, and why; returns whether it is done.
-    hear : callable
+    on_measured : callable
         Takes each pressure in the cup, Pa; of several sensors the highest of cups that hold.
     on_held : callable
         Takes of each message of the vacuum whether the cup holds, or one of a gripper and its
@@ -46,17 +46,18 @@ class Attachment:
     signal : SensorInput or None
         The vacuum signal, where one is asked for.
     vacuum : Vacuum
-        What pressures say.
+        Which cups hold, by their pressures.
 
     """
 
     def __init__(
         self, node: GuardedNode, values: Mapping[str, Any], change: Callable[[bool, str], bool],
-        hear: Callable[[float], None], on_held: Callable[[bool, int], None],
+        on_measured: Callable[[float], None], on_held: Callable[[bool, int], None],
         on_open: Callable[[], None],
     ) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
-        self._change, self._hear, self._join, self._on_open = change, hear, on_held, on_open
+        self._change, self._on_measured = change, on_measured
+        self._join, self._on_open = on_held, on_open
         self.vacuum = Vacuum(values)
         self._kind = signal = values['vacuum.signal']
         self.held = values['package.attached'] and signal == 'none'
@@ -95,14 +96,14 @@ class Attachment:
         assert self.signal
         self.signal.note(time.monotonic_ns(), stamp_to_ns(message.header.stamp))
         vacuum, opened = self.vacuum, self.vacuum.open_cups
-        said = vacuum.hear(message.fluid_pressure, message.header.frame_id)
-        if isinstance(said, str):
-            self._refused[said] += 1
+        readings = vacuum.update(message.fluid_pressure, message.header.frame_id)
+        if isinstance(readings, str):
+            self._refused[readings] += 1
             return
-        for held, cup in said:
+        for held, cup in readings:
             self._join(held, cup)
         if vacuum.pressure is not None:
-            self._hear(vacuum.pressure)
+            self._on_measured(vacuum.pressure)
         if vacuum.open_cups != opened:
             self._on_open()
         self._follow(vacuum.held)

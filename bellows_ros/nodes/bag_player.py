@@ -65,7 +65,7 @@ class Played:
         s.
     latest : float
         Largest lateness of a message, s.
-    heard : bool
+    has_subscriber : bool
         Whether there was a subscriber at the start.
 
     """
@@ -73,7 +73,7 @@ class Played:
     messages: Mapping[str, int]
     duration: float
     latest: float
-    heard: bool
+    has_subscriber: bool
 
 
 def play(
@@ -110,7 +110,7 @@ def play(
         out = {topic: publisher(node, topic, names[topic.name], qos)
                for topic in dict.fromkeys(m.topic for m in messages)}
         say('waiting for a subscriber', 0.0)
-        heard = spin_until(
+        has_subscriber = spin_until(
             executor, lambda: any(p.get_subscription_count() for p in out.values()),
             LISTENER_TIMEOUT)
         while True:
@@ -130,7 +130,7 @@ def play(
             each.wait_for_all_acked(Duration(seconds=LISTENER_TIMEOUT))
     return Played(
         Counter(names[message.topic.name] for message in messages),
-        (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate, latest, heard)
+        (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate, latest, has_subscriber)
 
 
 def send_all(

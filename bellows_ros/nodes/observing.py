@@ -51,7 +51,7 @@ class Observing:
         self._live: LivePredictor | None = None
         self._node, self._is_warm, self._said = node, False, 0
         self.lost_cups: set[int] = set()
-        self._heard = SensorInput(
+        self._measured_in = SensorInput(
             node, KINDS[kind], 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(node, InertiaStamped, 'package/estimated')
 
@@ -83,7 +83,7 @@ class Observing:
         if (observer := live.package.observer) is None:
             live.package.observe(observer := Observer(self._values))
         stamp_ns = stamp_to_ns(header.stamp)
-        self._heard.note(arrival_ns, stamp_ns)
+        self._measured_in.note(arrival_ns, stamp_ns)
         pose, covariance = message.pose, None
         if self._with_covariance:
             pose, covariance = pose.pose, np.reshape(pose.covariance, (6, 6))
@@ -129,7 +129,7 @@ class Observing:
             return None
         counts = observer.counts
         status = input_status(
-            name, self._heard.seen({verdict: counts[verdict] for verdict in VERDICTS}))
+            name, self._measured_in.seen({verdict: counts[verdict] for verdict in VERDICTS}))
         more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
         payload = observer.payload
         if payload:

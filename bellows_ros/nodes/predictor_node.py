@@ -127,8 +127,9 @@ class PredictorNode(ManagedNode):
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self._attachment = Attachment(
-            self, values, self._attach, lambda pressure: self._diagnostics.load.hear(pressure),
-            self._on_vacuum, self._on_open_cups)
+            self, values, self._attach,
+            lambda pressure: self._diagnostics.load.set_pressure(pressure), self._on_vacuum,
+            self._on_open_cups)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._planning = Planning(
             self, lambda: self._last, lambda: self._diagnostics.load.grip)
@@ -310,7 +311,7 @@ class PredictorNode(ManagedNode):
 
     def _on_vacuum(self, held: bool, cup: int) -> None:
         """Join the vacuum, or that of one cup, with what a camera sees."""
-        self._live.hear_vacuum(held, cup)
+        self._live.on_vacuum(held, cup)
         self._observing.log_alarms()
 
     def _attach(self, held: bool, why: str) -> bool:

@@ -179,12 +179,12 @@ def observed(
         stream.stamps_ns.tolist(), map(tuple, stream.position.tolist()),
         map(tuple, rotation_to_quaternion(stream.rotation).tolist()), covariances, strict=True))
 
-    heard = _vacuum(bag, values)
+    vacuum = _vacuum(bag, values)
 
     def run(by: Observer) -> Trajectory:
         corrected = live_predictor(values)
         corrected.package.observe(by)
-        return predictions(corrected, messages, seen=seen, heard=heard)
+        return predictions(corrected, messages, seen=seen, vacuum=vacuum)
 
     ways = predictions(live_predictor(values), messages), run(observer)
     held = _held(observer, stream, recording.measured_package, package_of(values).com)
@@ -242,7 +242,7 @@ def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]
 
     It is on the topic that the node listens to, of vacuum.signal, in whichever namespace.
     """
-    vacuum, said = Vacuum(values), []
+    vacuum, readings = Vacuum(values), []
     if (signal := values['vacuum.signal']) == 'none':
         return []
     kind, topic = {'bool': (BOOL, 'vacuum/held'),
@@ -252,18 +252,18 @@ def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]
             continue
         if signal == 'bool':
             held = decode_bool(data)
-            said += [] if held is None else [(log_ns, held, ALL)]
+            readings += [] if held is None else [(log_ns, held, ALL)]
             continue
         message = decoded(data, kind)
-        stamp, found = message.header.stamp, vacuum.hear(
+        stamp, found = message.header.stamp, vacuum.update(
             message.fluid_pressure, message.header.frame_id)
         stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or log_ns
-        said += [] if isinstance(found, str) else [(stamp_ns, *each) for each in found]
-    if not said:
+        readings += [] if isinstance(found, str) else [(stamp_ns, *each) for each in found]
+    if not readings:
         raise BellowsError(
             f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {topic}. "
             'Record it, or add --set vacuum.signal=none.')
-    return sorted(said, key=itemgetter(0))
+    return sorted(readings, key=itemgetter(0))
 
 
 def live_predictor(values: Mapping[str, Any]) -> LivePredictor:

@@ -61,7 +61,7 @@ def test_messages_come_as_recorded_and_in_time(bag, heard):
     names = {'/tool/pose': '/a', '/tool/twist': '/b'}
     begun = time.time()
     played, poses, twists = heard(('/a', '/b'), lambda: play(messages, names, 2.0), COUNT)
-    assert notes == [] and played.messages == {'/a': COUNT, '/b': COUNT} and played.heard
+    assert notes == [] and played.messages == {'/a': COUNT, '/b': COUNT} and played.has_subscriber
     assert [stamp_to_ns(m.header.stamp) for _, m in poses] == [
         START + PERIOD_NS * k for k in range(COUNT)]
     assert [m.pose.position.x for _, m in poses] == list(map(float, range(COUNT)))

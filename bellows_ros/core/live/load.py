@@ -94,14 +94,14 @@ class Load:
         Parameters by name: those of `grip_of`, vacuum.ambient, safety.least, package.mass,
         envelope.*.
     pressure : float, optional
-        Absolute pressure in the cup as it was heard last, Pa.
+        Absolute pressure in the cup, as last measured, Pa.
 
     Attributes
     ----------
     required : float
         Below this safety factor somebody should look.
     pressure : float or None
-        As heard last.
+        As last measured.
     grip : tuple or None
         By that pressure, or by vacuum.holding; None where too little is known.
 
@@ -110,7 +110,7 @@ class Load:
     def __init__(self, values: Mapping[str, Any], pressure: float | None = None) -> None:
         """Take the limits."""
         self._values = values
-        self.hear(pressure)
+        self.set_pressure(pressure)
         self.required = float(values['safety.least'])
         self._mass = values['package.mass']
         self._envelope = known_envelope(values)
@@ -122,7 +122,7 @@ class Load:
         self._distance: Distance | None = None
         self._bending = 0.0
 
-    def hear(self, pressure: float | None) -> None:
+    def set_pressure(self, pressure: float | None) -> None:
         """Store the absolute pressure (Pa) in the cup, if it is measured."""
         self.pressure = pressure
         below = None if pressure is None else self._values['vacuum.ambient'] - pressure

@@ -330,13 +330,13 @@ class LivePredictor:
         else:
             self.package.see(seen)
 
-    def hear_vacuum(self, is_held: bool, cup: int = ALL) -> None:
+    def on_vacuum(self, is_held: bool, cup: int = ALL) -> None:
         """Join what is measured with the vacuum: whether the cup, or one of them, holds by it."""
         observer, sample = self.package.observer, self.package.sample
         breaks, self._vacuum[cup] = self._vacuum.get(cup, False) and not is_held, is_held
         if observer is not None and not (self.flight is not None and self.flight.state):
             speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
-            observer.hear_vacuum(is_held, breaks, speed > MOVES[0] or rate > MOVES[1], cup)
+            observer.on_vacuum(is_held, breaks, speed > MOVES[0] or rate > MOVES[1], cup)
 
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""

@@ -59,13 +59,13 @@ class Messages:
 def predictions(
     live: LivePredictor, messages: Messages,
     tell: Callable[[str, float], None] = lambda what, part: None,
-    seen: Sequence[tuple[Any, ...]] = (), heard: Sequence[tuple[int, bool, int]] = (),
+    seen: Sequence[tuple[Any, ...]] = (), vacuum: Sequence[tuple[int, bool, int]] = (),
 ) -> Trajectory:
     """
     Return the live predictions for messages in order: B in the world with body twists.
 
     Measured poses of the package (stamp, position, quaternion, covariance or None), in order, are
-    given to it before the first message after their stamp, as is what the vacuum says (stamp,
+    given to it before the first message after their stamp, as are readings of the vacuum (stamp,
     whether it holds, of which cup).
 
     Raises
@@ -82,15 +82,15 @@ def predictions(
             numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
 
     live.pairing.expect = bool(messages.is_twist.any())
-    measured, said = deque(seen), deque(heard)
+    measured, readings = deque(seen), deque(vacuum)
     for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
         if number % REPORT_EVERY == 0:
             tell('predicting', number / len(messages))
         while measured and measured[0][0] < stamp_ns:
             when_ns, *pose = measured.popleft()
             live.on_measured(when_ns, 'world', *pose)
-        while said and said[0][0] < stamp_ns:
-            live.hear_vacuum(*said.popleft()[1:])
+        while readings and readings[0][0] < stamp_ns:
+            live.on_vacuum(*readings.popleft()[1:])
         if is_twist:
             keep(live.on_twist(stamp_ns, first, second))
         else:

@@ -1,4 +1,4 @@
-"""What sensors of the vacuum say: whether the cup holds, and which cups of a gripper do not."""
+"""Readings of the vacuum: whether the cup holds, and which cups of a gripper do not."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 ALL = -1
 """Stands for the cup, or for all cups of a gripper together."""
 
-Said = tuple[bool, int]
+Reading = tuple[bool, int]
 """Whether a cup holds, and its index in cup.layout or `ALL`."""
 
 
@@ -39,7 +39,7 @@ class Vacuum:
         self._pressures: dict[int, float] = {}  # by cup, of those that hold
         self._seen: set[int] = set()  # cups with a sensor
 
-    def hear(self, pressure: float, frame_id: str) -> tuple[Said, ...] | str:
+    def update(self, pressure: float, frame_id: str) -> tuple[Reading, ...] | str:
         """
         Take a pressure (Pa), and return who holds by it, or why it is refused.
 

@@ -112,7 +112,7 @@ class Observer:
         self._ahead: list[Measurement] = []
         self._asked: Estimate | None = None  # for, last
         self._lag_ns = 0  # of the newest measurement, when it came
-        self._vacuum: tuple[int, bool] | None = None  # when heard, on the tool's clock; it holds
+        self._vacuum: tuple[int, bool] | None = None  # when, on the tool's clock, and if it holds
         self.alarms: list[Alarm] = []
 
     def set_model(self, model: ModelTuple, longest_step: float, reach: float) -> None:
@@ -293,7 +293,7 @@ class Observer:
             if not (is_held := self._is_held_since(last_ns)):  # else one wrong pose, then none
                 self._raise(self._by.alarms.lost(stamp_ns, is_held))
 
-    def hear_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
+    def on_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
         """
         Join what is measured with the vacuum of the cup.
 
@@ -311,7 +311,7 @@ class Observer:
                 self._raise(self._by.alarms.lost(self._track.newest_ns, False, is_seen))
 
     def _is_held_since(self, stamp_ns: int) -> bool | None:
-        """Return whether the vacuum holds at a stamp or later; None if it was not heard since."""
+        """Return whether the vacuum holds at a stamp or later; None if not measured since."""
         return self._vacuum[1] if self._vacuum and self._vacuum[0] >= stamp_ns else None
 
     def _raise(self, alarm: Alarm | None) -> None:

@@ -278,7 +278,7 @@ def test_payload_is_kept_for_this_package_alone():
 
 def watched(away, vacuum, moves=True):
     """
-    Let the last poses be out of reach, and the vacuum be heard after some of the poses.
+    Let the last poses be out of reach, and the vacuum be measured after some of the poses.
 
     vacuum has whether the cup holds, after the last pose (0), the one before (-1) ...
     """
@@ -293,7 +293,7 @@ def watched(away, vacuum, moves=True):
             made.see(measured(made, stamps[k], pose))
             held = vacuum.get(sorted(seen).index(k) + 1 - len(seen))
             if held is not None:
-                made.hear_vacuum(held, not held, moves)
+                made.on_vacuum(held, not held, moves)
     return made
 
 
@@ -327,9 +327,9 @@ def test_vacuum_of_one_cup_that_breaks_down_in_motion_is_its_loss():
         tool = tool_motion(np.random.default_rng(0), 0.1)[1]
         made.start(1, tool[0], truth(tool[:1], HEAVY, gripper_of(CUP))[0])
         for held, breaks in ((True, False), (False, True), (False, True)):
-            made.hear_vacuum(held, breaks, moves, 2)
+            made.on_vacuum(held, breaks, moves, 2)
         assert [alarm.cause for alarm in made.alarms] == causes
-    made.hear_vacuum(False, True, True, 0)
+    made.on_vacuum(False, True, True, 0)
     (alarm,) = made.alarms
     assert (alarm.second, alarm.odds) == ('leak', pytest.approx(1e3))
     assert alarm.message.startswith(
