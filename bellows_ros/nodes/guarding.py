@@ -215,6 +215,9 @@ def executor_for(node: Any) -> Any:
             return woken
         except RuntimeError:
             woken.shutdown()
+        except Exception as error:  # noqa: BLE001 (of a callback that is due: the node goes on)
+            node.note_failure(error)
+            return woken
     waiting = SingleThreadedExecutor(context=node.context)
     waiting.add_node(node)
     return waiting

@@ -237,9 +237,9 @@ def test_an_error_in_a_callback_ends_nothing(of, ros, way):
     node = Broken('broken', context=ros.context)
     node.finished = Future()
     if of == 'rclpy':
-        Node.create_timer(node, 0.01, fail)
+        Node.create_timer(node, 1e-4, fail)
     else:
-        node.create_timer(0.01, fail)
+        node.create_timer(1e-4, fail)
     spin(node, lambda: False)
     assert sum(node.failures.values()) == 4 and len(node.failures) == 1
 
