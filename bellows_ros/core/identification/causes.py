@@ -21,7 +21,7 @@ MOVES = 0.02
 
 MOST_CAUSES = 2
 """Causes that are looked for, one beside the other: the second takes 65 simulations at most, so
-that a whole fit to a wrong recording takes 230."""
+that a whole fit to a wrong recording takes 219."""
 
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker')
 

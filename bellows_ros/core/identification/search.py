@@ -10,8 +10,8 @@ logarithm of their size, K about the start, P about that of ordinary rubber, whi
 the recordings determine feels.
 
 A start that is far off is brought near first, its damping hardly changed, and without couplings,
-which noise would move anywhere: with an unknown acceleration of the package, which is taken away
-in stages, all that lies further back than a moment is forgotten.
+which noise would move anywhere: an unknown acceleration of the package lets all be forgotten that
+lies further back than a moment.
 """
 
 from collections.abc import Callable, Sequence
@@ -80,11 +80,11 @@ LEAST_STRENGTH, ORDINARY_STRENGTH = 1e-6, 0.05
 LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
 """Longest steps of the linearised model, and of the integrator (s)."""
 
-STAGES = (30.0, 10.0, 3.0)
-"""What the unknown acceleration forgets per second, stage by stage, before the last: nothing."""
+FORGETS = 30.0
+"""What the unknown acceleration forgets per second while a start is brought near; nothing then."""
 
 LEAST_DAMPING = 1e-2
-"""Of steps in all stages but the last, in which noise would carry away what is hardly known."""
+"""Of steps that bring a start near, in which noise would carry away what is hardly known."""
 
 WIDE = 2.0, 1.0
 """Standard deviation of the logarithm of the size of K, about the start, and of P."""
@@ -106,17 +106,17 @@ SETTLED = 0.03
 
 MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
 """
-Largest numbers of steps: of a stage, of the last one, and of the last one with a misfit.
+Largest numbers of steps: to bring a start near, after that, and after that with a misfit.
 
-So a search simulates a wrong recording 64 times at most, and a whole fit, with relaxation, the
-likeliest causes and what was given free in turn, 230 times.
+So a search simulates a wrong recording 53 times at most, and a whole fit, with relaxation, the
+likeliest causes and what was given free in turn, 219 times.
 """
 
 MISFIT = 1.5
 """Chi^2 per difference above which more than noise is left."""
 
 NEAR, ENOUGH = 3.0, 3e-3
-"""Squared length of a step, in standard deviations, at which a stage ends, and the last one."""
+"""Squared length of a step, in standard deviations, at which a start is near, and the end."""
 
 STILL_ENOUGH = 0.1
 """The same for the last step allowed: numbers that are barely identifiable keep oscillating."""
@@ -422,15 +422,12 @@ class Search:
         everything = np.eye(len(self.start))
         if near is not None:
             return self._stage(near, 0.0, everything, note, begun)
-        found = self._stage(self.start, STAGES[0], self.near, note)
-        stages: tuple[float, ...] = STAGES[1:]
+        found = self._stage(self.start, FORGETS, self.near, note)
         if self.near.shape != everything.shape and not (
                 squares(found.parts) < MISFIT * sum(len(own.innovations) for own in found.parts)):
             for segment in self.segments:
                 segment.begin()
-            found, stages = self._stage(self.start, STAGES[0], everything, note), ()
-        for forgets in stages:
-            found = self._stage(found.theta, forgets, self.near, note)
+            found = self._stage(self.start, FORGETS, everything, note)
         return self._stage(found.theta, 0.0, everything, note)
 
     def _stage(
