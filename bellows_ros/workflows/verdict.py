@@ -1,6 +1,7 @@
 """What a cup is worth, what explains what noise does not, and whether it is refused."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -16,7 +17,7 @@ from bellows_ros.core.identification.plausibility import (
 )
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
-from bellows_ros.core.model.structure import given_structure
+from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.recording.alignment import DOWN, levelling
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
@@ -32,6 +33,9 @@ MOST_SIMULATED = 50_000
 
 UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
+
+CUPS, SURE = 5, 3.0
+"""Cups within the standard errors that are simulated, too, and how far off these may make it."""
 
 MISFIT = 2.0
 """Times the noise by which output error may be off: a free simulation, and what it leaves."""
@@ -51,6 +55,13 @@ class Simulated(NamedTuple):
     unexplained: tuple[str, ...]
     beginning: float = 0.0
     """So much of a long recording, s; 0 where it is all of it."""
+    of_cup: Array | float = 0.0
+    """RMS errors that the standard errors of K and P make, (6,)."""
+
+    @property
+    def largest(self) -> Array:
+        """Largest RMS errors (6,) that noise and the standard errors of K and P may make."""
+        return np.asarray(np.hypot(MISFIT * self.noise, SURE * np.asarray(self.of_cup)))
 
     @property
     def sentence(self) -> str:
@@ -68,7 +79,8 @@ class Simulated(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
-        return {**self._asdict(), 'axes': AXES, 'units': {'noise': POSE_UNITS, 'beginning': 's'}}
+        return {**self._asdict(), 'axes': AXES, 'units': {
+            'noise': POSE_UNITS, 'of_cup': POSE_UNITS, 'beginning': 's'}}
 
 
 class FitVerdict(NamedTuple):
@@ -128,11 +140,12 @@ class FitVerdict(NamedTuple):
                 found.append(
                     f'{own.bag}: more than {100.0 * UNEXPLAINED:g} % of the motion is unexplained '
                     f'in {", ".join(own.unexplained)}.')
-            elif self.chi2 is not None and (own.rms > MISFIT * own.noise).any():
+            elif self.chi2 is not None and (own.rms > own.largest).any():
                 found.append(
                     f'{own.bag}: the free simulation is off by up to '
-                    f'{np.max(own.rms / own.noise):.1f} times the noise, so model or data are '
-                    'wrong. Check package.mass, package.com, package.inertia and the frames, or '
+                    f'{np.max(own.rms / own.noise):.1f} times the noise, more than the standard '
+                    'errors of K and P allow, so model or data are wrong. Check package.mass, '
+                    'package.com, package.inertia and the frames, or '
                     'use a richer fit.structure.')
         if self.simulated and not found and self.chi2 is not None and self.chi2 > MISFIT**2:
             found.append(
@@ -232,15 +245,29 @@ def verdict_of(
         return FitVerdict((), diagnosis, values)
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)
-    found = FitVerdict(tuple(_simulated(cup, own) for own in some if fit.usable), diagnosis,
-                       values, fit.robust_chi2)
+    others = [] if fit.robust_chi2 is None else _others(fit, cup, given_structure(values))
+    found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
+                       diagnosis, values, fit.robust_chi2)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))
     return found
 
 
-def _simulated(cup: Cup, recording: Recording) -> Simulated:
+def _others(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
+    """Return cups whose K and P are off by what the fit's standard errors allow."""
+    known = np.isfinite(np.diag(fit.covariance))
+    if not known.any():
+        return []
+    drawn = np.tile(fit.parameters, (CUPS, 1))
+    drawn[:, known] = np.random.default_rng(0).multivariate_normal(
+        fit.parameters[known], fit.covariance[np.ix_(known, known)], CUPS, method='eigh')
+    matrices = (structure.matrices(theta) for theta in drawn)
+    return [gripper_of(Cup(K, P, cup.length, fit.relaxation), structure.places)
+            for K, P in matrices if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) > 0.0]
+
+
+def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Simulated:
     """Return a recording simulated freely; all of it is unexplained where that is not possible."""
     from bellows_ros.core.identification.validation import validate
 
@@ -249,12 +276,17 @@ def _simulated(cup: Cup, recording: Recording) -> Simulated:
     except UnstableError:
         nothing = np.full(6, np.nan)
         return Simulated(recording.name, nothing, nothing, nothing, AXES)
+    moved = []
+    for other in others:
+        with suppress(UnstableError):
+            moved.append(validate(other, recording, MOST_SIMULATED).predicted - found.predicted)
     beyond = found.moves & ~(found.model_error <= UNEXPLAINED)
     seconds = float(np.ptp(found.stamps_ns)) / NS_PER_S
     return Simulated(
         recording.name, found.scores.rms, found.noise, found.scores.motion,
         tuple(AXES[i] for i in np.flatnonzero(beyond)),
-        seconds if len(recording.valid) > MOST_SIMULATED else 0.0)
+        seconds if len(recording.valid) > MOST_SIMULATED else 0.0,
+        np.sqrt(np.nanmean(np.square(moved), axis=(0, 1))) if moved else 0.0)
 
 
 def setting_of(found: Finding) -> str:

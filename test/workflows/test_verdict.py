@@ -36,7 +36,7 @@ def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
         monkeypatch, method, off, chi2, refused):
     """Whether its search converged or not: chi^2 was 29.5 with K thirteen times off."""
     noise = np.repeat([1e-4, 5e-4], 3)
-    monkeypatch.setattr(verdict, '_simulated', lambda cup, own: Simulated(
+    monkeypatch.setattr(verdict, '_simulated', lambda cup, own, others: Simulated(
         own.name, off * noise, noise, 100.0 * noise, ()))
     laboratory = Laboratory(4, seconds=4.0)
     values = {**parameters(laboratory), 'fit.structure': 'full'}

@@ -205,6 +205,15 @@ def test_length_and_centre_of_mass_are_both_settings():
     assert setting_of(found) == 'package.com or cup.length'
 
 
+def test_standard_errors_of_the_cup_may_show_in_a_free_simulation():
+    """Torsion is shaken near its resonance: 0.1 % of K rz is three times the noise."""
+    laboratory = Laboratory(406, seconds=10.0)
+    recordings, values = laboratory.recordings(), parameters(laboratory)
+    found = verdict_of(fit(recordings, values).fit, recordings, values['cup.length'], values)
+    (own,) = found.simulated
+    assert np.max(own.rms / own.noise) > 3.0 and not found.refusals
+
+
 @pytest.mark.parametrize(('seed', 'soft', 'coloured'), [
     (4, 0.1, False), (3, 0.0, True), (8022, 0.0, True), (51058, 0.0, True)])
 def test_a_sound_recording_is_not_refused(seed, soft, coloured):
