@@ -250,12 +250,10 @@ def _assigned(
     settings: dict[str, Any] = {'bags': (os.fspath(path),), **span}
     settings |= {f'topics.{role}': guess.topic for role, guess in
                  (('tool_pose', tool), ('package_pose', package)) if guess}
-    settings['topics.tool_twist'] = twist.topic if twist else ''
     in_degrees = twist is not None and tool is not None and is_in_degrees(
         poses[tool.topic], twists[twist.topic])
-    if twist:
-        settings |= ({'topics.tool_twist': ''} if in_degrees else
-                     {'tool_twist.frame': twist.frame})
+    settings |= {'topics.tool_twist': ''} if twist is None or in_degrees else {
+        'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}
     used = {guess.topic for guess in (tool, package, twist) if guess}
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]
