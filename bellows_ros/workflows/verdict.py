@@ -34,8 +34,8 @@ MOST_SIMULATED = 50_000
 UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
 
-CUPS, SURE = 5, 3.0
-"""Cups within the standard errors that are simulated, too, and how far off these may make it."""
+DRAWN, SIGMAS = 5, 3.0
+"""Cups drawn from the standard errors, and how many of the spreads they make are allowed."""
 
 MISFIT = 2.0
 """Times the noise by which output error may be off: a free simulation, and what it leaves."""
@@ -55,13 +55,13 @@ class Simulated(NamedTuple):
     unexplained: tuple[str, ...]
     beginning: float = 0.0
     """So much of a long recording, s; 0 where it is all of it."""
-    of_cup: Array | float = 0.0
-    """RMS errors that the standard errors of K and P make, (6,)."""
+    uncertainty: Array | float = 0.0
+    """RMS errors (6,) that the standard errors of K and P explain."""
 
     @property
     def largest(self) -> Array:
-        """Largest RMS errors (6,) that noise and the standard errors of K and P may make."""
-        return np.asarray(np.hypot(MISFIT * self.noise, SURE * np.asarray(self.of_cup)))
+        """Largest RMS errors (6,) that noise and the standard errors of K and P explain."""
+        return np.asarray(np.hypot(MISFIT * self.noise, SIGMAS * np.asarray(self.uncertainty)))
 
     @property
     def sentence(self) -> str:
@@ -80,7 +80,7 @@ class Simulated(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
         return {**self._asdict(), 'axes': AXES, 'units': {
-            'noise': POSE_UNITS, 'of_cup': POSE_UNITS, 'beginning': 's'}}
+            'noise': POSE_UNITS, 'uncertainty': POSE_UNITS, 'beginning': 's'}}
 
 
 class FitVerdict(NamedTuple):
@@ -245,7 +245,7 @@ def verdict_of(
         return FitVerdict((), diagnosis, values)
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)
-    others = [] if fit.robust_chi2 is None else _others(fit, cup, given_structure(values))
+    others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(values))
     found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
                        diagnosis, values, fit.robust_chi2)
     if not found.cause:  # wrenches show none
@@ -254,15 +254,15 @@ def verdict_of(
     return found
 
 
-def _others(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
-    """Return cups whose K and P are off by what the fit's standard errors allow."""
+def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
+    """Return cups with K and P drawn from the covariance of a fit."""
     known = np.isfinite(np.diag(fit.covariance))
     if not known.any():
         return []
-    drawn = np.tile(fit.parameters, (CUPS, 1))
-    drawn[:, known] = np.random.default_rng(0).multivariate_normal(
-        fit.parameters[known], fit.covariance[np.ix_(known, known)], CUPS, method='eigh')
-    matrices = (structure.matrices(theta) for theta in drawn)
+    thetas = np.tile(fit.parameters, (DRAWN, 1))
+    thetas[:, known] = np.random.default_rng(0).multivariate_normal(
+        fit.parameters[known], fit.covariance[np.ix_(known, known)], DRAWN, method='eigh')
+    matrices = (structure.matrices(theta) for theta in thetas)
     return [gripper_of(Cup(K, P, cup.length, fit.relaxation), structure.places)
             for K, P in matrices if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) > 0.0]
 

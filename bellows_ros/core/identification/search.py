@@ -10,8 +10,8 @@ logarithm of their size, K about the start, P about that of ordinary rubber, whi
 the recordings determine feels.
 
 A start that is far off is brought near first, its damping hardly changed, and without couplings,
-which noise would move anywhere: an unknown acceleration of the package lets all be forgotten that
-lies further back than a moment.
+which noise would move anywhere: with an unknown acceleration of the package the differences forget
+what lies further back than a moment.
 """
 
 from collections.abc import Callable, Sequence
@@ -416,8 +416,8 @@ class Search:
         """
         Go to the root, from unknowns near to it, and the system there, where they are given.
 
-        Noise would carry couplings away while a cup is brought near, so they come last; strong
-        ones, without which there is a misfit, come first.
+        A start is brought near without couplings, which noise would disturb, or with them where a
+        misfit remains without.
         """
         everything = np.eye(len(self.start))
         if near is not None:
