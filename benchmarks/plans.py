@@ -5,7 +5,7 @@ from time import process_time
 from typing import Any
 
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.planning.fastest import fastest
+from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import plan_of
 from bellows_ros.core.planning.steering import METHODS, steer

@@ -32,7 +32,7 @@ from bellows_ros.core.identification.search import (
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import structure_named
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.resampling import resample

@@ -14,7 +14,7 @@ from bellows_ros.report import column, with_error
 
 from . import options
 from .console import Console
-from .planned import run_plan_command
+from .options import run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import DesignedMotion

@@ -1,7 +1,7 @@
-"""Options shared by the commands, and the settings they give."""
+"""Options shared by the commands, the settings they give, and the order of work on plans."""
 
 import argparse
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import permutations
 import os
@@ -10,8 +10,9 @@ import re
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.extras import require_pictures
 
-from .console import Console
+from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
     from bellows_ros.core.parameters.table import Value
@@ -301,3 +302,86 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
     require_outputs(
         [item for item in named if isinstance(item, Output)],
         [*inputs, *(item for item in named if isinstance(item, Path))])
+
+
+def add_plan_options(
+    parser: argparse.ArgumentParser, numbers: str, picture: str, recording: str = ''
+) -> None:
+    """Add the options for a plan, its parameters and its outputs."""
+    parser.add_argument(
+        'plan', metavar='PLAN', type=Path,
+        help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
+             'poses, joint states or transforms; a YAML file with such a message or with a '
+             'motion for bellows simulate; or a TUM, KITTI or EuRoC file',
+    )
+    parser.add_argument(
+        '--topic', metavar='TOPIC', default='',
+        help='topic of the plan, if the recording has several plans')
+    add_span_options(parser, '0')  # a file may hold the part of another recording
+    add_arm_options(parser)
+    add_parameter_options(parser, span=False)
+    add_json_option(parser, numbers)
+    add_output(parser, '--plot', f'picture to write: {picture}', Binary)
+    if recording:
+        add_output(parser, '--out', f'recording to write: {recording}', Folder)
+        add_force_option(parser)
+
+
+def run_plan_command(
+    arguments: argparse.Namespace, console: Console,
+    work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
+    print_result: Callable[[Any, Console], None],
+    write: Callable[[Any], None] | None = None, film: Callable[[Any], None] | None = None,
+    good: Callable[[Any], bool] = lambda result: True,
+) -> int:
+    """
+    Read, work, write, report.
+
+    Parameters
+    ----------
+    arguments, console
+        Of the command.
+    work : callable
+        From parameters by name and a progress to a `workflows.result.CommandResult`.
+    write : callable
+        Writes a result as the recording `out`.
+    print_result : callable
+        Print the result.
+    film : callable
+        Writes a film of a result as `plot`.
+    good : callable
+        Whether the answer is yes.
+
+    """
+    values = cup_parameters(arguments, console)
+    if write is not None:
+        require_free(arguments.out, arguments.force)
+    from bellows_ros.plots import style
+
+    if arguments.plot:
+        require_pictures()
+        style.require_picture(arguments.plot, (*style.PICTURES, *(style.FILMS if film else ())))
+    with console.progress() as progress:
+        progress('planning')
+        result = work(values, progress)
+        with naming_written() as written:
+            if write is not None and arguments.out:
+                write(result)
+                written += [arguments.out]
+            if film and arguments.plot.lower().endswith(style.FILMS):
+                film(result)
+            elif arguments.plot:
+                style.write_figure(arguments.plot, result.plot())
+            written += [arguments.plot]
+            if arguments.json:
+                from bellows_ros import __version__
+                from bellows_ros.files.results import provenance
+
+                plans = [arguments.plan] if 'plan' in arguments else []
+                put_json(arguments.json, {
+                    **result.as_json(), 'version': __version__,
+                    'provenance': provenance(plans, arguments.params)})
+    print_result(result, console)
+    console.wrote(*(getattr(arguments, name, '')
+                    for name in ('json', 'plot', 'csv', 'urscript', 'out')))
+    return OK if good(result) else NOT_USABLE

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from bellows_ros.report import with_error
 
 from .console import Console
-from .planned import add_plan_options, run_plan_command
+from .options import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport

@@ -117,7 +117,7 @@ def _drawn(
     from bellows_ros.plots import recording
     from bellows_ros.plots.animation import write_animation
     from bellows_ros.plots.plan import margin_figure
-    from bellows_ros.plots.prediction import prediction_figure
+    from bellows_ros.plots.recording import prediction_figure
     from bellows_ros.plots.style import write_figure
     from bellows_ros.workflows.plot import loads, margins, motion, replayed, spectra, within
 

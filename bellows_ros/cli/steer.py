@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .console import Console
-from .planned import add_plan_options, run_plan_command
+from .options import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.steer import SteerReport

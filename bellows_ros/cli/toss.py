@@ -13,7 +13,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.report import column, with_error
 
 from .console import Console
-from .planned import add_plan_options, run_plan_command
+from .options import add_plan_options, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import TossResult

@@ -23,7 +23,7 @@ from bellows_ros.extras import require_pictures
 from bellows_ros.files.bags import read_messages
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.nodes.command import require_ros
-from bellows_ros.plots.prediction import prediction_figure
+from bellows_ros.plots.recording import prediction_figure
 from bellows_ros.plots.style import write_figure
 from bellows_ros.report import percent
 from bellows_ros.report.text import print_cup

@@ -38,11 +38,12 @@ from ..core.planning.points import joint_excess, JointPath, Joints, plan_of_join
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
 from ..errors import BellowsError
-from ..files.joint_plans import joint_plan, JointPlan
 from ..files.plan_messages import (
     decode_multi_dof,
     encode_multi_dof,
     encode_path,
+    joint_plan,
+    JointPlan,
     plan_message,
     PlanMessage,
     require_frame,

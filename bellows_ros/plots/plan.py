@@ -1,6 +1,6 @@
 """Pictures of plans: predicted, steered, tossed, designed; and of the safety factor over time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import Any
 
@@ -9,8 +9,13 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.grip import MODES
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
+from bellows_ros.plots.recording import prediction_figure
+from bellows_ros.workflows.excite import DesignedMotion
 from bellows_ros.workflows.plan import Curves, PlanReport
-from bellows_ros.workflows.replay import Margins
+from bellows_ros.workflows.replay import Margins, Replay
+from bellows_ros.workflows.result import CommandResult
+from bellows_ros.workflows.steer import SteerReport
+from bellows_ros.workflows.toss import TossResult
 import numpy as np
 
 from .panels import BELOW_HEAD, box_corners, BOX_EDGES, MILLI, name_panel, picture, single_panel
@@ -357,3 +362,20 @@ def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:
     close.set_title('where the package lands', fontsize=10)
     close.set_xlabel('x from the prediction (mm)')
     close.set_ylabel('y from the prediction (mm)')
+
+
+FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
+    PlanReport: lambda found, theme: plan_figure(found, found.source.path, theme),
+    SteerReport: lambda found, theme: steer_figure(found.motions, found.source.path, theme),
+    TossResult: lambda found, theme: toss_figure(found, f'Toss of {found.source.path}', theme),
+    DesignedMotion: lambda found, theme: excite_figure(
+        found.design, f'{found.design.motion.duration:g} s', theme),
+    Replay: lambda found, theme: prediction_figure(
+        found.recording.since_start(found.validation.stamps_ns), found.validation,
+        'Measured and simulated', f'{found.bag}, relative to the tool', theme),
+}
+
+
+def figure_of(found: CommandResult, theme: str = 'light') -> Any:
+    """Return the matplotlib Figure of a result."""
+    return FIGURES[type(found)](found, theme)

@@ -1,15 +1,28 @@
-"""Pictures of a recording: motion, spectra, samples, path, and the loads of the cup."""
+"""Pictures of a recording: motion, spectra, samples, path, loads of the cup, predictions."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS, Spectrum
+from bellows_ros.core.signals.residuals import AXES, Comparison, MILLI_UNITS, Spectrum, Whiteness
 from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
-from . import panels
+from .panels import (
+    BELOW_HEAD,
+    broken,
+    LEFT,
+    legend,
+    Line,
+    MILLI,
+    picture,
+    single_panel,
+    six,
+    six_lines,
+    six_pairs,
+)
 from .style import THEMES
 
 
@@ -35,10 +48,10 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
 
     def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Any:
         turned = log_so3(rotation @ rotation[start].T)
-        moved = panels.broken(np.hstack([position - position[start], turned]), motion.valid)
-        return panels.Line(name, colour, width, motion.seconds, panels.MILLI * moved)
+        moved = broken(np.hstack([position - position[start], turned]), motion.valid)
+        return Line(name, colour, width, motion.seconds, MILLI * moved)
 
-    figure = panels.six_lines('Motion in the world, from the start', note, theme, (
+    figure = six_lines('Motion in the world, from the start', note, theme, (
         line('tool', 'measured', 3.0, motion.tool_position, motion.tool_rotation),
         line('package', 'predicted', 0.9, motion.package_position, motion.package_rotation),
     ), 'time (s)')
@@ -73,14 +86,14 @@ def spectra_figure(
 
     """
     hertz = spectra.frequency_hz[1:]
-    lines = [panels.Line('measured', 'measured', 2.2, hertz, panels.MILLI * spectra.measured[1:])]
+    lines = [Line('measured', 'measured', 2.2, hertz, MILLI * spectra.measured[1:])]
     if spectra.error is not None:
-        lines.append(panels.Line(
-            'predicted minus measured', 'error', 1.1, hertz, panels.MILLI * spectra.error[1:]))
+        lines.append(Line(
+            'predicted minus measured', 'error', 1.1, hertz, MILLI * spectra.error[1:]))
     if one_step:
-        lines.append(panels.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
-                                 panels.MILLI * np.sqrt(one_step.density[1:])))
-    return panels.six_lines(
+        lines.append(Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
+                          MILLI * np.sqrt(one_step.density[1:])))
+    return six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
         [f'{unit}/√Hz' for unit in MILLI_UNITS], log=True)
 
@@ -105,8 +118,8 @@ def samples_figure(recording: Recording, note: str, theme: str = 'light') -> Any
     """
     seconds = recording.since_start(recording.package.stamps_ns)
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    with panels.picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
-        panel = panels.single_panel(figure, left=0.14)
+    with picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
+        panel = single_panel(figure, left=0.14)
         rows = ((recording.valid, colours.measured),
                 (~recording.measured_tool.valid, colours.predicted),
                 (~recording.measured_package.valid, colours.predicted))
@@ -145,13 +158,13 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
 
     """
     usable = np.flatnonzero(motion.valid)
-    with panels.picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
+    with picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
             figure, colours):
-        panels.legend(figure, (('tool tip E', colours.measured, 3.0),
-                               ('package B', colours.predicted, 1.2)))
+        legend(figure, (('tool tip E', colours.measured, 3.0),
+                        ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
-        tool = panels.broken(motion.tool_position, motion.valid)
-        package = panels.broken(motion.package_position, motion.valid)
+        tool = broken(motion.tool_position, motion.valid)
+        package = broken(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4)
         space.plot(*package.T, color=colours.predicted, linewidth=1.0)
         for i in usable[:: max(1, len(usable) // 40)]:  # some forty
@@ -190,13 +203,13 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     usable = np.flatnonzero(loads.valid)
     shown = usable[:: max(1, len(usable) // MOST_POINTS)]
     title = 'Load on the cup against its deflection'
-    with panels.picture(title, note, theme) as (figure, colours):
-        panels.legend(figure, (('needed by the motion', colours.measured, 4.0),
-                               ('stiffness of the cup', colours.predicted, 1.4)))
-        for axis, panel in enumerate(panels.six(figure, UNITS)):
+    with picture(title, note, theme) as (figure, colours):
+        legend(figure, (('needed by the motion', colours.measured, 4.0),
+                        ('stiffness of the cup', colours.predicted, 1.4)))
+        for axis, panel in enumerate(six(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             kind, scale, unit = (
-                ('force', panels.MILLI, 'mm') if axis < 3 else (
+                ('force', MILLI, 'mm') if axis < 3 else (
                     'moment', np.rad2deg(1.0), 'degrees'))
             panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
@@ -226,16 +239,142 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    load, residual = (panels.broken(x, loads.valid) for x in (loads.load, loads.residual))
+    load, residual = (broken(x, loads.valid) for x in (loads.load, loads.residual))
     title = 'Load on the cup, and the unexplained part'
-    with panels.picture(title, note, theme) as (figure, colours):
-        panels.legend(figure, (('needed by the motion', colours.measured, 2.4),
-                               ('unexplained', colours.error, 1.0)))
+    with picture(title, note, theme) as (figure, colours):
+        legend(figure, (('needed by the motion', colours.measured, 2.4),
+                        ('unexplained', colours.error, 1.0)))
         rms = np.sqrt(np.nanmean(residual**2, axis=0))
         parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
-        panels.six_pairs(
-            figure, colours, [panels.Line('', 'measured', 1.8, loads.seconds, load)], residual,
+        six_pairs(
+            figure, colours, [Line('', 'measured', 1.8, loads.seconds, load)], residual,
             [f'unexplained RMS {own:.2g} {unit}, {part:.2g} % of the load'
              for own, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
-            -0.155, **panels.BELOW_HEAD, hspace=0.24, wspace=0.26)
+            -0.155, **BELOW_HEAD, hspace=0.24, wspace=0.26)
     return figure
+
+
+SIZE = (11.0, 8.4)  # inches
+GAP_PERIODS = 3.0
+"""A line is interrupted where samples are missing for this many periods."""
+
+LEAST_SPAN = 2.0
+"""mm or mrad that an axis shows at least, so that noise at rest does not look like motion."""
+
+
+def prediction_figure(
+    seconds: Array, comparison: Comparison, title: str, note: str, theme: str = 'light'
+) -> Any:
+    """
+    Draw a comparison.
+
+    Parameters
+    ----------
+    seconds : array (N,)
+        From the recording's first stamp, s.
+    comparison : Comparison
+        What is drawn; each line is interrupted where its own values are missing.
+    title, note : str
+        What is shown, and under which conditions.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    with picture(title, note, theme, SIZE) as (figure, colours):
+        legend(figure, (('measured', colours.measured, 4.0), ('predicted', colours.predicted, 1.0),
+                        ('predicted minus measured', colours.error, 1.0)))
+        scores = comparison.scores
+        titles = [
+            f'error RMS {figures(rms)} {unit}, largest {figures(largest)} {unit}, '
+            f'{percent(nrmse)} of the motion' for rms, largest, nrmse, unit in zip(
+                MILLI * scores.rms, MILLI * scores.largest, scores.nrmse, MILLI_UNITS,
+                strict=True)]
+        times, measured, predicted = (with_gaps(seconds, values) for values in (
+            seconds, MILLI * comparison.measured, MILLI * comparison.predicted))
+        columns = six_pairs(
+            figure, colours, (Line('', 'measured', 3.6, times, measured),
+                              Line('', 'predicted', 0.9, times, predicted)),
+            predicted - measured, titles, MILLI_UNITS, 'error\n({})', left=LEFT, right=0.985,
+            top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
+        for upper, _ in columns:
+            low, high = upper.get_ylim()
+            lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
+            upper.set_ylim(low - lack, high + lack)
+        for (top, _), what in zip(columns[::3], ('Position', 'Rotation'), strict=True):
+            figure.text(top.get_position().x0, 0.885, f'{what} of B in tool axes', fontsize=10.5,
+                        fontweight='bold')
+    return figure
+
+
+def errors_figure(ways: Mapping[str, Comparison], note: str, theme: str = 'light') -> Any:
+    """
+    Draw the errors of up to three estimates over time, each from the first stamp of all.
+
+    Parameters
+    ----------
+    ways : mapping of str to Comparison
+        By name.
+    note : str
+        Of which recording.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    start_ns = min(way.stamps_ns[0] for way in ways.values())
+    styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
+    return six_lines('Predicted minus measured', note, theme, [
+        Line(name, colour, width, (way.stamps_ns - start_ns) * 1e-9, MILLI * way.error)
+        for (name, way), (colour, width) in zip(ways.items(), styles, strict=False)], 'time (s)')
+
+
+def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
+    """
+    Draw the autocorrelation of errors, and the band in which that of white noise stays.
+
+    Parameters
+    ----------
+    test : Whiteness
+        What is drawn.
+    note : str
+        Of which errors.
+    theme : {'light', 'dark'}
+        Colours for a light or a dark background.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    lags = np.arange(1.0, test.lags + 1.0)
+    band = np.full((test.lags, 6), 1.96 / np.sqrt(test.samples))
+    return six_lines('Autocorrelation of the errors', note, theme, (
+        Line('95 % of white noise', 'quiet', 0.9, lags, band), Line('', 'quiet', 0.9, lags, -band),
+        Line('autocorrelation', 'error', 1.2, lags, test.autocorrelation),
+    ), 'lag (samples)', ('1',) * 6)
+
+
+def figures(value: float) -> str:
+    """Return a number with two figures."""
+    return f'{value:#.2g}'.removesuffix('.')
+
+
+def percent(ratio: float) -> str:
+    """Return a ratio in percent with two figures, or a dash if nothing moved."""
+    return f'{figures(100.0 * ratio)} %' if np.isfinite(ratio) else '-'
+
+
+def with_gaps(seconds: Array, values: Array) -> Array:
+    """Return values (N + G, ...) with NaN in each of the G gaps, so that lines are interrupted."""
+    if len(seconds) < 3:
+        return values
+    steps = np.diff(seconds)
+    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
+    return np.asarray(np.insert(values, gaps, np.nan, axis=0))

@@ -35,13 +35,18 @@ from bellows_ros.core.model.cup_package import (
 )
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.structure import fitted_structure, Structure
-from bellows_ros.core.parameters.checks import gravity_of, implausible, PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import (
+    gravity_of,
+    implausible,
+    PACKAGE_PARAMETERS,
+    resolve,
+    Settings,
+)
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion
-from bellows_ros.core.synthetic.sensing import sensor_from
+from bellows_ros.core.synthetic.recipe import sensor_from
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.atomic import new_folder

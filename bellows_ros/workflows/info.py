@@ -20,12 +20,12 @@ from bellows_ros.core.recording.alignment import (
 from bellows_ros.core.recording.conventions import convention_sentence
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
-from bellows_ros.core.signals.timing import at_sampling, timing
+from bellows_ros.core.signals.resampling import at_sampling, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files import File
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.files.messages import BOOL
-from bellows_ros.files.transforms import read_transforms, TF
+from bellows_ros.files.plans import read_transforms, TF
 from bellows_ros.workflows.recordings import part_of
 from bellows_ros.workflows.roles import (
     Guess,

@@ -15,8 +15,7 @@ from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Calibration, Observer, Payload
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.parameters.checks import pose_text
-from bellows_ros.core.recording.alignment import world_rotation
-from bellows_ros.core.recording.package_world import pose_of
+from bellows_ros.core.recording.alignment import pose_of, world_rotation
 from bellows_ros.core.recording.recording import Recording, require_one_frame
 from bellows_ros.core.signals.residuals import compare, Comparison
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory

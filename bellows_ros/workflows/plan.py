@@ -19,14 +19,13 @@ from bellows_ros.core.model.simulation import stands, ToolRows
 from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
-from bellows_ros.core.planning.fastest import Fastest, fastest
+from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
-from bellows_ros.core.signals.resampling import on_grid
+from bellows_ros.core.signals.resampling import on_grid, timing
 from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.timing import timing
 from bellows_ros.core.signals.trajectory import (
     at_tip,
     from_tip,
@@ -41,8 +40,8 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, plan_messages
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_contents
-from bellows_ros.files.joint_plans import JointPlan
 from bellows_ros.files.parameter_files import with_chosen_cup
+from bellows_ros.files.plan_messages import JointPlan
 from bellows_ros.files.plans import (
     arm_of,
     encode_joints,
@@ -50,11 +49,12 @@ from bellows_ros.files.plans import (
     joints_or_tf,
     plan_in_yaml,
     plans_in,
+    read_transforms,
     read_yaml,
+    rotations_in_root,
 )
 from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import read_trajectory
-from bellows_ros.files.transforms import read_transforms, rotations_in_root
 from bellows_ros.workflows.recordings import inside
 from bellows_ros.workflows.result import CommandResult
 import numpy as np

@@ -177,7 +177,7 @@ def _prepared(
     if world == '':
         require_one_frame(tool, package)
     else:
-        from bellows_ros.core.recording.package_world import (  # late: rare
+        from bellows_ros.core.recording.alignment import (  # late: rare
             closed_form,
             in_tool_world,
             pose_of,
@@ -193,7 +193,7 @@ def _prepared(
     if not (world == ESTIMATE or values['fit.time_offset']):
         return recording
     from bellows_ros.core.identification.free import refined_preparation
-    from bellows_ros.core.recording.package_world import in_tool_world, shifted_pose
+    from bellows_ros.core.recording.alignment import in_tool_world, shifted_pose
 
     wanted = (values['cup.length'], given_structure(values), world == ESTIMATE,
               values['fit.time_offset'])
@@ -226,8 +226,12 @@ def _registered(
         registered,
         regripped,
     )
-    from bellows_ros.core.recording.alignment import rough_offset
-    from bellows_ros.core.recording.package_world import in_tool_world, pose_of, shifted_pose
+    from bellows_ros.core.recording.alignment import (
+        in_tool_world,
+        pose_of,
+        rough_offset,
+        shifted_pose,
+    )
 
     world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
     wanted = {'time_offset': values['fit.time_offset'], 'package_world': world == ESTIMATE,

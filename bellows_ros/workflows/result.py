@@ -48,6 +48,6 @@ class CommandResult:
 
         """
         require_pictures()
-        from bellows_ros.plots.results import figure_of  # needs matplotlib, which is optional
+        from bellows_ros.plots.plan import figure_of  # needs matplotlib, which is optional
 
         return figure_of(self, theme)

@@ -22,7 +22,7 @@ from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.recording.alignment import levelling
 from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.core.synthetic import sensing
+from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
 from bellows_ros.core.toss.landing import release_factor

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.perturbed import deviations_of, mean_square
-from bellows_ros.core.parameters.checks import implausible
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import implausible, Settings
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
 from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED
 from bellows_ros.core.planning.points import joint_excess, timed

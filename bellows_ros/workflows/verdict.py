@@ -338,7 +338,7 @@ def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
                 'Measure it under vacuum, or with bellows static: it would be '
                 f'{given["cup.length"] + theta[0]:.5f}.')
     if name == 'package_world':
-        from bellows_ros.core.recording.package_world import motion_sentence  # late: rare
+        from bellows_ros.core.recording.alignment import motion_sentence  # late: rare
 
         return motion_sentence(theta, std), 'Set recording.package_world: estimate.'
     return _frame_words(found, given) or _setting_words(found, given)

@@ -4,7 +4,7 @@ from bellows_ros.core.geometry.lie import exp_se3, inverse_transform, rotation_t
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import read_streams
-from bellows_ros.files.transforms import poses_in, read_transforms, TF
+from bellows_ros.files.plans import poses_in, read_transforms, TF
 from bellows_ros.workflows.convert import bodies_in_transforms, to_bag
 from bellows_ros.workflows.info import info
 import numpy as np

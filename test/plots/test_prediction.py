@@ -4,7 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 
 from bellows_ros.core.signals.residuals import Comparison, score
-from bellows_ros.plots.prediction import figures, prediction_figure, with_gaps
+from bellows_ros.plots.recording import figures, prediction_figure, with_gaps
 from bellows_ros.plots.style import drawing, inline_svg, THEMES
 import numpy as np
 import pytest

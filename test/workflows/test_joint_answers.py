@@ -5,8 +5,7 @@ from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.points import quintic
-from bellows_ros.files.joint_plans import JointPlan
-from bellows_ros.files.plan_messages import PlanMessage
+from bellows_ros.files.plan_messages import JointPlan, PlanMessage
 from bellows_ros.files.plans import plans_in
 import numpy as np
 import pytest

@@ -8,7 +8,7 @@ from bellows_ros.core.geometry.lie import (
     transform,
 )
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.recording.package_world import pose_of
+from bellows_ros.core.recording.alignment import pose_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import message_types, read_streams

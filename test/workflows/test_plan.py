@@ -16,9 +16,8 @@ from bellows_ros.files.plan_messages import (
     PATH,
     PlanMessage,
 )
-from bellows_ros.files.plans import DESCRIPTION, JOINTS, plan_in_yaml, read_yaml, STATES
+from bellows_ros.files.plans import DESCRIPTION, JOINTS, plan_in_yaml, read_yaml, STATES, TF
 from bellows_ros.files.trajectory_files import write_tum
-from bellows_ros.files.transforms import TF
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
 from bellows_ros.workflows.plan import plan, read_plan, write_prediction
 import numpy as np

@@ -3,7 +3,7 @@
 import copy
 
 from bellows_ros.core.geometry.lie import hat, log_so3
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.synthetic.motion import KINDS
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.core.toss.release import RELEASE_NAMES

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, transform
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.planning.limits import largest_rates, read_rates
 from bellows_ros.core.synthetic.motion import Motion, Pose, pose_from

@@ -18,8 +18,7 @@ from bellows_ros.core.identification.objective import (
 )
 from bellows_ros.core.identification.variations import Given, Variation
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.alignment import Alignment
-from bellows_ros.core.recording.package_world import closed_form, motion_of
+from bellows_ros.core.recording.alignment import Alignment, closed_form, motion_of
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError

@@ -20,8 +20,7 @@ from bellows_ros.core.identification.quantities import anything, KINDS
 from bellows_ros.core.identification.search import measured_of, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.alignment import Alignment
-from bellows_ros.core.recording.package_world import slow_poses, turn_of
+from bellows_ros.core.recording.alignment import Alignment, slow_poses, turn_of
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError

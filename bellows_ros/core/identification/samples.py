@@ -251,7 +251,7 @@ def _require_one_world(
     recording: Recording, tool: Trajectory, package: Trajectory, lip: Array
 ) -> None:
     """Refuse a recording where another world of the package keeps its lip in place."""
-    from bellows_ros.core.recording.package_world import (  # late: rare
+    from bellows_ros.core.recording.alignment import (  # late: rare
         closed_form,
         in_tool_world,
         motion_of,

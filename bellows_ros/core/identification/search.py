@@ -45,9 +45,8 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import pose_noise, Recording
-from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.resampling import MAD_TO_STD, resample, subdivided
 from bellows_ros.core.signals.savgol import bridged, first_order, savgol
-from bellows_ros.core.signals.timing import MAD_TO_STD, subdivided
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np

@@ -21,13 +21,14 @@ from __future__ import annotations
 from typing import Any
 
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.products import add_product, product
 from bellows_ros.core.geometry.tuples import (
     add,
+    add_product,
     add_scaled_matrix,
     apply,
     hat,
     multiply,
+    product,
     scale,
     scale_matrix,
 )

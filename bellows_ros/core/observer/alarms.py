@@ -26,8 +26,13 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.products import add_product, product, subtract_product
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.geometry.tuples import (
+    add_product,
+    product,
+    Quaternion,
+    subtract_product,
+    Vector,
+)
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer.filter import (
     CAMERA,

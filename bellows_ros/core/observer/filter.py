@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.products import add_product, product, transpose
 from bellows_ros.core.geometry.tuples import (
     add,
+    add_product,
     add_scaled,
     add_scaled_matrix,
     apply,
@@ -28,10 +28,12 @@ from bellows_ros.core.geometry.tuples import (
     hat,
     Matrix,
     multiply,
+    product,
     rotation_matrix,
     scale,
     scale_matrix,
     subtract,
+    transpose,
     transposed,
     unit,
     Vector,

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
-from bellows_ros.core.geometry.products import product, subtract_product, transpose
 from bellows_ros.core.geometry.tuples import (
     add,
     add_scaled,
@@ -19,12 +18,15 @@ from bellows_ros.core.geometry.tuples import (
     hat,
     multiply,
     normalised,
+    product,
     Quaternion,
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
     scale,
     subtract,
+    subtract_product,
+    transpose,
     transposed,
     Vector,
 )

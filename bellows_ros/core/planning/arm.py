@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.parameters.settings import LARGEST
+from bellows_ros.core.parameters.checks import LARGEST
 from bellows_ros.errors import BellowsError
 import numpy as np
 

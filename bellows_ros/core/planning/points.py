@@ -15,9 +15,8 @@ from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.lie import apply, transform
 from bellows_ros.core.model.simulation import tool_rows, ToolRows, write_row
 from bellows_ros.core.planning.arm import Arm
-from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.resampling import resample, subdivided
 from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
-from bellows_ros.core.signals.timing import subdivided
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

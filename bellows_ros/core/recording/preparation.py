@@ -34,15 +34,16 @@ from bellows_ros.core.recording.recording import (
     StreamReport,
     TimeOffset,
 )
-from bellows_ros.core.signals.resampling import on_grid, resample
-from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.timing import (
+from bellows_ros.core.signals.resampling import (
     ArrivalStamps,
     at_sampling,
     JITTER_WARNED,
+    on_grid,
+    resample,
     Timing,
     timing,
 )
+from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import (
     Filtered,
     frozen,

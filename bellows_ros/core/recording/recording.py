@@ -18,8 +18,8 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
+from bellows_ros.core.signals.resampling import ArrivalStamps, MAD_TO_STD, Timing
 from bellows_ros.core.signals.savgol import first_order, weights
-from bellows_ros.core.signals.timing import ArrivalStamps, MAD_TO_STD, Timing
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np

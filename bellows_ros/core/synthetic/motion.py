@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError

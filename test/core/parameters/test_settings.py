@@ -1,6 +1,6 @@
 """Nested settings: what is read, and the words in which the rest is refused."""
 
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.safe_yaml import load
 import pytest

@@ -10,7 +10,7 @@ from bellows_ros.core.model.perturbed import (
     parameter_vector,
     perturbed,
 )
-from bellows_ros.core.planning.fastest import fastest
+from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan import PlanSimulation, predict
 from bellows_ros.core.planning.points import plan_of, timed
 import numpy as np

@@ -1,9 +1,8 @@
 """Rates, gaps and jitter of stamps, and poses brought to a uniform rate."""
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.signals.resampling import on_grid
+from bellows_ros.core.signals.resampling import on_grid, timing
 from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.timing import timing
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np

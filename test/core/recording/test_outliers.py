@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.recording.outliers import find_outliers, repeats_in_motion
-from bellows_ros.core.signals.timing import timing
+from bellows_ros.core.signals.resampling import timing
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

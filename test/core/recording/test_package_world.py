@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.checks import validate
-from bellows_ros.core.recording import package_world
+from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.recording import require_one_frame
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
@@ -33,11 +33,11 @@ def rigid(marker, aside):
 def test_the_closed_form_is_exact_for_a_rigid_cup(marker, aside):
     """Find the transform as well as poses are interpolated between others 10 ms apart."""
     tool, package = rigid(np.array(marker), aside)
-    pose = package_world.closed_form(
+    pose = alignment.closed_form(
         tool.trajectory(), package.trajectory(), LENGTH, np.zeros(3), any(marker))
     assert_allclose(
         lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3]), T_BASE_MOCAP, atol=1e-7)
-    moved = package_world.in_tool_world(package, pose, 'base')
+    moved = alignment.in_tool_world(package, pose, 'base')
     assert moved.frame_id == 'base'
     lip = tool.position + lie.apply(tool.rotation, np.array(aside) - [0.0, 0.0, LENGTH])
     assert_allclose(moved.position, lip, atol=1e-7)
@@ -48,7 +48,7 @@ def test_nothing_that_turns_tells_no_turn_between_the_worlds():
     still = PoseStream('tool', 'base', tool.stamps_ns, tool.position,
                        np.tile(np.eye(3), (len(tool), 1, 1)))
     with pytest.raises(BellowsError):
-        package_world.closed_form(
+        alignment.closed_form(
             still.trajectory(), package.trajectory(), LENGTH, np.zeros(3), True)
 
 
@@ -58,8 +58,8 @@ def test_a_small_motion_of_the_world_moves_what_is_seen_in_it():
     level, middle = lie.exp_so3(np.array([np.pi / 2, 0.0, 0.0])), np.array([0.1, 0.2, 0.3])
     theta = np.array([1e-3, 2e-3, -3e-3, 0.01, -0.02, 0.03])
     before, after = (
-        lie.apply(level, package_world.in_tool_world(package, p, 'base').position)
-        for p in (pose, package_world.shifted_pose(pose, level, middle, theta)))
+        lie.apply(level, alignment.in_tool_world(package, p, 'base').position)
+        for p in (pose, alignment.shifted_pose(pose, level, middle, theta)))
     assert_allclose(
         after, middle + theta[:3] + lie.apply(lie.exp_so3(theta[3:]), before - middle), atol=1e-12)
 
@@ -68,8 +68,8 @@ def test_two_frames_are_refused_with_the_remedy():
     tool, package = rigid(np.zeros(3), np.zeros(3))
     with pytest.raises(BellowsError):
         require_one_frame(tool, package)
-    pose = package_world.pose_of('0 0 0 0 0 0 1')
-    require_one_frame(tool, package_world.in_tool_world(package, pose, 'base'))
+    pose = alignment.pose_of('0 0 0 0 0 0 1')
+    require_one_frame(tool, alignment.in_tool_world(package, pose, 'base'))
 
 
 def test_the_parameter_takes_numbers_in_any_form_and_nothing_else():

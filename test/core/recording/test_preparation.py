@@ -7,8 +7,8 @@ from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import prepare, stream_warnings
 from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.signals.resampling import timing
 from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.timing import timing
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams

@@ -1,7 +1,7 @@
 """Stamps that are times of arrival: found where they are, and nowhere else."""
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.signals.timing import at_sampling
+from bellows_ros.core.signals.resampling import at_sampling
 from bellows_ros.core.signals.trajectory import PoseStream
 import numpy as np
 from numpy.testing import assert_allclose

@@ -1,7 +1,7 @@
 """Motions of the tool: derivatives by finite differences, smoothness, errors of settings."""
 
 from bellows_ros.core.geometry.lie import log_so3, rpy_rotation
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.synthetic.motion import motion_from
 from bellows_ros.errors import BellowsError
 import numpy as np

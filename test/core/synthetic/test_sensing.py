@@ -1,10 +1,10 @@
 """What tracking makes of a motion: noise, jumps, gaps, frames, worlds and stamps."""
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
-from bellows_ros.core.parameters.settings import Settings
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.core.synthetic import sensing
-from bellows_ros.core.synthetic.sensing import Faults, Sensor, TwistSensor
+from bellows_ros.core.synthetic import recipe as sensing
+from bellows_ros.core.synthetic.recipe import Faults, Sensor, TwistSensor
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
