@@ -7,6 +7,7 @@ Headings, tables and pictures are HTML, with all style inside.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from html import escape
+from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.identification.reduction import SEED as EXCITATION_SEED
@@ -112,38 +113,11 @@ def _style() -> str:
     return (
         f':root{{{_variables(THEMES["light"])}--warn:#9a6700}}\n'
         f'@media (prefers-color-scheme:dark){{:root{{{_variables(THEMES["dark"])}'
-        f'--warn:#e3b341}}}}\n{STYLE}'
+        f'--warn:#e3b341}}}}\n\n{STYLE.read_text()}'
     )
 
 
-STYLE = """
-*{box-sizing:border-box}
-body{margin:0 auto;padding:24px;max-width:1180px;background:var(--background);color:var(--text);
-font:15px/1.5 system-ui,-apple-system,'Segoe UI',Roboto,'DejaVu Sans',sans-serif}
-h1{font-size:1.6em;margin:0}
-h2{font-size:1.2em;margin:2em 0 .4em;padding-bottom:.2em;border-bottom:1px solid var(--grid)}
-h3{font-size:1em;margin:1.4em 0 .3em}
-p{margin:.4em 0;max-width:50em}
-.dim{color:var(--quiet)}
-.bold{font-weight:600}
-.red{color:var(--warn)}
-ul{margin:.4em 0;padding-left:1.3em;max-width:52em}
-ul.warning{color:var(--warn)}
-.wide{overflow-x:auto}
-table{border-collapse:collapse;margin:.5em 0;font-variant-numeric:tabular-nums}
-th,td{padding:3px 14px 3px 0;text-align:left;border-bottom:1px solid var(--grid);
-vertical-align:top}
-th{font-weight:600;color:var(--quiet)}
-.number{text-align:right}
-td{white-space:nowrap}
-details td{white-space:normal;overflow-wrap:anywhere}
-details td:first-child{white-space:nowrap}
-figure{margin:1em 0;overflow-x:auto}
-svg{display:block;width:100%;min-width:640px;max-width:1000px;height:auto}
-details{margin:.6em 0}
-summary{cursor:pointer;color:var(--quiet)}
-@media print{details>*{display:block}body{max-width:none}}
-"""
+STYLE = Path(__file__).with_name('style.css')
 
 
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
