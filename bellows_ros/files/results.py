@@ -26,57 +26,38 @@ import numpy as np
 
 LARGEST_FILE = 64 * 2**20
 
-# What every result has.
 KEYS = (
-    'method',
-    'structure',
-    'stiffness',
-    'damping',
-    'stiffness_std',
-    'damping_std',
-    'samples_used',
-    'samples_rejected',
-    'condition_number',
-)
+    'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std', 'samples_used',
+    'samples_rejected', 'condition_number')
+"""What every result has."""
+
 _MATRICES = ('stiffness', 'damping', 'stiffness_std', 'damping_std')
 
 POSE_COVARIANCE = ('m^2', 'm rad', 'rad^2')
 """Units of a covariance of positions and rotations."""
 
 UNIT_OF: Mapping[str, Any] = {
-    **{
-        name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)]
-               for row in range(6)]
-        for name, matrix in (('stiffness', 'K'), ('damping', 'P'))
-    },
-    **dict.fromkeys((
-        'rms', 'largest', 'motion', 'noise_rms', 'lip', 'creep', 'measured', 'predicted',
-    ), POSE_UNITS),
-    **dict.fromkeys((
-        'relaxation', 'chi2', 'robust_chi2', 'condition_number', 'narrowed', 'noise_share',
-        'signal_to_noise',
-        'bias', 'pairs', 'aic', 'bic', 'held_out', 'simulated',
-        'effective_samples', 'probability', 'probability_stiffness', 'probability_damping',
-        'deviations', 'excess', 'left', 'moved', 'nrmse', 'model_error', 'limit', 'p_value',
-        'portmanteau', 'largest_autocorrelation', 'real_time_factor',
-        'smallest_safety_factor', 'least_safety_factor', 'fastest_scale', 'time_scale',
-        'landing_rotation', 'stiffness_after_moves', 'stiffness_of_a_step',
-    ), '1'),
-    **dict.fromkeys((
-        'cup_length', 'length', 'lengths', 'peak_deflection', 'path_error', 'landing_position',
-    ), 'm'),
-    **dict.fromkeys((
-        'time_offsets', 'duration', 'own_delay', 'took', 'smallest_safety_time', 'settled_after',
-        'added_time', 'smoothed', 'valve_time', 'release_time', 'landing_time',
-    ), 's'),
-    **dict.fromkeys(('load', 'loads', 'linear_load', 'peak_force'), 'N'),
-    **dict.fromkeys(('peak_moment', 'rigid_peak_moment'), 'N m'),
-    **dict.fromkeys((
-        'tilt', 'peak_bending', 'swing_left', 'largest_tilt', 'expected_swing'), 'rad'),
+    **{name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)]
+              for row in range(6)] for name, matrix in (('stiffness', 'K'), ('damping', 'P'))},
+    **dict.fromkeys(
+        'rms largest motion noise_rms lip creep measured predicted'.split(), POSE_UNITS),
+    **{name: unit for unit, names in {
+        '1': 'relaxation chi2 robust_chi2 condition_number narrowed noise_share signal_to_noise '
+             'bias pairs aic bic held_out simulated effective_samples probability '
+             'probability_stiffness probability_damping deviations excess left moved nrmse '
+             'model_error limit p_value portmanteau largest_autocorrelation real_time_factor '
+             'smallest_safety_factor least_safety_factor fastest_scale time_scale '
+             'landing_rotation stiffness_after_moves stiffness_of_a_step',
+        'm': 'cup_length length lengths peak_deflection path_error landing_position',
+        's': 'time_offsets duration own_delay took smallest_safety_time settled_after '
+             'added_time smoothed valve_time release_time landing_time',
+        'N': 'load loads linear_load peak_force', 'N m': 'peak_moment rigid_peak_moment',
+        'rad': 'tilt peak_bending swing_left largest_tilt expected_swing', 'N s': 'impulse',
+        'm/s': 'speed', 'm/s^2': 'acceleration', 'm/s^3': 'jerk', 'rad/s^3': 'angular_jerk',
+        'rad/s': 'angular_speed tumbling', 'rad/s^2': 'angular_acceleration',
+    }.items() for name in names.split()},
     **dict.fromkeys(('release_twist', 'landing_twist'), [*3 * ['m/s'], *3 * ['rad/s']]),
-    'impulse': 'N s', 'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
-    'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3',
-    'tumbling': 'rad/s', 'release_pose': [*3 * ['m'], *4 * ['1']],
+    'release_pose': [*3 * ['m'], *4 * ['1']],
     'landing_covariance': [
         [POSE_COVARIANCE[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)],
 }
