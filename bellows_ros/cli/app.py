@@ -3,8 +3,8 @@ Find the command, run it, and turn errors into a message and an exit code.
 
 A command is a module of this package with its name, which has
 
-- a docstring: what it does, as `--help` shows it;
-- `EXAMPLES`: pairs of a command line and what it is for;
+- a docstring: what it does, and examples, each a command line and what it is for, as `--help`
+  shows them;
 - `FOUND`, where it can end with 1: what it has found then;
 - `add_arguments(parser)`: its arguments;
 - `run(arguments, console)`: its work; returns the exit code.
@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 import difflib
 import importlib
 import os
+import re
 import sys
 import textwrap
 from types import MappingProxyType
@@ -168,15 +169,22 @@ def _answer(arguments: list[str]) -> NoReturn:
     parser.error(f"'{first}' is not a command. {hint}")
 
 
+def described(module: Any) -> tuple[str, list[tuple[str, str]]]:
+    """Return what a command does, and its examples: command lines and what they are for."""
+    text, _, examples = str(module.__doc__).partition('\nExamples\n--------\n')
+    return text, re.findall(r'(bellows (?:.*\\\n)*.*)\n +(.+)', examples)
+
+
 def command_parser(name: str) -> Parser:
     """Return the parser of a command."""
     module = importlib.import_module(f'{__package__}.{name}')
-    examples = '\n'.join(f'  {line}\n      {what}' for line, what in module.EXAMPLES)
+    text, pairs = described(module)
+    examples = '\n'.join(f'  {line}\n      {what}' for line, what in pairs)
     found = f'1 if {module.FOUND}, ' if hasattr(module, 'FOUND') else ''
     ends = textwrap.fill(
         f'Ends with 0 when done, {found}2 if something must be put right.', WIDTH)
     parser = Parser(
-        f'bellows {name}', str(module.__doc__), f'examples:\n{examples}\n\n{ends}')
+        f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
     module.add_arguments(parser)
     parser.set_defaults(run=module.run)
     return parser

@@ -3,6 +3,14 @@ Compare two results of bellows identify.
 
 Report the change of each parameter, in percent and in standard errors, whether it is significant,
 and its effect on the predicted motion.
+
+Examples
+--------
+bellows compare monday.json friday.json
+    check whether the cup has aged
+bellows compare small.json large.json --json comparison.json
+    write all figures to a file
+
 """
 
 import argparse
@@ -20,11 +28,6 @@ if TYPE_CHECKING:
     from bellows_ros.core.identification.comparison import Change
     from bellows_ros.workflows.compare import ResultComparison
 
-EXAMPLES = (
-    ('bellows compare monday.json friday.json', 'check whether the cup has aged'),
-    ('bellows compare small.json large.json --json comparison.json',
-     'write all figures to a file'),
-)
 FOUND = 'a change matters'
 SETTING_WIDTH = 60  # characters of a setting
 

@@ -3,6 +3,16 @@ List the topics of a recording with their rates, gaps and jitter.
 
 Guess which is the tool and which the package, and explain why. Write a parameter file for the
 recording.
+
+Examples
+--------
+bellows info bags/identification
+    list and check the contents of a recording
+bellows info recording --write-params my_cell.yaml
+    write a parameter file with its topics; fill in only the package
+bellows info recording --json - | jq .settings
+    use the settings in a script
+
 """
 
 import argparse
@@ -19,12 +29,6 @@ from .parameters import template_with
 if TYPE_CHECKING:
     from bellows_ros.workflows.info import Info, TopicInfo
 
-EXAMPLES = (
-    ('bellows info bags/identification', 'list and check the contents of a recording'),
-    ('bellows info recording --write-params my_cell.yaml',
-     'write a parameter file with its topics; fill in only the package'),
-    ('bellows info recording --json - | jq .settings', 'use the settings in a script'),
-)
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
            'cup.length')
 """What the recording cannot tell: comments of the file, to fill in."""

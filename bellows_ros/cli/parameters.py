@@ -2,6 +2,16 @@
 List the parameters of the nodes identifier and predictor.
 
 Parameter files and '--set' of the other commands take them too.
+
+Examples
+--------
+bellows parameters
+    all of them
+bellows parameters filter fit
+    parameters whose names begin with these words
+bellows parameters --yaml > my_cell.yaml
+    a parameter file to fill in
+
 """
 
 import argparse
@@ -16,11 +26,6 @@ from .console import Console, OK, WIDTH
 if TYPE_CHECKING:
     from bellows_ros.core.parameters.table import Parameter
 
-EXAMPLES = (
-    ('bellows parameters', 'all of them'),
-    ('bellows parameters filter fit', 'parameters whose names begin with these words'),
-    ('bellows parameters --yaml > my_cell.yaml', 'a parameter file to fill in'),
-)
 SECTION = 'ros__parameters:\n'
 INDENT = '    '
 EXAMPLE_LIST = "['recording']"

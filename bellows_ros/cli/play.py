@@ -2,6 +2,16 @@
 Play the poses and twists of a recording to ROS, unchanged and at recorded speed.
 
 As ros2 bag play does, where ROS comes from wheels only. Needs rclpy.
+
+Examples
+--------
+bellows play bags/validation --topic /tool_arm/pose --topic /tool_arm/twist
+    the tool's messages, for a predictor that runs beside it
+bellows play bags/validation --stamps now --rate 0.5 --loop
+    forever, at half the speed, with stamps of the current time
+bellows play recording --topic /mocap/tool/pose:=/tool_arm/pose
+    one topic, under another name
+
 """
 
 import argparse
@@ -15,15 +25,6 @@ from .console import Console, OK
 
 if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
-
-EXAMPLES = (
-    ('bellows play bags/validation --topic /tool_arm/pose --topic /tool_arm/twist',
-     "the tool's messages, for a predictor that runs beside it"),
-    ('bellows play bags/validation --stamps now --rate 0.5 --loop',
-     'forever, at half the speed, with stamps of the current time'),
-    ('bellows play recording --topic /mocap/tool/pose:=/tool_arm/pose',
-     'one topic, under another name'),
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

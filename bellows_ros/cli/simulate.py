@@ -1,7 +1,19 @@
-"""
+r"""
 Simulate a package held by a known cup while the tool moves.
 
 Write what a robot driver and a tracking system would record, with noise, outliers and dropouts.
+
+Examples
+--------
+bellows simulate --params bags/cup.yaml --motion bags/static.yaml --out recording
+    a recording of a cup and a motion from files
+bellows simulate --params bags/cup.yaml --set package.mass=2.5 \
+      --motion config/motion_example.yaml --out heavy --force
+    with a heavier package, replacing an existing recording
+bellows simulate --params bags/cup.yaml --motion bags/identification.yaml \
+      --plan motion --out rehearsal
+    a plan of bellows excite, before the arm runs
+
 """
 
 import argparse
@@ -17,16 +29,6 @@ from .console import Console, OK
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.simulate import SimulationReport
-
-EXAMPLES = (
-    ('bellows simulate --params bags/cup.yaml --motion bags/static.yaml --out recording',
-     'a recording of a cup and a motion from files'),
-    ('bellows simulate --params bags/cup.yaml --set package.mass=2.5 \\\n'
-     '      --motion config/motion_example.yaml --out heavy --force',
-     'with a heavier package, replacing an existing recording'),
-    ('bellows simulate --params bags/cup.yaml --motion bags/identification.yaml \\\n'
-     '      --plan motion --out rehearsal', 'a plan of bellows excite, before the arm runs'),
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,9 +1,20 @@
-"""
+r"""
 Find the standstills in recordings.
 
 From two or more known masses held vertically, find the cup's nominal length: its length without
 load. With a stiffness in the parameter file, check in every pose whether the package hangs where
 the spring model predicts.
+
+Examples
+--------
+bellows static m05 m10 m15 m20 --params my_cell.yaml \
+      --mass 0.5 --mass 1.0 --mass 1.5 --mass 2.0 --out my_cell_l0.yaml
+    the nominal length from four masses, written to a copy of the parameters
+bellows static --params my_cell.yaml
+    with recordings and masses from parameter files: static.bags, static.files
+bellows static bags/static --params bags/cup.yaml
+    check the spring of a cup in several orientations of the tool
+
 """
 
 import argparse
@@ -24,15 +35,6 @@ if TYPE_CHECKING:
     from bellows_ros.core.recording.standstills import Standstill
     from bellows_ros.workflows.static import StaticBag, StaticResult
 
-EXAMPLES = (
-    ('bellows static m05 m10 m15 m20 --params my_cell.yaml \\\n'
-     '      --mass 0.5 --mass 1.0 --mass 1.5 --mass 2.0 --out my_cell_l0.yaml',
-     'the nominal length from four masses, written to a copy of the parameters'),
-    ('bellows static --params my_cell.yaml',
-     'with recordings and masses from parameter files: static.bags, static.files'),
-    ('bellows static bags/static --params bags/cup.yaml',
-     'check the spring of a cup in several orientations of the tool'),
-)
 
 MILLIMETRES, DEGREES = (1e3, 'mm', 'position'), (math.degrees(1.0), 'deg', 'rotation')
 """Factor from SI and name of a unit, and the standard error of a standstill in it."""

@@ -3,6 +3,14 @@ Report, before a fit, what of K and P is identifiable, and which motion is missi
 
 Then compare the structures of K and P (fit.structure) by AIC, BIC and the held-out error: how well
 a cup fitted without a part of the recordings simulates that part. Recommend one.
+
+Examples
+--------
+bellows structures bags/identification --params bags/package.yaml
+    what is identifiable from a recording, and which fit.structure to take
+bellows structures first second --params my_cell.yaml --json structures.json
+    for two recordings together, with all figures in a file
+
 """
 
 import argparse
@@ -18,12 +26,6 @@ from .console import Console, NOT_USABLE, OK
 if TYPE_CHECKING:
     from bellows_ros.workflows.identify import StructureAdvice
 
-EXAMPLES = (
-    ('bellows structures bags/identification --params bags/package.yaml',
-     'what is identifiable from a recording, and which fit.structure to take'),
-    ('bellows structures first second --params my_cell.yaml --json structures.json',
-     'for two recordings together, with all figures in a file'),
-)
 
 FOUND = 'no structure fits'
 
