@@ -1,20 +1,20 @@
-"""A predictor and a partner that sends it messages and keeps what it publishes, over DDS."""
+"""A predictor and nodes beside it that send, listen and call, over DDS."""
 
-from dataclasses import dataclass, field
 import importlib.util
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+WITHOUT_ROS = ('test_command.py', 'test_config.py')
 if importlib.util.find_spec('rclpy') is None:  # the report's header says so
-    collect_ignore = [
-        f'test_{name}.py'
-        for name in ('bag_player', 'conversions', 'demo_player', 'failures', 'flood', 'gripper',
-                     'health',
-                     'hostile', 'hot_path', 'identifier_node', 'joint_planning', 'lifecycle',
-                     'parameters', 'planning',
-                     'predictor_node', 'predictor_recording', 'security', 'spinning', 'tf',
-                     'tossing')]
+    collect_ignore = [path.name for path in Path(__file__).parent.glob('test_*.py')
+                      if path.name not in WITHOUT_ROS]
+else:
+    from bellows_ros.nodes.conversions import stamp_to_ns
+    from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
 
 PACKAGE = {
     'package.mass': 2.17,
@@ -23,79 +23,123 @@ PACKAGE = {
 }
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
-QUEUE = 10_000  # messages; the partner loses nothing while it is busy sending
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+QUEUE = 10_000  # messages; nothing is lost while a node is busy sending
+INPUTS = {'pose': 'tool_arm/pose', 'twist': 'tool_arm/twist'}
+OUTPUTS = {'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wrench'}
 
 
-@dataclass
-class Partner:
+def stamp_ns(message):
+    """Return the stamp of a message."""
+    return stamp_to_ns(message.header.stamp)
+
+
+def stamped(message, stamp_ns, frame_id='world'):
+    """Give a message with a header."""
+    message.header.frame_id = frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return message
+
+
+def pose_at(stamp_ns, position=ORIGIN, xyzw=UPRIGHT, frame_id='world'):
+    """Return a pose."""
+    message = stamped(PoseStamped(), stamp_ns, frame_id)
+    point, q = message.pose.position, message.pose.orientation
+    point.x, point.y, point.z = map(float, position)
+    q.x, q.y, q.z, q.w = map(float, xyzw)
+    return message
+
+
+class Peer:
+    """Another node of the graph."""
+
+    def __init__(self, ros, name='peer'):
+        """Join the graph."""
+        self.ros, self.node = ros, Node(name, context=ros.context)
+        self.ends: list[Any] = []
+        ros.executor.add_node(self.node)
+
+    def hears(self, kind, topic, qos=QUEUE, decode=None, **options):
+        """Listen to a topic, and return the list into which its messages come."""
+        got: list[Any] = []
+
+        def take(message):
+            got.append(decode(message) if decode else message)
+
+        self.ends.append(self.node.create_subscription(kind, topic, take, qos, **options))
+        return got
+
+    def writes(self, kind, topic, qos=QUEUE):
+        """Return what publishes on a topic."""
+        self.ends.append(self.node.create_publisher(kind, topic, qos))
+        return self.ends[-1]
+
+    def is_connected(self, other=None):
+        """Tell whether each topic has found its other end, as the other node sees it too."""
+        names = {end.topic_name for end in self.ends}
+        others = [] if other is None else [*other.subscriptions, *other.publishers]
+        # A best-effort reader gets nothing from a writer it does not know yet.
+        return all(
+            (getattr(end, 'get_publisher_count', None) or end.get_subscription_count)()
+            for end in (*self.ends, *(end for end in others if end.topic_name in names)))
+
+    def connect(self, other=None):
+        """Wait until each topic has found its other end."""
+        self.wait(lambda: self.is_connected(other))
+
+    def wait(self, condition):
+        """Spin until something is so."""
+        assert self.ros.spin_until(condition)
+
+    def call(self, service, kind, request=None):
+        """Call a service and return its answer."""
+        client = self.node.create_client(kind, service)
+        assert self.ros.spin_until(client.service_is_ready), service
+        future = client.call_async(kind.Request() if request is None else request)
+        assert self.ros.spin_until(future.done), service
+        return future.result()
+
+
+class Partner(Peer):
     """
     Send the tool arm's messages and keep the answers.
 
     Attributes
     ----------
-    node : rclpy.node.Node
     poses, twists, wrenches : list
         Messages received on package/pose, package/twist and cup/wrench.
 
     """
 
-    ros: Any
-    node: Any
-    predictor: Any
-    poses: list[Any] = field(default_factory=list)
-    twists: list[Any] = field(default_factory=list)
-    wrenches: list[Any] = field(default_factory=list)
-
-    def connect(self, inputs, outputs, with_twists):
+    def __init__(self, ros, predictor, inputs=INPUTS, outputs=OUTPUTS, with_twists=True):
         """Make the topics, and wait until each has found its other end."""
-        from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-
-        make = self.node.create_subscription
-        ends = [
-            make(PoseStamped, outputs['pose'], self.poses.append, QUEUE),
-            make(TwistStamped, outputs['twist'], self.twists.append, QUEUE),
-            make(WrenchStamped, outputs['wrench'], self.wrenches.append, QUEUE),
-        ]
-        self.pose_writer = self.node.create_publisher(PoseStamped, inputs['pose'], QUEUE)
-        writers = [self.pose_writer]
+        super().__init__(ros, 'partner')
+        self.predictor = predictor
+        self.poses, self.twists, self.wrenches = (
+            self.hears(kind, outputs[name]) for kind, name in (
+                (PoseStamped, 'pose'), (TwistStamped, 'twist'), (WrenchStamped, 'wrench')))
+        self.pose_writer = self.writes(PoseStamped, inputs['pose'])
         if with_twists:
-            self.twist_writer = self.node.create_publisher(TwistStamped, inputs['twist'], QUEUE)
-            writers.append(self.twist_writer)
-        # Both ends: a best-effort reader gets nothing from a writer it does not know yet.
-        names = {writer.topic_name for writer in writers}
-        ends += [end for end in self.predictor.subscriptions if end.topic_name in names]
-        out = {end.topic_name for end in ends}
-        writers += [writer for writer in self.predictor.publishers if writer.topic_name in out]
-        assert len(ends) == 3 + len(names) and len(writers) == len(names) + 3
-        assert self.ros.spin_until(
-            lambda: all(end.get_publisher_count() for end in ends)
-            and all(writer.get_subscription_count() for writer in writers)
-        ), 'no discovery on this machine'
+            self.twist_writer = self.writes(TwistStamped, inputs['twist'])
+        self.connect(predictor)
 
-    def send_pose(self, stamp_ns, position=ORIGIN, xyzw=UPRIGHT, frame_id='world'):
+    def send_pose(self, stamp_ns, *where, **options):
         """Send a pose of the tool."""
-        from geometry_msgs.msg import PoseStamped
-
-        message = PoseStamped()
-        message.header.frame_id = frame_id
-        stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        point, q = message.pose.position, message.pose.orientation
-        point.x, point.y, point.z = map(float, position)
-        q.x, q.y, q.z, q.w = map(float, xyzw)
-        self.pose_writer.publish(message)
+        self.pose_writer.publish(pose_at(stamp_ns, *where, **options))
 
     def send_twist(self, stamp_ns, linear=ORIGIN, angular=ORIGIN):
         """Send a twist of the tool."""
-        from geometry_msgs.msg import TwistStamped
-
-        message = TwistStamped()
-        stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        message = stamped(TwistStamped(), stamp_ns, '')
         v, w = message.twist.linear, message.twist.angular
         v.x, v.y, v.z = map(float, linear)
         w.x, w.y, w.z = map(float, angular)
         self.twist_writer.publish(message)
+
+    def send(self, stamp_ns, position=ORIGIN, linear=ORIGIN):
+        """Send both, of a tool that does not turn."""
+        self.send_pose(stamp_ns, position)
+        self.send_twist(stamp_ns, linear)
 
     def wait_for_poses(self, count):
         """Spin until so many predictions have come."""
@@ -112,20 +156,20 @@ def topics_of(predictor):
     """Return what knows whether somebody listens, of each topic about the package."""
     from bellows_ros.nodes.outputs import Topic
 
-    outputs = predictor._outputs
-    return [part for name, part in vars(outputs).items()
+    return [part for name, part in vars(predictor._outputs).items()
             if isinstance(part, Topic) and name not in ('_state', '_ok')]
 
 
-INPUTS = {'pose': 'tool_arm/pose', 'twist': 'tool_arm/twist'}
-OUTPUTS = {'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wrench'}
+@pytest.fixture
+def peer(ros):
+    """Give another node of the graph."""
+    return Peer(ros)
 
 
 @pytest.fixture
 def make_predictor(ros):
     """Give a function that makes a predictor node with the given parameters, and spins it."""
     from bellows_ros.nodes.predictor_node import PredictorNode
-    from rclpy.parameter import Parameter
 
     def make(given=None, **options):
         values = PACKAGE if given is None else given
@@ -140,14 +184,7 @@ def make_predictor(ros):
 @pytest.fixture
 def make_partner(ros, make_predictor):
     """Give a function that makes a predictor and a partner connected with it."""
-    from rclpy.node import Node
-
     def make(given=None, inputs=INPUTS, outputs=OUTPUTS, with_twists=True, **options):
-        predictor = make_predictor(given, **options)
-        node = Node('partner', context=ros.context)
-        ros.executor.add_node(node)
-        partner = Partner(ros, node, predictor)
-        partner.connect(inputs, outputs, with_twists)
-        return partner
+        return Partner(ros, make_predictor(given, **options), inputs, outputs, with_twists)
 
     return make

@@ -7,12 +7,13 @@ from typing import Any
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_messages
 from bellows_ros.nodes.bag_player import play, stamped
-from bellows_ros.nodes.conversions import stamp_to_ns
+from geometry_msgs.msg import PoseStamped, TwistStamped
 import numpy as np
 import pytest
 
+from .conftest import stamp_ns, START
+
 COUNT, PERIOD_NS, LATER_NS = 30, 20_000_000, 3_000_000
-START = 1_700_000_000_000_000_000
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 
 
@@ -30,26 +31,18 @@ def bag(tmp_path_factory):
 
 
 @pytest.fixture
-def heard(ros):
+def heard(peer):
     """Give a function that listens while something is played, and returns what came and when."""
-    from geometry_msgs.msg import PoseStamped, TwistStamped
-    from rclpy.node import Node
-
     def listen(topics, work, count):
         got: dict[str, list[tuple[float, Any]]] = {name: [] for name in topics}
-        node = Node('listener', context=ros.context)
-        ros.executor.add_node(node)
         for name, kind in zip(topics, (PoseStamped, TwistStamped), strict=True):
-            node.create_subscription(
+            peer.node.create_subscription(
                 kind, name, lambda m, info, to=got[name]: to.append(
                     (1e-9 * info['source_timestamp'], m)), 1000)
         done: list[Any] = []
         player = threading.Thread(target=lambda: done.append(work()), daemon=True)
         player.start()
-        assert ros.spin_until(
-            lambda: not player.is_alive() and all(len(x) >= count for x in got.values()))
-        ros.executor.remove_node(node)
-        node.destroy_node()
+        peer.wait(lambda: not player.is_alive() and all(len(x) >= count for x in got.values()))
         return done[0], *got.values()
 
     return listen
@@ -62,7 +55,7 @@ def test_messages_come_as_recorded_and_in_time(bag, heard):
     begun = time.time()
     played, poses, twists = heard(('/a', '/b'), lambda: play(messages, names, 2.0), COUNT)
     assert notes == [] and played.messages == {'/a': COUNT, '/b': COUNT} and played.has_subscriber
-    assert [stamp_to_ns(m.header.stamp) for _, m in poses] == [
+    assert [stamp_ns(m) for _, m in poses] == [
         START + PERIOD_NS * k for k in range(COUNT)]
     assert [m.pose.position.x for _, m in poses] == list(map(float, range(COUNT)))
     assert [m.twist.linear.x for _, m in twists] == list(map(float, range(COUNT)))
@@ -80,8 +73,8 @@ def test_stamps_of_now_keep_pairs_and_intervals(bag, heard):
     before = time.time_ns()
     _, poses, twists = heard(
         ('/a', '/b'), lambda: play(messages, names, 2.0, stamps_now=True), COUNT)
-    stamps = [stamp_to_ns(m.header.stamp) for _, m in poses]
-    assert stamps == [stamp_to_ns(m.header.stamp) for _, m in twists]
+    stamps = [stamp_ns(m) for _, m in poses]
+    assert stamps == [stamp_ns(m) for _, m in twists]
     assert set(np.diff(stamps)) == {PERIOD_NS // 2}
     assert before - LATER_NS < stamps[0] < 1e9 * poses[0][0]
 

@@ -1,10 +1,10 @@
 """The commands as a user types them: help without ROS, plain errors, an orderly end."""
 
+from itertools import count
 import signal
 import subprocess
 import sys
 import time
-from typing import Any
 
 from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.files.parameter_files import read_parameters
@@ -12,11 +12,10 @@ from bellows_ros.nodes import identifier, predictor
 from bellows_ros.nodes.command import help_text, origin_of
 import pytest
 
+from .conftest import MS, PACKAGE, Peer, pose_at, START
+
 MODULES = {'predictor': predictor, 'identifier': identifier}
-PACKAGE = [
-    '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
-    '-p', 'package.com:=[0.0, 0.0, -0.03]',
-]
+GIVEN = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
 WITHOUT_ROS = """
 import sys
 
@@ -78,11 +77,11 @@ def test_what_is_not_set_ends_with_2(root, user_environment):
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [
-    (['--ros-args', *PACKAGE, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
-    (['--ros-args', *PACKAGE, '-p', 'cup.stiffness:=[1.0, 2]'], 'as 2.0, not 2.'),
-    (['--ros-args', *PACKAGE, '-p', 'cup.length:=long'], 'cup.length must be a number'),
+    (['--ros-args', *GIVEN, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
+    (['--ros-args', *GIVEN, '-p', 'cup.stiffness:=[1.0, 2]'], 'as 2.0, not 2.'),
+    (['--ros-args', *GIVEN, '-p', 'cup.length:=long'], 'cup.length must be a number'),
     (['--ros-args', '--params-file', 'nowhere.yaml'], "'--params-file nowhere.yaml'"),
-    (['--ros-args', *PACKAGE, '-p', 'use_sim_time:=hello'], "expecting type 'bool'"),
+    (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], "expecting type 'bool'"),
     (['a\x1b[31mb'], "Unknown argument 'a?[31mb'"),
     (['package.yaml'], "Unknown argument 'package.yaml'"),
 ])
@@ -111,7 +110,7 @@ def running(root, user_environment):
     """Give a predictor in a process of its own."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *PACKAGE],
+        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *GIVEN],
         env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         yield process
@@ -124,23 +123,14 @@ def running(root, user_environment):
 def test_process_predicts_and_ends_in_order(number, running, ros):
     """Answer a pose over DDS; on Ctrl-C or SIGTERM say what came and went and end with 0."""
     from geometry_msgs.msg import PoseStamped
-    from rclpy.node import Node
     from rclpy.qos import qos_profile_sensor_data
 
-    node = Node('driver', context=ros.context)
-    ros.executor.add_node(node)
-    answers: list[Any] = []
-    reader = node.create_subscription(
-        PoseStamped, 'package/pose', answers.append, qos_profile_sensor_data)
-    writer = node.create_publisher(PoseStamped, 'tool_arm/pose', qos_profile_sensor_data)
-    found = ros.spin_until(
-        lambda: reader.get_publisher_count() and writer.get_subscription_count())
-    assert found, 'the predictor did not come up'
-
-    message = PoseStamped()
-    message.header.stamp.sec = 1_700_000_000
-    message.pose.orientation.w = 1.0
-    node.create_timer(0.02, lambda: send(writer, message))
+    peer = Peer(ros)
+    answers = peer.hears(PoseStamped, 'package/pose', qos_profile_sensor_data)
+    writer = peer.writes(PoseStamped, 'tool_arm/pose', qos_profile_sensor_data)
+    peer.connect()
+    stamps = count(START, 20 * MS)
+    peer.node.create_timer(0.02, lambda: writer.publish(pose_at(next(stamps))))
     assert ros.spin_until(lambda: len(answers) > 3)
     running.send_signal(number)
     _, log = running.communicate(timeout=20)
@@ -155,7 +145,7 @@ def test_process_ends_at_once_while_it_compiles(root, tmp_path, user_environment
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     pytest.importorskip('numba', reason='nothing is compiled without numba')
     process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *PACKAGE],
+        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *GIVEN],
         env={**user_environment, 'NUMBA_CACHE_DIR': str(tmp_path)}, cwd=root,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -170,14 +160,6 @@ def test_process_ends_at_once_while_it_compiles(root, tmp_path, user_environment
     assert (process.returncode, out) == (0, '')
     assert 'Listens to' not in log and 'Traceback' not in log
     assert 0 < compiled < 40, 'it went on compiling'
-
-
-def send(writer, message):
-    """Send the pose of a tool that stands still, with a stamp 20 ms after the last."""
-    message.header.stamp.nanosec += 20_000_000
-    message.header.stamp.sec += message.header.stamp.nanosec // 1_000_000_000
-    message.header.stamp.nanosec %= 1_000_000_000
-    writer.publish(message)
 
 
 def test_the_last_argument_with_a_parameter_is_its_origin(root, tmp_path):

@@ -7,13 +7,14 @@ from bellows_ros.files.bag_folder import Channel, Message
 from bellows_ros.files.messages import encode, LAYOUTS
 from bellows_ros.nodes import bag_player
 from bellows_ros.nodes.bag_player import converse, POSES
-from bellows_ros.nodes.conversions import stamp_to_ns
+from geometry_msgs.msg import PoseStamped
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
+from std_srvs.srv import Trigger
 
-MS = 1_000_000
-START = 1_700_000_000_000_000_000
+from .conftest import MS, Peer, stamp_ns, START
+
 COUNT = 10
 LATE = 2 * COUNT
 
@@ -23,21 +24,16 @@ class Late:
 
     def __init__(self, ros):
         """Make the topics and the service of a predictor."""
-        from geometry_msgs.msg import PoseStamped
-        from rclpy.node import Node
-        from std_srvs.srv import Trigger
-
-        node = Node('predictor', context=ros.context)
-        ros.executor.add_node(node)
+        peer = Peer(ros, 'predictor')
         self._held: list[Any] = []
         self._probe: Any = None
-        self._writer = node.create_publisher(PoseStamped, 'package/pose', 1000)
-        node.create_subscription(PoseStamped, 'tool_arm/pose', self._take, 1000)
-        node.create_service(Trigger, 'predictor/reset', lambda _, response: response)
+        self._writer = peer.writes(PoseStamped, 'package/pose')
+        peer.hears(PoseStamped, 'tool_arm/pose', decode=self._take)
+        peer.node.create_service(Trigger, 'predictor/reset', lambda _, response: response)
 
     def _take(self, pose):
         """Answer a pose of the tool, or hold it back."""
-        if stamp_to_ns(pose.header.stamp) < START:
+        if stamp_ns(pose) < START:
             self._probe = self._probe or pose
             self._writer.publish(self._probe)
             return

@@ -2,15 +2,19 @@
 
 from operator import attrgetter
 
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live.load import Safety
+from bellows_ros.core.model.cup_package import cup_of, package_of
+from bellows_ros.nodes import diagnostics
+from builtin_interfaces.msg import Time
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
-from .conftest import PACKAGE
+from .conftest import MS, PACKAGE, START
 from .test_health import ERROR, Listener
-
-MS = 1_000_000
-START = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
@@ -51,51 +55,37 @@ def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
 @pytest.mark.parametrize('name', ['coast', 'phase', 'flush'])
 def test_a_timer_or_service_that_fails_goes_on(name, make_partner):
     """Tick, report and answer again the next time."""
-    from std_srvs.srv import Trigger
-
     partner = make_partner(with_twists=False)
-    predictor, ros = partner.predictor, partner.ros
+    predictor = partner.predictor
     partner.send_pose(START)
     partner.wait_for_poses(1)
     break_once(predictor._live, name)
-    client = partner.node.create_client(Trigger, 'predictor/reset')
-    assert ros.spin_until(client.service_is_ready)
     for answered in (name != 'flush', True):
-        future = client.call_async(Trigger.Request())
-        assert ros.spin_until(future.done)
-        assert future.result().success is answered
-    assert ros.spin_until(lambda: sum(predictor.failures.values()) == 1)
+        assert partner.call('predictor/reset', Trigger).success is answered
+    assert partner.ros.spin_until(lambda: sum(predictor.failures.values()) == 1)
     partner.send_pose(START + MS)
     partner.wait_for_poses(2)
 
 
-def test_a_negative_time_is_left_out(make_predictor, ros, capfd):
+def test_a_negative_time_is_left_out(make_predictor, peer, capfd):
     """Keep the time as it was, count what was left out, and say it once."""
-    from rclpy.node import Node
-    from rosgraph_msgs.msg import Clock
-
     predictor = make_predictor({**PACKAGE, 'use_sim_time': True})
-    node = Node('simulation', context=ros.context)
-    ros.executor.add_node(node)
-    writer = node.create_publisher(Clock, '/clock', 10)
-    assert ros.spin_until(writer.get_subscription_count)
+    writer = peer.writes(Clock, '/clock')
+    peer.connect()
 
     def tell(seconds):
-        message = Clock()
-        message.clock.sec = seconds
-        writer.publish(message)
+        writer.publish(Clock(clock=Time(sec=seconds)))
 
     tell(100)
-    assert ros.spin_until(lambda: predictor.get_clock().now().nanoseconds == 100 * 10**9)
+    peer.wait(lambda: predictor.get_clock().now().nanoseconds == 100 * 10**9)
     for count in (1, 2):
         tell(-count)
-        assert ros.spin_until(
-            lambda count=count: predictor.failures['negative time on /clock'] == count)
+        peer.wait(lambda count=count: predictor.failures['negative time on /clock'] == count)
     assert predictor.get_clock().now().nanoseconds == 100 * 10**9
     assert predictor._live.restarts['failure'] == 0
     assert capfd.readouterr().err.count('A negative time on /clock was ignored: -1 s') == 1
     tell(101)
-    assert ros.spin_until(lambda: predictor.get_clock().now().nanoseconds == 101 * 10**9)
+    peer.wait(lambda: predictor.get_clock().now().nanoseconds == 101 * 10**9)
 
 
 ALL_PAIRS = (0, 0, 1, 1, 2, 2, 0, 2, 1, 0)  # of levels that follow each other
@@ -104,9 +94,6 @@ ALL_PAIRS = (0, 0, 1, 1, 2, 2, 0, 2, 1, 0)  # of levels that follow each other
 def test_every_pair_of_severities_is_reported_and_logged(
         make_partner, listener, monkeypatch, capfd):
     """Log each line at each level after each other, and let no prediction start again for it."""
-    from bellows_ros.core.live.load import Safety
-    from bellows_ros.nodes import diagnostics
-
     partner = make_partner(with_twists=False)
     predictor = partner.predictor
     for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
@@ -138,9 +125,6 @@ def test_every_pair_of_severities_is_reported_and_logged(
 def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
         part, name, make_partner, listener):
     """Publish the pose of each sample, in the motion that it has."""
-    from bellows_ros.core.live import LivePredictor
-    from bellows_ros.core.model.cup_package import cup_of, package_of
-
     partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
     predictor = partner.predictor
     thing = attrgetter(part)(predictor)
@@ -196,8 +180,6 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(make_par
 
 def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, capfd):
     """Log bad quaternions though a silent topic, which is as bad, has just been logged."""
-    from bellows_ros.nodes import diagnostics
-
     monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.0)
     predictor = make_predictor()
     for _ in range(2):

@@ -7,44 +7,36 @@ import subprocess
 import sys
 import time
 
+from geometry_msgs.msg import PoseStamped
 import pytest
+from rclpy.serialization import serialize_message
 
-from .conftest import PACKAGE
+from .conftest import MS, PACKAGE, Peer, pose_at, stamp_ns, START
 
 RATE, COUNT = 20_000, 12_000
 LARGEST_GROWTH = 1_000_000  # bytes
-MS = 1_000_000
-START = 1_700_000_000_000_000_000
 KINDS = ('valid', 'valid', 'not finite', 'standing stamp', 'not readable')
 """The first one warms up what a flood needs."""
 
 
-class Victim:
+class Victim(Peer):
     """A predictor in another process, and what is sent to it."""
 
     def __init__(self, ros, process):
         """Join the graph and wait for the other."""
-        from geometry_msgs.msg import PoseStamped
-        from rclpy.node import Node
-
-        self.ros, self.process = ros, process
-        self._node = Node('driver', context=ros.context)
-        ros.executor.add_node(self._node)
-        self._pose = PoseStamped()
-        self._pose.header.frame_id = 'base'
-        self._pose.pose.orientation.w = 1.0
+        super().__init__(ros, 'driver')
+        self.process = process
+        self._pose = pose_at(START, frame_id='base')
         self._ns = START
-        self.answers: list[int] = []
-        reader = self._node.create_subscription(
-            PoseStamped, 'package/pose', self._take, 3 * COUNT)
-        self._writer = self._node.create_publisher(PoseStamped, 'tool_arm/pose', 10)
-        assert ros.spin_until(
-            lambda: reader.get_publisher_count() and self._writer.get_subscription_count())
+        self.answers = self.hears(PoseStamped, 'package/pose', 3 * COUNT, self._stamp)
+        self._writer = self.writes(PoseStamped, 'tool_arm/pose', 10)
+        self.connect()
 
-    def _take(self, message):
-        """Keep the stamp of an answer, which must be finite."""
+    @staticmethod
+    def _stamp(message):
+        """Return the stamp of an answer, which must be finite."""
         assert math.isfinite(message.pose.position.x + message.pose.orientation.w)
-        self.answers.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+        return stamp_ns(message)
 
     def send(self, after_ns, x=0.0):
         """Send a pose with a stamp so much later than the last."""
@@ -55,8 +47,6 @@ class Victim:
 
     def flood(self, kind):
         """Send many messages of a kind, and return how many a second it was."""
-        from rclpy.serialization import serialize_message
-
         unreadable = serialize_message(self._pose)[:-20]
         begin = time.monotonic()
         for k in range(COUNT):

@@ -4,12 +4,14 @@
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.parameters.checks import gravity_of, resolve
+from geometry_msgs.msg import PoseStamped
 import numpy as np
+from sensor_msgs.msg import FluidPressure
+from std_srvs.srv import Trigger
 
-from .conftest import ORIGIN, PACKAGE, UPRIGHT
+from .conftest import ORIGIN, PACKAGE, pose_at, stamp_ns, START, UPRIGHT
 from ..core.observer.cases import truth
 
-START = 1_700_000_000_000_000_000
 GRIPPER = {
     **PACKAGE, 'cup.layout': [0.06, 0.0, 0.0, -0.06, 0.05, 0.0, -0.06, -0.05, 0.0],
     'cup.lip_radius': 0.02, 'vacuum.signal': 'pressure'}
@@ -31,28 +33,23 @@ def rest(opened):
 
 def test_cup_of_a_gripper_without_vacuum_is_left_out(make_partner, capfd):
     """By sensors of single cups: the package comes to hang from those that hold."""
-    from bellows_ros.nodes.conversions import stamp_to_ns
-    from sensor_msgs.msg import FluidPressure
-
     partner = make_partner(GRIPPER, with_twists=False)
-    node, vacuum = partner.predictor, partner.node.create_publisher(
-        FluidPressure, 'vacuum/pressure', 10)
-    assert partner.ros.spin_until(vacuum.get_subscription_count)
+    node, vacuum = partner.predictor, partner.writes(FluidPressure, 'vacuum/pressure')
+    partner.connect()
 
     def breathe(cup, below):
         message = FluidPressure(fluid_pressure=101325.0 - below)
         message.header.frame_id = f'gripper_cup_{cup}'
         vacuum.publish(message)
 
-    stamp_ns = START
+    now_ns = START
 
     def hang(opened):
-        nonlocal stamp_ns
+        nonlocal now_ns
         for _ in range(400):
-            stamp_ns += 10_000_000
-            partner.send_pose(stamp_ns)
-        assert partner.ros.spin_until(
-            lambda: partner.poses and stamp_to_ns(partner.poses[-1].header.stamp) == stamp_ns)
+            now_ns += 10_000_000
+            partner.send_pose(now_ns)
+        partner.wait(lambda: partner.poses and stamp_ns(partner.poses[-1]) == now_ns)
         pose, expected = partner.poses[-1].pose, rest(opened)
         o, q = pose.position, pose.orientation
         np.testing.assert_allclose([o.x, o.y, o.z], expected[0], atol=2e-5)
@@ -79,28 +76,18 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(make_partner, capfd):
 
 def test_cup_that_a_camera_finds_lost_is_left_out(make_partner, capfd):
     """Name it by its index and place, and let the package hang from the others until the next."""
-    from geometry_msgs.msg import PoseStamped
-    from std_srvs.srv import Trigger
-
     partner = make_partner(
         {**GRIPPER, 'vacuum.signal': 'none', 'measured.noise': [1e-3, 5e-3]})
     node = partner.predictor
-    camera = partner.node.create_publisher(PoseStamped, 'package/measured', 10)
-    assert partner.ros.spin_until(camera.get_subscription_count)
+    camera = partner.writes(PoseStamped, 'package/measured')
+    partner.connect()
     all_cups, others = model_without([-1]), model_without([2])
     swing = truth([STILL] * 260, start=rest([-1]), period_ns=8_000_000, change=lambda k, body, _: (
         body, all_cups if k < 160 else others))
     for k, (position, q, *_) in enumerate(swing[1:], 1):
-        stamp_ns = START + k * 8_000_000
-        partner.send_pose(stamp_ns)
+        partner.send_pose(START + k * 8_000_000)
         if k % 4 == 0:
-            message = PoseStamped()
-            message.header.frame_id = 'world'
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(
-                stamp_ns, 1_000_000_000)
-            o, r = message.pose.position, message.pose.orientation
-            (o.x, o.y, o.z), (r.x, r.y, r.z, r.w) = position, q
-            camera.publish(message)
+            camera.publish(pose_at(START + k * 8_000_000, position, q))
         partner.wait_for_poses(k)
         assert k > 160 or not node._observing.lost_cups
         if node._observing.lost_cups:

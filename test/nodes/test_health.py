@@ -4,68 +4,60 @@ from contextlib import contextmanager
 import math
 from threading import Event, Thread
 import time
-from typing import Any
 
+from bellows_ros.nodes import diagnostics, predictor_node
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3Stamped
+from nav_msgs.msg import Odometry
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool, String
+from visualization_msgs.msg import MarkerArray
 
-from .conftest import PACKAGE, topics_of
+from .conftest import MS, PACKAGE, Peer, stamp_ns, START, topics_of
 
-MS = 1_000_000
-START = 1_700_000_000_000_000_000
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 BURSTS = 50  # at most, until this machine has not paused for longer than is bridged
 
 
-class Listener:
-    """Keeps the newest diagnostics."""
+class Listener(Peer):
+    """Knows the newest diagnostics."""
 
     def __init__(self, ros):
         """Subscribe."""
-        from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.node import Node
+        super().__init__(ros, 'monitor')
+        self.reports = self.hears(DiagnosticArray, '/diagnostics')
 
-        self.ros, self.node = ros, Node('monitor', context=ros.context)
-        ros.executor.add_node(self.node)
-        self.lines: dict[str, Any] = {}
-        self.reader = self.node.create_subscription(
-            DiagnosticArray, '/diagnostics', self._take, 10)
-
-    def _take(self, message):
-        """Keep each line by its name."""
-        self.lines.update({status.name: status for status in message.status})
+    def line(self, name):
+        """Return the newest line of a name, or nothing."""
+        lines = (line for report in reversed(self.reports) for line in report.status)
+        return next((line for line in lines if line.name == f'predictor: {name}'), None)
 
     def sees(self, name, level, words):
         """Wait until a line has this level and words."""
         def there():
-            line = self.lines.get(f'predictor: {name}')
+            line = self.line(name)
             return line is not None and line.level == level and words in line.message
 
         return bool(self.ros.spin_until(there))
 
     def value(self, name, key):
         """Return a value of a line."""
-        return {v.key: v.value for v in self.lines[f'predictor: {name}'].values}[key]
+        return {v.key: v.value for v in self.line(name).values}[key]
 
 
 @pytest.fixture
 def listener(ros, monkeypatch):
     """Give a monitor, of nodes that report five times a second."""
-    from bellows_ros.nodes import predictor_node
-
     monkeypatch.setattr(predictor_node, 'REPORT_PERIOD', 0.2)
     return Listener(ros)
-
-
-def now_ns():
-    """Return the time of day."""
-    return time.time_ns()
-
-
-def stamp_ns(message):
-    """Return the stamp of a message."""
-    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
 
 @contextmanager
@@ -75,7 +67,7 @@ def sending(partner, period=0.002, **options):
 
     def work():
         while not stop.wait(period):
-            partner.send_pose(now_ns(), **options)
+            partner.send_pose(time.time_ns(), **options)
 
     thread = Thread(target=work, daemon=True)
     thread.start()
@@ -88,7 +80,7 @@ def sending(partner, period=0.002, **options):
 
 def send_burst(partner):
     """Send poses, 2 ms apart, until it settles; return the last stamp when all are answered."""
-    before, begin, count = len(partner.poses), now_ns(), 60
+    before, begin, count = len(partner.poses), time.time_ns(), 60
     for k in range(count):
         partner.send_pose(begin + k * 2 * MS)
     partner.wait_for_poses(before + count)
@@ -120,9 +112,6 @@ def test_nobody_silent_and_good(make_partner, listener):
 
 def test_qos_mismatch_is_named(make_predictor, listener):
     """Say which policy does not match and what to set."""
-    from geometry_msgs.msg import PoseStamped
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
-
     make_predictor({
         **PACKAGE, 'qos_overrides./tool_arm/pose.subscription.reliability': 'reliable'})
     listener.node.create_publisher(PoseStamped, 'tool_arm/pose', QoSProfile(
@@ -133,10 +122,6 @@ def test_qos_mismatch_is_named(make_predictor, listener):
 
 def test_another_type_on_the_topic_is_named(make_predictor, listener):
     """Say what the driver sends and which parameter takes it."""
-    from geometry_msgs.msg import TransformStamped
-    import rclpy
-    from rclpy.node import Node
-
     make_predictor()
     context = rclpy.context.Context()  # as a process has one topic of one type only
     rclpy.init(args=[], context=context)
@@ -159,16 +144,11 @@ def test_a_tool_whose_z_points_down_is_said(make_partner, listener):
 
 def test_what_lacks_for_long_is_logged_once(make_predictor, listener, monkeypatch, capfd):
     """Log an absent driver when it has lasted, and not each second."""
-    from bellows_ros.nodes import diagnostics
-    from diagnostic_msgs.msg import DiagnosticArray
-
     monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.5)
-    node = make_predictor()
+    make_predictor()
     assert 'Listens to /tool_arm/pose and /tool_arm/twist, publishes /package/pose.' in (
         capfd.readouterr().err)
-    reports: list[Any] = []
-    node.create_subscription(DiagnosticArray, '/diagnostics', reports.append, 10)
-    assert listener.ros.spin_until(lambda: len(reports) >= 8)
+    listener.wait(lambda: len(listener.reports) >= 8)
     log = capfd.readouterr().err
     assert log.count('[WARN]') == log.count('Nobody publishes /tool_arm/pose') == 1
 
@@ -183,8 +163,6 @@ def test_refused_messages_are_counted_in_the_diagnostics(make_partner, listener)
 
 def test_vacuum_signal_that_nobody_sends_is_named(make_predictor, listener):
     """Say why nothing is predicted, and what the signal says once there is one."""
-    from std_msgs.msg import Bool
-
     make_predictor({**PACKAGE, 'vacuum.signal': 'bool'})
     assert listener.sees('vacuum', ERROR, 'Nobody publishes /vacuum/held: the package counts as n')
     assert listener.sees('prediction', OK, 'Detached')
@@ -198,18 +176,12 @@ def test_vacuum_signal_that_nobody_sends_is_named(make_predictor, listener):
 
 def test_safety_factor_is_published_and_follows_the_vacuum(make_partner, listener):
     """Send peel, slip and the smaller one; warn, then say an error, as the vacuum goes."""
-    from geometry_msgs.msg import Vector3Stamped
-    from sensor_msgs.msg import FluidPressure
-
     partner = make_partner({
         **PACKAGE, 'cup.lip_radius': 0.02, 'cup.suction_area': 1e-3, 'vacuum.signal': 'pressure',
         'vacuum.detach_above': 100000.0}, with_twists=False)
-    heard: list[Any] = []
-    reader = partner.node.create_subscription(
-        Vector3Stamped, 'cup/safety_factor', heard.append, 1000)
-    vacuum = partner.node.create_publisher(FluidPressure, 'vacuum/pressure', 10)
-    assert partner.ros.spin_until(
-        lambda: reader.get_publisher_count() and vacuum.get_subscription_count())
+    heard = partner.hears(Vector3Stamped, 'cup/safety_factor')
+    vacuum = partner.writes(FluidPressure, 'vacuum/pressure')
+    partner.connect()
     weight = PACKAGE['package.mass'] * 9.81
 
     def breathe(below):
@@ -232,17 +204,10 @@ def test_safety_factor_is_published_and_follows_the_vacuum(make_partner, listene
 
 def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
     """Go on for coast.limit with growing covariance; package/pose stays one for one."""
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
     partner = make_partner({**PACKAGE, 'coast.limit': 0.3}, with_twists=False)
-    odometry: list[Any] = []
-    states: list[str] = []
-    reader = partner.node.create_subscription(
-        Odometry, 'package/odometry', odometry.append, 1000)
-    partner.node.create_subscription(
-        String, 'package/state', lambda m: states.append(m.data), 10)
-    assert partner.ros.spin_until(reader.get_publisher_count)
+    odometry = partner.hears(Odometry, 'package/odometry')
+    states = partner.hears(String, 'package/state', decode=lambda message: message.data)
+    partner.connect()
     live = partner.predictor._live
     for _ in range(BURSTS):
         states.clear()
@@ -267,19 +232,15 @@ def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
 
 def test_stamps_of_odometry_never_go_back(make_partner):
     """Leave out, there, poses that come late behind extrapolated ones."""
-    from nav_msgs.msg import Odometry
-
     partner = make_partner({**PACKAGE, 'coast.limit': 0.4}, with_twists=False)
-    odometry: list[int] = [0]
-    reader = partner.node.create_subscription(
-        Odometry, 'package/odometry', lambda m: odometry.append(stamp_ns(m)), 1000)
-    assert partner.ros.spin_until(reader.get_publisher_count)
+    odometry = partner.hears(Odometry, 'package/odometry', decode=stamp_ns)
+    partner.connect()
     for _ in range(BURSTS):
         last_ns = send_burst(partner)
         enough_ns = last_ns + 20 * MS
         assert partner.ros.spin_until(
-            lambda enough_ns=enough_ns: odometry[-1] > enough_ns or is_lost(partner))
-        if odometry[-1] > enough_ns:
+            lambda enough_ns=enough_ns: max(odometry, default=0) > enough_ns or is_lost(partner))
+        if odometry and odometry[-1] > enough_ns:
             break
     assert odometry[-1] > enough_ns
     answered = len(partner.poses)
@@ -293,21 +254,14 @@ def test_stamps_of_odometry_never_go_back(make_partner):
 
 def test_all_outputs_agree(make_partner):
     """Find the same package in odometry, deflection and markers as in the pose."""
-    from geometry_msgs.msg import PoseStamped, Vector3Stamped
-    from nav_msgs.msg import Odometry
-    from visualization_msgs.msg import MarkerArray
-
     partner = make_partner({
         **PACKAGE, 'coast.limit': 0.0, 'cup.lip_radius': 0.02, 'vacuum.holding': 5e4,
     }, with_twists=False)
-    got: dict[str, list[Any]] = {'odometry': [], 'deflection': [], 'markers': [], 'safety': []}
-    kinds = {
-        'odometry': (Odometry, 'package/odometry'), 'deflection': (PoseStamped, 'cup/deflection'),
-        'markers': (MarkerArray, 'package/markers'),
-        'safety': (Vector3Stamped, 'cup/safety_factor')}
-    for name, (kind, topic) in kinds.items():
-        reader = partner.node.create_subscription(kind, topic, got[name].append, 1000)
-        assert partner.ros.spin_until(reader.get_publisher_count)
+    got = {name: partner.hears(kind, topic) for name, kind, topic in (
+        ('odometry', Odometry, 'package/odometry'), ('deflection', PoseStamped, 'cup/deflection'),
+        ('markers', MarkerArray, 'package/markers'),
+        ('safety', Vector3Stamped, 'cup/safety_factor'))}
+    partner.connect()
     assert partner.ros.spin_until(lambda: all(
         topic.wanted for topic in topics_of(partner.predictor)))
     for k in range(5):
@@ -331,20 +285,18 @@ def test_all_outputs_agree(make_partner):
 
 def test_simulated_time_that_goes_back_starts_afresh(make_partner, capfd):
     """Notice that a recording begins again, by its clock."""
-    from rosgraph_msgs.msg import Clock
-
     partner = make_partner({**PACKAGE, 'use_sim_time': True}, with_twists=False)
-    writer = partner.node.create_publisher(Clock, '/clock', 10)
-    assert partner.ros.spin_until(writer.get_subscription_count)
+    writer = partner.writes(Clock, '/clock')
+    partner.connect()
     for second in (100, 101):
-        writer.publish(Clock(clock=_time(second)))
+        writer.publish(Clock(clock=Time(sec=second)))
     assert partner.ros.spin_until(
         lambda: partner.predictor.get_clock().now().nanoseconds == 101 * 10**9)
     before = partner.predictor._live.restarts['clock_jump']
     for k in range(5):
         partner.send_pose(101 * 10**9 + k * 2 * MS)
     partner.wait_for_poses(5)
-    writer.publish(Clock(clock=_time(50)))
+    writer.publish(Clock(clock=Time(sec=50)))
     assert partner.ros.spin_until(
         lambda: partner.predictor._live.restarts['clock_jump'] > before)
     partner.send_pose(50 * 10**9)
@@ -353,35 +305,22 @@ def test_simulated_time_that_goes_back_starts_afresh(make_partner, capfd):
     assert 'the clock of the simulation was set' in capfd.readouterr().err
 
 
-def _time(second):
-    """Return a time message."""
-    from builtin_interfaces.msg import Time
-
-    return Time(sec=second)
-
-
 def test_ok_is_true_only_while_the_package_is_held_within_limits(make_partner):
     """False before the first pose, true at rest, false with the first pose of too high a load."""
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import Bool
-
     partner = make_partner({
         **PACKAGE, 'coast.limit': 0.0, 'cup.lip_radius': 0.02, 'vacuum.holding': 5e4,
         'safety.least': 1.0})
-    heard: list[bool] = []
-    partner.node.create_subscription(
-        Bool, 'package/ok', lambda message: heard.append(message.data),
-        QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    heard = partner.hears(
+        Bool, 'package/ok', QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        decode=lambda message: message.data)
     assert partner.ros.spin_until(lambda: heard == [False])
-    stamp, step = 1_700_000_000_000_000_000, 2_000_000
+    step = 2 * MS
     for k in range(5):
-        partner.send_pose(stamp + k * step)
-        partner.send_twist(stamp + k * step, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        partner.send(START + k * step)
     assert partner.ros.spin_until(lambda: heard == [False, True])
     height, speed = 0.0, 0.0
     for k in range(5, 60):  # upwards at 100 m/s^2
         speed += 100.0 * step * 1e-9
         height += speed * step * 1e-9
-        partner.send_pose(stamp + k * step, (0.0, 0.0, height))
-        partner.send_twist(stamp + k * step, (0.0, 0.0, speed), (0.0, 0.0, 0.0))
+        partner.send(START + k * step, (0.0, 0.0, height), (0.0, 0.0, speed))
     assert partner.ros.spin_until(lambda: heard == [False, True, False])

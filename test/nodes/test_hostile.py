@@ -4,12 +4,14 @@ import math
 import time
 from typing import Any
 
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
 import numpy as np
+from rclpy.serialization import serialize_message
+from visualization_msgs.msg import MarkerArray
 
-from .conftest import PACKAGE
+from .conftest import MS, PACKAGE, pose_at, stamp_ns, START
 
-MS = 1_000_000
-START = 1_700_000_000_000_000_000
 MESSAGES = 3000
 BURST = 40
 RECOVERED_WITHIN_NS = 200 * MS
@@ -49,13 +51,8 @@ class Attacker:
 
     def _send_bytes(self):
         """Send bytes that are no message, or one whose text is none."""
-        from geometry_msgs.msg import PoseStamped
-        from rclpy.serialization import serialize_message
-
         self.raw += 1
-        message = PoseStamped()
-        message.header.frame_id = 'base'
-        whole = serialize_message(message)
+        whole = serialize_message(pose_at(0, frame_id='base'))
         broken = (
             whole[:int(self._rng.integers(len(whole)))],
             whole[:12] + b'\xff' * 4 + whole[16:],  # a text that is longer than all
@@ -92,22 +89,16 @@ def numbers(part):
 
 def stamps_from(begin, poses):
     """Return the stamps (ns) that are not before a time, in the order in which they came."""
-    stamps = (pose.header.stamp for pose in poses)
-    stamps_ns = (stamp.sec * 10**9 + stamp.nanosec for stamp in stamps)
-    return [stamp_ns for stamp_ns in stamps_ns if stamp_ns >= begin]
+    return [stamp for stamp in map(stamp_ns, poses) if stamp >= begin]
 
 
 def listen(partner):
     """Return what will hold everything the predictor publishes beside poses and twists."""
-    from geometry_msgs.msg import PoseStamped
-    from nav_msgs.msg import Odometry
-    from visualization_msgs.msg import MarkerArray
-
     heard: list[Any] = []
     for kind, topic in ((PoseStamped, 'cup/deflection'), (Odometry, 'package/odometry'),
                         (MarkerArray, 'package/markers')):
-        reader = partner.node.create_subscription(kind, topic, heard.append, 10_000)
-        assert partner.ros.spin_until(reader.get_publisher_count)
+        partner.hears(kind, topic, decode=heard.append)
+    partner.connect()
     return heard
 
 

@@ -1,7 +1,5 @@
 """Plans of an arm's joints over DDS: predicted, steered in the same joints, refused."""
 
-from typing import Any
-
 from bellows_ros.core.geometry.lie import log_se3, rotation_to_quaternion, transform
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.planning.arm import read_arm
@@ -9,8 +7,12 @@ from bellows_ros.core.planning.plan import predict
 from bellows_ros.core.planning.points import plan_of, plan_of_joints
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.files.plan_messages import decode_multi_dof
+from builtin_interfaces.msg import Duration
 import numpy as np
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
 from .conftest import ORIGIN
 from .test_planning import MODEL, VALUES
@@ -28,41 +30,22 @@ class JointPlanner:
 
     def __init__(self, partner, urdf):
         """Connect the topics."""
-        from rclpy.qos import DurabilityPolicy, QoSProfile
-        from std_msgs.msg import String
-        from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
-
-        self.partner, node = partner, partner.node
-        self.plans: list[Any] = []
-        self.steered: list[Any] = []
-        ends = [
-            node.create_subscription(
-                MultiDOFJointTrajectory, 'package/plan',
-                lambda data: self.plans.append(decode_multi_dof(data)), 10, raw=True),
-            node.create_subscription(
-                JointTrajectory, 'tool_arm/steered_joints', self.steered.append, 10)]
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.arm_out = node.create_publisher(String, 'robot_description', latched)
+        self.partner, self.wait = partner, partner.wait
+        self.plans = partner.hears(
+            MultiDOFJointTrajectory, 'package/plan', decode=decode_multi_dof, raw=True)
+        self.steered = partner.hears(JointTrajectory, 'tool_arm/steered_joints')
         self.plan_out, self.steer_out = (
-            node.create_publisher(JointTrajectory, f'tool_arm/{name}_joints', 10)
+            partner.writes(JointTrajectory, f'tool_arm/{name}_joints')
             for name in ('plan', 'steer'))
-        self.arm_out.publish(String(data=urdf))
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        partner.writes(String, 'robot_description', latched).publish(String(data=urdf))
+        partner.connect()
         planning = partner.predictor._planning
-        self.wait(lambda: planning._joints._urdf and all(
-            end.get_publisher_count() for end in ends) and all(
-            out.get_subscription_count() for out in (self.plan_out, self.steer_out))
-            and planning._plan_out.wanted)
-
-    def wait(self, condition):
-        """Spin until something is so."""
-        assert self.partner.ros.spin_until(condition)
+        self.wait(lambda: planning._joints._urdf and planning._plan_out.wanted)
 
 
 def message(position=POSITION, names=ARM.moving):
     """Return joint positions as a message."""
-    from builtin_interfaces.msg import Duration
-    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
     return JointTrajectory(joint_names=names, points=[
         JointTrajectoryPoint(
             positions=q.tolist(), time_from_start=Duration(nanosec=round(1e9 * t)))

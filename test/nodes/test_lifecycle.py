@@ -2,52 +2,38 @@
 
 from threading import active_count
 
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.errors import BellowsError
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Odometry
 import pytest
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
-from .conftest import PACKAGE
+from .conftest import MS, PACKAGE, Peer, pose_at, START
 
-MS = 1_000_000
-START = 1_700_000_000_000_000_000
-ALL = ('package/pose', 'package/twist', 'package/odometry', 'cup/wrench', 'cup/deflection',
-       'package/markers')
+ALL = {'package/pose': PoseStamped, 'package/twist': TwistStamped, 'package/odometry': Odometry,
+       'cup/wrench': WrenchStamped, 'cup/deflection': PoseStamped, 'package/markers': MarkerArray}
 
 
-class Manager:
-    """A lifecycle manager: another node that calls services and listens to everything."""
+class Manager(Peer):
+    """A lifecycle manager: calls services and listens to everything."""
 
     def __init__(self, ros):
         """Join the graph."""
-        from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-        from nav_msgs.msg import Odometry
-        from rclpy.node import Node
-        from std_msgs.msg import String
-        from visualization_msgs.msg import MarkerArray
-
-        self.ros, self.node = ros, Node('manager', context=ros.context)
-        ros.executor.add_node(self.node)
-        kinds = (PoseStamped, TwistStamped, Odometry, WrenchStamped, PoseStamped, MarkerArray)
+        super().__init__(ros, 'manager')
         self.heard: list[str] = []
-        self.states: list[str] = []
-        self.readers = [
-            self.node.create_subscription(
-                kind, topic, lambda _, topic=topic: self.heard.append(topic), 1000)
-            for topic, kind in zip(ALL, kinds, strict=True)]
-        self.node.create_subscription(
-            String, 'package/state', lambda m: self.states.append(m.data), 10)
-        self.writer = self.node.create_publisher(PoseStamped, 'tool_arm/pose', 1000)
+        for topic, kind in ALL.items():
+            self.hears(kind, topic, decode=lambda _, topic=topic: self.heard.append(topic))
+        self.states = self.hears(String, 'package/state', decode=lambda message: message.data)
+        self.writer = self.writes(PoseStamped, 'tool_arm/pose')
         self._stamp = START
-
-    def call(self, service, kind, request):
-        """Call a service and return its answer."""
-        client = self.node.create_client(kind, service)
-        assert self.ros.spin_until(client.service_is_ready), service
-        future = client.call_async(request)
-        assert self.ros.spin_until(future.done), service
-        return future.result()
 
     def change(self, transition):
         """Ask for a transition."""
@@ -56,29 +42,17 @@ class Manager:
 
     def state(self):
         """Ask for the state."""
-        answer = self.call('/predictor/get_state', GetState, GetState.Request())
-        return str(answer.current_state.label)
+        return str(self.call('/predictor/get_state', GetState).current_state.label)
 
     def trigger(self, service):
         """Call a trigger."""
-        return self.call(service, Trigger, Trigger.Request())
+        return self.call(service, Trigger)
 
     def send(self, count=20):
         """Send poses of a tool that stands still."""
-        from geometry_msgs.msg import PoseStamped
-
         for _ in range(count):
             self._stamp += 2 * MS
-            message = PoseStamped()
-            message.header.frame_id = 'world'
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._stamp, 10**9)
-            message.pose.orientation.w = 1.0
-            self.writer.publish(message)
-
-    def is_connected(self):
-        """Tell whether every topic has found its other end."""
-        return bool(self.writer.get_subscription_count()) and all(
-            reader.get_publisher_count() for reader in self.readers)
+            self.writer.publish(pose_at(self._stamp))
 
     def take_what_is_under_way(self):
         """Forget messages that were sent before, in whatever order the topics bring them."""
@@ -86,10 +60,10 @@ class Manager:
             self.heard.clear()
             self.ros.spin_until(lambda: bool(self.heard), 0.1)
 
-    def hears(self):
+    def hears_all(self):
         """Send poses and tell whether all topics answer."""
         self.heard.clear()
-        assert self.ros.spin_until(self.is_connected)
+        self.connect()
         self.send()
         return bool(self.ros.spin_until(lambda: set(self.heard) == set(ALL)))
 
@@ -114,7 +88,7 @@ def test_every_transition(make_predictor, manager):
         assert not manager.trigger('/package/detach').success
         assert manager.heard == [] and node._live.poses_in == 0
         assert manager.change(Transition.TRANSITION_ACTIVATE)
-        assert manager.hears()
+        assert manager.hears_all()
         assert manager.change(Transition.TRANSITION_DEACTIVATE)
         assert manager.ros.spin_until(lambda: manager.states[-1:] == ['inactive'])
         manager.take_what_is_under_way()
@@ -146,7 +120,7 @@ def test_a_transition_that_is_not_allowed_is_refused(state, make_predictor, mana
     label = ChangeState.Request(transition=Transition(label='configured'))
     assert not manager.call('/predictor/change_state', ChangeState, label).success
     if state == 'active':
-        assert manager.hears()
+        assert manager.hears_all()
 
 
 def test_a_transition_by_its_label(make_predictor, manager):
@@ -173,7 +147,7 @@ def test_what_cannot_be_configured_leaves_nothing_behind(make_predictor, manager
 def test_shutdown_while_active(make_predictor, manager):
     """Fall silent for good."""
     make_predictor()
-    assert manager.hears()
+    assert manager.hears_all()
     assert manager.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert manager.state() == 'finalized'
     assert manager.ros.spin_until(lambda: not manager.node.count_publishers('/package/pose'))
@@ -194,8 +168,6 @@ def test_a_node_that_is_closed_leaves_the_graph(make_predictor, manager):
 
 def test_configuring_checks_what_has_been_set_since(make_predictor, manager):
     """Use the parameters as they stand when it is configured."""
-    from rclpy.parameter import Parameter
-
     node = make_predictor({**PACKAGE, 'autostart': False})
     assert node.set_parameters([Parameter('package.mass', value=1.0)])[0].successful
     assert manager.change(Transition.TRANSITION_CONFIGURE)
@@ -205,7 +177,7 @@ def test_configuring_checks_what_has_been_set_since(make_predictor, manager):
 def test_package_comes_and_goes(make_predictor, manager):
     """Predict only while it is attached, and say so."""
     node = make_predictor()
-    assert manager.hears()
+    assert manager.hears_all()
     assert manager.trigger('/package/detach').success
     assert manager.ros.spin_until(lambda: manager.states[-1] == 'detached')
     manager.take_what_is_under_way()
@@ -214,35 +186,29 @@ def test_package_comes_and_goes(make_predictor, manager):
     assert manager.ros.spin_until(lambda: node._live.poses_in == before + 20)
     answer = manager.trigger('/package/attach')
     assert answer.success and set(manager.heard) <= {'package/markers'}  # that takes them away
-    assert manager.hears()
+    assert manager.hears_all()
     assert manager.ros.spin_until(lambda: manager.states[-1] != 'detached')
 
 
 @pytest.mark.parametrize('signal', ['bool', 'pressure'])
 def test_vacuum_attaches_and_detaches(signal, make_predictor, manager):
     """Follow the switch or the pressure; without a signal nothing is held."""
-    from sensor_msgs.msg import FluidPressure
-    from std_msgs.msg import Bool
-
     node = make_predictor({**PACKAGE, 'vacuum.signal': signal})
     kind, topic = (Bool, 'vacuum/held') if signal == 'bool' else (FluidPressure, 'vacuum/pressure')
-    writer = manager.node.create_publisher(kind, topic, 10)
-    assert manager.ros.spin_until(writer.get_subscription_count)
+    writer = manager.writes(kind, topic)
+    manager.connect()
     assert node._live.attached is False
     for held in (True, False, True):
         writer.publish(Bool(data=held) if signal == 'bool' else FluidPressure(
             fluid_pressure=30e3 if held else 101e3))
         assert manager.ros.spin_until(lambda held=held: node._live.attached is held)
-    assert manager.hears()
+    assert manager.hears_all()
 
 
 def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, manager):
     """Take a switch that speaks only when it changes at its last word, by an override."""
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import Bool
-
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    manager.node.create_publisher(Bool, 'vacuum/held', latched).publish(Bool(data=True))
+    manager.writes(Bool, 'vacuum/held', latched).publish(Bool(data=True))
     of_switch = 'qos_overrides./vacuum/held.subscription'
     node = make_predictor({
         **PACKAGE, 'vacuum.signal': 'bool', 'autostart': False,
@@ -251,16 +217,15 @@ def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, mana
     assert manager.ros.spin_until(lambda: node._attachment.held)
     assert manager.change(Transition.TRANSITION_ACTIVATE)
     assert node._live.attached
-    assert manager.hears()
+    assert manager.hears_all()
 
 
 def test_named_cups(make_predictor):
     """Choose a cup of the file, change it live, and refuse one that is not there."""
-    from rclpy.parameter import Parameter
-
-    soft = [0.5 * x for x in node_stiffness()]
+    hard = Cup.thesis().stiffness.ravel()
+    soft = (0.5 * hard).tolist()
     node = make_predictor({
-        **PACKAGE, 'cups.soft.stiffness': soft, 'cups.hard.stiffness': node_stiffness(),
+        **PACKAGE, 'cups.soft.stiffness': soft, 'cups.hard.stiffness': hard.tolist(),
         'cup.name': 'soft'})
     assert node._live.model[0][2][0][0] == soft[0]
     result = node.set_parameters([Parameter('cup.name', value='hard')])[0]
@@ -273,10 +238,3 @@ def test_named_cups(make_predictor):
         assert not result.successful and words in result.reason
     with pytest.raises(BellowsError, match=r'cups\.blue'):
         make_predictor({**PACKAGE, 'cup.name': 'blue'})
-
-
-def node_stiffness():
-    """Return the stiffness of the thesis as a parameter."""
-    from bellows_ros.core.model.cup_package import Cup
-
-    return [float(x) for x in Cup.thesis().stiffness.ravel()]

@@ -1,31 +1,29 @@
 """Measured poses of the package over DDS."""
 
 import time
-from typing import Any
 
+from bellows_ros.core.live.health import Level
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.observer.filter import changed
+from bellows_ros.nodes.observing import KINDS
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import InertiaStamped, PoseStamped
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import FluidPressure
 
-from .conftest import PACKAGE
+from .conftest import ORIGIN, PACKAGE, stamped, UPRIGHT
 from ..core.observer.cases import truth
 
 WORLD = [1.2, -0.7, 0.3, 0.0, 0.6, 0.0, 0.8]  # of the measured package, in that of the tool
 TURN = 0.1  # rad, by which the measured package begins beside its rest
 
 
-def stamped(message, stamp_ns, frame_id='world'):
-    """Give a message with a header."""
-    message.header.frame_id = frame_id
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-    return message
-
-
 def swinging():
     """Give the states of a package that swings under a tool that stands still."""
-    tool = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))] * 120
+    tool = [(ORIGIN, UPRIGHT, ORIGIN, ORIGIN)] * 120
     package = package_of(PACKAGE)
     rest = truth(tool[:1], package, Cup.thesis())[0]
     start = changed(rest, np.r_[0.0, 0.0, 0.0, 0.0, TURN, np.zeros(7)])
@@ -36,24 +34,15 @@ def swinging():
     ('pose', False), ('pose_with_covariance', True), ('odometry', False)])
 def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     """Come near where the package is seen, in a world of its own too; count what is no use."""
-    from bellows_ros.nodes.observing import KINDS
-    from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import InertiaStamped
-
     partner = make_partner({
         **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-3],
         'payload.estimate': True,
         'recording.package_world': ' '.join(map(str, WORLD)) if apart else ''})
-    writer = partner.node.create_publisher(KINDS[kind], 'package/measured', 10)
-    lines: list[Any] = []
-    payloads: list[Any] = []
-    estimated = partner.node.create_subscription(
-        InertiaStamped, 'package/estimated', payloads.append, 10)
-    partner.node.create_subscription(
-        DiagnosticArray, '/diagnostics', lambda m: lines.extend(m.status), 10)
-    assert partner.ros.spin_until(
-        lambda: writer.get_subscription_count() and estimated.get_publisher_count()
-        and partner.predictor._observing._estimated.wanted)
+    writer = partner.writes(KINDS[kind], 'package/measured')
+    payloads = partner.hears(InertiaStamped, 'package/estimated')
+    reports = partner.hears(DiagnosticArray, '/diagnostics')
+    partner.connect()
+    assert partner.ros.spin_until(lambda: partner.predictor._observing._estimated.wanted)
     live = partner.predictor._live
     start_ns, swing = time.time_ns(), swinging()
 
@@ -109,15 +98,12 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     assert partner.ros.spin_until(
         lambda: all(counts[name] == count for name, count in expected.items())), counts
     assert partner.ros.spin_until(lambda: any(
-        'measured package' in line.name and 'refused' in line.message for line in lines))
+        'measured package' in line.name and 'refused' in line.message
+        for report in reports for line in report.status))
 
 
 def test_counts_begin_again_with_the_observer(make_partner):
     """Count no messages below zero after a parameter is set, and none as faults in flight."""
-    from bellows_ros.core.live.health import Level
-    from geometry_msgs.msg import PoseStamped
-    from rclpy.parameter import Parameter
-
     partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
     predictor, observing = partner.predictor, partner.predictor._observing
     start_ns = time.time_ns()
@@ -141,19 +127,16 @@ def test_counts_begin_again_with_the_observer(make_partner):
 @pytest.mark.parametrize('moves', [True, False])
 def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves):
     """Raise one alarm at once, before the camera sees anything; at rest it is a release."""
-    from geometry_msgs.msg import PoseStamped
-    from sensor_msgs.msg import FluidPressure
-
     partner = make_partner({**PACKAGE, 'vacuum.signal': 'pressure'})
     predictor, live = partner.predictor, partner.predictor._live
-    vacuum = partner.node.create_publisher(FluidPressure, 'vacuum/pressure', 10)
-    assert partner.ros.spin_until(vacuum.get_subscription_count)
+    vacuum = partner.writes(FluidPressure, 'vacuum/pressure')
+    partner.connect()
     vacuum.publish(FluidPressure(fluid_pressure=40e3))
     assert partner.ros.spin_until(lambda: live.attached)
     start_ns, speed = time.time_ns(), 0.3 * moves
     for k in range(1, 50):
-        partner.send_pose(start_ns + k * 4_000_000, (speed * k * 4e-3, 0.0, 0.0))
-        partner.send_twist(start_ns + k * 4_000_000, (speed, 0.0, 0.0))
+        partner.send(
+            start_ns + k * 4_000_000, (speed * k * 4e-3, 0.0, 0.0), (speed, 0.0, 0.0))
     partner.wait_for_poses(49)
     held = partner.poses[-1]
     message = stamped(PoseStamped(), start_ns + 49 * 4_000_000)

@@ -6,13 +6,19 @@ from typing import Any
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.points import plan_of
 from bellows_ros.core.planning.steering import hanging
 from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry, Path
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from rclpy.parameter import Parameter
+from std_msgs.msg import Header
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from .conftest import MS, stamp_ns, START
 from ..core.planning.test_steering import Smooth
 from ..core.plans import CUP, GRIP, Move, PACKAGE
 
@@ -25,7 +31,6 @@ VALUES = {
 }
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 MOVE = Move([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
-MS = 1_000_000
 
 
 def message(move=MOVE, rate_hz=500, **changes):
@@ -44,39 +49,21 @@ class Planner:
 
     def __init__(self, partner):
         """Connect all topics of plans."""
-        from diagnostic_msgs.msg import DiagnosticArray
-        from nav_msgs.msg import Odometry, Path
-        from std_msgs.msg import Header
-        from trajectory_msgs.msg import MultiDOFJointTrajectory
-
-        self.partner, node = partner, partner.node
-        self.plans: list[PlanMessage] = []
-        self.heard: dict[str, list[Any]] = {'path': [], 'at': [], 'steered': [], 'health': []}
-
-        def keep(data):
-            self.plans.append(decode_multi_dof(data))
-
-        ends = [
-            node.create_subscription(
-                MultiDOFJointTrajectory, 'package/plan', keep, 100, raw=True),
-            node.create_subscription(Path, 'package/plan_path', self.heard['path'].append, 100),
-            node.create_subscription(Odometry, 'package/predicted_at', self.heard['at'].append, 9),
-            node.create_subscription(
-                MultiDOFJointTrajectory, 'tool_arm/steered',
-                lambda data: self.heard['steered'].append(decode_multi_dof(data)), 9, raw=True),
-            node.create_subscription(
-                DiagnosticArray, '/diagnostics', self.heard['health'].append, 99)]
+        self.partner, self.wait = partner, partner.wait
+        plan, hears = MultiDOFJointTrajectory, partner.hears
+        self.plans = hears(plan, 'package/plan', decode=decode_multi_dof, raw=True)
+        self.heard = {
+            'path': hears(Path, 'package/plan_path'),
+            'at': hears(Odometry, 'package/predicted_at'),
+            'steered': hears(plan, 'tool_arm/steered', decode=decode_multi_dof, raw=True),
+            'health': hears(DiagnosticArray, '/diagnostics')}
         self.plan_out, self.steer_out = (
-            node.create_publisher(MultiDOFJointTrajectory, f'tool_arm/{name}', 10)
-            for name in ('plan', 'steer'))
-        self.request_out = node.create_publisher(Header, 'package/predict_at', 10)
+            partner.writes(plan, f'tool_arm/{name}') for name in ('plan', 'steer'))
+        self.request_out = partner.writes(Header, 'package/predict_at')
+        partner.connect()
         planning = partner.predictor._planning
-        assert partner.ros.spin_until(lambda: (
-            all(end.get_publisher_count() for end in ends)
-            and len(planning._compiled) == 3
-            and not planning.is_busy
-            and all(out.get_subscription_count()
-                    for out in (self.plan_out, self.steer_out, self.request_out))
+        self.wait(lambda: (
+            len(planning._compiled) == 3 and not planning.is_busy
             and planning._plan_out.wanted and planning._path_out.wanted))
 
     def send(self, plan):
@@ -94,10 +81,6 @@ class Planner:
         planning = self.partner.predictor._planning
         self.wait(lambda: planning.status)
         return planning.status
-
-    def wait(self, condition):
-        """Spin until something is so."""
-        assert self.partner.ros.spin_until(condition)
 
 
 @pytest.fixture
@@ -135,24 +118,20 @@ def test_a_plan_that_lets_go_is_warned_of_before_it_moves(planner):
 @pytest.mark.parametrize(('speed', 'late'), [(1.0, 0.3), (0.5, 0.0)])
 def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(planner, speed, late):
     """Where tool and package will be, though the clock of the plan says otherwise."""
-    start_ns = 1_700_000_000_000_000_000
     step_ns, sent = 4 * MS, 0
-    planner.drive(start_ns, 0.0)
+    planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
-    planner.send(message(stamp_ns=start_ns))
+    planner.send(message(stamp_ns=START))
     end = late + 1.0 / speed
-    poses: dict[int, Any] = {}
     while sent * step_ns < (end + 0.2) * 1e9:
         sent += 1
         before, since = len(planner.partner.poses), time.monotonic()
-        planner.drive(start_ns + sent * step_ns, sent * step_ns * 1e-9 - late, speed)
+        planner.drive(START + sent * step_ns, sent * step_ns * 1e-9 - late, speed)
         planner.wait(lambda: len(planner.partner.poses) > before)  # noqa: B023
         time.sleep(max(0.0, 2e-3 - (time.monotonic() - since)))
-    for pose in planner.partner.poses:
-        stamp = pose.header.stamp
-        poses[stamp.sec * 10**9 + stamp.nanosec] = pose.pose.position
+    poses = {stamp_ns(pose): pose.pose.position for pose in planner.partner.poses}
     running = [plan for plan in planner.plans[1:]
-               if 0.3 < ((plan.stamp_ns - start_ns) * 1e-9 - late) * speed < 0.8]
+               if 0.3 < ((plan.stamp_ns - START) * 1e-9 - late) * speed < 0.8]
     assert len(running) >= 3
     for plan in running:
         for k in range(0, len(plan.times_ns), 10):
@@ -164,21 +143,18 @@ def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(planner, speed, lat
 
 def test_a_request_is_answered(planner):
     """By the plan where one is driven, else with the tool going on steadily; not in the past."""
-    from std_msgs.msg import Header
-
-    start_ns = 1_700_000_000_000_000_000
 
     def ask(after_ns):
         request = Header()
-        request.stamp.sec, request.stamp.nanosec = divmod(start_ns + after_ns, 10**9)
+        request.stamp.sec, request.stamp.nanosec = divmod(START + after_ns, 10**9)
         planner.request_out.publish(request)
 
-    planner.drive(start_ns, 0.0)
+    planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
     ask(500 * MS)
     planner.wait(lambda: len(planner.heard['at']) == 1)
     assert_allclose(planner.heard['at'][0].pose.pose.position.x, 0.0, atol=1e-9)
-    planner.send(message(stamp_ns=start_ns))
+    planner.send(message(stamp_ns=START))
     planner.wait(lambda: planner.plans)
     ask(-5 * MS)
     ask(500 * MS)
@@ -202,8 +178,6 @@ def test_a_motion_is_steered(planner, of_package):
     planner.steer_out.publish(encode_multi_dof(wanted))
     planner.wait(lambda: planner.heard['steered'])
     found = planner.heard['steered'][0]
-    from bellows_ros.core.planning.points import plan_of
-
     tool = plan_of(found.times_ns, found.poses[:, :3], found.poses[:, 3:], found.twists,
                    twist_frame='tool')
     assert np.degrees(predict(MODEL, None, tool).figures()['swing_left']) < 0.01
@@ -211,8 +185,6 @@ def test_a_motion_is_steered(planner, of_package):
 
 def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     """With E turned and beside the frame that poses, plans and answers are of."""
-    from bellows_ros.core.planning.points import plan_of
-
     T_flange_E = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x
     T_flange_E[:3, 3] = 0.02, -0.03, 0.1
     planner = Planner(make_partner({**VALUES, 'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'}))
@@ -225,8 +197,8 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     plan = message(move)
     of_flange = message(move, twists=None, poses=in_frame(plan.poses, np.linalg.inv(T_flange_E)))
     first = of_flange.poses[0]
-    planner.partner.send_pose(1_700_000_000_000_000_000, first[:3], first[3:])
-    planner.partner.send_twist(1_700_000_000_000_000_000)
+    planner.partner.send_pose(START, first[:3], first[3:])
+    planner.partner.send_twist(START)
     planner.partner.wait_for_poses(1)
     o, truth = planner.partner.poses[0].pose.position, predict(MODEL, GRIP, move.plan(500))
     assert_allclose([o.x, o.y, o.z], truth.states[0, :3], atol=1e-6)
@@ -250,8 +222,7 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
 ])
 def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, changes, words):
     """Say why on /diagnostics; answer nothing; answer the next good one."""
-    start_ns = 1_700_000_000_000_000_000
-    planner.drive(start_ns, 0.0)
+    planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
     if changes is None:
         planner.plan_out.publish(b'\0\1\0\0' + bytes(range(60)))
@@ -261,7 +232,7 @@ def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, changes, word
     planner.wait(lambda: planning.status is not None)
     assert planning.status.level == 1 and not planner.plans
     assert words in planning.status.message or changes is None
-    planner.drive(start_ns + 4 * MS, 0.0)
+    planner.drive(START + 4 * MS, 0.0)
     planner.partner.wait_for_poses(2)
     assert not planner.partner.predictor.failures
     planner.send(message())
@@ -270,22 +241,21 @@ def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, changes, word
 
 def test_a_plan_of_another_clock_ends_nothing(planner):
     """Refuse what begins in ten years, and answer the next plan; know what begins later too."""
-    start_ns = 1_700_000_000_000_000_000
     predictor = planner.partner.predictor
     predictor.set_parameters([Parameter('package.size', value=[0.1, 0.1, 0.1]),
                               Parameter('landing.height', value=-1.0),
                               Parameter('landing.aim', value=True)])
     planning, flight = predictor._planning, predictor._tossing.flight
-    planner.send(message(stamp_ns=start_ns + 300_000_000 * 10**9))  # before any pose
+    planner.send(message(stamp_ns=START + 300_000_000 * 10**9))  # before any pose
     planner.wait(lambda: planner.plans)
-    planner.drive(start_ns, 0.0)
+    planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
     for ahead_ns in (300_000_000 * 10**9, 86_400 * 10**9, 60 * 10**9, 2 * 10**9):
         now, before = predictor._last, len(planner.plans)
         assert flight.landing(MODEL, now, lambda _: np.zeros((12, 12))) is not None
         flight.time_to_target(MODEL, now)
         assert_allclose(flight.later(MODEL, now, 0.5)[0], now.position, atol=1e-3)
-        planner.send(message(stamp_ns=start_ns + ahead_ns))
+        planner.send(message(stamp_ns=START + ahead_ns))
         if ahead_ns > 3600 * 10**9:
             planner.wait(lambda: planning.status and 'one clock' in planning.status.message)
         else:

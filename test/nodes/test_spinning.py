@@ -5,18 +5,26 @@ import sys
 from threading import Event, Thread
 import time
 from types import FrameType
-from typing import Any
 
-from bellows_ros.nodes.guarding import executor_for, spin
+from bellows_ros.nodes.guarding import executor_for, GuardedNode, spin
+from bellows_ros.nodes.predictor_node import PredictorNode
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from nav_msgs.msg import Odometry
 import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.task import Future
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from .conftest import PACKAGE
+from .conftest import MS, PACKAGE, Peer, pose_at, stamp_ns, stamped, START
 
-MS = 1_000_000
-START = 1_700_000_000_000_000_000
 HAVE_EVENTS = False
 try:
     import rclpy.experimental
@@ -53,87 +61,45 @@ def spun(ros, way):
         assert not thread.is_alive()
 
 
-class Cell:
+class Cell(Peer):
     """A predictor that is spun by itself, and another node that talks with it."""
 
     def __init__(self, ros, spun):
         """Start both."""
-        from bellows_ros.nodes.predictor_node import PredictorNode
-        from diagnostic_msgs.msg import DiagnosticArray
-        from geometry_msgs.msg import PoseStamped, TwistStamped
-        from nav_msgs.msg import Odometry
-        from rclpy.node import Node
-        from rclpy.parameter import Parameter
-        from rclpy.qos import DurabilityPolicy, QoSProfile
-        from std_msgs.msg import String
-
+        super().__init__(ros, 'partner')
         given = {**PACKAGE, 'coast.limit': 0.4}
-        overrides = [Parameter(name, value=value) for name, value in given.items()]
-        self.ros, self.node = ros, Node('partner', context=ros.context)
-        ros.executor.add_node(self.node)
-        self.predictor = PredictorNode(context=ros.context, parameter_overrides=overrides)
+        self.predictor = PredictorNode(context=ros.context, parameter_overrides=[
+            Parameter(name, value=value) for name, value in given.items()])
         self.thread = spun(self.predictor)
-        self.poses: list[Any] = []
-        self.odometry: list[Any] = []
-        self.states: list[str] = []
-        self.diagnostics: list[Any] = []
-        make = self.node.create_subscription
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.readers = [
-            make(PoseStamped, 'package/pose', self.poses.append, 1000),
-            make(Odometry, 'package/odometry', self.odometry.append, 1000),
-            make(String, 'package/state', lambda m: self.states.append(m.data), latched),
-            make(DiagnosticArray, '/diagnostics', self.diagnostics.append, 10),
-        ]
-        self.pose_writer = self.node.create_publisher(PoseStamped, 'tool_arm/pose', 1000)
-        self.twist_writer = self.node.create_publisher(TwistStamped, 'tool_arm/twist', 1000)
-        assert ros.spin_until(self._is_connected)
-        self._sent = 0
-
-    def _is_connected(self):
-        """Tell whether every topic has found its other end, and the predictor knows."""
+        self.poses = self.hears(PoseStamped, 'package/pose')
+        self.odometry = self.hears(Odometry, 'package/odometry', decode=stamp_ns)
+        self.states = self.hears(String, 'package/state', latched, lambda message: message.data)
+        self.diagnostics = self.hears(DiagnosticArray, '/diagnostics')
+        self.pose_writer = self.writes(PoseStamped, 'tool_arm/pose')
+        self.twist_writer = self.writes(TwistStamped, 'tool_arm/twist')
+        self.connect()
         outputs, live = self.predictor._outputs, self.predictor._live
-        return bool(
-            all(writer.get_subscription_count() for writer in (
-                self.pose_writer, self.twist_writer))
-            and all(reader.get_publisher_count() for reader in self.readers)
-            and outputs._odometry.wanted and live.pairing.expect)
+        self.wait(lambda: outputs._odometry.wanted and live.pairing.expect)
+        self._last_ns = START
 
     def send(self, count):
         """Send poses with twists, and wait for the last answer."""
-        from geometry_msgs.msg import PoseStamped, TwistStamped
-
         before = len(self.poses)
         for _ in range(count):
-            self._sent += 1
-            pose, twist = PoseStamped(), TwistStamped()
-            for message in (pose, twist):
-                message.header.frame_id = 'world'
-                stamp = message.header.stamp
-                stamp.sec, stamp.nanosec = divmod(START + self._sent * 2 * MS, 10**9)
-            pose.pose.orientation.w = 1.0
-            self.twist_writer.publish(twist)
-            self.pose_writer.publish(pose)
+            self._last_ns += 2 * MS
+            self.twist_writer.publish(stamped(TwistStamped(), self._last_ns))
+            self.pose_writer.publish(pose_at(self._last_ns))
         assert self.ros.spin_until(lambda: len(self.poses) == before + count), (
             f'{len(self.poses) - before} of {count} answers')
 
     def is_ahead(self):
         """Tell whether the odometry goes on behind the last pose."""
-        stamps = (message.header.stamp for message in self.odometry)
-        return any(
-            stamp.sec * 10**9 + stamp.nanosec > START + self._sent * 2 * MS for stamp in stamps)
+        return max(self.odometry, default=0) > self._last_ns
 
     def is_lost(self):
         """Tell whether the pause since the last pose is longer than is bridged."""
         return bool(self.predictor._live.phase(time.monotonic_ns()) == 'lost')
-
-    def call(self, service, kind, request):
-        """Call a service and return its answer."""
-        client = self.node.create_client(kind, service)
-        assert self.ros.spin_until(client.service_is_ready), service
-        future = client.call_async(request)
-        assert self.ros.spin_until(future.done), service
-        return future.result()
 
 
 @pytest.fixture
@@ -144,9 +110,6 @@ def cell(ros, spun):
 
 def test_everything_works(cell):
     """Predict, coast, fall silent, report, change parameters, change state, and end."""
-    from rclpy.parameter import Parameter
-    from rclpy.parameter_client import AsyncParameterClient
-
     for _ in range(50):  # until this machine has not paused for longer than is bridged
         cell.send(100)
         assert cell.ros.spin_until(lambda: cell.is_ahead() or cell.is_lost())
@@ -161,7 +124,7 @@ def test_everything_works(cell):
     future = client.set_parameters([Parameter('package.mass', value=1.5)])
     assert cell.ros.spin_until(future.done)
     assert future.result().results[0].successful and cell.predictor._live.model[1][0] == 1.5
-    assert cell.call('/predictor/reset', Trigger, Trigger.Request()).success
+    assert cell.call('/predictor/reset', Trigger).success
     cell.send(10)
     for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
         request = ChangeState.Request(transition=Transition(id=transition))
@@ -198,9 +161,6 @@ def test_collector_strikes_between_callbacks_only(cell, monkeypatch):
 
 def test_collector_is_given_back(ros, way):
     """Collect as before when the node has ended, however it ends."""
-    from rclpy.node import Node
-    from rclpy.task import Future
-
     class Short(Node):
 
         closed = False
@@ -220,10 +180,6 @@ def test_collector_is_given_back(ros, way):
 @pytest.mark.parametrize('of', ['the node', 'rclpy'])
 def test_an_error_in_a_callback_ends_nothing(of, ros, way):
     """Note an unforeseen error, also where the callback is none that the node has made."""
-    from bellows_ros.nodes.guarding import GuardedNode
-    from rclpy.node import Node
-    from rclpy.task import Future
-
     class Broken(GuardedNode):
 
         def close(self):
@@ -247,9 +203,6 @@ def test_an_error_in_a_callback_ends_nothing(of, ros, way):
 @without_events
 def test_what_events_cannot_serve_is_waited_for(ros):
     """Fall back where the executor woken by events refuses a node."""
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
-
     node, called = Node('guarded', context=ros.context), []
     guard = node.create_guard_condition(lambda: called.append(True))
     executor = executor_for(node)

@@ -2,21 +2,19 @@
 
 import importlib.util
 import sys
-from typing import Any
 
 from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.errors import BellowsError
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from . import tf2_interface
-from .conftest import PACKAGE
+from .conftest import MS, PACKAGE, stamped, START
 from .test_health import ERROR, Listener
 
 pytestmark = pytest.mark.timeout(600)  # tf2_msgs may have to be built
-
-START = 1_700_000_000_000_000_000
-MS = 1_000_000
 
 
 @pytest.fixture(scope='module')
@@ -44,9 +42,8 @@ def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
     """Send the transform from the tool's frame to the package's for every prediction."""
     partner = make_partner({**PACKAGE, 'frames.package': 'box', 'coast.limit': 0.0},
                            with_twists=False)
-    got: list[Any] = []
-    reader = partner.node.create_subscription(tf2_msgs.TFMessage, '/tf', got.append, 100)
-    assert partner.ros.spin_until(reader.get_publisher_count)
+    got = partner.hears(tf2_msgs.TFMessage, '/tf')
+    partner.connect()
     assert partner.ros.spin_until(lambda: partner.predictor._outputs._tf.wanted)
     for k in range(20):  # the tool starts to move, so that no two poses are alike
         partner.send_pose(START + k * MS, (0.001 * k * k * 1e-3, 0.0, 0.5))
@@ -66,38 +63,28 @@ def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
 
 def send(writer, kind, stamp_ns, *links):
     """Send transforms of frames that are shifted along z."""
-    from geometry_msgs.msg import TransformStamped
-
     message = kind()
     for parent, child, z in links:
-        stamped = TransformStamped(child_frame_id=child)
-        stamped.header.frame_id = parent
-        stamped.header.stamp.sec, stamped.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        stamped.transform.translation.z = z
-        message.transforms.append(stamped)
+        link = stamped(TransformStamped(child_frame_id=child), stamp_ns, parent)
+        link.transform.translation.z = z
+        message.transforms.append(link)
     writer.publish(message)
 
 
 def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, ros):
     """Predict along static and moving links, and say what is missing before."""
-    from geometry_msgs.msg import PoseStamped
-    from rclpy.node import Node
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-
     listener = Listener(ros)
-    driver, got = Node('driver', context=ros.context), list[Any]()
-    ros.executor.add_node(driver)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    static = driver.create_publisher(tf2_msgs.TFMessage, '/tf_static', latched)
-    send(static, tf2_msgs.TFMessage, 0, ('map', 'base', 2.0), ('flange', 'cup', -0.1))
+    send(listener.writes(tf2_msgs.TFMessage, '/tf_static', latched), tf2_msgs.TFMessage, 0,
+         ('map', 'base', 2.0), ('flange', 'cup', -0.1))
     predictor = make_predictor({
         **PACKAGE, 'tool_pose.type': 'tf', 'frames.world': 'map', 'frames.tool': 'cup'})
     (heard,) = (end for end in predictor.subscriptions if end.topic_name == '/tf')
-    reader = driver.create_subscription(PoseStamped, 'package/pose', got.append, 100)
-    moving = driver.create_publisher(tf2_msgs.TFMessage, '/tf', 100)
+    got = listener.hears(PoseStamped, 'package/pose')
+    moving = listener.writes(tf2_msgs.TFMessage, '/tf')
+    listener.connect()
     assert ros.spin_until(
-        lambda: reader.get_publisher_count() and moving.get_subscription_count()
-        and heard.get_publisher_count() == 2), 'it hears itself and the driver'
+        lambda: heard.get_publisher_count() == 2), 'it hears itself and the driver'
     assert listener.sees('tool pose', ERROR, "lead up to 'map' and 'flange'")
     for k in range(5):
         send(moving, tf2_msgs.TFMessage, START + k * MS, ('base', 'flange', -0.5),

@@ -2,13 +2,15 @@
 
 from threading import Event
 import time
-from typing import Any
 
-from bellows_ros.nodes.conversions import stamp_to_ns
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool, Header, String
 
-from .conftest import PACKAGE
+from .conftest import PACKAGE, stamp_ns
 from .test_planning import message, Planner
 
 TOSSED = {
@@ -21,26 +23,16 @@ SPEED = 0.4  # m/s
 
 def test_lands_where_it_said_it_would(make_partner, capfd):
     """Say landing and time of release; then fly on after the valve, land, and take up the next."""
-    from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import Bool, Header, String
-
     partner = make_partner(TOSSED)
-    heard: dict[str, list[Any]] = {
-        'landing': [], 'at': [], 'state': [], 'lip': [], 'odometry': [], 'later': []}
-    ends = [
-        partner.node.create_subscription(kind, name, heard[key].append, 10)
-        for kind, name, key in (
-            (PoseWithCovarianceStamped, 'package/landing', 'landing'),
-            (Header, 'release/at', 'at'), (String, 'package/state', 'state'),
-            (PoseStamped, 'cup/deflection', 'lip'), (Odometry, 'package/odometry', 'odometry'),
-            (Odometry, 'package/predicted_at', 'later'))]
-    valve = partner.node.create_publisher(Bool, 'vacuum/valve', 10)
-    asking = partner.node.create_publisher(Header, 'package/predict_at', 10)
+    heard = {name: partner.hears(kind, topic) for name, kind, topic in (
+        ('landing', PoseWithCovarianceStamped, 'package/landing'), ('at', Header, 'release/at'),
+        ('state', String, 'package/state'), ('lip', PoseStamped, 'cup/deflection'),
+        ('odometry', Odometry, 'package/odometry'), ('later', Odometry, 'package/predicted_at'))}
+    valve = partner.writes(Bool, 'vacuum/valve')
+    asking = partner.writes(Header, 'package/predict_at')
+    partner.connect()
     assert partner.ros.spin_until(lambda: (
-        valve.get_subscription_count() and asking.get_subscription_count()
-        and all(e.get_publisher_count() for e in ends)
-        and partner.predictor._tossing._landing.wanted and partner.predictor._tossing._at.wanted
+        partner.predictor._tossing._landing.wanted and partner.predictor._tossing._at.wanted
         and partner.predictor._outputs._deflection.wanted))
     start_ns, sent = time.time_ns(), 0
 
@@ -48,8 +40,8 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
         nonlocal sent
         now_ns = start_ns + sent * PERIOD_NS
         if time.time_ns() >= now_ns:
-            partner.send_pose(now_ns, (SPEED * (now_ns - start_ns) * 1e-9, 0.0, 0.0))
-            partner.send_twist(now_ns, (SPEED, 0.0, 0.0))
+            partner.send(
+                now_ns, (SPEED * (now_ns - start_ns) * 1e-9, 0.0, 0.0), (SPEED, 0.0, 0.0))
             sent += 1
 
     def until(condition):
@@ -60,10 +52,10 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
         return bool(partner.ros.spin_until(check))
 
     def ask(after_ns):
-        request, stamp_ns = Header(), start_ns + sent * PERIOD_NS + after_ns
-        request.stamp.sec, request.stamp.nanosec = divmod(stamp_ns, 10**9)
+        request, asked_ns = Header(), start_ns + sent * PERIOD_NS + after_ns
+        request.stamp.sec, request.stamp.nanosec = divmod(asked_ns, 10**9)
         asking.publish(request)
-        return stamp_ns
+        return asked_ns
 
     def state():
         return str(heard['state'][-1].data) if heard['state'] else ''
@@ -80,9 +72,8 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
     asked_ns = ask(10 * PERIOD_NS)
     assert until(lambda: state() == 'landed' and heard['later'])
     later = heard['later'][0]
-    positions = {
-        stamp_to_ns(each.header.stamp): each.pose.position for each in partner.poses}
-    assert stamp_to_ns(later.header.stamp) == asked_ns
+    positions = {stamp_ns(each): each.pose.position for each in partner.poses}
+    assert stamp_ns(later) == asked_ns
     assert later.pose.pose.position.z == pytest.approx(positions[asked_ns].z, abs=1e-6)
     assert min(heard['odometry'][-1].pose.covariance[::7]) == pytest.approx(1e6)  # not known
     log = ''
@@ -110,11 +101,9 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
 
 def test_no_plan_waits_behind_a_search(make_partner):
     """Answer a plan while the time of release is sought."""
-    from std_msgs.msg import Header
-
     planner = Planner(make_partner(TOSSED))
     partner, tossing = planner.partner, planner.partner.predictor._tossing
-    partner.node.create_subscription(Header, 'release/at', print, 10)
+    partner.hears(Header, 'release/at')
     planner.wait(lambda: tossing._at.wanted)
     begun, end = Event(), Event()
 
@@ -123,8 +112,7 @@ def test_no_plan_waits_behind_a_search(make_partner):
         end.wait(30.0)
 
     tossing.flight.time_to_target = search
-    partner.send_pose(1_000_000_000)
-    partner.send_twist(1_000_000_000)
+    partner.send(1_000_000_000)
     try:
         planner.wait(begun.is_set)
         planner.send(message())
@@ -135,21 +123,18 @@ def test_no_plan_waits_behind_a_search(make_partner):
 
 def test_the_vacuum_that_is_heard_counts(make_partner):
     """For a plan and for a landing, but not once the valve is switched: then the model has it."""
-    from sensor_msgs.msg import FluidPressure
-
     planner = Planner(make_partner({
         **TOSSED, 'cup.lip_radius': 0.03, 'vacuum.signal': 'pressure', 'vacuum.holding': 90e3}))
     partner, flight = planner.partner, planner.partner.predictor._tossing.flight
-    gauge = partner.node.create_publisher(FluidPressure, 'vacuum/pressure', 10)
-    planner.wait(gauge.get_subscription_count)
+    gauge = partner.writes(FluidPressure, 'vacuum/pressure')
+    partner.connect()
     factors = []
     for vacuum in (60e3, 30e3):
         gauge.publish(FluidPressure(fluid_pressure=101_325.0 - vacuum))
         planner.wait(lambda: flight.grip[0] == pytest.approx(
             vacuum * np.pi * 0.03 ** 2))  # noqa: B023
         count = len(partner.poses)
-        partner.send_pose(1_000_000_000 + count * PERIOD_NS)
-        partner.send_twist(1_000_000_000 + count * PERIOD_NS)
+        partner.send(1_000_000_000 + count * PERIOD_NS)
         partner.wait_for_poses(count + 1)
         planner.plans.clear()
         partner.predictor._planning._found = None
@@ -165,16 +150,12 @@ def test_the_vacuum_that_is_heard_counts(make_partner):
 
 def test_without_a_size_the_valve_is_warned_of(make_partner):
     """Keep the package held."""
-    from std_msgs.msg import Bool
-
     partner = make_partner()
-    valve = partner.node.create_publisher(Bool, 'vacuum/valve', 10)
-    assert partner.ros.spin_until(valve.get_subscription_count)
-    partner.send_pose(1_000_000_000)
-    partner.send_twist(1_000_000_000)
+    valve = partner.writes(Bool, 'vacuum/valve')
+    partner.connect()
+    partner.send(1_000_000_000)
     partner.wait_for_poses(1)
     valve.publish(Bool(data=False))
-    partner.send_pose(1_004_000_000)
-    partner.send_twist(1_004_000_000)
+    partner.send(1_004_000_000)
     partner.wait_for_poses(2)
     assert partner.predictor._live.flight.state == ''

@@ -3,13 +3,17 @@
 from contextlib import contextmanager
 import time
 
+from bellows_ros.nodes.predictor_node import PredictorNode
 import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 
 from .frame import CLEAN, COUNTED, Failed
 from .readers import ATTEMPTS
 from ..conftest import Ros
-from ..nodes.conftest import INPUTS, OUTPUTS, PACKAGE, Partner
-from ..nodes.test_hostile import Attacker, listen, MS, numbers, RELIABLE, stamps_from
+from ..nodes.conftest import MS, PACKAGE, Partner
+from ..nodes.test_hostile import Attacker, listen, numbers, RELIABLE, stamps_from
 
 BURST = 100  # messages of an attempt
 
@@ -17,23 +21,14 @@ BURST = 100  # messages of an attempt
 @contextmanager
 def connected(given):
     """Give a predictor of its own, and what sends messages to it."""
-    from bellows_ros.nodes.predictor_node import PredictorNode
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
-    from rclpy.parameter import Parameter
-
     context = rclpy.context.Context()
     rclpy.init(args=['--ros-args', '--log-level', 'fatal'], context=context)
     ros = Ros(context, SingleThreadedExecutor(context=context))
     try:
         predictor = PredictorNode(context=context, parameter_overrides=[
             Parameter(name, value=value) for name, value in {**given, **RELIABLE}.items()])
-        partner = Partner(ros, Node('partner', context=context), predictor)
-        for node in (predictor, partner.node):
-            ros.executor.add_node(node)
-        partner.connect(INPUTS, OUTPUTS, with_twists=True)
-        yield partner
+        ros.executor.add_node(predictor)
+        yield Partner(ros, predictor)
     finally:
         for node in ros.executor.get_nodes():
             node.destroy_node()

@@ -3,12 +3,21 @@
 import time
 from typing import Any
 
+from bellows_ros.core.parameters.table import parameters_of
+from bellows_ros.files.plan_messages import encode_multi_dof, PlanMessage
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
 import numpy as np
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import FluidPressure
+from std_msgs.msg import Bool, Header
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .frame import CLEAN, COUNTED, damaged, Failed
 from .messages import connected
 from .readers import ATTEMPTS
 from ..nodes.test_hostile import numbers, ODD
+from ..nodes.test_parameters import ends
 
 EACH = 20  # messages of an attempt
 PATIENCE = 20.0
@@ -26,27 +35,21 @@ class Requester:
 
     def __init__(self, partner, rng):
         """Connect all topics."""
-        from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-        from nav_msgs.msg import Odometry
-        from sensor_msgs.msg import FluidPressure
-        from std_msgs.msg import Bool, Header
-        from trajectory_msgs.msg import MultiDOFJointTrajectory
-
-        self.partner, self.rng, node = partner, rng, partner.node
+        self.partner, self.rng = partner, rng
         self.heard: list[Any] = []
-        ends = [node.create_subscription(kind, topic, self.heard.append, 100) for kind, topic in (
-            (Odometry, 'package/odometry'), (Odometry, 'package/predicted_at'),
-            (PoseWithCovarianceStamped, 'package/landing'), (Header, 'release/at'),
-            (MultiDOFJointTrajectory, 'package/plan'),
-            (MultiDOFJointTrajectory, 'tool_arm/steered'))]
-        outs = [node.create_publisher(kind, topic, 100) for kind, topic in (
-            (MultiDOFJointTrajectory, 'tool_arm/plan'),
-            (MultiDOFJointTrajectory, 'tool_arm/steer'), (Header, 'package/predict_at'),
-            (PoseStamped, 'package/measured'), (Bool, 'vacuum/valve'),
-            (FluidPressure, 'vacuum/pressure'))]
-        self.plan, self.steer, self.request, self.measured, self.valve, self.pressure = outs
-        self.wait('the topics', lambda: all(end.get_publisher_count() for end in ends) and all(
-            out.get_subscription_count() for out in outs))
+        for kind, topic in (
+                (Odometry, 'package/odometry'), (Odometry, 'package/predicted_at'),
+                (PoseWithCovarianceStamped, 'package/landing'), (Header, 'release/at'),
+                (MultiDOFJointTrajectory, 'package/plan'),
+                (MultiDOFJointTrajectory, 'tool_arm/steered')):
+            partner.hears(kind, topic, decode=self.heard.append)
+        self.plan, self.steer, self.request, self.measured, self.valve, self.pressure = (
+            partner.writes(kind, topic) for kind, topic in (
+                (MultiDOFJointTrajectory, 'tool_arm/plan'),
+                (MultiDOFJointTrajectory, 'tool_arm/steer'), (Header, 'package/predict_at'),
+                (PoseStamped, 'package/measured'), (Bool, 'vacuum/valve'),
+                (FluidPressure, 'vacuum/pressure')))
+        self.wait('the topics', partner.is_connected)
 
     def wait(self, what, condition):
         """Spin until something is so."""
@@ -66,8 +69,6 @@ class Requester:
 
     def plan_bytes(self, stamp_ns, is_good=False):
         """Return a plan from the origin, whole or damaged."""
-        from bellows_ros.files.plan_messages import encode_multi_dof, PlanMessage
-
         rng = self.rng
         count = 100 if is_good else int(rng.choice((1, 2, 3, 100, 3000)))
         duration = 1.0 if is_good else float(rng.choice((1e-9, 0.01, 1.0, 60.0, 599.0, 1e9)))
@@ -87,10 +88,6 @@ class Requester:
 
     def attack(self, stamp_ns):
         """Send or set one thing of any kind."""
-        from geometry_msgs.msg import PoseStamped
-        from sensor_msgs.msg import FluidPressure
-        from std_msgs.msg import Bool, Header
-
         kind, rng = self.rng.integers(6), self.rng
         if kind == 0:
             (self.plan, self.steer)[rng.integers(2)].publish(self.plan_bytes(stamp_ns))
@@ -114,11 +111,6 @@ class Requester:
 
     def set_one(self):
         """Set a parameter to an end of its range or to what is none of its values, and back."""
-        from bellows_ros.core.parameters.table import parameters_of
-        from rclpy.parameter import Parameter
-
-        from ..nodes.test_parameters import ends
-
         node = self.partner.predictor
         chosen = [p for p in parameters_of('predictor')
                   if p.kind.startswith('double') and not p.read_only]
@@ -156,10 +148,6 @@ def requests(rng, folder):
 
 def attempt(requester, deactivate):
     """Attack, then ask for what must be answered; return what became of it."""
-    from sensor_msgs.msg import FluidPressure
-    from std_msgs.msg import Bool
-    from trajectory_msgs.msg import MultiDOFJointTrajectory
-
     partner, heard = requester.partner, requester.heard
     predictor, refused = partner.predictor, COUNTED
     for _ in range(EACH):

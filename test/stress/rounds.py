@@ -3,9 +3,7 @@
 from importlib.util import find_spec
 
 from .frame import Round
-from .messages import messages
 from .readers import bags, metadata, motions, parameters, plans, recordings, tables
-from .requests import requests
 from .results import fits
 from .writers import disks, kills
 
@@ -20,6 +18,10 @@ ROUNDS = {
     'kills': Round(kills, patience=120.0, short=0),  # test/files/test_killed.py does it
     'disks': Round(disks, short=20),
     'fits': Round(fits, patience=120.0, short=10),
-    **({'messages': Round(messages, patience=60.0, short=4),
-        'requests': Round(requests, patience=300.0, short=3)} if find_spec('rclpy') else {}),
 }
+if find_spec('rclpy'):
+    from .messages import messages
+    from .requests import requests
+
+    ROUNDS['messages'] = Round(messages, patience=60.0, short=4)
+    ROUNDS['requests'] = Round(requests, patience=300.0, short=3)
