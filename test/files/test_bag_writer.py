@@ -7,7 +7,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer
 from bellows_ros.files import messages as cdr
 from bellows_ros.files.bag_writer import Recorded, STORAGES, write_bag
-from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.bags import read_streams
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -65,20 +65,6 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, no_room, storage, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize('kind', sorted(cdr.LAYOUTS))
-def test_every_type_comes_back(tmp_path, kind):
-    write_bag(tmp_path / 'b', [recorded(kind, frame_id='map', child_frame_id='tool')])
-    layout = cdr.LAYOUTS[kind]
-    if layout.pose:
-        stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
-        assert_array_equal(stream.position, made.pose_values(COUNT)[:, :3])
-        assert stream.frame_id == 'map'
-    if layout.twist:
-        stream = read_streams(tmp_path / 'b', {'tool_twist': 'a'})['tool_twist']
-        assert_array_equal(stream.angular, made.twist_values(COUNT)[:, 3:])
-        assert stream.frame_id == ('tool' if kind == made.ODOMETRY else 'map')
-
-
 def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):
     t = made.stamps(COUNT)
     late = t + 5_000_000
@@ -95,23 +81,6 @@ def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):
     stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
     assert_array_equal(stream.stamps_ns, t[-1:])
     assert stream.refused == {'backward_stamp': tuple(range(1, COUNT))}
-
-
-def test_faults_can_be_recorded_and_one_topic_fed_from_several_sources(tmp_path):
-    values = made.pose_values(COUNT)
-    values[4] = np.nan
-    values[5, 3:] = 0.0
-    t = made.stamps(COUNT)
-    write_bag(
-        tmp_path / 'b',
-        [
-            Recorded('/a', made.POSE, t, values),
-            Recorded('/a', made.POSE, t[7:8] + 1, made.pose_values(1), frame_id='other'),
-        ],
-    )
-    assert topics(tmp_path / 'b') == [('/a', made.POSE, COUNT + 1)]
-    stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
-    assert stream.refused == {'nan': (4,), 'zero_quaternion': (5,), 'frame_id': (8,)}
 
 
 def test_a_folder_with_anything_else_is_never_replaced(tmp_path):

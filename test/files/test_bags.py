@@ -13,15 +13,10 @@ from bellows_ros.files.bags import read_streams, topics
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
-from rosbags.rosbag2 import Reader
 import yaml
 
 from . import recordings as made
 
-FORMS = [
-    ('mcap', 'NONE'), ('mcap', 'MESSAGE'), ('mcap', 'FILE'), ('mcap', 'STORAGE'),
-    ('sqlite3', 'NONE'), ('sqlite3', 'MESSAGE'), ('sqlite3', 'FILE'),
-]
 COUNT = 20
 
 
@@ -50,7 +45,7 @@ def error_of(path, wanted=None):
     return str(error.value)
 
 
-@pytest.fixture(params=FORMS, ids='-'.join)
+@pytest.fixture(params=made.FORMS, ids='-'.join)
 def bag(request, tmp_path):
     """Provide a recording with three topics, in each storage and compression."""
     storage, compression = request.param
@@ -79,13 +74,9 @@ def test_streams_are_read_from_every_storage_and_compression(bag):
     assert_array_equal(pose.rotation, quaternion_to_rotation(values[:, 3:]))
     assert_array_equal(np.hstack([twist.linear, twist.angular]), made.twist_values(COUNT))
     assert_array_equal(twist.stamps_ns, made.stamps(COUNT))
-
-
-def test_topics_are_listed_by_name(bag):
     assert topics(bag) == [
         ('/tool/pose', made.POSE, COUNT), ('/tool/twist', made.TWIST, COUNT),
-        ('/unused', made.POSE, 3),
-    ]
+        ('/unused', made.POSE, 3)]
 
 
 def test_a_bare_storage_file_is_a_recording_too(bag):
@@ -94,25 +85,6 @@ def test_a_bare_storage_file_is_a_recording_too(bag):
     assert_array_equal(from_file.position, from_folder.position)
     renamed = made.storage_file(bag).rename(bag / 'renamed')
     assert topics(renamed) == topics(os.fspath(renamed))
-
-
-@pytest.mark.parametrize('storage', made.PLUGINS)
-def test_all_messages_are_those_that_rosbags_reads(rig, storage):
-    path = rig / {'mcap': 'clean', 'sqlite3': 'lab'}[storage]
-    with Reader(path) as reader:
-        for connection in reader.connections:
-            role = 'tool_twist' if connection.msgtype == made.TWIST else 'tool_pose'
-            stream = read_streams(path, {role: connection.topic})[role]
-            kept = np.ones(connection.msgcount, dtype=bool)
-            kept[[i for indices in stream.refused.values() for i in indices]] = False
-            raw = [data for _, _, data in reader.messages([connection])]
-            decoded = [made.TYPES.deserialize_cdr(x, connection.msgtype) for x in raw]
-            used = [m for m, keep in zip(decoded, kept, strict=True) if keep]
-            stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in used]
-            assert_array_equal(stream.stamps_ns, stamps)
-            if role == 'tool_pose':
-                positions = [[p.x, p.y, p.z] for p in (m.pose.position for m in used)]
-                assert_array_equal(stream.position, positions)
 
 
 @pytest.mark.parametrize(
@@ -190,15 +162,6 @@ def test_quaternions_with_small_rounding_are_normalised(tmp_path):
     assert stream.refused == {}
     # Three decimals leave up to 0.5e-3 per component, twice that in an angle.
     assert_allclose(stream.rotation, quaternion_to_rotation(values[:, 3:]), rtol=0, atol=3e-3)
-
-
-def test_nan_in_a_twist_is_counted(tmp_path):
-    values = made.twist_values(5)
-    values[3, 4] = np.nan
-    t = made.stamps(5)
-    messages = [(int(t[i]), made.encoded(made.TWIST, t[i], twist=values[i])) for i in range(5)]
-    path = one_topic(tmp_path / 'b', messages, made.TWIST)
-    assert read_streams(path, {'tool_twist': 'a'})['tool_twist'].refused == {'nan': (3,)}
 
 
 def test_messages_come_in_the_order_they_were_received_in(tmp_path):
@@ -300,10 +263,6 @@ def test_other_numbers_of_messages_than_metadata_says_are_noted(tmp_path):
     notes = []
     topics(folder, notes)
     assert notes == [note] and 'Was it copied whole?' in note
-    for wrong in ('x', None, [], {'a': 1}, 12.5):
-        change_metadata(folder, message_count=wrong)
-        (note,) = bags.read_contents(folder, {'p': 'a'}).notes
-        assert 'has 13 messages' in note
 
 
 def test_links_in_a_circle_are_refused(tmp_path):
@@ -369,10 +328,8 @@ def test_another_encoding_is_refused(tmp_path):
     assert 'PoseStamped in abc' in error_of(folder)
 
 
-@pytest.mark.parametrize(
-    'name',
-    ['/etc/passwd', '../other/other.mcap', 'sub/../../other/other.mcap', 'C:\\b.mcap', '..'],
-)
+@pytest.mark.parametrize('name', [
+    '/etc/passwd', '../other/other.mcap', 'sub/../../other/other.mcap', 'C:\\b.mcap', '..'])
 @pytest.mark.parametrize('version', [3, 9])
 def test_files_outside_the_folder_are_not_read(tmp_path, name, version):
     one_topic(tmp_path / 'other', made.poses(4))
@@ -407,14 +364,7 @@ def test_damaged_metadata_is_refused(tmp_path, changes, reason):
     assert reason in error_of(folder)
 
 
-@pytest.mark.parametrize(
-    'text, reason',
-    [
-        ('- 1', 'damaged'),
-        ('rosbag2_bagfile_information: 3', 'damaged'),
-        ('a: [', 'not valid YAML'),
-    ],
-)
+@pytest.mark.parametrize('text, reason', [('- 1', 'damaged'), ('a: [', 'not valid YAML')])
 def test_metadata_that_is_no_metadata_is_refused(tmp_path, text, reason):
     folder = one_topic(tmp_path / 'b', made.poses(4))
     (folder / 'metadata.yaml').write_text(text)
@@ -427,6 +377,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
     path = tmp_path / 'a.mcap'
     path.write_bytes(b'#ROSBAG V2.0\n' + bytes(200))
     assert 'neither an MCAP nor an SQLite file' in error_of(path)
+    assert 'rosbags-convert --src' in error_of(path.rename(tmp_path / 'old.bag'))
 
 
 def test_a_path_with_signs_that_mean_something_in_an_address_is_read(tmp_path):
@@ -502,11 +453,6 @@ def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
     assert 'interrupted' in error_of(folder)
 
 
-def test_negative_receive_times_do_no_harm(tmp_path):
-    folder = altered_database(tmp_path, 'UPDATE messages SET timestamp = -timestamp')
-    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
-
-
 def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(bags, 'LARGEST_COUNT', 9)
     assert len(read_streams(one_topic(tmp_path / 'a', made.poses(9)), {'p': 'a'})['p']) == 9
@@ -537,9 +483,3 @@ def test_reading_holds_little_more_than_what_it_returns(tmp_path):
     assert len(stream) == count
     # 650,000 messages in 400 MB are 600 bytes each; fixed costs are below 8 MB.
     assert peak < 600 * count + 8e6
-
-
-def test_a_bag_of_ros_1_names_what_converts_it(tmp_path):
-    (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0\n' + bytes(4096))
-    with pytest.raises(BellowsError, match='rosbags-convert --src .*old.bag'):
-        topics(tmp_path / 'old.bag')

@@ -32,10 +32,6 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-FORMS = [
-    ('mcap', 'NONE'), ('mcap', 'MESSAGE'), ('mcap', 'FILE'), ('mcap', 'STORAGE'),
-    ('sqlite3', 'NONE'), ('sqlite3', 'MESSAGE'), ('sqlite3', 'FILE'),
-]
 COUNT = 60
 WANTED = {'p': '/a'}
 PATIENCE = 5.0  # s, for what takes milliseconds
@@ -43,7 +39,7 @@ Dumper = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 read = Counter()  # damaged recordings by how they ended
 
 
-@pytest.fixture(params=FORMS, ids='-'.join)
+@pytest.fixture(params=made.FORMS, ids='-'.join)
 def bag(request, tmp_path):
     """Provide a recording in each storage and compression."""
     storage, compression = request.param
@@ -239,26 +235,16 @@ def test_chunks_are_read_and_unknown_records_passed_over(tmp_path, compression):
     [
         ([message(0)], 'channel 1, which is not defined'),
         ([BASE, channel(1, '/b'), message(0)], 'defined twice'),
-        ([SCHEMA, chunk(chunk(channel()))], 'record inside a chunk'),
         ([chunk(BASE + message(0)[:-1])], 'record inside a chunk'),
-        ([chunk(BASE + message(0)[:5])], 'damaged'),
         ([chunk(BASE, 'bz2')], "'bz2' is not supported"),
-        ([chunk(BASE, 'zstd')], 'cannot be decompressed'),
-        ([chunk(BASE, 'lz4')], 'cannot be decompressed'),
         ([chunk(BASE, 'zstd', zstd.compress(BASE)[:-2])], 'cannot be decompressed'),
         ([chunk(BASE, 'zstd', zstd.compress(BASE), len(BASE) - 1)], 'longer than'),
-        ([chunk(BASE, 'zstd', zstd.compress(BASE), len(BASE) + 1)], 'but says'),
         ([chunk(BASE, size=2**62)], 'says it is 4611686018427387904 bytes long'),
         ([chunk(BASE, checksum=1)], 'checksum'),
-        ([BASE, statistics({1: 2}), message(0), statistics({1: 2})], 'has 0 messages'),
         ([BASE, message(0), statistics({1: 2})], 'has 1 messages in channel 1, but says 2'),
-        ([BASE, message(0), record(0x0B, bytes(42) + b'\4\0\0\0abcd')], 'damaged'),
         ([record(5, b'')], 'damaged'),
-        ([record(4, bytes(3))], 'damaged'),
         ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
-        ([record(3, bytes(2) + b'\1\0\0\0\xff')], 'damaged'),
         ([struct.pack('<BQ', 5, 2**63)], 'says it is'),
-        ([struct.pack('<BQ', 9, 2**63)], 'beyond its end'),
         ([struct.pack('<BQ', 5, LARGEST_RECORD)], 'beyond its end'),
         ([record(2, bytes(20))], 'does not end'),
     ],

@@ -1,19 +1,16 @@
 """A process that is killed at any moment leaves whole outputs, or none."""
 
 import json
-import os
 from pathlib import Path
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from . import killed_writers
-from .killed_writers import HIDDEN, WRITERS
+from .killed_writers import WRITERS
 
 ROOT = Path(__file__).parents[2]
-ROWS = 4000
 KILLS = 6  # of each kind
 
 pytestmark = pytest.mark.timeout(400)
@@ -48,16 +45,3 @@ def test_the_kills_find_what_is_written_carelessly(killed):
 
 def test_every_kind_of_output_was_killed(killed):
     assert set(killed) == set(WRITERS)
-
-
-def trajectory(path, offset):
-    """Write a trajectory for the command to convert."""
-    t = 1.7e9 + 0.01 * np.arange(ROWS)
-    rows = np.column_stack([t, offset + 0.0 * t, np.zeros((ROWS, 5)), np.ones(ROWS)])
-    np.savetxt(path, rows, fmt='%.9f')
-    return path
-
-
-def hidden(folder):
-    """Return the names in a folder that nobody takes for outputs."""
-    return {name for name in os.listdir(folder) if name.startswith(HIDDEN)}

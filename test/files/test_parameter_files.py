@@ -11,7 +11,6 @@ from bellows_ros.files.parameter_files import (
     write_parameters,
 )
 from hypothesis import given, settings, strategies
-import numpy as np
 import pytest
 import yaml
 
@@ -144,17 +143,6 @@ def test_named_cups_come_back(tmp_path):
         name: value for name, value in resolve({**PACKAGE, **NAMED}).items() if value != ()}
 
 
-def test_the_order_of_values_and_of_the_table_does_not_matter(tmp_path, monkeypatch):
-    values = {**resolve({**PACKAGE, **NAMED}), **LISTS}
-    rng = np.random.default_rng(4)
-    shuffled = [str(name) for name in rng.permutation(list(PARAMETERS))]
-    monkeypatch.setattr(
-        parameter_files, 'PARAMETERS', {name: PARAMETERS[name] for name in shuffled})
-    names = [str(name) for name in rng.permutation(list(values))]
-    write_parameters(tmp_path / 'p.yaml', {name: values[name] for name in names})
-    assert read_parameters(tmp_path / 'p.yaml') == values
-
-
 @pytest.mark.parametrize('name', [
     "/it's", '/\u202eleft\\"', '/\U0001f600\x85two', '/three\u2028lines'])
 def test_any_text_comes_back(tmp_path, name):
@@ -166,22 +154,6 @@ def test_no_parameter_has_the_name_of_a_group():
     groups = {name.rsplit('.', depth)[0] for name in PARAMETERS for depth in range(1, 4)
               if name.count('.') >= depth}
     assert not groups & set(PARAMETERS)
-
-
-def test_every_line_reads_well():
-    stiffness = np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
-    stiffness[0, 4] = stiffness[4, 0] = -1.25e-05
-    values = {'cup.stiffness': tuple(stiffness.ravel()), 'gravity': 10, 'package.mass': 1e-05}
-    text = format_parameters(values, ['The cup.', 'made from\nlab: 1'])
-    lines = text.splitlines()
-    assert lines[:4] == ['# The cup.', '# made from lab: 1', '/**:', '  ros__parameters:']
-    assert lines[lines.index('    gravity:') + 2] == '      magnitude: 10.0  # m/s^2'
-    assert '      mass: 1.0e-05  # kg' in lines
-    rows = [line for line in lines if line.endswith(('# x: N/m, N', '# ry: N, N m/rad'))]
-    assert rows[0].split() == [
-        '[', '6417.0,', '0.0,', '0.0,', '0.0,', '-1.25e-05,', '0.0,', '#', 'x:', 'N/m,', 'N']
-    assert rows[1].split()[:5] == ['-1.25e-05,', '0.0,', '0.0,', '0.0,', '3.868,']
-    assert all(len(line) < 100 for line in lines)
 
 
 @settings(deadline=None)

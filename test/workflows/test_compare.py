@@ -40,14 +40,20 @@ def test_two_recordings_of_one_cup(files):
     names = {difference.name for difference in found.settings}
     assert 'bags' in names and any(name.startswith('content of') for name in names)
     json.dumps(found.as_json()['parameters'])
+    assert compare_files(files[0], files[0]).fits.p_value == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(('change', 'word'), [
     ({'parameters': {}}, 'labels'), ({'settings': None}, 'no settings'),
     ({'structure': 'round'}, 'round'), ({'cup_length': None}, 'damaged'),
     ({'parameters': {'labels': ['K x'], 'covariance': [[1.0]]}}, 'damaged'),
+    ({'provenance': 'x'}, ''), ({'provenance': {'recordings': [3]}}, ''),
+    ({'provenance': {'recordings': [{'path': 'a', 'files': [{}]}]}}, ''),
+    ({'provenance': {'versions': 'x'}}, ''), ({'structure': 'a' * 5000}, ''),
+    ({'parameters': []}, ''), ({'stiffness': [[None] * 6] * 6}, ''), ({'cup_length': {}}, ''),
 ])
-def test_incomplete_results_are_refused(files, tmp_path, change, word):
-    """Say what is missing."""
-    with pytest.raises(BellowsError, match=word):
+def test_results_with_other_content_are_refused(files, tmp_path, change, word):
+    """Say what is missing, at a length that can be read."""
+    with pytest.raises(BellowsError, match=word) as error:
         compare_files(changed(files[0], tmp_path, **change), files[0])
+    assert len(str(error.value)) < 1000
