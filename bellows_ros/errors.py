@@ -1,8 +1,5 @@
 """Errors with a message for the user; those that callers handle have a class of their own."""
 
-from collections.abc import Callable
-from typing import Any
-
 
 class BellowsError(Exception):
     """
@@ -20,29 +17,6 @@ class BellowsError(Exception):
     """
 
     exit_code = 2
-
-
-class MisreadError(BellowsError):
-    """
-    Report that a recording is not as it was read, but otherwise.
-
-    Attributes
-    ----------
-    recording : Recording
-        As it was read.
-    mended : callable
-        Returns it as it is.
-    setting : str
-        Parameter that would be otherwise, '' for none.
-
-    """
-
-    def __init__(
-        self, message: str, recording: Any, mended: Callable[[], Any], setting: str = ''
-    ) -> None:
-        """Take the sentence, the recording, what mends it, and by which parameter."""
-        super().__init__(message)
-        self.recording, self.mended, self.setting = recording, mended, setting
 
 
 class UnstableError(BellowsError):

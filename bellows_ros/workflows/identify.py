@@ -13,6 +13,7 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
+from bellows_ros.core.identification.causes import misread
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import with_relaxation
 from bellows_ros.core.identification.methods import (
@@ -33,7 +34,7 @@ from bellows_ros.core.model.structure import (
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.errors import BellowsError, MisreadError
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.identification import (
@@ -251,6 +252,9 @@ def read_part(
 
     """
     recording = load(path or bag, values, name=bag, with_digest=True)
+    if misread(recording):
+        verdict = verdict_of(None, [recording], values['cup.length'], values)
+        raise BellowsError(' '.join(verdict.cause if verdict else ()))
     part = reduced(recording, values)
     return recording if bag in keep else part
 
@@ -271,11 +275,7 @@ def read_all(
     if jobs is None and not dask:
         for number, bag, own in work:
             tell(f'reading {bag}', FIT_BEGINS * number / len(bags))
-            try:
-                parts.append(task(bag, own))
-            except MisreadError as error:
-                verdict = verdict_of(None, [error.recording], own['cup.length'], own)
-                raise BellowsError(' '.join(verdict.cause if verdict else [str(error)])) from None
+            parts.append(task(bag, own))
             for _, sentence in repeats((part.name, part.digest) for part in parts):
                 raise BellowsError(sentence)
         return parts, []

@@ -9,6 +9,7 @@ from typing import Any
 
 from bellows_ros import __version__
 from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.identification.causes import finding_sentence, IN_DEGREES
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import (
@@ -286,9 +287,7 @@ def _assigned(
         settings |= at_rest if why_apart else {'recording.world': pair.world, **at_rest}
         notes = [wrong, *notes] if wrong else notes + more  # before that, nothing else is known
     if in_degrees and twist:
-        notes.insert(0, (
-            f"The angular twists of '{twist.topic}' are in degrees per second, not in rad/s. "
-            "Correct the driver; topics.tool_twist: '' leaves them out."))
+        notes.insert(0, finding_sentence(IN_DEGREES, {'topics.tool_twist': twist.topic}))
     return Info(
         str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
     )

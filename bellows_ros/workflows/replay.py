@@ -8,9 +8,8 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
-from bellows_ros.core.identification.plausibility import wrong_twists
+from bellows_ros.core.identification.causes import corrected, finding_sentence
 from bellows_ros.core.identification.reduction import envelope_of
-from bellows_ros.core.identification.samples import require_hanging
 from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
@@ -31,8 +30,10 @@ from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load, Progress
 from bellows_ros.workflows.result import CommandResult
-from bellows_ros.workflows.verdict import finding_sentence
 import numpy as np
+
+SAID_BY_VALUES = 'mass', 'inertia'
+"""Causes of which `implausible` parameters say so without a recording."""
 
 MAX_LISTED = 3
 """Validity ranges named in a warning."""
@@ -242,7 +243,8 @@ def replay(
     tell = progress or (lambda what, part: None)
     tell(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)
-    require_hanging(recording)
+    if wrong := [own.words for own in corrected(recording)[0] if own.words]:
+        raise BellowsError(' '.join(wrong))
     tell('simulating', 0.3)
     free = validated(values, recording)
     live = predicted_live(recording, values, lambda what, part: tell(what, 0.4 + 0.6 * part))
@@ -280,8 +282,8 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
             'The recording leaves the validity range of the fit: '
             f'{"; ".join(phrases[:MAX_LISTED])}{more}. '
             'There the errors say little about the fit.',)
-    twists = wrong_twists(recording)
-    warnings = (*([finding_sentence(twists, values)] if twists else []),
+    facts = [own for own in corrected(recording)[0] if own.name not in SAID_BY_VALUES]
+    warnings = (*(finding_sentence(own, values) for own in facts),
                 *recording.report.warnings, *found.warnings, *outside) + (
         *implausible(values), *(_causes(values, found) if found.worse_than_noise else ()))
     return Replay(recording.name, dict(values), recording, found, warnings)

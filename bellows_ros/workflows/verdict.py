@@ -5,20 +5,18 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification.causes import (
+    CAUSES,
+    corrected,
+    DOUBTED,
+    finding_sentence,
+    setting_of,
+)
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
 from bellows_ros.core.identification.methods import are_differentiable
-from bellows_ros.core.identification.plausibility import (
-    DOUBTED,
-    Finding,
-    implausible_inputs,
-    MISREAD,
-    ROUGH,
-)
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import given_structure, Structure
-from bellows_ros.core.recording.alignment import DOWN, levelling
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -167,43 +165,10 @@ class FitVerdict(NamedTuple):
             'hypotheses': [
                 {**found._asdict(), 'material': found.material, 'setting': setting_of(found),
                  'sentence': finding_sentence(found, self.given),
-                 'units': dict.fromkeys(('theta', 'std'), UNITS.get(found.name, '1'))}
+                 'units': dict.fromkeys(('theta', 'std'), CAUSES[found.name].units)}
                 for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides),
         }
-
-
-UNITS: dict[str, Any] = {
-    'time_offset': 's', 'com': 'm', 'length': 'm', 'package_world': POSE_UNITS,
-    'package_marker': ['m', 'm', 'rad', 'rad', 'rad'], 'slip': ['m', 'm', 's'],
-    'gravity.direction': 'rad'}
-
-SETTINGS = {
-    'time_offset': 'fit.time_offset', 'com': 'package.com', 'length': 'cup.length',
-    'inertia': 'package.inertia', 'mass': 'package.mass', 'structure': 'fit.structure',
-    'package_world': 'recording.package_world', 'package_marker': 'recording.align_at_rest',
-    'slip': 'recording.start or recording.end', 'low-pass': 'the tracking system',
-    MISREAD: 'the recording', 'tool': 'the axes of topics.tool_pose',
-    'package': 'the axes of topics.package_pose',
-}
-
-
-SETTING_SENTENCES = {
-    'tool_twist.frame': ("The tool's twists match its poses only in axes of the {}",
-                         'Set tool_twist.frame: {}.'),
-    'topics.tool_twist': ("The tool's angular twists are in {}, not in rad/s",
-                          "Correct the driver, or set topics.tool_twist: '' to leave them out."),
-    'recording.package_frame': ('The package poses are those of the {}',
-                                'Set recording.package_frame: {}.'),
-    'package.files': ('The packages of the two recordings are {}',
-                      'Exchange the two names in package.files.'),
-    'structure': ('The structure of the cup is not the given one, but {}',
-                  'Set fit.structure: {}.'),
-    'low-pass': ('The poses of {} went through a low-pass: above 25 Hz their noise falls more '
-                 'steeply than noise does', 'It takes a part of the motion, and biases K and P: '
-                 'record unfiltered poses.'),
-}
-"""What is said of a setting that is otherwise, and what to do."""
 
 
 def verdict_of(
@@ -237,7 +202,7 @@ def verdict_of(
         not are_differentiable(some, values))
     if fit is not None and slow:
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
-            *(wrong for own in some for wrong in implausible_inputs(own)), *fit.causes[:1]),
+            *(wrong for own in some for wrong in corrected(own)[0]), *fit.causes[:1]),
             fit.causes[1:])
     else:
         diagnosis = diagnose(some, length, given_structure(values), known)
@@ -287,141 +252,3 @@ def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Si
         tuple(AXES[i] for i in np.flatnonzero(beyond)),
         seconds if len(recording.valid) > MOST_SIMULATED else 0.0,
         np.sqrt(np.nanmean(np.square(moved), axis=(0, 1))) if moved else 0.0)
-
-
-def setting_of(found: Finding) -> str:
-    """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
-    if found.value.startswith('gravity'):
-        return 'gravity.direction'
-    if found.name == 'yaw':
-        causes = [own.split()[0] for own in (found.value, found.instead) if own]
-    else:
-        causes = [own for own in (found.name, found.instead) if own]
-    return ' or '.join(dict.fromkeys(
-        SETTINGS.get(own, own if found.datum else '') for own in causes))
-
-
-def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
-    """Return what was found, its size, by how much residuals fall, and what to change."""
-    if found.name == MISREAD:
-        return found.value
-    what, remedy = _words(found, given)
-    falls = f' With that, the residuals fall to {100.0 * found.left:.2g} %.'
-    return f'{what}.{falls if found.left else ""} {remedy}'
-
-
-def _words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return what was found with its size, and what to do."""
-    name, theta, std = found.name, found.theta, found.std
-    if name == 'time_offset':
-        side = 'behind' if theta[0] > 0.0 else 'ahead of'
-        if std[0] >= ROUGH:
-            return (f'The stamps of the tool are about {abs(theta[0]):.2f} s {side} those of the '
-                    'package', 'Stamp both by one clock, or set fit.time_offset: true.')
-        return (f'The stamps of the tool are {_size(theta[0], std[0])} ms {side} those of the '
-                'package', 'Stamp both by one clock, or set fit.time_offset: true.')
-    if name == 'com':
-        shifts = ', '.join(
-            f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
-            zip('xyz', theta, std, strict=True) if abs(x) > 3.0 * s)
-        moved = np.where(np.abs(theta) > 3.0 * std, theta, 0.0)
-        new = ', '.join(f'{x:.4f}' for x in np.round(np.add(given['package.com'], moved), 4) + 0.0)
-        if found.instead:
-            return _length_or_com(1e3 * theta[2])
-        return (f'The centre of mass is not at package.com, but {shifts} from there',
-                f'Check package.com: it would be [{new}].')
-    if name == 'length':
-        side = 'short' if theta[0] > 0.0 else 'long'
-        if found.instead:
-            return _length_or_com(1e3 * theta[0])
-        return (f'cup.length is {_size(theta[0], std[0])} mm too {side}',
-                'Measure it under vacuum, or with bellows static: it would be '
-                f'{given["cup.length"] + theta[0]:.5f}.')
-    if name == 'package_world':
-        from bellows_ros.core.recording.alignment import motion_sentence  # late: rare
-
-        return motion_sentence(theta, std), 'Set recording.package_world: estimate.'
-    return _frame_words(found, given) or _setting_words(found, given)
-
-
-def _frame_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str] | None:
-    """Return the same where a frame is turned or slipped, else nothing."""
-    name, theta = found.name, found.theta
-    if name == 'package_marker':
-        shift, turn = (float(np.linalg.norm(part)) for part in np.split(theta, [len(theta) - 3]))
-        return (f'The marker frame of tool or package is turned by {np.rad2deg(turn):.1f} '
-                f'degrees, and {1e3 * shift:.1f} mm aside',
-                'Correct it, set recording.align_at_rest: true if the recording begins at rest, '
-                'or else fit.free: [package_marker].')
-    if name == 'slip':
-        way = float(np.hypot(*theta[:2]))
-        return (f'The package slipped on the lip by {1e3 * way:.1f} mm, {theta[2]:.1f} s after '
-                'its first sample', 'Fit what is before or after: set recording.end or '
-                'recording.start, and check the vacuum.')
-    if name == 'gravity.direction':
-        down = levelling(given.get('gravity.direction', DOWN)).T @ (
-            exp_so3(np.append(-theta, 0.0)) @ DOWN)
-        return (f'Gravity is {np.rad2deg(np.hypot(*theta)):.1f} degrees off gravity.direction',
-                'Level the world, or set gravity.direction: '
-                f'[{", ".join(f"{x:.4f}" for x in down + 0.0)}].')
-    return None
-
-
-def _length_or_com(way: float) -> tuple[str, str]:
-    """Return the same where length and centre of mass explain as much, by so many mm."""
-    return (f'cup.length or the z of package.com is wrong by about {abs(way):.1f} mm: these '
-            'recordings cannot tell which',
-            'Measure cup.length under vacuum, or with bellows static, and check package.com.')
-
-
-def _setting_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the same where a setting is changed."""
-    name, value = found.name, found.value
-    if name == 'inertia' and not value:
-        factor = float(np.exp(-found.theta[0]))
-        return (f'package.inertia is {factor:.3g} ± {factor * found.std[0]:.2g} times the value '
-                'consistent with package.mass', 'One of the two is wrong: weigh the package, and '
-                'compute its inertia in kg m^2.')
-    if name in ('inertia', 'mass'):
-        unit = 'kg m^2' if name == 'inertia' else 'kg'
-        size = ', '.join(f'{x:g}' for x in np.atleast_1d(given[f'package.{name}']))
-        return (f'package.{name} is in {value}, not in {unit}: {size} {unit} is beyond any '
-                'package for such a cup', f'Give it in {unit}.')
-    if name == 'recording.world':
-        if value.startswith('gravity'):
-            return ('Gravity is not along -z of the world',
-                    f'Set gravity.direction: {value.removeprefix("gravity ")}.')
-        return (f'The world of the recording is {value}', f'Set recording.world: {value}.')
-    if name in SETTING_SENTENCES:
-        what, remedy = SETTING_SENTENCES[name]
-        return what.format(value), remedy.format(value)
-    if name == 'yaw':
-        turns = [f"the {body}'s frame is turned by {degrees} degrees about z"
-                 for body, degrees in (text.split() for text in (value, found.instead) if text)]
-        words = ', or '.join(turns)
-        return (words[0].upper() + words[1:] + (
-                ': these recordings cannot tell which' if found.instead else ''),
-                'Correct it in its driver, or set recording.align_at_rest: true if the '
-                'recording begins at rest.')
-    return _cup_words(found)
-
-
-def _cup_words(found: Finding) -> tuple[str, str]:
-    """Return the same where the cup is otherwise."""
-    name, value = found.name, found.value
-    part = f'{100.0 * abs(found.theta[0]):.2g} ± {100.0 * found.std[0]:.1g} %'
-    if name == 'drift':
-        side = 'falls' if found.theta[0] < 0.0 else 'rises'
-        return (f'The stiffness of the cup drifts: {value} {side} by {part} from beginning to end',
-                'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.')
-    if name == 'friction':
-        return (f'The cup has hysteresis: friction takes {part} of the largest force of {value}',
-                'K and P are means over this motion: record motions as large and fast as in use.')
-    side = 'less' if found.theta[0] < 0.0 else 'more'
-    return (f'The cup is not linear: {value} is {part} {side} at the largest deflection',
-            'The fit is the mean over this motion: record motions as large as those in use.')
-
-
-def _size(value: float, std: float) -> str:
-    """Return a size with its standard error, both in thousandths."""
-    return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'

@@ -1,92 +1,632 @@
 """
-Which number that was given would explain what a fit by simulation leaves.
+What may be wrong with a recording, or with what was given with it: one list of causes.
 
-Beside K and P each quantity of `KINDS` gets its columns in one pass about the minimum; what the
-squares would fall by if it were free is its score. The best is then freed, and all is fitted
-again: a cause is a number that moves by many of its standard deviations. With it free, what is
-left is looked at once more.
+Each cause has a name, the parameter to change, and a sentence with a remedy. `FACTS` are seen in a
+recording without any fit, and corrected in it. What is left is tried by wrenches (`hypotheses`),
+and by simulation (`given`): all of them end in a `Finding`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.plausibility import DISTINCT, Finding, SIGNIFICANT
-from bellows_ros.core.identification.quantities import anything
-from bellows_ros.core.identification.search import Minimum, MISFIT, Search, squares
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.geometry.lie import (
+    apply,
+    exp_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.identification.result import POSE_UNITS
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.parameters.checks import (
+    ESTIMATE,
+    GYRATION,
+    INERTIA_UNITS,
+    LARGEST_MASS,
+    unit_of_inertia,
+)
+from bellows_ros.core.parameters.table import THESIS_LENGTH
+from bellows_ros.core.recording.alignment import (
+    ALIKE,
+    closed_form,
+    DOWN,
+    in_tool_world,
+    levelling,
+    motion_of,
+    motion_sentence,
+    turn_correlation,
+)
+from bellows_ros.core.recording.conventions import (
+    convention_sentence,
+    conventions_of,
+    converted,
+    FARTHEST,
+)
+from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError
 import numpy as np
 
-MOVES = 0.02
-"""Part by which a cause moves an entry of K, at least, where it does not halve the residuals."""
+SIGNIFICANT = 6.0
+"""Standard errors that a significant change is away from nothing."""
 
-MOST_CAUSES = 2
-"""Causes that are looked for, one beside the other: the second takes 65 simulations at most, so
-that a whole fit to a wrong recording takes 219."""
+MATERIAL = 0.05
+"""Part by which a material change moves an entry of K, or a twist."""
 
-CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker')
+DISTINCT = 0.5
+"""A distinct hypothesis leaves less than this part of the squares that another leaves. The square
+of it is asked where it must explain nearly all, and of what the cup may be beside wrong data."""
+
+DOUBTED = 1.0
+"""Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
+
+GRAMS = 1e3
+"""How many of what masses may be in are 1 kg."""
+
+NONE = np.empty(0)
+
+MOST_FACTS = 4
+"""Most findings without a fit."""
+
+ONE_BODY = 1e-3
+"""Poses that stay within this distance (m) of each other are of one body."""
+
+HELD = 0.3
+"""In its own world the lip moves by at most this part of what it does in another."""
+
+LOOKED_AT_EVERY = 20
+"""Every such sample is used where only the arrangement matters."""
+
+SWINGING = -0.2, 0.05
+"""Time offsets (s) that the swing of the package can explain: it turns after its tool, not before.
+Smaller offsets of clocks are fitted."""
+
+SWING = 0.07
+"""Usual time (s) by which a package turns after its tool."""
+
+ROUGH = 0.05
+"""Standard deviation of an offset by when both bodies turn alike (s), as the package swings."""
+
+PERIODIC = 0.95
+"""Part of the largest correlation of turns that small offsets reach in a periodic motion."""
+
+SPECTRUM_SECONDS, LEAST_RATE_HZ = 1.0, 100.0
+"""Length of the periodograms of poses, and the rate (Hz) from which on they are looked at."""
+
+NOISE_HZ, NYQUIST_PART = 25.0, 0.9
+"""Frequency (Hz) above which poses have noise alone, and up to which part of the highest one."""
+
+STEEPEST = 3.0
+"""Power of frequency with which the density of noise falls; behind a filter of second order, 4."""
+
+SMALLEST_DENSITY = 1e-18
+"""Density (m^2/Hz) below which there is no noise to see a filter by."""
 
 
-def causes(
-    search: Search, found: Minimum, known: Sequence[str] = (), most: int = MOST_CAUSES,
-) -> tuple[Finding, ...]:
+class Finding(NamedTuple):
     """
-    Return the likeliest cause of what a fit leaves, none where all is as it should be.
+    A hypothesis tried.
 
-    After it comes what is likeliest where that is corrected, up to so many. What is known to be
-    uncertain is none.
+    Parameters
+    ----------
+    name, value : str
+        Of the cause: a name of fit.free, a parameter, or what the cup is; and what the setting is
+        then, '' where numbers are freed.
+    theta, std : ndarray (n,)
+        The numbers freed, and their standard errors.
+    left : float
+        RMS of the residuals beyond noise over what it was.
+    moved : float
+        Largest part by which it moves an entry of the diagonal of K that is identifiable.
+    datum, certain : bool
+        Whether it is of what was given, and whether nothing else explains the recordings so well.
+    instead : str
+        Name or value of another datum that these recordings cannot tell from it; '' for none.
+    rest : float
+        Squares beyond noise that it leaves, in those expected of noise and rubber.
+    is_fact : bool
+        Whether it is seen without any fit.
+    words : str
+        The sentence, where it is not the one that `CAUSES` has.
+
     """
-    scored = sorted(_scores(search, found, known), reverse=True)
-    if not scored or scored[0][0] < SIGNIFICANT**2:
-        return ()
-    fall, name = scored[0]
-    freed = search.beside(found, anything([name]))
-    again = freed.found(lambda cup, chi2: None, freed.at(found.theta))
-    if not again.converged:
-        return ()
-    place = freed.places[name].ravel()
-    theta = (freed.units * again.theta)[place]
-    covariance = np.linalg.inv(again.information)
-    std = freed.units[place] * np.sqrt(np.diag(covariance))[place]
-    if np.max(np.abs(theta) / std) < SIGNIFICANT:
-        return ()
-    left = float(np.sqrt(_rest(again) / _rest(found)))
-    moved = _moved(search.structure, search.units[:search.count] * found.theta[:search.count],
-                   freed.units[:search.count] * again.theta[:search.count])
-    rival = next((other for other, _ in scored[1:]), 0.0)
-    certain = rival < DISTINCT * fall and (moved > MOVES or left < DISTINCT)
-    more = causes(freed, again, known, most - 1) if most > 1 else ()
-    if not more:  # what no cause explains may be of another
-        certain = certain and squares(again.parts) < MISFIT * sum(
-            len(own.innovations) for own in again.parts)
-    if name == 'mass':  # K and P scaled with mass and inertia make the same motion
-        name, theta = 'inertia', -theta
-    return Finding(name, '', theta, std, left, moved, True, certain), *more
+
+    name: str
+    value: str
+    theta: Array = NONE
+    std: Array = NONE
+    left: float = 0.0
+    moved: float = 0.0
+    datum: bool = True
+    certain: bool = True
+    instead: str = ''
+    rest: float = 0.0
+    is_fact: bool = False
+    words: str = ''
+
+    @property
+    def material(self) -> bool:
+        """Whether a cup is wrong without it: whatever is certain halves errors, or moves K."""
+        return self.certain and self.datum
+
+    @property
+    def likely(self) -> bool:
+        """Whether it is worth a word: it explains most, whatever else does."""
+        return self.certain or self.left**2 < DISTINCT
 
 
-def _scores(
-    search: Search, found: Minimum, known: Sequence[str]
-) -> Iterator[tuple[float, str]]:
-    """Yield by how much the squares would fall with each quantity free."""
-    names = [name for name in CANDIDATES if name not in (*search.places, *known)]
-    wide = search.beside(found, anything(names))
-    _, H, g = wide.system(wide.at(found.theta), 0.0)
-    base = np.arange(len(search.units))
-    gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
-    for name in names:
-        own = wide.places[name].ravel()
-        S = H[np.ix_(own, own)] - H[np.ix_(own, base)] @ gain[:, own]
-        slope = g[own] - H[np.ix_(own, base)] @ gain[:, -1]
-        yield float(slope @ np.linalg.solve(S, slope)), name
+IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
+"""Of twists of the tool, which are to be in rad/s."""
 
 
-def _rest(found: Minimum) -> float:
-    """Return the mean square of the differences, 1 mm as much as 10 mrad."""
-    left = np.concatenate([own.innovations.reshape(-1, 6) ** 2 * own.spread
-                           for own in found.parts])
-    return float(np.sum(np.mean(left, axis=0) / [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]))
+def implausible_inputs(own: Recording) -> tuple[Finding, ...]:
+    """Return what is wrong with a recording or what was given with it, without any fit."""
+    found = (_package(own.payload), _clocks(own), wrong_twists(own), _smoothed(own))
+    return tuple(own._replace(is_fact=True) for own in found if own is not None)
 
 
-def _moved(structure: Structure, before: Array, after: Array) -> float:
-    """Return the largest part by which the diagonal of K moves."""
-    first, second = (np.diag(structure.matrices(x)[0]) for x in (before, after))
-    return float(np.max(np.abs(second / first - 1.0)))
+def corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
+    """Return what is wrong with a recording without any fit, and the recording without that."""
+    return own.once('corrected', lambda: _corrected(own))
+
+
+def _corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
+    """Return the same, each correction showing what is wrong beside it."""
+    found = list[Finding]()
+    while len(found) < MOST_FACTS:
+        try:
+            wrong = misread(own)
+            new = [wrong] if wrong else [
+                one for one in implausible_inputs(own)
+                if one.name not in {known.name for known in found}]
+            found += new
+            for one in new:
+                own = CAUSES[one.name].corrected(own, one)
+        except BellowsError as error:
+            if not found:
+                raise
+            found.append(Finding('recording', '', is_fact=True, words=str(error)))
+            break
+        if not new:
+            break
+    return tuple(found), own
+
+
+def require_hanging(recording: Recording) -> None:
+    """Refuse a recording whose package is mostly not below the tool, by what is the cause."""
+    if wrong := misread(recording):
+        raise BellowsError(wrong.words)
+
+
+def misread(own: Recording) -> Finding | None:
+    """
+    Return why a package is mostly not below the tool, None where it is.
+
+    Raises
+    ------
+    BellowsError
+        If that cannot be corrected without the user.
+
+    """
+    return own.once('misread', lambda: _misread(own))
+
+
+def _misread(own: Recording) -> Finding | None:
+    """Return the same."""
+    def because(name: str, words: str) -> Finding:
+        return Finding(name, '', is_fact=True, words=words)
+
+    some = np.flatnonzero(own.valid)[::LOOKED_AT_EVERY]
+    if not len(some):
+        return None
+    tool, package = own.measured_tool.select(some), own.measured_package.select(some)
+    way = package.position - apply(package.rotation, own.payload.com) - tool.position
+    lip = apply(np.swapaxes(tool.rotation, 1, 2), way)
+    away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
+    if wrong := convention_sentence(own.tool_pose, own.package_pose, own.name):
+        return because('recording', wrong)
+    centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
+    if min(away, float(np.median(np.linalg.norm(centre, axis=1)))) < ONE_BODY:
+        raise BellowsError(
+            f"topics.tool_pose ('{own.tool_pose.name}') and topics.package_pose "
+            f"('{own.package_pose.name}') are poses of one body. Name that of the package; "
+            "'bellows info BAG' lists the topics.")
+    if away <= FARTHEST and above <= 0.0:
+        return None
+    if apart := _two_worlds(own, tool, package, lip):
+        return because('package_world', apart)
+    if away > FARTHEST:
+        raise BellowsError(
+            f"The poses of '{own.tool_pose.name}' and '{own.package_pose.name}' use different "
+            f'worlds: the lip of the cup is {away:.3g} m from the tool tip. Set '
+            'recording.package_world.')
+    below, upward = -float(np.median(centre[:, 2])), float(np.median(way[:, 2]))
+    if own.settings.package_frame == 'com' and below > 0.0:
+        return because('recording.package_frame', (
+            f'The package is tracked {1e3 * below:.0f} mm below the tool tip, but the lip of the '
+            f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
+            'recording.package_frame: lip; else check package.com.'))
+    if upward > 0.0:
+        return because('topics', (
+            'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '
+            f'{1e3 * above:.0f} mm above the tool tip in tool axes, and {1e3 * upward:.0f} mm in '
+            'the world. Exchange the two; if they are right, check recording.world.'))
+    raise BellowsError(
+        'z of the tool points the wrong way: it must point from the cup back into the arm. In '
+        f'tool axes the lip of the cup is {1e3 * above:.0f} mm above the tool tip, in the world '
+        f'{-1e3 * upward:.0f} mm below it. Turn the frame in its driver; if it is right, check '
+        'package.com.')
+
+
+def _two_worlds(own: Recording, tool: Trajectory, package: Trajectory, lip: Array) -> str:
+    """Return a sentence where another world of the package keeps its lip in place, else ''."""
+    def wandering(at: Array) -> float:
+        """Return how far a lip (N, 3) in axes of the tool moves there, m."""
+        return float(np.linalg.norm(np.subtract(*np.percentile(at, (75, 25), axis=0))))
+
+    try:
+        pose = _world_of(own)
+    except BellowsError:  # too short to say
+        return ''
+    there = pose[:3] - tool.position + apply(
+        quaternion_to_rotation(pose[3:]),
+        package.position - apply(package.rotation, own.payload.com))
+    left = wandering(apply(np.swapaxes(tool.rotation, 1, 2), there))
+    if left > HELD * wandering(lip):
+        return ''
+    body = own.measured_package
+    motion = motion_of(pose, body.position[body.valid].mean(axis=0))
+    return (
+        f'{motion_sentence(motion)}: seen from the tool, the lip of the cup moves by '
+        f'{1e3 * wandering(lip):.0f} mm, and by {1e3 * left:.0f} mm without that. Set '
+        f'recording.package_world: {ESTIMATE}, or give its seven numbers.')
+
+
+def _world_of(own: Recording) -> Array:
+    """Return a first guess (7,) of the pose of the package's world."""
+    return closed_form(
+        own.measured_tool, own.measured_package, THESIS_LENGTH, -own.payload.com, False)
+
+
+def _in_one_world(own: Recording, found: Finding) -> Recording:
+    """Return a recording with the poses of its package in the world of the tool."""
+    pose, turn, way = _world_of(own), own.settings.R_world_recorded, np.zeros(7)
+    way[:3] = turn.T @ pose[:3]
+    way[3:] = rotation_to_quaternion(turn.T @ quaternion_to_rotation(pose[3:]) @ turn)
+    return _prepared(own, package=in_tool_world(own.package_pose, way, own.tool_pose.frame_id))
+
+
+def _by_convention(own: Recording, found: Finding) -> Recording:
+    """Return a recording in metres, and with w last."""
+    both = own.tool_pose, own.package_pose
+    tool, package = map(converted, both, conventions_of(*both))
+    return _prepared(own, tool=tool, package=package)
+
+
+def _by_one_clock(own: Recording, found: Finding) -> Recording:
+    """Return a recording with the stamps of the tool earlier by what was found."""
+    shift, twist = round(float(found.theta[0]) * NS_PER_S), own.tool_twist
+    tool = replace(own.tool_pose, stamps_ns=own.tool_pose.stamps_ns - shift)
+    return _prepared(
+        own, tool=tool, tool_twist=twist and replace(twist, stamps_ns=twist.stamps_ns - shift))
+
+
+def _in_other_units(own: Recording, found: Finding) -> Recording:
+    """Return a recording whose package is in kg and kg m^2."""
+    held = own.payload
+    if found.name == 'mass':
+        held = Package(held.mass / GRAMS, held.inertia, held.com)
+    else:
+        held = Package(held.mass, held.inertia / dict(INERTIA_UNITS)[found.value], held.com)
+    return replace(own, settings=replace(own.settings, payload=held))
+
+
+def _prepared(own: Recording, **changes: Any) -> Recording:
+    """Return a recording prepared from other streams, or with other settings."""
+    streams: dict[str, Any] = {
+        'tool': own.tool_pose, 'package': own.package_pose, 'settings': own.settings,
+        'tool_twist': own.tool_twist, **changes}
+    return replace(prepare(**streams), name=own.name)
+
+
+def radius_of_gyration(held: Package) -> float:
+    """Return the root of the sum of a package's moments of inertia over its mass, m."""
+    return float(np.sqrt(np.trace(held.inertia) / held.mass))
+
+
+def _package(held: Package) -> Finding | None:
+    """Return the unit of a mass or an inertia that no package has, None where it may have it."""
+    gyration = radius_of_gyration(held)
+    if held.mass > LARGEST_MASS:
+        return Finding('mass', 'g')
+    return None if gyration < GYRATION[-1] else Finding('inertia', unit_of_inertia(gyration))
+
+
+def _clocks(own: Recording) -> Finding | None:
+    """Return by how much the clocks are apart, where both bodies turn alike only later."""
+    lags, alike = turn_correlation(own.aligned_tool, own.aligned_package)
+    if not len(lags):
+        return None
+    best, near = int(np.argmax(alike)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
+    if alike[best] < 2.0 * ALIKE or near[best] or (
+            near.any() and np.max(alike[near]) > PERIODIC * alike[best]):
+        return None
+    return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
+
+
+def wrong_twists(own: Recording) -> Finding | None:
+    """Return in which axes or unit the tool's recorded twists are, None where it is as given."""
+    tool, measured = own.tool, own.measured_tool
+    if measured.twist is None or tool.twist is None:
+        return None
+    _, i, j = np.intersect1d(measured.stamps_ns, tool.stamps_ns, return_indices=True)
+    known = measured.valid[i] & tool.valid[j]
+    given, true = measured.twist[i][known], tool.twist[j][known]
+    if not len(given):
+        return None
+    R_E_A = np.swapaxes(measured.rotation[i][known], 1, 2)
+    turn = own.settings.R_world_recorded.T @ np.swapaxes(R_E_A, 1, 2)  # from E to as recorded
+    other = 'tool'
+    if own.settings.tool_twist_frame == 'tool':
+        turn = R_E_A @ own.settings.R_world_recorded
+        other = 'world'
+    markers = own.alignment.R_tool_markers_tool
+    turn = turn @ markers if other == 'world' else markers.T @ turn
+
+    def off(twist: Array) -> float:
+        """Return how far twists (N, 6) are from those of the poses, in squares of their size."""
+        return sum(
+            float(np.mean((twist[:, part] - true[:, part]) ** 2)
+                  / np.mean(true[:, part] ** 2 + 1e-12)) for part in (slice(0, 3), slice(3, 6)))
+
+    before = off(given)
+    if before < MATERIAL**2:
+        return None
+    turned = np.hstack([apply(turn, given[:, :3]), apply(turn, given[:, 3:])])
+    for name, value, twist in (
+            ('tool_twist.frame', other, turned),
+            (*IN_DEGREES[:2], given * np.repeat([1.0, np.pi / 180.0], 3))):
+        if off(twist) < DISTINCT**4 * before:
+            return Finding(name, value, left=float(np.sqrt(off(twist) / before)))
+    return None
+
+
+def _smoothed(own: Recording) -> Finding | None:
+    """Return that poses went through a low-pass: their noise falls too steeply."""
+    steep = [topic for topic, poses in (('tool_pose', own.aligned_tool),
+                                        ('package_pose', own.aligned_package))
+             if _noise_order(poses) > STEEPEST]
+    return Finding('low-pass', ' and '.join(steep)) if steep else None
+
+
+def _noise_order(poses: Trajectory) -> float:
+    """Return the power of frequency with which noise of positions falls, 0 if it is not seen."""
+    rate = uniform_rate_hz(poses.stamps_ns)
+    size, order = round(SPECTRUM_SECONDS * rate), 4
+    if rate < LEAST_RATE_HZ:
+        return 0.0
+    window = np.hanning(size - order)
+    seen = [np.abs(np.fft.rfft(
+        np.diff(poses.position[first:first + size], order, axis=0) * window[:, None], axis=0))
+        for first in range(0, len(poses) - size, size) if poses.valid[first:first + size].all()]
+    if not seen:
+        return 0.0
+    hz = np.fft.rfftfreq(size - order, 1.0 / rate)
+    inside = (hz > NOISE_HZ) & (hz < 0.5 * NYQUIST_PART * rate)
+    by_difference = (2.0 * np.sin(np.pi * hz[inside] / rate)) ** (2 * order)
+    density = np.median(np.sum(np.square(seen), axis=2), axis=0)[inside] / by_difference * (
+        2.0 / rate / float(window @ window))
+    if np.median(density) < SMALLEST_DENSITY:
+        return 0.0
+    return -float(np.polyfit(np.log(hz[inside]), np.log(density), 1)[0])
+
+
+Words = Callable[[Finding, Mapping[str, Any]], tuple[str, str]]
+"""Returns what was found with its size, and what to do, given the parameters by name."""
+
+
+def sentence(what: str, remedy: str) -> Words:
+    """Return the words of a setting whose value is otherwise."""
+    return lambda found, given: (what.format(found.value), remedy.format(found.value))
+
+
+def _clock_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    (offset,), (std,) = found.theta, found.std
+    size = f'{_size(offset, std)} ms' if std < ROUGH else f'about {abs(offset):.2f} s'
+    return (f'The stamps of the tool are {size} {"behind" if offset > 0.0 else "ahead of"} those '
+            'of the package', 'Stamp both by one clock, or set fit.time_offset: true.')
+
+
+def _com_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    if found.instead:
+        return _length_or_com(found.theta[2])
+    shifts = ', '.join(
+        f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
+        zip('xyz', found.theta, found.std, strict=True) if abs(x) > 3.0 * s)
+    moved = np.where(np.abs(found.theta) > 3.0 * found.std, found.theta, 0.0)
+    new = ', '.join(f'{x:.4f}' for x in np.round(np.add(given['package.com'], moved), 4) + 0.0)
+    return (f'The centre of mass is not at package.com, but {shifts} from there',
+            f'Check package.com: it would be [{new}].')
+
+
+def _length_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    (off,), (std,) = found.theta, found.std
+    if found.instead:
+        return _length_or_com(off)
+    return (f'cup.length is {_size(off, std)} mm too {"short" if off > 0.0 else "long"}',
+            'Measure it under vacuum, or with bellows static: it would be '
+            f'{given["cup.length"] + off:.5f}.')
+
+
+def _length_or_com(way: float) -> tuple[str, str]:
+    """Return the same where length and centre of mass explain as much, by so many m."""
+    return (f'cup.length or the z of package.com is wrong by about {abs(1e3 * way):.1f} mm: these '
+            'recordings cannot tell which',
+            'Measure cup.length under vacuum, or with bellows static, and check package.com.')
+
+
+def _marker_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    shift, turn = (float(np.linalg.norm(part))
+                   for part in np.split(found.theta, [len(found.theta) - 3]))
+    return (f'The marker frame of tool or package is turned by {np.rad2deg(turn):.1f} degrees, '
+            f'and {1e3 * shift:.1f} mm aside',
+            'Correct it, set recording.align_at_rest: true if the recording begins at rest, or '
+            'else fit.free: [package_marker].')
+
+
+def _slip_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    x, y, since = found.theta
+    return (f'The package slipped on the lip by {1e3 * np.hypot(x, y):.1f} mm, {since:.1f} s '
+            'after its first sample', 'Fit what is before or after: set recording.end or '
+            'recording.start, and check the vacuum.')
+
+
+def _gravity_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    down = levelling(given.get('gravity.direction', DOWN)).T @ (
+        exp_so3(np.append(-found.theta, 0.0)) @ DOWN)
+    return (f'Gravity is {np.rad2deg(np.hypot(*found.theta)):.1f} degrees off gravity.direction',
+            'Level the world, or set gravity.direction: '
+            f'[{", ".join(f"{x:.4f}" for x in down + 0.0)}].')
+
+
+def _package_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    name, value = f'package.{found.name}', found.value
+    if not value:
+        factor = float(np.exp(-found.theta[0]))
+        return (f'{name} is {factor:.3g} ± {factor * found.std[0]:.2g} times the value consistent '
+                'with package.mass', 'One of the two is wrong: weigh the package, and compute its '
+                'inertia in kg m^2.')
+    unit = 'kg m^2' if found.name == 'inertia' else 'kg'
+    size = ', '.join(f'{x:g}' for x in np.atleast_1d(given[name]))
+    return (f'{name} is in {value}, not in {unit}: {size} {unit} is beyond any package for such a '
+            'cup', f'Give it in {unit}.')
+
+
+def _world_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    if found.value.startswith('gravity'):
+        return ('Gravity is not along -z of the world',
+                f'Set gravity.direction: {found.value.removeprefix("gravity ")}.')
+    return (f'The world of the recording is {found.value}', f'Set recording.world: {found.value}.')
+
+
+def _yaw_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    turns = [f"the {body}'s frame is turned by {degrees} degrees about z"
+             for body, degrees in map(str.split, filter(None, (found.value, found.instead)))]
+    words = ', or '.join(turns)
+    return (words[0].upper() + words[1:] + (
+            ': these recordings cannot tell which' if found.instead else ''),
+            'Correct it in its driver, or set recording.align_at_rest: true if the recording '
+            'begins at rest.')
+
+
+def _cup_words(what: str, remedy: str, sides: tuple[str, str] = ('', '')) -> Words:
+    """Return the words of a cup that is otherwise in one entry of K, by a part of it."""
+    def words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+        part = f'{100.0 * abs(found.theta[0]):.2g} ± {100.0 * found.std[0]:.1g} %'
+        side = sides[0] if found.theta[0] < 0.0 else sides[1]
+        return what.format(entry=found.value, part=part, side=side), remedy
+    return words
+
+
+def _size(value: float, std: float) -> str:
+    """Return a size with its standard error, both in thousandths."""
+    return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
+
+
+class Cause(NamedTuple):
+    """
+    What may be otherwise.
+
+    Parameters
+    ----------
+    setting : str
+        The parameter to change; '' where it is the cup.
+    words : Words
+        What is said of it.
+    units : str or list of str
+        Of the numbers that are freed.
+    corrected : callable
+        Returns a recording without it, as it is where that cannot be.
+
+    """
+
+    setting: str
+    words: Words = sentence('', '')
+    units: Any = '1'
+    corrected: Callable[[Recording, Finding], Recording] = lambda own, found: own
+
+
+CAUSES: Mapping[str, Cause] = {
+    'recording': Cause('the recording', corrected=_by_convention),
+    'topics': Cause(
+        'topics.tool_pose and topics.package_pose', corrected=lambda own, found: _prepared(
+            own, tool=own.package_pose, package=own.tool_pose, tool_twist=None)),
+    'recording.package_frame': Cause(
+        'recording.package_frame',
+        sentence('The package poses are those of the {}', 'Set recording.package_frame: {}.'),
+        corrected=lambda own, found: _prepared(
+            own, settings=replace(own.settings, package_frame='lip'))),
+    'package_world': Cause(
+        'recording.package_world',
+        lambda found, given: (motion_sentence(found.theta, found.std),
+                              f'Set recording.package_world: {ESTIMATE}.'),
+        POSE_UNITS, _in_one_world),
+    'mass': Cause('package.mass', _package_words, corrected=_in_other_units),
+    'inertia': Cause('package.inertia', _package_words, corrected=_in_other_units),
+    'time_offset': Cause('fit.time_offset', _clock_words, 's', _by_one_clock),
+    'tool_twist.frame': Cause('tool_twist.frame', sentence(
+        "The tool's twists match its poses only in axes of the {}", 'Set tool_twist.frame: {}.')),
+    'topics.tool_twist': Cause('topics.tool_twist', lambda found, given: (
+        f"The angular twists of '{given.get('topics.tool_twist', 'tool')}' are in {found.value}, "
+        'not in rad/s', "Correct the driver, or set topics.tool_twist: '' to leave them out.")),
+    'low-pass': Cause('the tracking system', sentence(
+        'The poses of {} went through a low-pass: above 25 Hz their noise falls more steeply than '
+        'noise does', 'It takes a part of the motion, and biases K and P: record unfiltered '
+        'poses.')),
+    'com': Cause('package.com', _com_words, 'm'),
+    'length': Cause('cup.length', _length_words, 'm'),
+    'package_marker': Cause(
+        'recording.align_at_rest', _marker_words, ['m', 'm', 'rad', 'rad', 'rad']),
+    'slip': Cause('recording.start or recording.end', _slip_words, ['m', 'm', 's']),
+    'gravity.direction': Cause('gravity.direction', _gravity_words, 'rad'),
+    'recording.world': Cause('recording.world', _world_words),
+    'yaw': Cause('', _yaw_words),
+    'package.files': Cause('package.files', sentence(
+        'The packages of the two recordings are {}', 'Exchange the two names in package.files.')),
+    'structure': Cause('fit.structure', sentence(
+        'The structure of the cup is not the given one, but {}', 'Set fit.structure: {}.')),
+    'drift': Cause('', _cup_words(
+        'The stiffness of the cup drifts: {entry} {side} by {part} from beginning to end',
+        'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.',
+        ('falls', 'rises'))),
+    'friction': Cause('', _cup_words(
+        'The cup has hysteresis: friction takes {part} of the largest force of {entry}',
+        'K and P are means over this motion: record motions as large and fast as in use.')),
+    'cubic': Cause('', _cup_words(
+        'The cup is not linear: {entry} is {part} {side} at the largest deflection',
+        'The fit is the mean over this motion: record motions as large as those in use.',
+        ('less', 'more'))),
+}
+"""All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
+
+
+def setting_of(found: Finding) -> str:
+    """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
+    if found.value.startswith('gravity'):
+        return CAUSES['gravity.direction'].setting
+    if found.name == 'yaw':
+        bodies = [own.split()[0] for own in (found.value, found.instead) if own]
+        return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
+    names = [own for own in (found.name, found.instead) if own]
+    return ' or '.join(CAUSES[name].setting for name in names)
+
+
+def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
+    """Return what was found, its size, by how much residuals fall, and what to change."""
+    if found.words:
+        return found.words
+    what, remedy = CAUSES[found.name].words(found, given)
+    falls = f' With that, the residuals fall to {100.0 * found.left:.2g} %.'
+    return f'{what}.{falls if found.left else ""} {remedy}'

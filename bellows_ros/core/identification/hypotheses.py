@@ -7,21 +7,11 @@ nearly as much, and where the change is many times its standard error.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
 from typing import NamedTuple, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import variations
-from bellows_ros.core.identification.objective import (
-    covariance_of,
-    Ensemble,
-    ensemble_of,
-    extra_entries,
-    Objective,
-    SLIPS,
-    Solved,
-)
-from bellows_ros.core.identification.plausibility import (
+from bellows_ros.core.identification.causes import (
     corrected,
     DISTINCT,
     DOUBTED,
@@ -30,6 +20,15 @@ from bellows_ros.core.identification.plausibility import (
     NONE,
     radius_of_gyration,
     SIGNIFICANT,
+)
+from bellows_ros.core.identification.objective import (
+    covariance_of,
+    Ensemble,
+    ensemble_of,
+    extra_entries,
+    Objective,
+    SLIPS,
+    Solved,
 )
 from bellows_ros.core.identification.variations import Given, Variation
 from bellows_ros.core.model.structure import Structure, STRUCTURES
@@ -203,8 +202,7 @@ def diagnose(
         Labels of the parameters that are identifiable; all where left out.
 
     """
-    wrong, right = zip(*(own.once('corrected', partial(corrected, own)) for own in recordings),
-                       strict=True)
+    wrong, right = zip(*map(corrected, recordings), strict=True)
     facts: tuple[Finding, ...] = next(filter(None, wrong), ())
     try:
         rounds = right[0].once(

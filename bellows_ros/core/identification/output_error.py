@@ -7,9 +7,9 @@ from types import MappingProxyType
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.causes import causes
+from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.given import stated, with_given
+from bellows_ros.core.identification.given import causes, stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import (
     DEFAULT_RATIO,
@@ -18,7 +18,6 @@ from bellows_ros.core.identification.least_squares import (
     RATIO_STD,
     SIGNIFICANT,
 )
-from bellows_ros.core.identification.plausibility import Finding
 from bellows_ros.core.identification.quantities import anything, Free, KINDS
 from bellows_ros.core.identification.result import (
     condition,

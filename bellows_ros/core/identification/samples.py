@@ -17,41 +17,20 @@ from bellows_ros.core.geometry.lie import (
     apply,
     exp_so3,
     log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
 )
+from bellows_ros.core.identification.causes import require_hanging
 from bellows_ros.core.identification.equations import BLOCK, LipMotion, NO_HISTORY, strain_history
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope
-from bellows_ros.core.parameters.checks import ESTIMATE
-from bellows_ros.core.parameters.table import THESIS_LENGTH
-from bellows_ros.core.recording.conventions import (
-    convention_sentence,
-    conventions_of,
-    converted,
-    FARTHEST,
-)
-from bellows_ros.core.recording.preparation import prepare
-from bellows_ros.core.recording.recording import FilterNoise, PrepareSettings, Recording
+from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.signals.trajectory import (
-    PoseStream,
     Trajectory,
-    TwistStream,
     uniform_rate_hz,
 )
-from bellows_ros.errors import BellowsError, MisreadError
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
-
-ONE_BODY = 1e-3
-"""Poses that stay within this distance (m) of each other are of one body."""
-
-HELD = 0.3
-"""In its own world the lip moves by at most this part of what it does in another."""
-
-LOOKED_AT_EVERY = 20
-"""Every such sample is used where only the arrangement matters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,105 +163,6 @@ def filtered_samples(recording: Recording) -> Samples:
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns),
         recording.relaxation.strengths))
-
-
-def require_hanging(recording: Recording) -> None:
-    """Refuse a recording whose package is mostly not below the tool, by what is the cause."""
-    some = np.flatnonzero(recording.valid)[::LOOKED_AT_EVERY]
-    if not len(some):
-        return
-    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
-    way = package.position - apply(package.rotation, recording.payload.com) - tool.position
-    lip = apply(np.swapaxes(tool.rotation, 1, 2), way)
-    away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
-    if wrong := convention_sentence(recording.tool_pose, recording.package_pose, recording.name):
-        both = recording.tool_pose, recording.package_pose
-        seen, known = map(converted, both, conventions_of(*both))
-        raise MisreadError(wrong, recording, lambda: prepared_again(
-            recording, seen, known, recording.tool_twist))
-    centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
-    if min(away, float(np.median(np.linalg.norm(centre, axis=1)))) < ONE_BODY:
-        raise BellowsError(
-            f"topics.tool_pose ('{recording.tool_pose.name}') and topics.package_pose "
-            f"('{recording.package_pose.name}') are poses of one body. Name that of the package; "
-            "'bellows info BAG' lists the topics.")
-    if away <= FARTHEST and above <= 0.0:
-        return
-    _require_one_world(recording, tool, package, lip)
-    if away > FARTHEST:
-        raise BellowsError(
-            f"The poses of '{recording.tool_pose.name}' and '{recording.package_pose.name}' use "
-            f'different worlds: the lip of the cup is {away:.3g} m from the tool tip. Set '
-            'recording.package_world.')
-    below = -float(np.median(centre[:, 2]))
-    if recording.settings.package_frame == 'com' and below > 0.0:
-        raise MisreadError(
-            f'The package is tracked {1e3 * below:.0f} mm below the tool tip, but the lip of the '
-            f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
-            'recording.package_frame: lip; else check package.com.', recording,
-            lambda: prepared_again(
-                recording, recording.tool_pose, recording.package_pose, recording.tool_twist,
-                replace(recording.settings, package_frame='lip')), 'recording.package_frame')
-    upward = float(np.median(way[:, 2]))
-    if upward > 0.0:
-        raise MisreadError(
-            'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '
-            f'{1e3 * above:.0f} mm above the tool tip in tool axes, and {1e3 * upward:.0f} mm in '
-            'the world. Exchange the two; if they are right, check recording.world.',
-            recording,
-            lambda: prepared_again(recording, recording.package_pose, recording.tool_pose, None))
-    raise BellowsError(
-        'z of the tool points the wrong way: it must point from the cup back into the arm. In '
-        f'tool axes the lip of the cup is {1e3 * above:.0f} mm above the tool tip, in the world '
-        f'{-1e3 * upward:.0f} mm below it. Turn the frame in its driver; if it is right, check '
-        'package.com.')
-
-
-def prepared_again(
-    recording: Recording, tool: PoseStream, package: PoseStream, twist: TwistStream | None,
-    settings: PrepareSettings | None = None,
-) -> Recording:
-    """Return a recording prepared from other streams, or with other settings."""
-    return replace(prepare(tool, package, settings or recording.settings, twist),
-                   name=recording.name)
-
-
-def _require_one_world(
-    recording: Recording, tool: Trajectory, package: Trajectory, lip: Array
-) -> None:
-    """Refuse a recording where another world of the package keeps its lip in place."""
-    from bellows_ros.core.recording.alignment import (  # late: rare
-        closed_form,
-        in_tool_world,
-        motion_of,
-        motion_sentence,
-    )
-
-    def wandering(at: Array) -> float:
-        """Return how far a lip (N, 3) in axes of the tool moves there, m."""
-        return float(np.linalg.norm(np.subtract(*np.percentile(at, (75, 25), axis=0))))
-
-    com, own = recording.payload.com, recording.measured_package
-    try:
-        pose = closed_form(recording.measured_tool, own, THESIS_LENGTH, -com, False)
-    except BellowsError:  # too short to say
-        return
-    R = quaternion_to_rotation(pose[3:])
-    there = apply(R, package.position - apply(package.rotation, com)) + pose[:3] - tool.position
-    left = wandering(apply(np.swapaxes(tool.rotation, 1, 2), there))
-    if left > HELD * wandering(lip):
-        return
-    middle = own.position[own.valid].mean(axis=0)
-    turn, way = recording.settings.R_world_recorded, np.zeros(7)
-    way[:3], way[3:] = turn.T @ pose[:3], rotation_to_quaternion(turn.T @ R @ turn)
-    raise MisreadError(
-        f'{motion_sentence(motion_of(pose, middle))}: seen from the tool, the lip of the cup '
-        f'moves by {1e3 * wandering(lip):.0f} mm, and by {1e3 * left:.0f} mm without that. '
-        f'Set recording.package_world: {ESTIMATE}, or give its seven numbers.', recording,
-        lambda: prepared_again(
-            recording, recording.tool_pose, in_tool_world(
-                recording.package_pose, way, recording.tool_pose.frame_id),
-            recording.tool_twist), 'package_world')
 
 
 def lip_relative(

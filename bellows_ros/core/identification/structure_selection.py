@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.identification.causes import DOUBTED
 from bellows_ros.core.identification.equations import (
     joined,
     Moments,
@@ -24,7 +25,6 @@ from bellows_ros.core.identification.equations import (
 )
 from bellows_ros.core.identification.hypotheses import Diagnosis
 from bellows_ros.core.identification.least_squares import least_squares, noise_bias
-from bellows_ros.core.identification.plausibility import DOUBTED
 from bellows_ros.core.identification.reduction import noise_products, SEED, statistics
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import Samples

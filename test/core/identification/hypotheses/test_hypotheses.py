@@ -5,13 +5,18 @@ import re
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
+from bellows_ros.core.identification.causes import (
+    Finding,
+    finding_sentence,
+    implausible_inputs,
+    setting_of,
+)
 from bellows_ros.core.identification.hypotheses import diagnose
 from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.identification.plausibility import Finding, implausible_inputs
 from bellows_ros.core.identification.search import Search
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.verdict import finding_sentence, setting_of, verdict_of
+from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 import pytest
 
@@ -41,7 +46,7 @@ def named(laboratory, cause):
     if not findings:
         return 'silent'
     first = findings[0]
-    if cause in (first.name, first.instead) or cause in first.value:
+    if cause in (first.name, first.instead) or cause in first.value + first.words:
         return 'right'
     if not first.certain:
         return 'not certain'
@@ -72,7 +77,7 @@ def test_of_two_faults_both_are_named(first, second, seed):
         FAULTS[fault][0](laboratory)
     found = verdict_of(None, laboratory.recordings(), laboratory.said_length,
                        parameters(laboratory))
-    named = [f'{own.name} {own.value}' for own in (
+    named = [f'{own.name} {own.value}{own.words}' for own in (
         *found.diagnosis.findings[:2 if found.diagnosis.findings[0].is_fact else 1],
         *found.diagnosis.besides) if own.certain]
     assert [True, True] == [any(FAULTS[fault][1] in own for own in named)
