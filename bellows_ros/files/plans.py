@@ -15,13 +15,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import (
-    inverse_transform,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
 from bellows_ros.core.planning.arm import Arm, read_arm
 from bellows_ros.core.planning.points import require_count
 from bellows_ros.core.signals.resampling import resample
@@ -94,7 +89,7 @@ def _link(parent: str, series: Mapping[int, tuple[float, ...]]) -> Link:
     length = np.linalg.norm(rows[:, 3:], axis=1)
     good = np.isfinite(rows).all(axis=1) & (np.abs(length - 1.0) < 0.01)
     q = rows[good, 3:] / length[good, None]
-    return Link(parent, stamps[good], transform(quaternion_to_rotation(q), rows[good, :3]),
+    return Link(parent, stamps[good], lie.transform(lie.quaternion_to_rotation(q), rows[good, :3]),
                 int(np.count_nonzero(~good)))
 
 
@@ -146,7 +141,7 @@ def poses_in(
     last = min(link.stamps_ns[-1] for link in moving)
     stamps = stamps[(stamps >= first) & (stamps <= last)]
     (T, known), (T_common_world, there) = (_along(links, way, stamps) for way in (up, down))
-    T, valid = inverse_transform(T_common_world) @ T, known & there
+    T, valid = lie.inverse_transform(T_common_world) @ T, known & there
     if valid.sum() < 2:
         raise BellowsError(
             f"The transforms between '{frame}' and '{root}' in {of} have no time in common. "
@@ -200,7 +195,7 @@ def _along(links: Mapping[str, Link], way: list[str], stamps: Stamps) -> tuple[A
         there = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
         longest = LONGEST_GAP * float(np.median(np.diff(link.stamps_ns)))
         found = resample(there, stamps, round(longest))
-        T, valid = transform(found.rotation, found.position) @ T, valid & found.valid
+        T, valid = lie.transform(found.rotation, found.position) @ T, valid & found.valid
     return T, valid
 
 
@@ -368,7 +363,7 @@ def joints_or_tf(path: File, urdf: File, tool_link: str) -> PlanMessage:
 def _recorded(stamps: Stamps, T: Array, twist: Array | None, frame: str) -> PlanMessage:
     """Return recorded poses (N, 4, 4) in the order of their stamps, each stamp once."""
     stamps, first = np.unique(stamps, return_index=True)
-    poses = np.hstack([T[first, :3, 3], rotation_to_quaternion(T[first, :3, :3])])
+    poses = np.hstack([T[first, :3, 3], lie.rotation_to_quaternion(T[first, :3, :3])])
     return PlanMessage(
         int(stamps[0]), frame, ('tool',), stamps - stamps[0], poses,
         None if twist is None else twist[first])

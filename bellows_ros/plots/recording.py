@@ -10,19 +10,7 @@ from bellows_ros.core.signals.residuals import AXES, Comparison, MILLI_UNITS, Sp
 from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
-from .panels import (
-    BELOW_HEAD,
-    broken,
-    LEFT,
-    legend,
-    Line,
-    MILLI,
-    picture,
-    single_panel,
-    six,
-    six_lines,
-    six_pairs,
-)
+from . import panels
 from .style import THEMES
 
 
@@ -48,10 +36,10 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
 
     def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Any:
         turned = log_so3(rotation @ rotation[start].T)
-        moved = broken(np.hstack([position - position[start], turned]), motion.valid)
-        return Line(name, colour, width, motion.seconds, MILLI * moved)
+        moved = panels.broken(np.hstack([position - position[start], turned]), motion.valid)
+        return panels.Line(name, colour, width, motion.seconds, panels.MILLI * moved)
 
-    figure = six_lines('Motion in the world, from the start', note, theme, (
+    figure = panels.six_lines('Motion in the world, from the start', note, theme, (
         line('tool', 'measured', 3.0, motion.tool_position, motion.tool_rotation),
         line('package', 'predicted', 0.9, motion.package_position, motion.package_rotation),
     ), 'time (s)')
@@ -86,14 +74,14 @@ def spectra_figure(
 
     """
     hertz = spectra.frequency_hz[1:]
-    lines = [Line('measured', 'measured', 2.2, hertz, MILLI * spectra.measured[1:])]
+    lines = [panels.Line('measured', 'measured', 2.2, hertz, panels.MILLI * spectra.measured[1:])]
     if spectra.error is not None:
-        lines.append(Line(
-            'predicted minus measured', 'error', 1.1, hertz, MILLI * spectra.error[1:]))
+        lines.append(panels.Line(
+            'predicted minus measured', 'error', 1.1, hertz, panels.MILLI * spectra.error[1:]))
     if one_step:
-        lines.append(Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
-                          MILLI * np.sqrt(one_step.density[1:])))
-    return six_lines(
+        lines.append(panels.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
+                                 panels.MILLI * np.sqrt(one_step.density[1:])))
+    return panels.six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
         [f'{unit}/√Hz' for unit in MILLI_UNITS], log=True)
 
@@ -118,8 +106,8 @@ def samples_figure(recording: Recording, note: str, theme: str = 'light') -> Any
     """
     seconds = recording.since_start(recording.package.stamps_ns)
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    with picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
-        panel = single_panel(figure, left=0.14)
+    with panels.picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
+        panel = panels.single_panel(figure, left=0.14)
         rows = ((recording.valid, colours.measured),
                 (~recording.measured_tool.valid, colours.predicted),
                 (~recording.measured_package.valid, colours.predicted))
@@ -158,13 +146,13 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
 
     """
     usable = np.flatnonzero(motion.valid)
-    with picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
+    with panels.picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
             figure, colours):
-        legend(figure, (('tool tip E', colours.measured, 3.0),
-                        ('package B', colours.predicted, 1.2)))
+        panels.legend(figure, (('tool tip E', colours.measured, 3.0),
+                               ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
-        tool = broken(motion.tool_position, motion.valid)
-        package = broken(motion.package_position, motion.valid)
+        tool = panels.broken(motion.tool_position, motion.valid)
+        package = panels.broken(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4)
         space.plot(*package.T, color=colours.predicted, linewidth=1.0)
         for i in usable[:: max(1, len(usable) // 40)]:  # some forty
@@ -203,13 +191,13 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     usable = np.flatnonzero(loads.valid)
     shown = usable[:: max(1, len(usable) // MOST_POINTS)]
     title = 'Load on the cup against its deflection'
-    with picture(title, note, theme) as (figure, colours):
-        legend(figure, (('needed by the motion', colours.measured, 4.0),
-                        ('stiffness of the cup', colours.predicted, 1.4)))
-        for axis, panel in enumerate(six(figure, UNITS)):
+    with panels.picture(title, note, theme) as (figure, colours):
+        panels.legend(figure, (('needed by the motion', colours.measured, 4.0),
+                               ('stiffness of the cup', colours.predicted, 1.4)))
+        for axis, panel in enumerate(panels.six(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             kind, scale, unit = (
-                ('force', MILLI, 'mm') if axis < 3 else (
+                ('force', panels.MILLI, 'mm') if axis < 3 else (
                     'moment', np.rad2deg(1.0), 'degrees'))
             panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
@@ -239,18 +227,18 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    load, residual = (broken(x, loads.valid) for x in (loads.load, loads.residual))
+    load, residual = (panels.broken(x, loads.valid) for x in (loads.load, loads.residual))
     title = 'Load on the cup, and the unexplained part'
-    with picture(title, note, theme) as (figure, colours):
-        legend(figure, (('needed by the motion', colours.measured, 2.4),
-                        ('unexplained', colours.error, 1.0)))
+    with panels.picture(title, note, theme) as (figure, colours):
+        panels.legend(figure, (('needed by the motion', colours.measured, 2.4),
+                               ('unexplained', colours.error, 1.0)))
         rms = np.sqrt(np.nanmean(residual**2, axis=0))
         parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
-        six_pairs(
-            figure, colours, [Line('', 'measured', 1.8, loads.seconds, load)], residual,
+        panels.six_pairs(
+            figure, colours, [panels.Line('', 'measured', 1.8, loads.seconds, load)], residual,
             [f'unexplained RMS {own:.2g} {unit}, {part:.2g} % of the load'
              for own, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
-            -0.155, **BELOW_HEAD, hspace=0.24, wspace=0.26)
+            -0.155, **panels.BELOW_HEAD, hspace=0.24, wspace=0.26)
     return figure
 
 
@@ -284,22 +272,23 @@ def prediction_figure(
     matplotlib.figure.Figure
 
     """
-    with picture(title, note, theme, SIZE) as (figure, colours):
-        legend(figure, (('measured', colours.measured, 4.0), ('predicted', colours.predicted, 1.0),
-                        ('predicted minus measured', colours.error, 1.0)))
+    with panels.picture(title, note, theme, SIZE) as (figure, colours):
+        panels.legend(figure, (
+            ('measured', colours.measured, 4.0), ('predicted', colours.predicted, 1.0),
+            ('predicted minus measured', colours.error, 1.0)))
         scores = comparison.scores
         titles = [
             f'error RMS {figures(rms)} {unit}, largest {figures(largest)} {unit}, '
             f'{percent(nrmse)} of the motion' for rms, largest, nrmse, unit in zip(
-                MILLI * scores.rms, MILLI * scores.largest, scores.nrmse, MILLI_UNITS,
-                strict=True)]
+                panels.MILLI * scores.rms, panels.MILLI * scores.largest, scores.nrmse,
+                MILLI_UNITS, strict=True)]
         times, measured, predicted = (with_gaps(seconds, values) for values in (
-            seconds, MILLI * comparison.measured, MILLI * comparison.predicted))
-        columns = six_pairs(
-            figure, colours, (Line('', 'measured', 3.6, times, measured),
-                              Line('', 'predicted', 0.9, times, predicted)),
-            predicted - measured, titles, MILLI_UNITS, 'error\n({})', left=LEFT, right=0.985,
-            top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
+            seconds, panels.MILLI * comparison.measured, panels.MILLI * comparison.predicted))
+        columns = panels.six_pairs(
+            figure, colours, (panels.Line('', 'measured', 3.6, times, measured),
+                              panels.Line('', 'predicted', 0.9, times, predicted)),
+            predicted - measured, titles, MILLI_UNITS, 'error\n({})', left=panels.LEFT,
+            right=0.985, top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
         for upper, _ in columns:
             low, high = upper.get_ylim()
             lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
@@ -330,8 +319,9 @@ def errors_figure(ways: Mapping[str, Comparison], note: str, theme: str = 'light
     """
     start_ns = min(way.stamps_ns[0] for way in ways.values())
     styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
-    return six_lines('Predicted minus measured', note, theme, [
-        Line(name, colour, width, (way.stamps_ns - start_ns) * 1e-9, MILLI * way.error)
+    return panels.six_lines('Predicted minus measured', note, theme, [
+        panels.Line(
+            name, colour, width, (way.stamps_ns - start_ns) * 1e-9, panels.MILLI * way.error)
         for (name, way), (colour, width) in zip(ways.items(), styles, strict=False)], 'time (s)')
 
 
@@ -355,9 +345,10 @@ def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
     """
     lags = np.arange(1.0, test.lags + 1.0)
     band = np.full((test.lags, 6), 1.96 / np.sqrt(test.samples))
-    return six_lines('Autocorrelation of the errors', note, theme, (
-        Line('95 % of white noise', 'quiet', 0.9, lags, band), Line('', 'quiet', 0.9, lags, -band),
-        Line('autocorrelation', 'error', 1.2, lags, test.autocorrelation),
+    return panels.six_lines('Autocorrelation of the errors', note, theme, (
+        panels.Line('95 % of white noise', 'quiet', 0.9, lags, band),
+        panels.Line('', 'quiet', 0.9, lags, -band),
+        panels.Line('autocorrelation', 'error', 1.2, lags, test.autocorrelation),
     ), 'lag (samples)', ('1',) * 6)
 
 

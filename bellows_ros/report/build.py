@@ -17,14 +17,8 @@ from bellows_ros.errors import UnstableError
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import provenance
+from bellows_ros.plots import recording as pictures
 from bellows_ros.plots.plan import margin_figure
-from bellows_ros.plots.recording import (
-    errors_figure,
-    prediction_figure,
-    samples_figure,
-    spectra_figure,
-    whiteness_figure,
-)
 from bellows_ros.plots.style import inline_svg, Theme, THEMES
 from bellows_ros.workflows.identification import Identification
 from bellows_ros.workflows.plot import Spectra
@@ -156,7 +150,7 @@ def replay_report(found: Replay, parameter_files: Sequence[File] = ()) -> str:
     """Return the page of a replay."""
     section = _motion('Free simulation', found)
     if found.observed:
-        section.add(figure(errors_figure(
+        section.add(figure(pictures.errors_figure(
             found.observed.ways, f'relative to the tool, with {found.observed.topic}')))
     origin = provenance([found.bag], parameter_files)
     return page(f'Replay of {found.bag}', 'free simulation from start to end',
@@ -202,16 +196,16 @@ def _figures(replayed: Replay) -> Iterator[Any]:
     found, bag, recording = replayed.validation, replayed.bag, replayed.recording
     if replayed.margin:
         yield margin_figure(replayed.margins, bag)
-    yield prediction_figure(
+    yield pictures.prediction_figure(
         recording.since_start(found.stamps_ns), found, 'Measured and simulated',
         f'{bag}, relative to the tool')
-    yield spectra_figure(
+    yield pictures.spectra_figure(
         Spectra(found.motion.frequency, np.sqrt(found.motion.density),
                 np.sqrt(found.spectrum.density)),
         bag, one_step=found.one_step.spectrum if found.one_step else None)
-    yield whiteness_figure(
+    yield pictures.whiteness_figure(
         found.one_step.whiteness if found.one_step else found.whiteness, bag)
-    yield samples_figure(
+    yield pictures.samples_figure(
         recording, f'{np.count_nonzero(recording.valid)} of {len(recording.valid)} samples '
         'are used; a lost pose rejects all samples whose filter window contains it')
 

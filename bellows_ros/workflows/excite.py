@@ -7,12 +7,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from bellows_ros.core.excitation import fisher
 from bellows_ros.core.excitation.arm_limits import limits_from
-from bellows_ros.core.excitation.fisher import (
-    motion_information,
-    standard_errors,
-    Tracking,
-)
 from bellows_ros.core.excitation.motion_design import (
     cups_near,
     Design,
@@ -27,21 +23,10 @@ from bellows_ros.core.excitation.motion_design import (
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
-from bellows_ros.core.model.cup_package import (
-    gripper_of,
-    model_tuple,
-    one_cup_of,
-    package_of,
-)
+from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.structure import fitted_structure, Structure
-from bellows_ros.core.parameters.checks import (
-    gravity_of,
-    implausible,
-    PACKAGE_PARAMETERS,
-    resolve,
-    Settings,
-)
+from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -113,12 +98,12 @@ class DesignedMotion(CommandResult):
     @property
     def errors(self) -> Array:
         """Expected standard error of each entry, (2 n,)."""
-        return standard_errors(self.design.information)
+        return fisher.standard_errors(self.design.information)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings before the motion: what it cannot identify, and what would."""
-        found = implausible(self.values)
+        found = checks.implausible(self.values)
         if LOADS[-1] not in self.design.ratios:
             found += (NO_GRIP,)
         if self.hold and not self.design.motion.hold:
@@ -206,18 +191,19 @@ def excite(
     if seed < 0:
         raise BellowsError(f'The seed is {seed}; expected an integer from 0 on.')
     tell = progress or (lambda what, part: None)
-    values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
+    values: dict[str, Any] = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
     arm = arm_of(urdf, values['tool_link']) if urdf else None
     bounds, block = limits_from(limits, float(values['safety.least']), arm)
     tracking = tracking_from(block)
     structure = fitted_structure(values)
-    cup, package, gravity = one_cup_of(values), package_of(values), gravity_of(values)
+    cup, package = cup_package.one_cup_of(values), cup_package.package_of(values)
+    gravity = checks.gravity_of(values)
     grip, models = grip_of(values), [
-        model_tuple(gripper_of(each, structure.places), package, gravity)
+        cup_package.model_tuple(cup_package.gripper_of(each, structure.places), package, gravity)
         for each in cups_near(cup)]
 
     def errors_of(tool: Trajectory) -> Array:
-        return standard_errors(motion_information(
+        return fisher.standard_errors(fisher.motion_information(
             cup, package, gravity, tool, tracking, structure))
 
     plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
@@ -239,7 +225,7 @@ def excite(
     return DesignedMotion(found, structure, guess, others, series, values, hold)
 
 
-def tracking_from(settings: Settings) -> Tracking:
+def tracking_from(settings: checks.Settings) -> fisher.Tracking:
     """
     Return how tool and package are tracked, of blocks as in a motion file.
 
@@ -259,7 +245,7 @@ def tracking_from(settings: Settings) -> Tracking:
                 'noise of a recording.')
         found += [1.0 / sensor.rate_hz, Noise(sensor.position_noise, sensor.rotation_noise)]
     settings.done()
-    return Tracking(*found)
+    return fisher.Tracking(*found)
 
 
 def write_motion(

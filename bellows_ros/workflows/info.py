@@ -12,12 +12,7 @@ from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.causes import finding_sentence, IN_DEGREES
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import short
-from bellows_ros.core.recording.alignment import (
-    in_world,
-    rest_of,
-    SHORTEST_REST,
-    world_rotation,
-)
+from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.conventions import convention_sentence
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
@@ -27,15 +22,8 @@ from bellows_ros.files import File
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.files.messages import BOOL
 from bellows_ros.files.plans import read_transforms, TF
+from bellows_ros.workflows import roles
 from bellows_ros.workflows.recordings import part_of
-from bellows_ros.workflows.roles import (
-    Guess,
-    is_in_degrees,
-    likely_alone,
-    likely_pair,
-    likely_twist,
-    Pair,
-)
 import numpy as np
 
 Stream = PoseStream | TwistStream
@@ -129,9 +117,9 @@ class Info:
 
     path: str
     topics: tuple[TopicInfo, ...]
-    tool: Guess | None
-    package: Guess | None
-    twist: Guess | None
+    tool: roles.Guess | None
+    package: roles.Guess | None
+    twist: roles.Guess | None
     rest_s: float | None
     settings: Mapping[str, Any]
     notes: tuple[str, ...]
@@ -245,13 +233,13 @@ def _assigned(
     notes: list[str],
 ) -> Info:
     """Return the recording with roles, settings and notes."""
-    pair = likely_pair(poses)
-    tool, package = (pair.tool, pair.package) if pair else likely_alone(poses)
-    twist = likely_twist(poses[tool.topic], twists) if tool else None
+    pair = roles.likely_pair(poses)
+    tool, package = (pair.tool, pair.package) if pair else roles.likely_alone(poses)
+    twist = roles.likely_twist(poses[tool.topic], twists) if tool else None
     settings: dict[str, Any] = {'bags': (os.fspath(path),), **span}
     settings |= {f'topics.{role}': guess.topic for role, guess in
                  (('tool_pose', tool), ('package_pose', package)) if guess}
-    in_degrees = twist is not None and tool is not None and is_in_degrees(
+    in_degrees = twist is not None and tool is not None and roles.is_in_degrees(
         poses[tool.topic], twists[twist.topic])
     settings |= {'topics.tool_twist': ''} if twist is None or in_degrees else {
         'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}
@@ -293,7 +281,7 @@ def _assigned(
     )
 
 
-def _why_apart(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
+def _why_apart(pair: roles.Pair | None, tool: PoseStream, package: PoseStream) -> str:
     """Return why two topics are of two worlds or two clocks, '' where they are not."""
     frames = short(tool.frame_id), short(package.frame_id)
     if all(frames) and frames[0] != frames[1]:
@@ -307,23 +295,24 @@ def _why_apart(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
 
 
 def _at_rest(
-    poses: Mapping[str, PoseStream], pair: Pair, apart: bool
+    poses: Mapping[str, PoseStream], pair: roles.Pair, apart: bool
 ) -> tuple[float, dict[str, Any], list[str]]:
     """
     Return the duration of the initial standstill, the settings from it, and remarks.
 
     Where their worlds are apart, distance and turn say nothing of the bodies.
     """
-    tool, package = (in_world(poses[guess.topic].trajectory(), world_rotation(pair.world))
+    R = alignment.world_rotation(pair.world)
+    tool, package = (alignment.in_world(poses[guess.topic].trajectory(), R)
                      for guess in (pair.tool, pair.package))
-    rest = rest_of(tool, package)
+    rest = alignment.rest_of(tool, package)
     notes = [
         f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
         'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
         'cup.length plus the depth of package.com if they are those of the centre of mass '
         '(com).'
     ] if not apart else []
-    if rest.seconds < SHORTEST_REST:
+    if rest.seconds < alignment.SHORTEST_REST:
         notes.append(
             f'The standstill at the beginning lasts only {rest.seconds:.1f} s. Start with 2 s of '
             'standstill, so that rotated marker frames can be detected.'

@@ -34,15 +34,7 @@ from bellows_ros.core.recording.recording import (
     StreamReport,
     TimeOffset,
 )
-from bellows_ros.core.signals.resampling import (
-    ArrivalStamps,
-    at_sampling,
-    JITTER_WARNED,
-    on_grid,
-    resample,
-    Timing,
-    timing,
-)
+from bellows_ros.core.signals import resampling
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import (
     Filtered,
@@ -110,9 +102,9 @@ class FilteredStreams:
         common = _common(
             self.filtered[0].stamps_ns, self.filtered[1].stamps_ns, (tool, package))
         longest_ns = self.report.tool.timing.longest_step_ns
-        tool_there = resample(self.filtered[0], common, longest_ns)
+        tool_there = resampling.resample(self.filtered[0], common, longest_ns)
         package_there = _at(self.filtered[1], common)
-        measured_tool = resample(self.aligned[0], common, longest_ns)
+        measured_tool = resampling.resample(self.aligned[0], common, longest_ns)
         if tool_twist is not None:
             measured_tool = _with_twist(
                 measured_tool, tool_twist, self.alignment, self.settings)
@@ -176,7 +168,8 @@ def filter_streams(
 
     """
     turn, of_tool_ns = settings.R_world_recorded, tool.stamps_ns
-    (tool, tool_arrivals), (package, package_arrivals) = at_sampling(tool), at_sampling(package)
+    (tool, tool_arrivals), (package, package_arrivals) = map(
+        resampling.at_sampling, (tool, package))
     if tool_twist is not None and tool_arrivals:
         tool_twist = replace(tool_twist, stamps_ns=_as_moved(
             tool_twist.stamps_ns, of_tool_ns, tool.stamps_ns))
@@ -224,12 +217,12 @@ def _clean(
     """Return the faults of a topic, and its poses in the world at a uniform rate, all marked."""
     poses = in_world(recorded.trajectory(), R_world_recorded)
     with _named(recorded.name):
-        found_timing = timing(poses.stamps_ns)
+        found_timing = resampling.timing(poses.stamps_ns)
         outliers = find_outliers(poses, found_timing.longest_step_ns)
         marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
         at = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
         used = slice(at[0], at[-1] + 1) if len(at) > 2 else slice(None)
-        return StreamReport(recorded, found_timing, outliers), on_grid(
+        return StreamReport(recorded, found_timing, outliers), resampling.on_grid(
             marked.select(used), found_timing)
 
 
@@ -286,7 +279,7 @@ def _with_twist(
     end = np.searchsorted(known_ns, wanted_ns)  # of the step that a wanted stamp lies in
     there = (wanted_ns >= known_ns[0]) & (wanted_ns <= known_ns[-1])
     end = np.clip(end, 1, len(known_ns) - 1)
-    near = known_ns[end] - known_ns[end - 1] <= timing(known_ns).longest_step_ns
+    near = known_ns[end] - known_ns[end - 1] <= resampling.timing(known_ns).longest_step_ns
     known = there & (near | (known_ns[end] == wanted_ns) | (known_ns[end - 1] == wanted_ns))
     at, since = wanted_ns - known_ns[0], known_ns - known_ns[0]
     twist = np.stack([apply(R, np.column_stack([np.interp(at, since, axis) for axis in part.T]))
@@ -321,7 +314,8 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
 
 
 def stream_warnings(
-    recorded: PoseStream, time: Timing, outliers: Outliers, arrivals: ArrivalStamps | None = None
+    recorded: PoseStream, time: resampling.Timing, outliers: Outliers,
+    arrivals: resampling.ArrivalStamps | None = None,
 ) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
     name = recorded.name
@@ -350,14 +344,14 @@ def stream_warnings(
         (repeats > REPEATS_WARNED * len(recorded),
          f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
          'than it is measured, so its actual rate is lower.'),
-        (time.jitter_s * time.rate_hz > JITTER_WARNED,
+        (time.jitter_s * time.rate_hz > resampling.JITTER_WARNED,
          f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
          f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
          'stamp the poses when they are measured.'),
     ) if noticed]
 
 
-def burst_sentence(*streams: tuple[PoseStream, Timing]) -> str:
+def burst_sentence(*streams: tuple[PoseStream, resampling.Timing]) -> str:
     """Return a sentence on streams in which no pose comes most of the time, '' without any."""
     bursts = [f"'{poses.name}'" for poses, time in streams
               if sum(gap.duration_s for gap in time.gaps) > MOST_IN_GAPS * float(
@@ -366,7 +360,7 @@ def burst_sentence(*streams: tuple[PoseStream, Timing]) -> str:
             'them when they are measured.') if bursts else ''
 
 
-def _is_of_jitter(poses: PoseStream, time: Timing, step: LastingStep) -> bool:
+def _is_of_jitter(poses: PoseStream, time: resampling.Timing, step: LastingStep) -> bool:
     """Return whether jitter of the stamps explains a step at the body's speed."""
     near = slice(max(step.before - 5, 0), step.before + 6)
     seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S
