@@ -2,9 +2,7 @@
 
 import argparse
 import importlib
-import os
 from pathlib import Path
-import signal
 import subprocess
 import sys
 
@@ -12,8 +10,6 @@ import bellows_ros
 from bellows_ros.cli.app import command_parser, COMMANDS
 from bellows_ros.cli.options import Output
 import pytest
-
-from .conftest import contents, MOTION, write_yaml
 
 HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'yaml', 'rclpy')
 
@@ -128,30 +124,6 @@ def test_plain_ascii_where_the_output_knows_no_more(bellows):
     done = bellows('parameters', PYTHONIOENCODING='ascii')
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.isascii()
-
-
-def test_ctrl_c_ends_with_130_and_leaves_nothing(workshop, tmp_path, user_environment):
-    """Interrupt a long simulation as soon as the terminal shows that it runs."""
-    pty = pytest.importorskip('pty', reason='no pseudo-terminals here')
-    motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 1000.0})
-    terminal, end = pty.openpty()
-    command = [sys.executable, '-m', 'bellows_ros.cli', 'simulate', '--params',
-               workshop / 'cup.yaml', '--motion', motion, '--out', tmp_path / 'long']
-    before = contents(tmp_path)
-    process = subprocess.Popen(
-        command, env={**user_environment, 'TERM': 'xterm'}, stderr=end, stdout=subprocess.PIPE,
-        stdin=subprocess.DEVNULL)
-    os.close(end)
-    shown = b''
-    while b'simulating 1000 s' not in shown:
-        shown += os.read(terminal, 1000)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 130
-    assert process.communicate()[0] == b''
-    shown = os.read(terminal, 1000)
-    os.close(terminal)
-    assert b'Interrupted' in shown and b'Traceback' not in shown
-    assert contents(tmp_path) == before
 
 
 def test_every_output_is_known_as_one():

@@ -60,7 +60,6 @@ def write_bad_files(folder):
     write_yaml(folder / 'indefinite.yaml', {**known, 'cup.stiffness': stiffness})
     write_yaml(folder / 'unknown.yaml', {**known, 'package.weight': 1.8})
     write_yaml(folder / 'massless.yaml', {n: v for n, v in known.items() if n != 'package.mass'})
-    (folder / 'torn.yaml').write_text('package: [1, 2')
     (folder / 'sentence.yaml').write_text('just a sentence')
     motion = yaml.safe_load((folder / 'motion.yaml').read_text())
     write_yaml(folder / 'dance.yaml', {**motion, 'kind': 'dance'})
@@ -117,16 +116,12 @@ def check_refusal(bellows, folder, line, words):
 @pytest.mark.parametrize('line', [
     'info recording --json recording/recording.mcap',
     'info recording --write-params recording/new.yaml',
-    'info link --json recording/recording.mcap',
     'IDENTIFY --out recording/recording.mcap',
-    'IDENTIFY --out package.yaml',
     'IDENTIFY --set output.json=recording/recording.mcap',
     'identify --params bags.yaml --set bags=x --json recording/metadata.yaml',
-    'structures --params bags.yaml --json recording/metadata.yaml',
     'static --params bags.yaml --json recording/recording.mcap',
     'compare fit.json fit.json --json fit.json',
     'replay recording CUP --report cup.yaml',
-    'simulate CUP --motion motion.yaml --out new --json motion.yaml',
     'plot motion recording CELL --out x.png --json package.yaml',
     'replay recording CUP --view recording/view.rrd',
     'convert poses.tum --topic /p --out poses.tum',
@@ -154,18 +149,14 @@ def test_output_that_cannot_be_written_is_refused(bellows, cell, line, words):
     ('identify CELL', 'No recording is given ... bags'),
     ('STATIC', 'No static recording is given'),
     ('info none --write-params new.yaml', 'does not exist'),
-    ('identify empty CELL', 'empty ... no message'),
     ('identify bad.mcap CELL', 'bad.mcap ... neither an MCAP nor an SQLite file'),
     ('identify other CELL', "'/tool_arm/pose' is not in ... /arm/pose, /box/pose ... Set topics."),
     ('identify twists CELL', f"Topic '/tool_arm/pose' ... {TWIST} ... accepted are {POSE}"),
     ('identify apart CELL', '/package/pose ... 60'),
     ('compare cup.yaml cup.yaml', 'cup.yaml'),
-    ('convert none.csv --out x', 'is not a file'),
-    ('convert recording --out x.tum', 'Name one with --topic'),
     ('convert recording --out x', 'is already a recording'),
     ('PLAN point.yaml', "Setting 'waypoints.poses'"),
     ('PLAN transport.yaml --topic /x', "--topic /x: 'transport.yaml' ... Leave --topic out"),
-    (f'plan {"a" * 5000} CUP', 'a'),
     ('STEER inverse fast.yaml', 'bend the cup by more than 45 degrees'),
     ('simulate CUP --motion dance.yaml --out new', "'kind' ... multi_sine ... dance"),
 ])
@@ -181,37 +172,26 @@ def test_input_that_cannot_be_used_is_refused(bellows, cell, line, words):
      'cup.stiffness is not positive definite ... -1'),
     ('replay recording --params unknown.yaml',
      "unknown.yaml, line ... Unknown parameter 'package.weight' ... Did you mean"),
-    ('identify recording --params torn.yaml', 'torn.yaml, line ... not valid YAML'),
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: Unknown ... 'fit.structure'"),
     ('IDENTIFY --set fit.structure=round', "axisymmetric_coupled, diagonal, full ... 'round'"),
-    ('IDENTIFY --set package.mass=1,8', 'package.mass must be a number ... 1,8'),
     ('IDENTIFY --set "package.com=[0, 0]"', 'package.com must be a list of 3 numbers ... got 2'),
     ('STATIC m0 m1 --mass 1', '1 masses are given for 2 recordings'),
-    ('STATIC BAGS/static --mass 1.8', 'two or more different masses'),
     ('info recording --from soon', 'recording.start'),
     ('PLAN transport.yaml --set plan.frame=base', "expected plan.frame, 'base'"),
-    ('PLAN transport.yaml --fastest', 'cannot be found'),
     ('PLAN transport.yaml GRIP --set vacuum.holding=0.6', '60000'),
     ('STEER zv transport.yaml --limits safe.yaml', 'set cup.lip_radius'),
     ('STEER zv transport.yaml --limits linar.yaml', "Did you mean 'linear'?"),
     ('EXCITE misspelt.yaml --time 6', "Did you mean 'bending'?"),
     ('EXCITE noiseless.yaml --time 6', "'tracking.tool.noise' must have position"),
     ('EXCITE speedless.yaml --time 6', "'linear.speed' is missing; it must be a number, above 0"),
-    ('EXCITE arm.yaml --time 4', 'expected 5 to 120 s'),
-    ('plot animation recording CUP --out a.gif --from 90', 'recording covers'),
-    ('plot motion recording CUP --out a.png --from 3 --to 2', 'above 3 s'),
     ('plot spectra recording CUP --out a.png --to 3', 'Leave out --from and --to'),
     ('replay recording CUP --calibrate-alarms', '--observe'),
     ('replay recording CUP --calibrate-alarms --observe package/pose --out alarms.yaml --set '
      'recording.end=0.7', ''),
     ('TOSS --release 30', 'outside the plan'),
-    ('TOSS --release 3 --set landing.height=5.0', 'the floor is above'),
-    ('TOSS --target 1 0 --target-rotation 0 0 0 0', 'a quaternion of length 1'),
     ('TOSS --target 1900 150', 'mm?'),
     ('TOSS --release 3 --monte-carlo -3', 'expected 2 tosses or more'),
     ('TOSS', 'Neither a time nor a target'),
-    ('TOSS --release 3 --target-rotation 0 0 0 1', 'but no target'),
-    ('TOSS --target 1 0 --set gravity.direction=0,1,0', 'not along -z'),
 ])
 def test_values_that_are_not_allowed_are_refused(bellows, cell, line, words):
     check_refusal(bellows, cell, line, words)

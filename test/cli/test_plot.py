@@ -41,13 +41,3 @@ def test_a_part_of_the_time_is_drawn_and_given(what, bellows, workshop, tmp_path
     seconds = json.loads(done.stdout)['seconds']
     assert len(seconds) == 72 + (seconds[-1] == 3.3)  # at 240 Hz
     assert 3.0 <= seconds[0] and seconds[-1] <= 3.3
-
-
-def test_the_numbers_of_a_picture_are_given(bellows, workshop, tmp_path):
-    """Write what is drawn as JSON to stdout, and words to stderr."""
-    done = bellows('plot', 'deflection', 'recording', '--params', 'cup.yaml', '--json', '-',
-                   '--out', tmp_path / 'a.svg', cwd=workshop)
-    assert (done.returncode, done.stderr) == (0, f'Wrote {tmp_path / "a.svg"}.\n')
-    content = json.loads(done.stdout)
-    assert content['what'] == 'deflection'
-    assert len(content['seconds']) == len(content['deflection']) == len(content['load']) > 1000

@@ -85,8 +85,9 @@ def elsewhere(user_environment, tmp_path):
     return {**user_environment, 'TMPDIR': str(tmp_path / 'tmp')}
 
 
-@pytest.mark.parametrize('number', [signal.SIGHUP])
-def test_a_signal_ends_in_order(number, workshop, tmp_path, elsewhere):
+@pytest.mark.parametrize(('number', 'said'), [
+    (signal.SIGHUP, 'Ended by SIGHUP'), (signal.SIGINT, 'Interrupted')])
+def test_a_signal_ends_in_order(number, said, workshop, tmp_path, elsewhere):
     """Say so, end with 128 and its number, and leave what was there; twice is as good as once."""
     motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 60.0})
     before = contents(tmp_path)
@@ -97,8 +98,7 @@ def test_a_signal_ends_in_order(number, workshop, tmp_path, elsewhere):
     os.killpg(process.pid, number)
     out, err = process.communicate(timeout=WITHIN)
     assert process.returncode == 128 + number
-    name = signal.Signals(number).name
-    assert out == '' and err == f'Ended by {name}; nothing was left half done.\n'
+    assert out == '' and err == f'{said}; nothing was left half done.\n'
     assert contents(tmp_path) == before
 
 

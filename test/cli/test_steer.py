@@ -3,7 +3,6 @@
 import json
 
 from bellows_ros.files.bags import topics
-import numpy as np
 import pytest
 
 from .conftest import write_yaml
@@ -48,27 +47,6 @@ def test_steers_says_writes_and_draws(bellows, workshop, transport, tmp_path):
         workshop / 'cup.yaml', *STDS, '--json', '-', cwd=tmp_path)
     assert back.returncode == 0, back.stderr
     assert json.loads(back.stdout)['swing_left'] < 1.7e-4
-
-
-def test_keeps_to_limits(bellows, workshop, transport, tmp_path):
-    """Stretch the motion in time until the limits hold."""
-    limits = {'linear': {'speed': 1.0, 'acceleration': 8.0}, 'angular': {'acceleration': 40.0},
-              'safety_factor': 1.5}
-    write_yaml(tmp_path / 'limits.yaml', limits)
-    for method in ('inverse', 'zv'):
-        done = bellows(
-            'steer', transport, '--method', method, '--params', workshop / 'cup.yaml', *STDS,
-            '--limits', 'limits.yaml', '--json', '-', cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        found = json.loads(done.stdout)
-        assert found['time_scale'] > 1.0 and found['limit'] in (
-            'speed', 'acceleration', 'angular_acceleration', 'safety_factor')
-        assert found['speed'] <= 1.0 and found['acceleration'] <= 8.0
-        assert found['angular_acceleration'] <= 40.0 and found['smallest_safety_factor'] >= 1.5
-        assert np.isclose(max(
-            found['speed'] / 1.0, found['acceleration'] / 8.0,
-            found['angular_acceleration'] / 40.0), 1.0, rtol=0.02)  # no time is lost
-        assert 'Slowed down to' in ' '.join(done.stderr.split())
 
 
 def test_an_animation_shows_planned_and_steered(bellows, workshop, transport, tmp_path):
