@@ -19,7 +19,7 @@ from bellows_ros.files.plan_messages import (
 from bellows_ros.files.plans import DESCRIPTION, JOINTS, plan_in_yaml, read_yaml, STATES, TF
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
-from bellows_ros.workflows.plan import plan, read_plan, write_prediction
+from bellows_ros.workflows.plan import plan, read_plan
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -83,17 +83,6 @@ def truth(tmp_path_factory):
     """Give the figures of the move as a MultiDOFJointTrajectory."""
     folder = tmp_path_factory.mktemp('truth')
     return figures(bag_of(folder / 'bag', MULTI_DOF, encode_multi_dof(message())))
-
-
-def test_a_plan_has_all_its_figures(truth):
-    assert truth['duration'] == 0.6 and truth['frame_id'] == 'base'
-    for name in (*FIGURES, 'smallest_safety_time', 'peak_deflection', 'rigid_peak_moment',
-                 'settled_after'):
-        assert truth[name] > 0.0, name
-        assert truth[f'{name}_std'] >= 0.0, name
-    assert truth['peak_force_std'] > 0.0
-    assert truth['smallest_safety_mode'] in ('peel', 'slip')
-    assert truth['outside_validity'] == [] and 'fastest_scale' not in truth
 
 
 def test_text_and_yaml_are_the_same_plan(truth, tmp_path):
@@ -258,18 +247,6 @@ def test_a_part_of_a_plan_is_taken(tmp_path):
         np.testing.assert_array_equal(part.position, whole.position[inside])
     with pytest.raises(BellowsError, match=r'1.*recording\.start'):
         read_plan(plan_bag, {**values, 'recording.start': 0.1, 'recording.end': 0.103})
-
-
-def test_what_is_predicted_can_be_read_again(truth, tmp_path):
-    source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
-    report = plan(source, VALUES)
-    write_prediction(tmp_path / 'out', report.source, report.source.tool,
-                     report.prediction.states)
-    again = figures(tmp_path / 'out', topic='/tool_arm/plan')
-    for name in FIGURES:
-        assert_allclose(again[name], truth[name], rtol=1e-9)
-    package = read_plan(tmp_path / 'out', resolve(VALUES), topic='/package/plan').tool
-    assert_allclose(package.position, report.prediction.states[:, :3])
 
 
 def test_fastest_and_curves(tmp_path):

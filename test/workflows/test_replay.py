@@ -1,6 +1,5 @@
 """Replay: free simulation and the predictor's code over recordings, scored against the truth."""
 
-import json
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
@@ -10,7 +9,6 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.results import write_json
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import replay
@@ -70,25 +68,6 @@ def test_predictions_are_those_of_the_predictor_message_by_message(shipped, root
         predicted, loaded.measured_tool, loaded.measured_package)
     assert_array_equal(result.live.predicted, again.predicted)
     assert_array_equal(result.live.stamps_ns, again.stamps_ns)
-
-
-def test_json_holds_the_scores(shipped, tmp_path):
-    result, _ = shipped
-    write_json(tmp_path / 'replay.json', result.as_json())
-    written = json.loads((tmp_path / 'replay.json').read_text())
-    assert written['axes'] == ['x', 'y', 'z', 'rx', 'ry', 'rz']
-    for content, scores in ((written, result.validation.scores),
-                            (written['live'], result.live.scores)):
-        assert_allclose(content['rms'], scores.rms)
-        assert_allclose(content['nrmse'], scores.nrmse)
-        assert_allclose(content['largest'], scores.largest)
-    recorded = 1e-9 * float(np.ptp(result.live.stamps_ns))
-    assert written['live']['real_time_factor'] * written['live']['took'] >= recorded
-    assert written['above_limit'] == []
-    assert len(written['free_run']['p_value']) == 6
-    assert written['one_step']['chi2'] == pytest.approx(1.0, abs=0.1)
-    names = [file['name'] for file in written['provenance']['recordings'][0]['files']]
-    assert names == ['metadata.yaml', 'validation.mcap']
 
 
 def cup(fit):
