@@ -80,9 +80,10 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
     def before(seen: Measurement) -> None:
         stamp_ns, position, q, noise = seen
         known, marker = cell.made.estimate, cell.made.sensor.marker
-        body, theta, com = known.body, known.theta, known.model[1][1]
+        body, theta, model = known.body, known.theta, cell.made.model
+        com = model[1][1]
         position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
-        exposed = when_exposed(known.model, known.tool, body, theta)
+        exposed = when_exposed(model, known.tool, body, theta)
         y, _, whitener, *_ = innovation(
             exposed, theta, known.covariance, position, q, noise, marker[2])
         stamps.append(stamp_ns)

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import dot
 from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.live.uncertainty import Modes, modes_of, Settling
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.observer import Measurement, Observer
+from bellows_ros.core.observer.filter import checked_wrench
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,20 +39,14 @@ def advance_and_hold(
     reach: float,
 ) -> tuple[State, Wrench, bool]:
     """
-    Return the package at the newest tool sample, the cup's wrench, and if both can be.
+    Return the package at the newest tool sample, and what `checked_wrench` does.
 
-    They can where all numbers are finite, and the lip is within reach (m) of where it is without
-    load. With no substeps the package stays as it is.
+    With no substeps the package stays as it is.
     """
-    cup, package, _ = model
     if substeps > 0:
         body = kernels.advance(model, body, before, now, duration, substeps)
-    o_lip, R_lip, v_lip, w_lip = kernels.lip_relative_to_tool(package[1], now, body)
-    f, m = wrench = kernels.cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
-    v, w = body[2], body[3]
-    total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
-    shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
-    return body, wrench, total - total == 0.0 and dot(shift, shift) <= reach * reach
+    wrench, is_sound = checked_wrench(model, now, body, reach)
+    return body, wrench, is_sound
 
 
 class Prepared(NamedTuple):
@@ -251,8 +245,10 @@ class LivePayload:
             if self.observer is None:
                 body, wrench, sound = advance_and_hold(
                     self._model, body, start, end, duration, substeps, self._reach)
+            elif kept_ns and (found := self.observer.follow(kept_ns, start, end)):
+                body, wrench, sound = found
             else:
-                body = (self.observer.follow(kept_ns, start, end) if kept_ns
+                body = (self.observer.body if kept_ns
                         else self.observer.drifted(body, start, end, duration))
                 _, wrench, sound = advance_and_hold(
                     self.model, body, end, end, 0.0, 0, self._reach)

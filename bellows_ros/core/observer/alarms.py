@@ -33,20 +33,21 @@ from bellows_ros.core.geometry.tuples import (
     subtract_product,
     Vector,
 )
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import Branch, State
 from bellows_ros.core.observer.filter import (
     CAMERA,
     COM,
     Evidence,
     FALLEN,
+    first_after,
     LENGTHENING,
     MARKER,
     MASS,
+    model_of,
     ONSETS,
     predicted,
     SHIFT,
     STIFFNESS,
-    with_theta,
 )
 from bellows_ros.core.observer.measurement import Marker, observed, OUT_OF_REACH, updated, USED
 import numpy as np
@@ -411,21 +412,22 @@ def _length(size: Array, P: Array) -> tuple[float, float]:
 
 @kernel
 def processed(
-    model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
-    stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, drive: Array, walk: Array, E: Any, numbers: Array,
+    row: Any, branches: tuple[Branch, ...], theta: Array, tool: State, body: State, P: Array,
+    memory: Array, stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, count: int,
+    now_ns: int, until_ns: int, longest: float, drive: Array, walk: Array, E: Any, numbers: Array,
     onsets: Stamps, is_first: bool, steps: Array, cups: Array, is_seen: bool, position: Vector,
     quaternion_xyzw: Quaternion, noise: Array, marker: Marker, reach: float, gate: float,
 ) -> Any:
     """
     Carry an estimate to a later stamp, correct it with what is seen there, and look for faults.
 
-    Takes what `predicted` and `updated` take, the evidence, and the steps (n + 7, components): the
-    error that each component of a fault makes; cups are those of a gripper that hold. All in one,
-    as each call from Python unpacks a whole model. Returns a verdict, tool, body, theta,
-    covariance and memory as `updated`, the evidence, what `_step` returns, and the model as it is
-    estimated.
+    Takes what `model_of`, `predicted` and `updated` take, how many samples of the tool there are,
+    the evidence, and the steps (n + 7, components): the error that each component of a fault
+    makes; cups are those of a gripper that hold. All in one, and the model as an array: tuples
+    take long from Python. Returns a verdict, tool, body, theta, covariance and memory as
+    `updated`, the evidence, and what `_step` returns.
     """
+    model, k = model_of(row, branches), first_after(stamps, now_ns, count)
     seconds, verdict, outcome = (until_ns - now_ns) * 1e-9, USED, NOTHING_FOUND
     tool, body, theta, P, E = predicted(
         model, theta, tool, body, P, memory, stamps, starts, ends, bodies, is_known, k, now_ns,
@@ -438,8 +440,7 @@ def processed(
             numbers, onsets = numbers.copy(), onsets.copy()
             outcome = _step(
                 E, numbers, onsets, steps, until_ns, found, marker[2], verdict == USED, is_first)
-    return (verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome,
-            with_theta(model, theta))
+    return verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome
 
 
 @array_kernel

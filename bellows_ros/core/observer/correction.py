@@ -13,17 +13,17 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import places_of
 from bellows_ros.core.observer.alarms import Alarm, Alarms, CONFIRMED, processed
 from bellows_ros.core.observer.filter import (
+    body_ahead,
     driving,
     Estimate,
     Evidence,
+    model_row,
     NO_EVIDENCE,
     NOT_FOLLOWED,
-    propagated,
     STATE,
-    with_theta,
     WRENCH,
 )
-from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NO_LOSSES, without
+from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NUMBERS
 from bellows_ros.core.observer.measurement import (
     changed_by,
     Measurement,
@@ -48,11 +48,20 @@ LEAST_ROOM = 4096
 
 
 class Track:
-    """The tool's samples of the last moments, the package at each, as the kernels take them."""
+    """
+    The tool's samples of the last moments, the package at each, as the kernels take them.
+
+    Attributes
+    ----------
+    count, newest_ns : int
+        How many samples there are, and the stamp of the newest.
+
+    """
 
     def __init__(self) -> None:
         """Start without samples."""
         self._make(LEAST_ROOM)
+        self.newest_ns = 0
 
     def _make(self, room: int) -> None:
         """Make room for samples."""
@@ -63,12 +72,8 @@ class Track:
 
     def begin(self, stamp_ns: int) -> None:
         """Discard all but the start of a motion."""
-        self.rows[0][0], self.count = stamp_ns, 1
-
-    @property
-    def newest_ns(self) -> int:
-        """Stamp of the newest sample."""
-        return int(self.rows[0][self.count - 1])
+        self.rows[0][0] = self.newest_ns = stamp_ns
+        self.count = 1
 
     def after(self, stamp_ns: int) -> int:
         """Return the number of the first sample after a stamp."""
@@ -120,6 +125,8 @@ class Correction:
     ) -> None:
         """Know what is uncertain."""
         self.nominal, self.longest, self.reach = model, longest, reach
+        self.branches = model[0][4:]
+        (self._row,) = as_inputs(model_row(model))
         self.prior, self._walk = prior_std(values, model), bias_walk(model)
         self._marker, places = sensor.marker, places_of(values)
         self._cups = cups_of(model, places)
@@ -138,16 +145,15 @@ class Correction:
         """Return the estimate of a package at rest, with theta, covariance and memory as kept."""
         self._drive = driving(self.nominal, tool, body, self._tool_noise)
         return Estimate(
-            stamp_ns, tool, body, *kept, self.model_with(kept[0], opened),
-            self._evidence(stamp_ns, opened), opened)
+            stamp_ns, tool, body, *kept, self._evidence(stamp_ns, opened), opened)
 
-    def model_with(self, theta: Array, opened: tuple[int, ...]) -> ModelTuple:
-        """Return the model with its numbers as estimated, without those cups that are lost."""
-        return with_theta(self._gripper(opened), theta)
-
-    def _gripper(self, opened: tuple[int, ...]) -> ModelTuple:
-        """Return the nominal model without those cups that are lost."""
-        return without(self.nominal, self._cups[list(opened)]) if opened else self.nominal
+    def row(self, opened: tuple[int, ...]) -> Any:
+        """Return the `model_row` without those cups that are lost."""
+        if not opened:
+            return self._row
+        row = np.array(self._row)
+        row[2:2 + NUMBERS] -= self._cups[list(opened)].sum(axis=0)
+        return row
 
     def _holding(self, opened: tuple[int, ...]) -> Array:
         """Return the cups, see `cups_of`, that hold; none where the last would be."""
@@ -168,8 +174,8 @@ class Correction:
         """Return what `processed` does of an estimate; nothing is seen with a gate of zero."""
         opened, evidence = known.opened, known.evidence
         return processed(
-            self._gripper(opened), known.theta, known.tool, known.body, known.covariance,
-            known.memory, *track.rows, is_known, track.after(known.stamp_ns), known.stamp_ns,
+            self.row(opened), self.branches, known.theta, known.tool, known.body,
+            known.covariance, known.memory, *track.rows, is_known, track.count, known.stamp_ns,
             stamp_ns, self.longest, self._drive, self._walk, evidence.signatures,
             evidence.numbers, evidence.onsets, evidence.is_first, self._steps,
             self._holding(opened), gate > 0.0, *seen[1:], self._marker, self.reach, gate)
@@ -189,18 +195,17 @@ class Correction:
         """Return the package at the newest sample of the tool, and write it into the samples."""
         if known.stamp_ns == track.newest_ns:
             return known.body
-        return propagated(
-            self._gripper(known.opened), known.theta, known.tool, known.body, NOT_FOLLOWED,
-            NOT_FOLLOWED, *track.rows, False, track.after(known.stamp_ns), known.stamp_ns,
-            track.newest_ns, self.longest, self._drive, NO_CUPS, NO_LOSSES)[1]
+        return body_ahead(
+            self.row(known.opened), self.branches, known.theta, known.tool, known.body,
+            *track.rows, track.count, known.stamp_ns, track.newest_ns, self.longest)
 
     def updated(
         self, before: Estimate, track: Track, seen: Measurement, is_known: bool
     ) -> Outcome:
         """Return the estimate after a measurement: the one before it where that is no package."""
         stamp_ns, opened, (*_, half_way, is_first) = seen.stamp_ns, before.opened, before.evidence
-        verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome, model = (
-            self._processed(before, track, stamp_ns, is_known, seen, GATE))
+        verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome = self._processed(
+            before, track, stamp_ns, is_known, seen, GATE)
         if verdict == OUT_OF_REACH:
             return Outcome(before, 'out_of_reach')
         refused = before.refused + 1 if verdict == OUTSIDE else 0
@@ -208,7 +213,7 @@ class Correction:
         if self.alarms is not None:
             half_way = self.alarms.half_way(half_way, stamp_ns, outcome[0])
         after = Estimate(
-            stamp_ns, tool, body, theta, P, memory, model,
+            stamp_ns, tool, body, theta, P, memory,
             Evidence(E, numbers, onsets, half_way, is_first), opened, refused,
             before.away if refused else 0)
         if self.alarms is not None and len(half_way) > CONFIRMED and (
@@ -217,7 +222,6 @@ class Correction:
             body, theta = changed_by(body, theta, fault.error)
             return Outcome(after._replace(  # the fault was taken for noise, too
                 body=body, theta=theta, memory=self.first_memory, refused=0, opened=opened,
-                model=self.model_with(theta, opened),
                 evidence=self._evidence(stamp_ns, opened, False),
                 covariance=P + fault.spread @ fault.spread.T), name, fault.alarm)
         if name == 'recovered':
@@ -232,8 +236,8 @@ class Correction:
         P = known.covariance.copy()
         P[rows, rows] += np.square(self.prior[rows])
         restarted = known._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
-        _, tool, body, theta, P, *_, model = self._processed(
+        _, tool, body, theta, P, *_ = self._processed(
             restarted, track, seen.stamp_ns, True, seen, math.inf)
         return known._replace(
-            tool=tool, body=body, theta=theta, covariance=P, memory=memory, model=model,
+            tool=tool, body=body, theta=theta, covariance=P, memory=memory,
             evidence=self._evidence(seen.stamp_ns, known.opened, False), refused=0, away=0)

@@ -25,6 +25,7 @@ from bellows_ros.core.geometry.tuples import (
     add_scaled_matrix,
     apply,
     cross,
+    dot,
     hat,
     Matrix,
     multiply,
@@ -60,8 +61,11 @@ from bellows_ros.core.model.jacobians import (
 from bellows_ros.core.model.kernels import (
     advance,
     Blocks,
+    Branch,
+    cup_wrench,
     CupTuple,
     effective_strain,
+    lip_relative_to_tool,
     lip_wrench,
     ModelTuple,
     multiply_blocks,
@@ -73,7 +77,7 @@ from bellows_ros.core.model.kernels import (
     Wrench,
 )
 from bellows_ros.core.model.simulation import body_row, row_state, write_row
-from bellows_ros.core.observer.lost_cup import write_losses
+from bellows_ros.core.observer.lost_cup import blocks_at, matrix_at, write_losses
 import numpy as np
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
@@ -148,8 +152,6 @@ class Estimate(NamedTuple):
     """Of the error (n, n)."""
     memory: Array
     """Of the noise, see `correlations` (11,)."""
-    model: ModelTuple
-    """With the numbers as they were estimated last."""
     evidence: Evidence = NO_EVIDENCE
     """Of faults."""
     opened: tuple[int, ...] = ()
@@ -158,6 +160,41 @@ class Estimate(NamedTuple):
     """Consecutive measurements outside the gate."""
     away: int = 0
     """Consecutive measurements out of reach, after one within it."""
+
+
+def model_row(model: ModelTuple) -> Array:
+    """Return the numbers of a model but those of relaxation: read from Python at once."""
+    cup, (mass, com, *inertia), gravity = model
+    blocks = [number for matrix in cup[2:4] for block in matrix for number in block]
+    return np.array([*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity])
+
+
+@kernel
+def model_of(row: Any, branches: tuple[Branch, ...]) -> ModelTuple:
+    """Return the model with the numbers of `model_row`, and with branches of relaxation."""
+    return (
+        (row[0], row[1], blocks_at(row, 2), blocks_at(row, 29), *branches),
+        (row[56], (row[57], row[58], row[59]), matrix_at(row, 60), matrix_at(row, 69)),
+        (row[78], row[79], row[80]))
+
+
+@kernel
+def checked_wrench(
+    model: ModelTuple, tool: State, body: State, reach: float
+) -> tuple[Wrench, bool]:
+    """
+    Return the cup's wrench on the package, and if both can be.
+
+    They can where all numbers are finite, and the lip is within reach (m) of where it is without
+    load.
+    """
+    cup, package, _ = model
+    o_lip, R_lip, v_lip, w_lip = lip_relative_to_tool(package[1], tool, body)
+    f, m = wrench = cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
+    v, w = body[2], body[3]
+    total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
+    shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
+    return wrench, total - total == 0.0 and dot(shift, shift) <= reach * reach
 
 
 @kernel
@@ -175,6 +212,12 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
         inverse = add_scaled_matrix(inverse, -1.0, multiply(inverse, multiply(more, inverse)))
     return (cup[0] + 0.5 * longer, cup[1] + longer, K, P, *cup[4:]), (
         k * mass, add(com, (theta[1], theta[2], theta[3])), inertia, inverse), gravity
+
+
+@kernel
+def model_with(row: Any, branches: tuple[Branch, ...], theta: Array) -> ModelTuple:
+    """Return the model that `model_of` returns, with its numbers changed by theta."""
+    return with_theta(model_of(row, branches), theta)
 
 
 @kernel
@@ -484,6 +527,19 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
 
 
 @kernel
+def first_after(stamps: Any, stamp_ns: int, count: int) -> int:
+    """Return the number of the first of the samples after a stamp."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if stamps[middle] > stamp_ns:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@kernel
 def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
     """Return whether a covariance step ends at a sample, regardless of where it began."""
     length_ns = int(1e9 * min(COARSE * longest, 1.0))
@@ -644,10 +700,12 @@ def _followed(
 
 @kernel
 def followed(
-    model: ModelTuple, theta: Array, body: State, stamps: Any, starts: Any, ends: Any, bodies: Any,
-    k: int, stamp_ns: int, start: State, end: State, longest: float,
-) -> State:
-    """Keep a sample of the tool as number k, and return the package there."""
+    row: Any, branches: tuple[Branch, ...], theta: Array, body: State, stamps: Any, starts: Any,
+    ends: Any, bodies: Any, k: int, stamp_ns: int, start: State, end: State, longest: float,
+    reach: float,
+) -> tuple[State, Wrench, bool]:
+    """Keep a sample of the tool as number k; return the package there, and `checked_wrench`."""
+    model = model_with(row, branches, theta)
     stamps[k] = stamp_ns
     write_row(starts[k], start)
     write_row(ends[k], end)
@@ -662,4 +720,18 @@ def followed(
             model, wrench_of(theta), body, tool, there, part, substeps_for(part, longest))
         tool = there
     write_row(bodies[k], body)
-    return body
+    wrench, is_sound = checked_wrench(model, end, body, reach)
+    return body, wrench, is_sound
+
+
+@kernel
+def body_ahead(
+    row: Any, branches: tuple[Branch, ...], theta: Array, tool: State, body: State, stamps: Any,
+    starts: Any, ends: Any, bodies: Any, count: int, now_ns: int, until_ns: int, longest: float,
+) -> State:
+    """Return the package of an estimate at a later stamp, and write it into the samples."""
+    none = np.zeros((0, 0))
+    return propagated(
+        model_of(row, branches), theta, tool, body, none, none, stamps, starts, ends, bodies,
+        False, first_after(stamps, now_ns, count), now_ns, until_ns, longest, none,
+        np.zeros((0, 54)), np.zeros((0, 12, 13)))[1]

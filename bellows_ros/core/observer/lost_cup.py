@@ -9,6 +9,8 @@ what the loss has made.
 
 from __future__ import annotations
 
+from typing import Any
+
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.geometry.tuples import Matrix
@@ -53,22 +55,17 @@ def _of_each(gripper: Blocks, places: Array) -> Array:
     return np.stack([M[:, :3, :3], M[:, :3, 3:], M[:, 3:, 3:]], axis=1).reshape(-1, 27)
 
 
-def without(model: ModelTuple, cups: Array) -> ModelTuple:
-    """Return the model of a gripper without some of its cups, as `cups_of` returns them."""
-    cup, package, gravity = model
-    rows: Array = np.hstack([np.ravel(matrix) for matrix in cup[2:4]]) - cups.sum(axis=0)
-    return (*cup[:2], _blocks(rows, 0), _blocks(rows, 27), *cup[4:]), package, gravity
-
-
 @kernel
-def _nine(row: Array, i: int) -> Matrix:
+def matrix_at(row: Any, i: int) -> Matrix:
+    """Return a 3x3 matrix from nine numbers of a row."""
     return (row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5], row[i + 6],
             row[i + 7], row[i + 8])
 
 
 @kernel
-def _blocks(row: Array, i: int) -> Blocks:
-    return _nine(row, i), _nine(row, i + 9), _nine(row, i + 18)
+def blocks_at(row: Any, i: int) -> Blocks:
+    """Return K or P from 27 numbers of a row."""
+    return matrix_at(row, i), matrix_at(row, i + 9), matrix_at(row, i + 18)
 
 
 @array_kernel
@@ -78,7 +75,7 @@ def write_losses(
     """Write M^-1 [W_i, w_i] of each cup into (n, 6, 13): accelerations by error, and without."""
     for i in range(len(cups)):
         cup = model[0]
-        one = ((cup[0], cup[1], _blocks(cups[i], 0), _blocks(cups[i], 27), *cup[4:]), model[1],
+        one = ((cup[0], cup[1], blocks_at(cups[i], 0), blocks_at(cups[i], 27), *cup[4:]), model[1],
                model[2])
         by_pose, by_twist = cup_accelerations(one, tool, body)
         write_square(out[i], 0, 0, by_pose)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.correction import Correction, Outcome, Track
 from bellows_ros.core.observer.filter import (
@@ -26,11 +26,12 @@ from bellows_ros.core.observer.filter import (
     is_coarse,
     LATENCY,
     MASS,
+    model_with,
     pushed,
     STATE,
     wrench_of,
 )
-from bellows_ros.core.observer.measurement import Measurement, PoseSensor
+from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
 from bellows_ros.core.observer.prior import OF_MOTION, OF_PACKAGE
 import numpy as np
 
@@ -96,8 +97,6 @@ class Observer:
         Measurements taken in, those that made it start anew, and those not used, by `VERDICTS`.
     alarms : list of Alarm
         What was found to be wrong so far.
-    model : tuple
-        With the numbers as they were estimated last.
 
     """
 
@@ -137,8 +136,20 @@ class Observer:
                 theta, P, known.memory), () if is_another else known.opened
         for what in (self._known, self._seen, self._ahead):
             what.clear()
-        self._asked, self._theta = None, self._kept[0]
-        self.model = self._by.model_with(self._theta, self._opened)
+        self._asked = None
+        self._use(self._kept[0], self._opened)
+
+    def _use(self, theta: Array, opened: tuple[int, ...]) -> None:
+        """Predict with numbers as they are estimated, without those cups that are lost."""
+        self._theta, self._row = theta, self._by.row(opened)
+        self._model: ModelTuple | None = None
+
+    @property
+    def model(self) -> ModelTuple:
+        """The model with the numbers as they were estimated last."""
+        if self._model is None:
+            self._model = model_with(self._row, self._by.branches, self._theta)
+        return self._model
 
     @property
     def estimate(self) -> Estimate | None:
@@ -187,22 +198,32 @@ class Observer:
         self._known = [self._by.start(stamp_ns, tool, body, self._kept, self._opened)]
         self.body = body
 
-    def follow(self, stamp_ns: int, start: State, end: State) -> State:
-        """Carry the package along with the tool, from the newest sample to this one."""
-        track = self._track
+    def follow(
+        self, stamp_ns: int, start: State, end: State
+    ) -> tuple[State, Wrench, bool] | None:
+        """
+        Carry the package along with the tool, from the newest sample to this one.
+
+        Returns it with the wrench and the verdict of `checked_wrench`, or None where a measured
+        pose of that time has been waiting: it is corrected by then.
+        """
+        track, by = self._track, self._by
         track.make_room(self._known[0].stamp_ns)
-        self.body = followed(
-            self.model, self._theta, self.body, *track.rows, track.count, stamp_ns, start, end,
-            self._by.longest)
-        track.count += 1
+        found: tuple[State, Wrench, bool] | None = followed(
+            self._row, by.branches, self._theta, self.body, *track.rows, track.count, stamp_ns,
+            start, end, by.longest, by.reach)
+        assert found is not None
+        self.body = found[0]
+        track.count, track.newest_ns = track.count + 1, stamp_ns
         while self._ahead and self._ahead[0].stamp_ns <= stamp_ns:
+            found = None
             self._seen.append(self._ahead.pop(0))
             self._reprocess(len(self._seen) - 1)
         if stamp_ns - self._known[0].stamp_ns > LATEST_NS + KEPT_NS:
             self._drop_old(stamp_ns - LATEST_NS)
         if self._known[-1].away == 1:
             self._look_for_silence(stamp_ns)
-        return self.body
+        return found
 
     def _drop_old(self, before_ns: int) -> None:
         """Discard estimates that nothing can change any more, except the last of them."""
@@ -263,7 +284,8 @@ class Observer:
             self._known.append(self._away(outcome.known, self._seen[k].stamp_ns) if (
                 outcome.verdict == 'out_of_reach') else outcome.known)
         known = self._known[-1]
-        self._theta, self.model, self._asked = known.theta, known.model, None
+        self._asked = None
+        self._use(known.theta, known.opened)
         self.body = self._by.body_at_end(known, self._track)
 
     def _updated(self, before: Estimate, seen: Measurement, is_new: bool) -> Outcome:
@@ -330,4 +352,7 @@ def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:
     tool = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     made.start(1, tool, resting_on_tool(model, tool))
     made.see(Measurement(500_000, *made.body[:2], np.eye(6)))
-    made.drifted(made.follow(1_000_000, tool, tool), tool, tool, 1e-3)
+    made.follow(1_000_000, tool, tool)
+    made.drifted(made.body, tool, tool, 1e-3)
+    estimate = made._known[-1]
+    changed_by(made.body, estimate.theta, np.zeros(len(estimate.covariance)))

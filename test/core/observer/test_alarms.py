@@ -25,10 +25,12 @@ from bellows_ros.core.observer.alarms import (
 from bellows_ros.core.observer.filter import (
     CAMERA,
     DAMPING,
+    first_after,
     identity_transition,
     LENGTH,
     LENGTHENING,
     MARKER,
+    model_of,
     NOISE,
     predicted,
     propagated,
@@ -103,7 +105,7 @@ def test_lost_cup_of_a_gripper_is_named(lost):
     assert rms[1] < 1.5 * rms[0] + 1e-4
     left = np.delete(LAYOUT, lost, axis=0)
     np.testing.assert_allclose(
-        cell.made.estimate.model[0][2][0][::4], np.diag(gripper_of(CUP, left).stiffness)[:3])
+        cell.made.model[0][2][0][::4], np.diag(gripper_of(CUP, left).stiffness)[:3])
 
 
 def test_gripper_whose_cups_hold_raises_no_alarm():
@@ -195,10 +197,11 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
     processed, given, totals = module.processed, [], []
 
-    def processing(model, theta, tool, body, P, memory, *more):
-        result = processed(model, theta, tool, body, P, memory, *more)
+    def processing(row, branches, theta, tool, body, P, memory, *more):
+        result = processed(row, branches, theta, tool, body, P, memory, *more)
         if more[17]:  # something is seen
-            track, seen = more[:10], more[18:]
+            model, k = model_of(row, branches), first_after(more[0], more[6], more[5])
+            track, seen = (*more[:5], k, *more[6:10]), more[18:]
             F, end = _dense_transition(model, theta, tool, body, P, memory, *track)
             after = predicted(model, theta, tool, body, P, memory, *track, more[10],
                               np.zeros((0, 0), np.float32), NO_CUPS)
