@@ -30,7 +30,7 @@ from . import options
 from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
-    from bellows_ros.core.identification.statics.static import SpringCheck
+    from bellows_ros.core.identification.statics import SpringCheck
     from bellows_ros.core.parameters.table import Value
     from bellows_ros.core.recording.standstills import Standstill
     from bellows_ros.workflows.static import StaticBag, StaticResult

@@ -55,7 +55,7 @@ from bellows_ros.workflows.verdict import FitVerdict, LOOKED_AT, verdict_of
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
-    from bellows_ros.core.identification.consistency import Consistency
+    from bellows_ros.core.identification.comparison import Consistency
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
@@ -350,7 +350,7 @@ def _consistency(
     """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
     if not values['fit.compare_recordings'] or len(parts) < 2:
         return None
-    from bellows_ros.core.identification.consistency import same_cup
+    from bellows_ros.core.identification.comparison import same_cup
 
     names = names_of([part.name for part in parts], [part.payload for part in parts])
 

@@ -192,7 +192,7 @@ def _prepared(
     recording = filtered.joined()
     if not (world == ESTIMATE or values['fit.time_offset']):
         return recording
-    from bellows_ros.core.identification.free import refined_preparation
+    from bellows_ros.core.identification.registration import refined_preparation
     from bellows_ros.core.recording.alignment import in_tool_world, shifted_pose
 
     wanted = (values['cup.length'], given_structure(values), world == ESTIMATE,

@@ -7,7 +7,7 @@ import os
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.statics.static import (
+from bellows_ros.core.identification.statics import (
     check_spring,
     nominal_length,
     NominalLength,

@@ -1,6 +1,8 @@
 """
 Comparison of two fits of a cup: differences, their significance, and whether they matter.
 
+And of several, each of a recording of its own: whether they are of the same cup.
+
 A difference is significant where the standard errors of both fits do not explain it; it matters
 where it changes the predicted motion: rest poses, natural frequencies, damping, response to a
 shake. The standard errors of these follow from those of the parameters by first derivatives.
@@ -11,14 +13,16 @@ from dataclasses import dataclass
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, log_so3, quaternion_to_rotation, transform
-from bellows_ros.core.identification.result import parameter_units
+from bellows_ros.core.identification.equations import covariance_of, information_of
+from bellows_ros.core.identification.result import Fit, parameter_units
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.model.structure import common_structure, Structure
+from bellows_ros.core.model.structure import common_structure, Structure, structure_named
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
+from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
@@ -30,6 +34,7 @@ TILT = 0.35
 """Tilt of the tool for the second rest pose, rad: 20 degrees."""
 
 SHAKE_HZ, SHAKE_M, SHAKE_RAD, SHAKE_RATE_HZ = 3.0, 5e-3, 0.05, 240.0
+
 SHAKE_RAMP_S, SHAKE_S = 0.5, 2.0
 """A motion like that of the thesis, 3 Hz in all directions at once, to compare both cups on."""
 
@@ -49,7 +54,9 @@ STEP = 1e-4
 """Relative step of the derivatives by parameters."""
 
 ORDINALS = ('first', 'second', 'third', 'fourth', 'fifth', 'sixth')
+
 GROUPS = ((0, 1), (2,), (3, 4), (5,))
+
 GROUP_NAMES = ('lateral', 'axial', 'bending', 'torsion')
 
 
@@ -386,3 +393,127 @@ def shake() -> Trajectory:
         np.repeat([SHAKE_M, SHAKE_RAD / np.sqrt(3.0)], 3), np.arange(6),
         np.full((6, 2), SHAKE_HZ), np.array([0.0, third, 2.0 * third, 0.0, 0.0, 0.0]),
     ).at_rate(SHAKE_RATE_HZ)
+
+
+ALIKE_BELOW = 0.01
+"""p-value below which the cups differ."""
+
+SIGNIFICANT_ERRORS = 3.0
+"""Standard errors above which the difference of a single parameter is significant."""
+
+MATERIAL = 0.05
+"""Smallest material relative difference of a parameter from the mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """
+    Outcome of the test.
+
+    Parameters
+    ----------
+    probability : float
+        Of a larger Wald's chi^2 if all cups are the same.
+    deviations : ndarray (n, p)
+        Of each fit from the weighted mean, in its own standard errors; 0 where it does not know.
+    probability_stiffness, probability_damping : float
+        The same probability for K alone, and for P alone; NaN where nothing can be compared.
+    verdict : str
+        In words.
+
+    """
+
+    probability: float
+    deviations: Array
+    probability_stiffness: float
+    probability_damping: float
+    verdict: str
+
+    @property
+    def differs(self) -> bool:
+        """Whether the cups differ significantly and materially."""
+        return self.probability < ALIKE_BELOW
+
+
+def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
+    """
+    Test whether independent fits of one structure found the same K and P.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+        At least two, of different recordings.
+    names : sequence of str
+        Their names, such as the packages' masses.
+
+    Raises
+    ------
+    BellowsError
+        If there are fewer than two, or their parameters are not the same.
+
+    """
+    if len(fits) < 2 or any(fit.labels != fits[0].labels for fit in fits):
+        raise BellowsError(
+            'Whether cups are the same needs at least two fits of the same structure.'
+        )
+    structure = structure_named(fits[0].structure)
+    sizes = structure.sizes(fits[0].stiffness, fits[0].damping)
+    sizes[sizes == 0.0] = 1.0
+    relative = np.array([fit.parameters for fit in fits]) / sizes
+    covariances = [fit.covariance / np.outer(sizes, sizes) for fit in fits]
+    mean, probability = _compared(relative, covariances)
+    half = structure.size
+    parts = [
+        _compared(relative[:, part], [c[part, part] for c in covariances])[-1]
+        for part in (slice(0, half), slice(half, None))
+    ]
+    std = np.sqrt([np.diag(c) for c in covariances])
+    away = np.where(np.isfinite(std), relative - mean, 0.0)
+    deviations = away / np.where(std > 0.0, std, np.inf)
+    relative_size = np.divide(away, mean, out=np.zeros_like(away), where=mean != 0.0)
+    verdict = _verdict(fits[0].labels, names, relative_size, deviations, probability, parts)
+    return Consistency(probability, deviations, parts[0], parts[1], verdict)
+
+
+def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float]:
+    """Return the weighted mean (p,), and the chance of more scatter, NaN without a comparison."""
+    weights = [information_of(covariance) for covariance in covariances]
+    total = np.sum(weights, axis=0)
+    together = covariance_of(total)
+    known = np.isfinite(np.diag(together))
+    together = np.where(np.outer(known, known), together, 0.0)
+    mean = together @ np.sum([W @ row for W, row in zip(weights, x, strict=True)], axis=0)
+    statistic = float(sum((r - mean) @ W @ (r - mean) for r, W in zip(x, weights, strict=True)))
+    known_alone = [np.isfinite(np.diag(covariance)) for covariance in covariances]
+    degrees = int(np.sum(known_alone) - np.sum(known))
+    return mean, float(chdtrc(degrees, statistic)) if degrees else np.nan
+
+
+def _verdict(
+    labels: Sequence[str], names: Sequence[str], relative: Array, deviations: Array, p: float,
+    parts: Sequence[float],
+) -> str:
+    """Return the outcome in words."""
+    if np.isnan(p):
+        return ('No parameter is identifiable from two of the recordings, so the cups cannot be '
+                'compared.')
+    if p >= ALIKE_BELOW:
+        return (
+            'The fits are consistent with one cup: K and P are the same for '
+            f'{" and ".join(names)} (probability of larger differences by chance: {p:.2g}).'
+        )
+    row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
+    size = float(relative[row, column])
+    differ = [name for name, own in zip('KP', parts, strict=True) if own < ALIKE_BELOW]
+    which = f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
+    said = (
+        f'The fits are not of one cup (chance {p:.1g}): {which} not the same for '
+        f'{" and ".join(names)}; {labels[column]} of {names[row]} is '
+        f'{abs(size) * 100:.2g} % {"above" if size > 0 else "below"} the common value, '
+        f'{abs(deviations[row, column]):.1f} standard errors.'
+    )
+    large = np.abs(relative[np.abs(deviations) > SIGNIFICANT_ERRORS])
+    if not (large > MATERIAL).any():
+        return (f'{said} The significant differences are below {MATERIAL * 100:g} %, which hardly '
+                'matters.')
+    return f'{said} The model of stiffness and damping may not hold over this range.'

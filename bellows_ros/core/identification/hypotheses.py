@@ -7,7 +7,7 @@ nearly as much, and where the change is many times its standard error.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple, TYPE_CHECKING
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import variations
@@ -26,20 +26,28 @@ from bellows_ros.core.identification.objective import (
     Ensemble,
     ensemble_of,
     extra_entries,
+    FEWEST_SECONDS,
     Objective,
+    refine,
+    ROUNDS,
     SLIPS,
     Solved,
 )
-from bellows_ros.core.identification.variations import Given, Variation
+from bellows_ros.core.identification.variations import (
+    Block,
+    BLOCKS,
+    Given,
+    SCALE,
+    slip_block,
+    TILT,
+    Variation,
+)
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.parameters.checks import GYRATION, INERTIA_UNITS
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 import numpy as np
-
-if TYPE_CHECKING:
-    from bellows_ros.core.identification.free import Block
 
 CHANCE = 2.5
 """Noise floor of a mean of squares, in standard deviations of what chance makes of it."""
@@ -91,7 +99,7 @@ class Hypothesis(NamedTuple):
     vary: Variation
     freed: int = 0
     value: str = ''
-    block: 'Block | None' = None
+    block: Block | None = None
     datum: bool = True
 
 
@@ -102,8 +110,6 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
     K and P scaled with mass and inertia make the same motion. So another mass is the same as
     another inertia, and only that is tried.
     """
-    from bellows_ros.core.identification.free import BLOCKS, FEWEST_SECONDS, SCALE, slip, TILT
-
     given = recordings[0]
     enough = Ensemble((given,), ()).seconds > FEWEST_SECONDS
     for name in (*(('time_offset',) if enough else ()), 'com', 'length', 'package_world'):
@@ -111,7 +117,7 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
         yield Hypothesis(name, block.vary, len(block.steps), block=block)
     for name, block in (('inertia', SCALE), ('gravity.direction', TILT),
                         ('package_marker', BLOCKS['grip']._replace(each=False)),
-                        *(('slip', slip(own)) for own in recordings)):
+                        *(('slip', slip_block(own)) for own in recordings)):
         yield Hypothesis(name, block.vary, len(block.steps), block=block)
     yield from _packages(recordings)
     for value, R in _worlds(world):
@@ -324,8 +330,6 @@ def _tried(
     energy, and no inertia is that far off.
     """
     if hypothesis.block is not None:
-        from bellows_ros.core.identification.free import refine, ROUNDS
-
         theta, covariance, solved = refine(
             objective, ensemble, [hypothesis.block], start, rounds or ROUNDS)
         std = np.sqrt(np.diag(covariance))

@@ -104,7 +104,7 @@ def fit(
     if values['fit.time_offset']:
         found = _with_offsets(found, [part.time_offset for part in parts])
     if standstills:
-        from bellows_ros.core.identification.statics.static_equations import (  # late: rare
+        from bellows_ros.core.identification.statics import (  # late: rare
             joined_with_standstills,
             Length,
         )

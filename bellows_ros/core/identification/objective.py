@@ -17,7 +17,7 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.equations import IN_NULL_SPACE, LipMotion, Moments, regular
 from bellows_ros.core.identification.reduction import draws
 from bellows_ros.core.identification.samples import lip_relative, Samples, samples_of
-from bellows_ros.core.identification.variations import Given, time_offset
+from bellows_ros.core.identification.variations import Block, Given, time_offset
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.table import THESIS_DAMPING, THESIS_STIFFNESS
 from bellows_ros.core.recording.recording import Recording
@@ -329,3 +329,116 @@ def covariance_of(here: Solved, D: Array) -> Array:
     covariance[np.ix_(unknown, unknown)] = 0.0
     covariance[unknown, unknown] = np.inf
     return covariance
+
+
+ROUNDS, HALVINGS = 12, 5
+
+CONVERGED = 0.05
+"""Converged when a step is shorter than this fraction of the standard error."""
+
+
+class Refined(NamedTuple):
+    """Numbers (n,), their covariance (n, n), infinite where not identifiable, and what is left."""
+
+    theta: Array
+    covariance: Array
+    solved: Solved
+
+    @property
+    def std(self) -> Array:
+        """Standard errors (n,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def varied(blocks: Sequence[Block], theta: Array) -> Callable[[Sequence[Given]], list[Given]]:
+    """Return recordings varied by the unknowns of blocks, one block after the other."""
+    def vary(given: Sequence[Given]) -> list[Given]:
+        """Return the recordings varied."""
+        changed, first = list(given), 0
+        for block in blocks:
+            width = len(block.steps)
+            for number, own in enumerate(changed):
+                start = first + (number * width if block.each else 0)
+                changed[number] = block.vary(own, theta[start:start + width])
+            first += block.size(len(given))
+        return changed
+    return vary
+
+
+def refine(
+    objective: Objective, ensemble: Ensemble, blocks: Sequence[Block], start: Array | None = None,
+    rounds: int = ROUNDS,
+) -> Refined:
+    """
+    Return the numbers of blocks with which noise explains most.
+
+    They are looked for from a start, or from 0 and the starts of blocks where none is given.
+    """
+    count = len(ensemble.given)
+    steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
+    far = np.concatenate([np.full(b.size(count), b.furthest) for b in blocks]) * steps
+
+    def at(theta: Array) -> Solved:
+        """Return the residuals at given unknowns."""
+        return objective.solved(ensemble.varied(varied(blocks, theta)))
+
+    theta = _first(objective, ensemble, blocks, len(steps)) if start is None else start
+    here = at(theta)
+    for _ in range(rounds):
+        gradient, D = _derivatives(at, theta, here, steps)
+        step = -inverse_of(D.T @ D)[0] @ gradient
+        step *= min(1.0, float(np.min(far / np.maximum(np.abs(step), 1e-300))))
+        for _ in range(HALVINGS):
+            further = at(theta + step)
+            if further.excess < here.excess:
+                break
+            step = 0.5 * step
+        else:
+            return Refined(theta, covariance_of(here, D), here)
+        theta, here = theta + step, further
+        covariance = covariance_of(here, D)
+        if np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
+            break
+    return Refined(theta, covariance, here)
+
+
+def _first(
+    objective: Objective, ensemble: Ensemble, blocks: Sequence[Block], size: int
+) -> Array:
+    """Return the numbers (size,) among the starts of blocks that explain most, 0 without any."""
+    theta, first, count = np.zeros(size), 0, len(ensemble.given)
+    quiet = Ensemble(ensemble.given, ())
+    least = objective.solved(quiet).excess
+    for block in blocks:
+        width = len(block.steps)
+        for number in range(block.size(count) // width):
+            place = first + number * width
+            for value in block.starts(ensemble.given[number]):
+                there = theta.copy()
+                there[place:place + width] = value
+                excess = objective.solved(quiet.varied(varied(blocks, there))).excess
+                if excess < least:
+                    theta, least = there, excess
+        first += block.size(count)
+    return theta
+
+
+def _derivatives(
+    at: Callable[[Array], Solved], theta: Array, here: Solved, steps: Array
+) -> tuple[Array, Array]:
+    """Return half the gradient (n,) of the sum of squares, and the residuals' Jacobian (N, n)."""
+    gradient, columns = np.zeros(len(theta)), []
+    for i, step in enumerate(steps):
+        change = np.zeros(len(theta))
+        change[i] = step
+        after, before = at(theta + change), at(theta - change)
+        gradient[i] = 0.25 * here.residuals * (after.excess - before.excess) / step
+        columns.append(
+            ((after.rows.A - before.rows.A) @ here.x - after.rows.b + before.rows.b)
+            / (2.0 * step))
+    D = np.column_stack(columns)
+    return gradient, D - here.basis @ (here.basis.T @ D)  # what the cup explains as well
+
+
+FEWEST_SECONDS = 3.0
+"""Shortest duration of valid samples (s) for an estimate."""

@@ -1,6 +1,6 @@
-"""Variations of the given quantities of a recording, as pure functions of it."""
+"""Variations of the given quantities of a recording, as pure functions, and their numbers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -9,6 +9,7 @@ from bellows_ros.core.geometry.lie import adjoint, apply, exp_so3, inverse_trans
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model.cup_package import Package, varied
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.recording.alignment import closed_form, motion_of
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
@@ -82,11 +83,6 @@ def com(given: Given, theta: Array) -> Given:
 def length(given: Given, theta: Array) -> Given:
     """Return it with a longer cup, m."""
     return given._replace(length=given.length + float(theta[0]))
-
-
-def mass(given: Given, theta: Array) -> Given:
-    """Return it with the mass multiplied by exp(theta), at the same inertia."""
-    return _with(given, payload=varied(given.samples.payload, mass=theta))
 
 
 def inertia(given: Given, theta: Array) -> Given:
@@ -208,3 +204,83 @@ def _of_fixed_frame(body: Trajectory, phi: Array, way: Array) -> Trajectory:
         body, position=body.position + apply(body.rotation, way), rotation=body.rotation @ R,
         twist=None if body.twist is None else apply(X, body.twist),
         acceleration=None if body.acceleration is None else apply(X, body.acceleration))
+
+
+class Block(NamedTuple):
+    """
+    Numbers that are varied together.
+
+    Parameters
+    ----------
+    vary : Variation
+        What they do to a recording.
+    steps : tuple of float
+        Change of each for derivatives.
+    starts : callable
+        Numbers that are tried first, of a recording: where the weight stretches the cup by less
+        than what is off, its stiffness has the wrong sign in a false minimum.
+    furthest : float
+        No round goes further than so many steps.
+    each : bool
+        Whether each recording has its own.
+
+    """
+
+    vary: Variation
+    steps: tuple[float, ...]
+    starts: Callable[[Given], Iterable[Array]] = lambda given: ()
+    furthest: float = 200.0
+    each: bool = False
+
+    def size(self, recordings: int) -> int:
+        """Return the number of unknowns for a number of recordings."""
+        return len(self.steps) * (recordings if self.each else 1)
+
+
+RASTER = 0.01
+"""Spacing (s) of the offsets tried first; up to 10 Hz the residuals have one minimum within it."""
+
+SLIPS_TRIED, LEAST_SLIP = 12, 2e-3
+"""Times at which slips are tried, and their size, m."""
+
+STARTS_ALONG_Z = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
+"""The same of lengths, m."""
+
+
+def _worlds(given: Given) -> list[Array]:
+    """Return motions (6,) of the package's world: along z, also from that of one rigid body."""
+    tool, package = given.samples.tool, given.samples.package
+    pose = closed_form(tool, package, given.length, -given.samples.payload.com, False)
+    rigid = motion_of(pose, package.position[package.valid].mean(axis=0))
+    along = np.outer([0.0, *STARTS_ALONG_Z], np.eye(6)[2])
+    return [*along[1:], *(rigid + along)]
+
+
+BLOCKS = {
+    'time_offset': Block(time_offset, (1e-4,), lambda given:
+                         RASTER * np.arange(-20, 21)[:, None], 100.0, True),
+    'com': Block(com, (1e-5,) * 3, lambda given:
+                 np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
+    'length': Block(length, (1e-5,), lambda given:
+                    STARTS_ALONG_Z[:, None], 500.0),
+    'package_world': Block(
+        package_world, (1e-5,) * 6, _worlds, 5000.0, True),
+    'grip': Block(grip, (1e-5,) * 5, furthest=5000.0, each=True),
+}
+"""Blocks by their names in fit.free; package_world includes the grip and the alignment."""
+
+TILT = Block(tilt, (1e-4,) * 2, furthest=1000.0)
+"""Of the world's z against gravity."""
+
+SCALE = Block(inertia, (1e-3,), furthest=1000.0)
+"""A common factor of all moments of inertia; with K and P free, equivalent to the mass."""
+
+
+def slip_block(given: Given) -> Block:
+    """Return a slip of the package in one recording, tried at times and to sides all over it."""
+    stamps = given.samples.package.stamps_ns
+    times = np.linspace(0.0, float(stamps[-1] - stamps[0]) / NS_PER_S, SLIPS_TRIED + 2)[1:-1]
+    starts = [np.array([*way, when]) for when in times
+              for way in LEAST_SLIP * np.concatenate([np.eye(2), -np.eye(2)])]
+    return Block(slip(int(stamps[0])), (1e-5, 1e-5, 1e-2),
+                 lambda own: starts, 200.0)

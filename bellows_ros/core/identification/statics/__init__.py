@@ -1,1 +1,0 @@
-"""Identification from standstills: the nominal length, and K alone."""
