@@ -32,4 +32,4 @@ class Echo(Node):
 
 
 if __name__ == '__main__':
-    sys.exit(run(Interface('echo', '', (), ()), 'benchmarks.echo:Echo', ()))
+    sys.exit(run(Interface('echo', '', ()), 'benchmarks.echo:Echo', ()))

@@ -16,6 +16,7 @@ from pkgutil import resolve_name
 import signal
 import sys
 import textwrap
+import tomllib
 from types import FrameType
 from typing import Any, NamedTuple, NoReturn
 
@@ -43,8 +44,6 @@ class Interface(NamedTuple):
         Name of the node and of its command.
     purpose : str
         One sentence.
-    topics : sequence of (name, type, sentence)
-        Topics and services.
     examples : sequence of str
         Command lines.
 
@@ -52,8 +51,14 @@ class Interface(NamedTuple):
 
     name: str
     purpose: str
-    topics: Sequence[tuple[str, str, str]]
     examples: Sequence[str]
+
+    @property
+    def topics(self) -> list[tuple[str, str, str]]:
+        """Name, type and a sentence on each topic and service, from the file beside the node."""
+        file = Path(__file__).with_name(f'{self.name}.toml')
+        entries = tomllib.loads(file.read_text())['topics'] if file.exists() else []
+        return [(entry['name'], entry['type'], entry['text']) for entry in entries]
 
 
 def help_text(interface: Interface) -> str:

@@ -13,7 +13,6 @@ INTERFACE = Interface(
         'and cup.damping, writes it to output.parameters and output.json, and sets it on the '
         'node named by predictor.'
     ),
-    topics=(),
     examples=(
         'identifier --ros-args --params-file identifier.yaml',
         'identifier --ros-args --params-file identifier.yaml -p output.parameters:=cup.yaml',
