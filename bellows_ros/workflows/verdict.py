@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.causes import (
-    CAUSES,
     corrected,
     DOUBTED,
     finding_sentence,
+    KNOWN_CAUSES,
     setting_of,
 )
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
@@ -165,7 +165,7 @@ class FitVerdict(NamedTuple):
             'hypotheses': [
                 {**found._asdict(), 'material': found.material, 'setting': setting_of(found),
                  'sentence': finding_sentence(found, self.given),
-                 'units': dict.fromkeys(('theta', 'std'), CAUSES[found.name].units)}
+                 'units': dict.fromkeys(('theta', 'std'), KNOWN_CAUSES[found.name].units)}
                 for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides),
         }
@@ -234,7 +234,7 @@ def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
 
 def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Simulated:
     """Return a recording simulated freely; all of it is unexplained where that is not possible."""
-    from bellows_ros.core.identification.validation import validate
+    from bellows_ros.core.identification.validation import predicted, validate
 
     try:
         found = validate(cup, recording, MOST_SIMULATED)
@@ -244,7 +244,7 @@ def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Si
     moved = []
     for other in others:
         with suppress(UnstableError):
-            moved.append(validate(other, recording, MOST_SIMULATED).predicted - found.predicted)
+            moved.append(predicted(other, recording, MOST_SIMULATED) - found.predicted)
     beyond = found.moves & ~(found.model_error <= UNEXPLAINED)
     seconds = float(np.ptp(found.stamps_ns)) / NS_PER_S
     return Simulated(

@@ -129,7 +129,7 @@ class Finding(NamedTuple):
     is_fact : bool
         Whether it is seen without any fit.
     words : str
-        The sentence, where it is not the one that `CAUSES` has.
+        The sentence, where it is not the one that `KNOWN_CAUSES` has.
 
     """
 
@@ -183,7 +183,7 @@ def _corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
                 if one.name not in {known.name for known in found}]
             found += new
             for one in new:
-                own = CAUSES[one.name].corrected(own, one)
+                own = KNOWN_CAUSES[one.name].corrected(own, one)
         except BellowsError as error:
             if not found:
                 raise
@@ -535,7 +535,7 @@ def _size(value: float, std: float) -> str:
     return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
 
 
-class Cause(NamedTuple):
+class KnownCause(NamedTuple):
     """
     What may be otherwise.
 
@@ -558,53 +558,53 @@ class Cause(NamedTuple):
     corrected: Callable[[Recording, Finding], Recording] = lambda own, found: own
 
 
-CAUSES: Mapping[str, Cause] = {
-    'recording': Cause('the recording', corrected=_by_convention),
-    'topics': Cause(
+KNOWN_CAUSES: Mapping[str, KnownCause] = {
+    'recording': KnownCause('the recording', corrected=_by_convention),
+    'topics': KnownCause(
         'topics.tool_pose and topics.package_pose', corrected=lambda own, found: _prepared(
             own, tool=own.package_pose, package=own.tool_pose, tool_twist=None)),
-    'recording.package_frame': Cause(
+    'recording.package_frame': KnownCause(
         'recording.package_frame',
         sentence('The package poses are those of the {}', 'Set recording.package_frame: {}.'),
         corrected=lambda own, found: _prepared(
             own, settings=replace(own.settings, package_frame='lip'))),
-    'package_world': Cause(
+    'package_world': KnownCause(
         'recording.package_world',
         lambda found, given: (motion_sentence(found.theta, found.std),
                               f'Set recording.package_world: {ESTIMATE}.'),
         POSE_UNITS, _in_one_world),
-    'mass': Cause('package.mass', _package_words, corrected=_in_other_units),
-    'inertia': Cause('package.inertia', _package_words, corrected=_in_other_units),
-    'time_offset': Cause('fit.time_offset', _clock_words, 's', _by_one_clock),
-    'tool_twist.frame': Cause('tool_twist.frame', sentence(
+    'mass': KnownCause('package.mass', _package_words, corrected=_in_other_units),
+    'inertia': KnownCause('package.inertia', _package_words, corrected=_in_other_units),
+    'time_offset': KnownCause('fit.time_offset', _clock_words, 's', _by_one_clock),
+    'tool_twist.frame': KnownCause('tool_twist.frame', sentence(
         "The tool's twists match its poses only in axes of the {}", 'Set tool_twist.frame: {}.')),
-    'topics.tool_twist': Cause('topics.tool_twist', lambda found, given: (
+    'topics.tool_twist': KnownCause('topics.tool_twist', lambda found, given: (
         f"The angular twists of '{given.get('topics.tool_twist', 'tool')}' are in {found.value}, "
         'not in rad/s', "Correct the driver, or set topics.tool_twist: '' to leave them out.")),
-    'low-pass': Cause('the tracking system', sentence(
+    'low-pass': KnownCause('the tracking system', sentence(
         'The poses of {} went through a low-pass: above 25 Hz their noise falls more steeply than '
         'noise does', 'It takes a part of the motion, and biases K and P: record unfiltered '
         'poses.')),
-    'com': Cause('package.com', _com_words, 'm'),
-    'length': Cause('cup.length', _length_words, 'm'),
-    'package_marker': Cause(
+    'com': KnownCause('package.com', _com_words, 'm'),
+    'length': KnownCause('cup.length', _length_words, 'm'),
+    'package_marker': KnownCause(
         'recording.align_at_rest', _marker_words, ['m', 'm', 'rad', 'rad', 'rad']),
-    'slip': Cause('recording.start or recording.end', _slip_words, ['m', 'm', 's']),
-    'gravity.direction': Cause('gravity.direction', _gravity_words, 'rad'),
-    'recording.world': Cause('recording.world', _world_words),
-    'yaw': Cause('', _yaw_words),
-    'package.files': Cause('package.files', sentence(
+    'slip': KnownCause('recording.start or recording.end', _slip_words, ['m', 'm', 's']),
+    'gravity.direction': KnownCause('gravity.direction', _gravity_words, 'rad'),
+    'recording.world': KnownCause('recording.world', _world_words),
+    'yaw': KnownCause('', _yaw_words),
+    'package.files': KnownCause('package.files', sentence(
         'The packages of the two recordings are {}', 'Exchange the two names in package.files.')),
-    'structure': Cause('fit.structure', sentence(
+    'structure': KnownCause('fit.structure', sentence(
         'The structure of the cup is not the given one, but {}', 'Set fit.structure: {}.')),
-    'drift': Cause('', _cup_words(
+    'drift': KnownCause('', _cup_words(
         'The stiffness of the cup drifts: {entry} {side} by {part} from beginning to end',
         'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.',
         ('falls', 'rises'))),
-    'friction': Cause('', _cup_words(
+    'friction': KnownCause('', _cup_words(
         'The cup has hysteresis: friction takes {part} of the largest force of {entry}',
         'K and P are means over this motion: record motions as large and fast as in use.')),
-    'cubic': Cause('', _cup_words(
+    'cubic': KnownCause('', _cup_words(
         'The cup is not linear: {entry} is {part} {side} at the largest deflection',
         'The fit is the mean over this motion: record motions as large as those in use.',
         ('less', 'more'))),
@@ -615,18 +615,18 @@ CAUSES: Mapping[str, Cause] = {
 def setting_of(found: Finding) -> str:
     """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
     if found.value.startswith('gravity'):
-        return CAUSES['gravity.direction'].setting
+        return KNOWN_CAUSES['gravity.direction'].setting
     if found.name == 'yaw':
         bodies = [own.split()[0] for own in (found.value, found.instead) if own]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
     names = [own for own in (found.name, found.instead) if own]
-    return ' or '.join(CAUSES[name].setting for name in names)
+    return ' or '.join(KNOWN_CAUSES[name].setting for name in names)
 
 
 def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
     """Return what was found, its size, by how much residuals fall, and what to change."""
     if found.words:
         return found.words
-    what, remedy = CAUSES[found.name].words(found, given)
+    what, remedy = KNOWN_CAUSES[found.name].words(found, given)
     falls = f' With that, the residuals fall to {100.0 * found.left:.2g} %.'
     return f'{what}.{falls if found.left else ""} {remedy}'

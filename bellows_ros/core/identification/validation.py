@@ -6,14 +6,14 @@ package. The tool is smoothed lightly, as its noise drives the package, and what
 bodies does to the comparison is known from simulation too: an error beyond that is the model's.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.search import Measured, measured_of, Search, Segment
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
@@ -224,43 +224,56 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
         not stay finite.
 
     """
-    if most is not None and np.argmax(recording.measured) + most >= len(recording.measured):
-        most = None
-    key = ('validated', cup.stiffness.tobytes(), cup.damping.tobytes(), cup.length, most)
-    return recording.once(key, lambda: _validated(cup, recording, most))
+    key = (tuple(np.asarray(getattr(cup, own.name)).tobytes() for own in fields(cup)), most)
+    return recording.once(('validated', key), lambda: _validated(cup, recording, most))
+
+
+class _Run(NamedTuple):
+    """The tool, its gaps (G, 2), the package with its first state, and where that is from."""
+
+    tool: Trajectory
+    gaps: Array
+    package: Trajectory
+    state: State
+    start: str
+
+    def compared(self, recording: Recording) -> Comparison:
+        """Return the run beside the measurement."""
+        begin = int(np.searchsorted(recording.measured_tool.stamps_ns, self.tool.stamps_ns[0]))
+        return compare(self.package, *(
+            body.select(slice(begin, begin + len(self.tool)))
+            for body in (recording.measured_tool, recording.measured_package)))
+
+
+def _run(cup: Cup, recording: Recording, most: int | None) -> _Run:
+    """Return the free simulation."""
+    end, gravity = None, recording.settings.gravity
+    if most is not None:
+        end = int(np.argmax(recording.measured)) + most
+        end = end if end < len(recording.measured) else None
+    half_window = half_window_of(recording.measured_tool)
+    tool, gaps = recording.once(('smoothed', end), lambda: smoothed_tool(
+        recording.measured_tool.select(slice(end)), half_window))
+    state, first, start = _start(model_tuple(cup, recording.payload, gravity), tool, recording)
+    tool = tool.select(slice(first, None))
+    return _Run(tool, gaps, simulate(cup, recording.payload, tool, state, gravity), state, start)
+
+
+def predicted(cup: Cup, recording: Recording, most: int | None = None) -> Array:
+    """Return the coordinates (N, 6) in the tool of the free simulation alone; see `validate`."""
+    return _run(cup, recording, most).compared(recording).predicted
 
 
 def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
     """Return the comparison."""
-    noises = _noises(recording)
-    package, gravity = recording.payload, recording.settings.gravity
-    model = model_tuple(cup, package, gravity)
-    half_window = half_window_of(recording.measured_tool)
-    end = None if most is None else int(np.argmax(recording.measured)) + most
-    tool, bridges = smoothed_tool(recording.measured_tool.select(slice(end)), half_window)
-    start, first, kind = _start(model, tool, recording)
-    tool = tool.select(slice(first, None))
-    begin = int(np.searchsorted(recording.measured_tool.stamps_ns, tool.stamps_ns[0]))
-    measured_tool, measured_package = (
-        body.select(slice(begin, begin + len(tool)))
-        for body in (recording.measured_tool, recording.measured_package))
-    body = simulate(cup, package, tool, start, gravity)
-    compared = compare(body, measured_tool, measured_package)
+    noises, run = _noises(recording), _run(cup, recording, most)
     return Validation(
-        **vars(compared),
-        noise=_noise_of_errors(
-            (cup, package, gravity), tool.select(slice(ENOUGH)), body.select(slice(ENOUGH)),
-            start, noises),
-        cup=cup,
-        recording=recording,
-        tool=tool,
-        package=body,
-        state=start,
-        start=kind,
-        warnings=tuple(
+        **vars(run.compared(recording)), noise=_noise_of_errors(cup, recording, run, noises),
+        cup=cup, recording=recording, tool=run.tool, package=run.package, state=run.state,
+        start=run.start, warnings=tuple(
             f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
             'bridges this gap by interpolation, and its error is larger for a while afterwards.'
-            for since, duration in bridges.tolist() if duration > LONGEST_BRIDGE_S),
+            for since, duration in run.gaps.tolist() if duration > LONGEST_BRIDGE_S),
     )
 
 
@@ -344,19 +357,16 @@ def _noises(recording: Recording) -> tuple[tuple[Array, Array], tuple[Array, Arr
 
 
 def _noise_of_errors(
-    payload: tuple[Cup, Package, float],
-    tool: Trajectory,
-    body: Trajectory,
-    start: State,
+    cup: Cup, recording: Recording, run: _Run,
     noises: tuple[tuple[Array, Array], tuple[Array, Array]],
 ) -> Array:
     """Return the RMS error (6,) due to noise of the package and of the tool."""
-    cup, package, gravity = payload
+    tool, body = (own.select(slice(ENOUGH)) for own in (run.tool, run.package))
     rate_hz, rng = uniform_rate_hz(tool.stamps_ns), np.random.default_rng(SEED)
     W, squares = weights(half_window_of(tool), LIGHT_ORDER, rate_hz), []
     for _ in range(NOISE_RUNS):
         noisy = with_filtered_noise(tool, *noises[0], W, 1.0 / rate_hz, rng)
-        moved = (relative_coordinates(tool, simulate(cup, package, noisy, start, gravity))
-                 - relative_coordinates(tool, body))
+        shaken = simulate(cup, recording.payload, noisy, run.state, recording.settings.gravity)
+        moved = relative_coordinates(tool, shaken) - relative_coordinates(tool, body)
         squares.append(np.mean(moved**2, axis=0))
     return np.asarray(np.sqrt(np.mean(squares, axis=0) + np.repeat(noises[1][0], 3) ** 2))
