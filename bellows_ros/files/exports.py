@@ -93,31 +93,11 @@ def mjcf(exported: Exported) -> str:
     """Return a MuJoCo model (XML)."""
     cup, package, *_ = exported
     stiffness, damping = (np.diag(m).tolist() for m in (cup.stiffness, cup.damping))
-    joints = [
+    joints = '\n'.join(
         f'        <joint name="cup_{kind}_{axis}" type="{kind}" axis="{AXES[axis]}" '
         f'stiffness="{stiffness[i]!r}" damping="{damping[i]!r}"/>'
-        for i, (kind, axis) in enumerate(product(('slide', 'hinge'), AXES))
-    ]
-    return '\n'.join([
-        '<mujoco model="bellows_cup">',
-        '  <!-- Six joints in the middle of the cup. Put the body "tool" where your arm ends. -->',
-        '  <compiler angle="radian" balanceinertia="false"/>',
-        '  <option timestep="0.0005" integrator="RK4"/>',
-        '  <worldbody>',
-        '    <body name="tool" pos="0 0 1">',
-        '      <site name="E"/>',
-        f'      <body name="package" pos="0 0 {-cup.length / 2.0!r}">',
-        *joints,
-        f'        <inertial pos="{_numbers(_com(cup, package))}" mass="{package.mass!r}" '
-        f'fullinertia="{_numbers(_inertia(package))}"/>',
-        f'        <site name="S" pos="0 0 {-cup.length / 2.0!r}"/>',
-        f'        <site name="B" pos="{_numbers(_com(cup, package))}"/>',
-        '      </body>',
-        '    </body>',
-        '  </worldbody>',
-        '</mujoco>',
-        '',
-    ])
+        for i, (kind, axis) in enumerate(product(('slide', 'hinge'), AXES)))
+    return _filled('cup.mjcf', exported, inertia=_numbers(_inertia(package)), joints=joints)
 
 
 def sdf(exported: Exported) -> str:
@@ -127,16 +107,17 @@ def sdf(exported: Exported) -> str:
     The frame of the package is in the middle of the cup.
     """
     cup, package, *_ = exported
-    chain = ['tool', *(f'between_{i}' for i in range(1, 6)), 'package']
-    lines = []
-    for link in chain[1:-1]:
-        lines += [f'    <link name="{link}"><pose>{_middle(cup)}</pose>', *_dummy(package),
-                  '    </link>']
+    moment = DUMMY * float(np.min(np.linalg.eigvalsh(package.inertia)))
+    dummy = (f'      <inertial><mass>{DUMMY * package.mass!r}</mass>\n'
+             f'        {_tensor((moment,) * 3 + (0.0,) * 3)}\n      </inertial>')
+    between = [f'between_{i}' for i in range(1, 6)]
+    chain = [f'    <link name="{link}"><pose>0 0 {-cup.length / 2.0!r} 0 0 0</pose>\n{dummy}\n'
+             '    </link>' for link in between]
     kinds = product(('prismatic', 'revolute'), AXES)
     for parent, child, (kind, axis), stiffness, damping in zip(
-            chain, chain[1:], kinds, np.diag(cup.stiffness).tolist(),
-            np.diag(cup.damping).tolist(), strict=False):
-        lines += [
+            ['tool', *between], [*between, 'package'], kinds, np.diag(cup.stiffness).tolist(),
+            np.diag(cup.damping).tolist(), strict=True):
+        chain += [
             f'    <joint name="cup_{kind}_{axis}" type="{kind}">',
             f'      <parent>{parent}</parent><child>{child}</child>',
             f'      <axis><xyz>{AXES[axis]}</xyz>',
@@ -144,30 +125,17 @@ def sdf(exported: Exported) -> str:
             f'</spring_reference><spring_stiffness>{stiffness!r}</spring_stiffness></dynamics>',
             '        <limit><lower>-1e16</lower><upper>1e16</upper></limit>',
             '      </axis>',
-            '    </joint>',
-        ]
-    return '\n'.join([
-        '<?xml version="1.0"?>',
-        '<sdf version="1.9">',
-        '  <model name="bellows_cup">',
-        '    <!-- Fix "tool" to the end of your arm. -->',
-        '    <link name="tool">', *_dummy(package), '    </link>',
-        f'    <link name="package"><pose>{_middle(cup)}</pose>',
-        f'      <inertial><pose>{_numbers(_com(cup, package))} 0 0 0</pose>',
-        f'        <mass>{package.mass!r}</mass>',
-        f'        {_tensor(_inertia(package))}',
-        '      </inertial>',
-        '    </link>',
-        *lines,
-        '  </model>',
-        '</sdf>',
-        '',
-    ])
+            '    </joint>']
+    return _filled('cup.sdf', exported, inertia=_tensor(_inertia(package)), dummy=dummy,
+                   chain='\n'.join(chain))
 
 
-def _middle(cup: Cup) -> str:
-    """Return the pose of the middle of the cup below the tool tip."""
-    return f'0 0 {-cup.length / 2.0!r} 0 0 0'
+def _filled(name: str, exported: Exported, **parts: str) -> str:
+    """Return a template with cup, package and other parts in it."""
+    cup, package, *_ = exported
+    return Path(__file__).with_name(name).read_text().format(
+        middle=repr(-cup.length / 2.0), com=_numbers(_com(cup, package)),
+        mass=repr(package.mass), **parts)
 
 
 def _tensor(values: tuple[float, ...]) -> str:
@@ -175,16 +143,6 @@ def _tensor(values: tuple[float, ...]) -> str:
     names = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
     inner = ''.join(f'<{n}>{x!r}</{n}>' for n, x in zip(names, values, strict=True))
     return f'<inertia>{inner}</inertia>'
-
-
-def _dummy(package: Package) -> list[str]:
-    """Return the inertial of a massless link."""
-    moment = DUMMY * float(np.min(np.linalg.eigvalsh(package.inertia)))
-    return [
-        f'      <inertial><mass>{DUMMY * package.mass!r}</mass>',
-        f'        {_tensor((moment,) * 3 + (0.0,) * 3)}',
-        '      </inertial>',
-    ]
 
 
 def header(exported: Exported) -> str:

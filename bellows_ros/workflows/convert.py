@@ -1,6 +1,6 @@
 """Poses of files, joints or transforms to recordings, and from recordings to TUM."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 import os
@@ -164,19 +164,14 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
     """
     read = joints_or_tf(bag, urdf, tool_link)
     name = f'/{(topic or TOOL_POSE).lstrip("/")}'
-    others: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
-    types = {*accepted_types('pose'), *accepted_types('twist')}
-    for there, kind, log_ns, data in messages_of(bag, types):
-        others.setdefault((there, kind), []).append((log_ns, data))
-    if any(there == name for there, _ in others):
+    others = _copied(bag, {*accepted_types('pose'), *accepted_types('twist')})
+    if any(other.topic == name for other in others):
         raise BellowsError(
             f"Topic '{name}' is already in recording '{bag}'. Choose another for the tool with "
             '--topic.')
-    found = [Body(
+    return [Body(
         Recorded(name, POSE, read.stamp_ns + read.times_ns, read.poses, read.frame_id),
-        f"{tool_link} in '{read.frame_id}' of {bag}")]
-    return found + [_copied(there, kind, messages, bag)
-                    for (there, kind), messages in others.items()]
+        f"{tool_link} in '{read.frame_id}' of {bag}"), *others]
 
 
 def bodies_in_transforms(
@@ -253,19 +248,19 @@ def bodies_in_recording(
         found.append(Body(
             Recorded(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
             {reason: len(where) for reason, where in stream.refused.items()}))
-    others: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
-    for name, kind, log_ns, data in messages_of(bag, {own.type_name for own in there}):
-        if name not in chosen:
-            others.setdefault((name, kind), []).append((log_ns, data))
-    return found + [_copied(name, kind, messages, bag)
-                    for (name, kind), messages in others.items()]
+    return found + _copied(bag, {own.type_name for own in there}, chosen)
 
 
-def _copied(topic: str, kind: str, messages: Sequence[tuple[int, bytes]], bag: File) -> Body:
-    """Return messages of a recording as they are."""
-    times, contents = zip(*messages, strict=True)
-    return Body(
-        Encoded(topic, kind, np.array(times, dtype=np.int64), contents), os.fspath(bag))
+def _copied(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
+    """Return messages of some types in a recording as they are, but those of some topics."""
+    found: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
+    for topic, kind, log_ns, data in messages_of(bag, types):
+        if topic not in without:
+            found.setdefault((topic, kind), []).append((log_ns, data))
+    return [
+        Body(Encoded(topic, kind, np.array([at for at, _ in messages], dtype=np.int64),
+                     tuple(data for _, data in messages)), os.fspath(bag))
+        for (topic, kind), messages in found.items()]
 
 
 def to_bag(

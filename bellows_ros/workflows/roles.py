@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from itertools import permutations
 import re
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.recording.alignment import world_rotation, WORLDS
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 import numpy as np
 
 TOOL_WORDS = frozenset({'tool', 'tcp', 'ee', 'eef', 'effector', 'flange', 'arm', 'robot',
@@ -187,39 +187,45 @@ def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> Guess |
 
 def is_in_degrees(tool: PoseStream, twist: TwistStream) -> bool:
     """Return whether the angular velocity of a twist is 180 / pi times that of the poses."""
-    inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
-    stamps, angular = twist.stamps_ns[inside], twist.angular[inside]
-    if len(stamps) < 10:
+    found = _overlap(tool, twist)
+    if found is None:
         return False
-    steps = np.diff(stamps)[:, None] / NS_PER_S
-    window = max(1, round(TWIST_WINDOW / float(np.median(steps))))
-    R = resample(tool.trajectory(), stamps).rotation
-    turned = log_so3(np.swapaxes(R[:-window], 1, 2) @ R[window:])
-    said = np.cumsum(np.vstack([np.zeros((1, 3)), 0.5 * steps * (angular[1:] + angular[:-1])]), 0)
-    sizes = [float(np.sqrt(np.mean(np.sum(own**2, axis=1))))
-             for own in (turned, np.radians(said[window:] - said[:-window]))]
+    body, inside, window = found
+    turned = log_so3(np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:])
+    said = _ways(body, np.radians(twist.angular[inside]), window)
+    sizes = [float(np.sqrt(np.mean(np.sum(own**2, axis=1)))) for own in (turned, said)]
     return sizes[0] > TURN and abs(sizes[1] / sizes[0] - 1.0) < SAME_WITHIN
+
+
+def _overlap(tool: PoseStream, twist: TwistStream) -> tuple[Trajectory, Mask, int] | None:
+    """Return the tool where a twist is known, these twists, and the samples compared at once."""
+    inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
+    if np.count_nonzero(inside) < 10:
+        return None
+    body = resample(tool.trajectory(), twist.stamps_ns[inside])
+    window = max(1, round(TWIST_WINDOW * NS_PER_S / float(np.median(np.diff(body.stamps_ns)))))
+    return (body, inside, window) if len(body) > 2 * window else None
+
+
+def _ways(body: Trajectory, rates: Array, window: int) -> Array:
+    """Return how far rates (N, 3) at the stamps of a body lead over so many samples."""
+    steps = np.diff(body.stamps_ns)[:, None] / NS_PER_S
+    way = np.cumsum(np.vstack([np.zeros((1, 3)), 0.5 * steps * (rates[1:] + rates[:-1])]), axis=0)
+    return np.asarray(way[window:] - way[:-window])
 
 
 def _compared(tool: PoseStream, twist: TwistStream) -> tuple[float, str] | None:
     """Return the misfit of a twist to the poses, and its axes; None if unknown."""
-    inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
-    stamps, linear = twist.stamps_ns[inside], twist.linear[inside]
-    if len(stamps) < 10:
+    found = _overlap(tool, twist)
+    if found is None:
         return None
-    body = resample(tool.trajectory(), stamps)
-    steps = np.diff(stamps)[:, None] / NS_PER_S
-    window = max(1, round(TWIST_WINDOW / float(np.median(steps))))
-    if len(stamps) <= 2 * window:
-        return None
-    ways = [body.position]  # how far the tool goes in each short time: by its poses, its twists
-    for velocity in (linear, apply(body.rotation, linear)):
-        moved = 0.5 * steps * (velocity[1:] + velocity[:-1])
-        ways.append(np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)]))
-    expected, world, own = (way[window:] - way[:-window] for way in ways)
+    body, inside, window = found
+    expected = body.position[window:] - body.position[:-window]
     if np.sqrt(np.mean(np.sum(expected**2, axis=1))) <= WAY:
         return None
-    in_world, in_tool = (float(np.sqrt(np.mean((way - expected)**2) / np.mean(expected**2)))
-                         for way in (world, own))
+    linear = twist.linear[inside]
+    in_world, in_tool = (
+        float(np.sqrt(np.mean((_ways(body, rates, window) - expected)**2) / np.mean(expected**2)))
+        for rates in (linear, apply(body.rotation, linear)))
     # Where the tool does not turn both agree; then the usual one is meant.
     return (in_world, 'world') if in_world <= 1.2 * in_tool else (in_tool, 'tool')
