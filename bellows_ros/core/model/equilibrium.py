@@ -190,33 +190,29 @@ def static_equilibrium(
         If there is none: the cup is too soft for the package in this tool pose.
 
     """
-    R_world_tool = t3.rotation_matrix(tool[1])
-    gravity = t3.apply_transposed(R_world_tool, model[2])
     if near is None:
-        body, loads = resting_on_tool(model, _ORIGIN)[:4], _LOADS
+        (_, length, *_), (_, com, *_), _ = model
+        shift, turn, loads = (com[0], com[1], com[2] - length), _ORIGIN[1], _LOADS
     else:
-        shift = t3.apply_transposed(R_world_tool, t3.subtract(near[0], tool[0]))
-        turn = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1])
-        body, loads = (shift, turn, _ORIGIN[2], _ORIGIN[3]), 1
-    rest, found = _loaded(
-        model, gravity, body, loads, np.zeros((6, 6)), np.zeros(6))
+        shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(near[0], tool[0]))
+        turn, loads = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1]), 1
+    body, found = _loaded(
+        model, tool, (shift, turn, *_ORIGIN[2:]), loads, np.zeros((6, 6)), np.zeros(6))
     if not found:
         raise UnstableError(
             f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
             'without tipping over. Check package.mass, package.com, cup.stiffness and their '
             'units.')
-    position = t3.add(tool[0], t3.apply(R_world_tool, rest[0]))
-    return adapted(
-        model, (tool[0], tool[1], *_ORIGIN[2:]),
-        (position, t3.quaternion_product(tool[1], rest[1]), rest[2], rest[3]))
+    return adapted(model, (tool[0], tool[1], *_ORIGIN[2:]), body)
 
 
 @kernel
 def _loaded(
-    model: ModelTuple, gravity: Vector, body: State, loads: int, A: Any, x: Any
+    model: ModelTuple, tool: State, body: State, loads: int, A: Any, x: Any
 ) -> tuple[State, bool]:
-    """Apply gravity in steps; return the equilibrium, and whether it is stable."""
-    stable = False
+    """Put the load in steps on a body in tool axes; return its rest, and whether it is stable."""
+    stable, R_world_tool = False, t3.rotation_matrix(tool[1])
+    gravity = t3.apply_transposed(R_world_tool, model[2])
     for load in range(1, loads + 1):
         now = (model[0], model[1], t3.scale(load / loads, gravity))
         size = math.inf
@@ -242,7 +238,8 @@ def _loaded(
                 break
         if size >= 1e-9:
             return body, False
-    return body, stable
+    position = t3.add(tool[0], t3.apply(R_world_tool, body[0]))
+    return (position, t3.quaternion_product(tool[1], body[1]), body[2], body[3]), stable
 
 
 @kernel
