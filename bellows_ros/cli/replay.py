@@ -97,9 +97,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
     settings = options.cup_parameters(arguments, console)
     from bellows_ros.core.identification.validation import LIMIT
-    from bellows_ros.plots.viewer import open_view, write_view
     from bellows_ros.report.text import print_replay
-    from bellows_ros.workflows.plot import with_bodies
     from bellows_ros.workflows.replay import replay
 
     _check(arguments, settings)
@@ -121,6 +119,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             write_text(arguments.report, replay_report(result, arguments.params))
             written += [arguments.report]
         if arguments.view is not None and result.live:
+            from bellows_ros.plots.viewer import open_view, write_view
+            from bellows_ros.workflows.plot import with_bodies
+
             shown = with_bodies(result.values, result.recording, result.live)
             if arguments.view:
                 write_view(arguments.view, shown, result.bag)

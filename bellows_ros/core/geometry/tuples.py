@@ -76,12 +76,6 @@ def norm(a: Vector) -> float:
 
 
 @kernel
-def norms(a: Vector, b: Vector) -> tuple[float, float]:
-    """Return the lengths of two vectors."""
-    return norm(a), norm(b)
-
-
-@kernel
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a x b."""
     return (

@@ -178,7 +178,7 @@ class TwistScreen:
         self, stamp_ns: int, linear: Vector, angular: Vector, frame_id: str | None
     ) -> str:
         """Return why a twist (m/s, rad/s) cannot be used, or ''; a frame that lasts is taken."""
-        speed, rate = t3.norms(linear, angular)
+        speed, rate = math.hypot(*linear), math.hypot(*angular)
         if not (speed <= screening.LARGEST_SPEED and rate <= screening.LARGEST_RATE):  # nor NaN
             finite = all(map(math.isfinite, (*linear, *angular)))
             return 'twist_too_fast' if finite else 'twist_nan'

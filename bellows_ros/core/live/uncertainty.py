@@ -387,7 +387,7 @@ def motion_through(
     w, b = quadratic(
         t3.log_quaternion(t3.quaternion_product(back, middle[1])),
         t3.log_quaternion(t3.quaternion_product(back, end[1])), s, t)
-    return (*t3.norms(v, w), *t3.norms(a, b))
+    return t3.norm(v), t3.norm(w), t3.norm(a), t3.norm(b)
 
 
 @kernel

@@ -304,7 +304,8 @@ def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
         )
     e = np.where(there[:, None], residuals, 0.0)
     power = np.sum(e**2, axis=0)
-    products = np.array([np.sum(e[k:] * e[:-k], axis=0) for k in range(1, lags + 1)])
+    products = np.array([
+        np.einsum('nc,nc->c', e[k:], e[:-k]) for k in range(1, lags + 1)])
     r = np.full_like(products, np.nan)
     np.divide(products, power, out=r, where=power > 0.0)
     Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)
