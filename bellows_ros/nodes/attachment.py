@@ -14,7 +14,7 @@ from .conversions import stamp_to_ns
 from .guarding import GuardedNode
 from .tool_inputs import SensorInput
 from ..core.live.health import Status, vacuum_status
-from ..core.live.vacuum import ALL, Vacuum
+from ..core.live.load import ALL, Vacuum
 
 
 class Attachment:

@@ -403,7 +403,7 @@ class PredictorNode(ManagedNode):
             warm_up(cup, package, gravity_of(values), values['tool_twist.frame'])
             warm_up_uncertainty(cup.relaxation)
         self._live.set_model(cup, package)
-        self._attachment.vacuum.values = values
+        self._attachment.vacuum.set_values(values)
         self._diagnostics.set_values(values)
         self._apply(self._live, values)
 

@@ -9,10 +9,11 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
-from bellows_ros.core.live.vacuum import ALL, Vacuum
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.observer import Alarm, Calibration, Observer, Payload
+from bellows_ros.core.observer.alarm_calibration import AlarmCalibration, calibrated_alarms
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.parameters.checks import pose_text
 from bellows_ros.core.recording.alignment import pose_of, world_rotation
@@ -24,7 +25,6 @@ from bellows_ros.files import File
 from bellows_ros.files.bags import decoded, messages_of, read_streams
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import attributes
-from bellows_ros.workflows.alarm_calibration import AlarmCalibration, calibrated_alarms
 import numpy as np
 
 ONE_WORLD = np.array([0.0] * 6 + [1.0])
@@ -135,11 +135,11 @@ class Observed:
 
 
 def observed(
-    bag: File, recording: Recording, messages: Messages,
+    bag: File, recording: Recording, messages: Messages, alone: Comparison,
     values: Mapping[str, Any], topic: str, calibrate_alarms: bool = False,
 ) -> Observed:
     """
-    Predict a recording live with and without the poses of the package on a topic.
+    Predict a recording live with the poses of the package on a topic, and compare.
 
     Parameters
     ----------
@@ -149,6 +149,8 @@ def observed(
         As it was prepared.
     messages : Messages
         Of the tool.
+    alone : Comparison
+        The live prediction from these alone.
     values : mapping
         Parameters by name, measured.* among them.
     topic : str
@@ -181,18 +183,18 @@ def observed(
     vacuum = _vacuum(bag, values)
 
     def run(by: Observer) -> Trajectory:
-        corrected = live_predictor(values)
-        corrected.package.observe(by)
-        return predictions(corrected, messages, seen=seen, vacuum=vacuum)
+        live = live_predictor(values)
+        live.package.observe(by)
+        return predictions(live, messages, seen=seen, vacuum=vacuum)
 
-    ways = predictions(live_predictor(values), messages), run(observer)
+    corrected = run(observer)
     held = _held(observer, stream, recording.measured_package, package_of(values).com)
     package = recording.measured_package
-    known = (package.stamps_ns >= held.stamps_ns[0]) & (
-        package.stamps_ns <= ways[0].stamps_ns[-1]) & (package.stamps_ns >= ways[0].stamps_ns[0])
+    prediction = alone.select(alone.stamps_ns >= held.stamps_ns[0])
+    known = np.isin(package.stamps_ns, prediction.stamps_ns)
     tool, package = recording.measured_tool.select(known), package.select(known)
     held = held.select(np.isin(held.stamps_ns, package.stamps_ns))
-    prediction, both = (compare_recorded(way, tool, package) for way in ways)
+    both = compare_recorded(corrected, tool, package)
     counts = {what: n for what, n in observer.counts.items() if n}
     if later := len(seen) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later

@@ -249,7 +249,7 @@ def replay(
     free = validated(values, recording)
     live = predicted_live(recording, values, lambda what, part: tell(what, 0.4 + 0.6 * part))
     found = observed(
-        bag, recording, tool_messages(recording, values), values, observe,
+        bag, recording, tool_messages(recording, values), live, values, observe,
         calibrate_alarms) if observe else None
     tell('done', 1.0)
     return replace(free, live=live, observed=found, warnings=_without_loss(free, found))

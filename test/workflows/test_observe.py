@@ -15,7 +15,7 @@ from bellows_ros.files.bags import message_types, read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.observe import observed
 from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.replay import replay, tool_messages
+from bellows_ros.workflows.replay import predicted_live, replay, tool_messages
 import numpy as np
 import pytest
 
@@ -107,7 +107,8 @@ def test_calibration_leads_to_where_the_camera_is(filmed):
     pose = [*shift, *rotation_to_quaternion(turn)]
     settings['recording.package_world'] = ' '.join(map(str, pose))
     found = observed(
-        bag, recording, tool_messages(recording, settings), settings, 'camera/box').parameters
+        bag, recording, tool_messages(recording, settings), predicted_live(recording, settings),
+        settings, 'camera/box').parameters
     world = pose_of(found['recording.package_world'])
     at = recording.measured_package.position
     error = at @ quaternion_to_rotation(world[3:]).T + world[:3] - at
@@ -165,8 +166,9 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
             Encoded('/camera/box', POSE_COVARIANCE, stamps, data)])
         settings = resolve({**values, **changes})
         recording = load(tmp_path / name, settings)
-        found = observed(tmp_path / name, recording, tool_messages(recording, settings), settings,
-                         'camera/box')
+        found = observed(
+            tmp_path / name, recording, tool_messages(recording, settings),
+            predicted_live(recording, settings), settings, 'camera/box')
         assert found.counts['covariance'] == 1
         return found.both.scores.rms
 

@@ -9,29 +9,40 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
-from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.structure import places_of
+from bellows_ros.core.model.grip import one_of
+from bellows_ros.core.model.kernels import Blocks, ModelTuple, State
+from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
 from bellows_ros.core.observer.alarms import Alarm, Alarms, CONFIRMED, processed
 from bellows_ros.core.observer.filter import (
+    ALL_ROWS,
     body_ahead,
+    CAMERA,
+    COM,
+    DAMPING,
     driving,
     Estimate,
     Evidence,
+    INERTIA,
+    LATENCY,
+    LEAST_ROWS,
+    MARKER,
+    MASS,
     model_row,
     NO_EVIDENCE,
+    NOISE,
     NOT_FOLLOWED,
     STATE,
+    STIFFNESS,
     WRENCH,
 )
-from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NUMBERS
 from bellows_ros.core.observer.measurement import (
     changed_by,
+    FIRST_MEMORY,
     Measurement,
     OUT_OF_REACH,
     OUTSIDE,
     PoseSensor,
 )
-from bellows_ros.core.observer.prior import bias_walk, first_memory, prior_std
 import numpy as np
 
 GATE = 27.86
@@ -45,6 +56,97 @@ NOTHING_SEEN = Measurement(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), np.zeros((6
 
 LEAST_ROOM = 4096
 """Smallest buffer of tool samples: seconds of them."""
+
+
+START = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
+"""Standard deviations at the start: m, rad, m/s, rad/s."""
+
+MASS_SHARE, COM_UNCERTAIN = 0.1, 0.01
+"""Default standard deviations of the payload: relative mass, centre of mass (m)."""
+
+UNCALIBRATED = 0.03, 0.05, 0.05
+"""Standard deviations of position (m), rotation and latency (s) of a camera to be calibrated."""
+
+BIAS_WALK, WALK_ARM = 0.01, 0.02
+"""Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
+
+BIAS_SHARE = 0.1
+"""Initial bias, relative to the effect of the default payload uncertainty."""
+
+OF_MOTION = (*range(STATE), *range(WRENCH, STIFFNESS), *range(NOISE, NOISE + 6))
+"""Rows that are forgotten at a fresh start with the same package, ..."""
+
+OF_PACKAGE = (*range(MASS, COM + 3), *range(MARKER, MARKER + 6), *range(INERTIA, ALL_ROWS))
+"""... and with another one, too."""
+
+NUMBERS = 54
+"""K and P (6, 6) of a cup, as the kernels' blocks."""
+
+NO_CUPS: Array = np.zeros((0, NUMBERS))
+"""A gripper of one cup: if that is lost, the package is."""
+
+
+def bias_walk(model: ModelTuple) -> Array:
+    """Return the variances (6,) that the wrench beside the cup's gains in 1 s."""
+    weight = model[1][0] * math.hypot(*model[2])
+    walk: Array = np.square(BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3))
+    return walk
+
+
+def first_memory(time_constant: float) -> Array:
+    """Return the memory (s) of the noise before the first measurement, see `correlations`."""
+    seconds, squares = FIRST_MEMORY
+    products = squares * math.exp(-seconds / time_constant)
+    memory: Array = np.r_[seconds, squares, squares, products, products, np.zeros(6)]
+    return memory
+
+
+def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
+    """Return the standard deviations (n,) of the error at the start."""
+    (_, _, *blocks), (mass, *_), gravity = (model[0][:4], *model[1:])
+    weight = mass * math.hypot(*gravity)
+    C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
+    K, P = (
+        np.minimum(np.sqrt(C @ np.square(np.reshape(values[f'cup.{name}_std'], (6, 6))[UPPER]))
+                   / np.maximum(np.r_[matrix[0][::4], matrix[2][::4]], 1e-12), 1.0)
+        for name, matrix in zip(('stiffness', 'damping'), blocks, strict=True))
+    inertia = np.array(values['package.inertia_std'][:3])
+    std: Array = np.zeros(ALL_ROWS if P.any() or inertia.any() else LEAST_ROWS)
+    std[:STATE] = START
+    mass, com = values['package.mass_std'] / mass, values['package.com_std']
+    if values['payload.estimate']:
+        mass, com = mass or MASS_SHARE, [each or COM_UNCERTAIN for each in com]
+    std[MASS], std[COM:COM + 3] = mass, com
+    std[WRENCH:WRENCH + 6] = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
+    std[STIFFNESS:STIFFNESS + 6] = K
+    offset, latency = values['measured.offset_std'], values['measured.latency_std']
+    std[MARKER:MARKER + 6] = np.repeat(offset, 3)
+    if values['measured.calibrate']:
+        offset, latency = np.maximum(offset, UNCALIBRATED[:2]), max(latency, UNCALIBRATED[2])
+    std[CAMERA:CAMERA + 6], std[LATENCY] = np.repeat(offset, 3), latency
+    std[NOISE:NOISE + 6] = 1.0
+    if len(std) > LEAST_ROWS:
+        std[DAMPING:INERTIA], std[INERTIA:] = P, inertia
+    return std
+
+
+def cups_of(model: ModelTuple, places: Array) -> Array:
+    """
+    Return K and P (n, 54) of each cup of a gripper for strains at the origin.
+
+    The model is that of the gripper, its cups are at places (n, 4), as of `places_of`.
+    """
+    if len(places) < 2 or is_single(places):
+        return NO_CUPS
+    return np.hstack([_of_each(matrix, places) for matrix in model[0][2:4]])
+
+
+def _of_each(gripper: Blocks, places: Array) -> Array:
+    """Return A_i^T K_1 A_i of each cup as rows (n, 27) of blocks."""
+    oo, oR, RR = (np.reshape(block, (3, 3)) for block in one_of(gripper, places))
+    A = maps(places)
+    M = np.swapaxes(A, 1, 2) @ np.block([[oo, oR], [oR.T, RR]]) @ A
+    return np.stack([M[:, :3, :3], M[:, :3, 3:], M[:, 3:, 3:]], axis=1).reshape(-1, 27)
 
 
 class Track:

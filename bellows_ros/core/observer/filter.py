@@ -46,6 +46,7 @@ from bellows_ros.core.model.jacobians import (
     body_jacobians,
     by_com,
     by_length,
+    cup_accelerations,
     ends_of_spring,
     IDENTITY,
     NOTHING,
@@ -77,7 +78,6 @@ from bellows_ros.core.model.kernels import (
     Wrench,
 )
 from bellows_ros.core.model.simulation import body_row, row_state, write_row
-from bellows_ros.core.observer.lost_cup import blocks_at, matrix_at, write_losses
 import numpy as np
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
@@ -160,6 +160,19 @@ class Estimate(NamedTuple):
     """Consecutive measurements outside the gate."""
     away: int = 0
     """Consecutive measurements out of reach, after one within it."""
+
+
+@kernel
+def matrix_at(row: Any, i: int) -> Matrix:
+    """Return a 3x3 matrix from nine numbers of a row."""
+    return (row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5], row[i + 6],
+            row[i + 7], row[i + 8])
+
+
+@kernel
+def blocks_at(row: Any, i: int) -> Blocks:
+    """Return K or P from 27 numbers of a row."""
+    return matrix_at(row, i), matrix_at(row, i + 9), matrix_at(row, i + 18)
 
 
 def model_row(model: ModelTuple) -> Array:
@@ -384,6 +397,30 @@ def _add_block(
 
 
 @array_kernel
+def write_losses(
+    model: ModelTuple, cups: Array, tool: State, body: State, out: Array
+) -> None:
+    """
+    Write M^-1 [W_i, w_i] of each cup into (n, 6, 13): accelerations by error, and without.
+
+    Without cup i of a gripper the package goes on without that cup's wrench w_i(x). The error e of
+    an estimate x that has all cups has the slope A e - M^-1 (w_i(x) + W_i e), with A of all cups
+    and W_i the derivative of w_i. It is linear, and has a transition (12, 13) of its own, whose
+    last column is what the loss has made.
+    """
+    for i in range(len(cups)):
+        cup = model[0]
+        one = ((cup[0], cup[1], blocks_at(cups[i], 0), blocks_at(cups[i], 27), *cup[4:]), model[1],
+               model[2])
+        by_pose, by_twist = cup_accelerations(one, tool, body)
+        write_square(out[i], 0, 0, by_pose)
+        write_square(out[i], 0, 6, by_twist)
+        f, m = lip_wrench(one, tool, body)
+        dv, dw = acceleration_at(model[1], model[1][1], f, m)
+        write_column(out[i], 12, dv, dw)
+
+
+@array_kernel
 def accumulate(
     A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, falling: Vector,
     losses: Array, lost: Array,
@@ -586,7 +623,7 @@ def propagated(
     drive : ndarray (12, 12)
         Of `driving`.
     cups : ndarray (cups, 54)
-        Of a gripper, see `lost_cup`.
+        Of a gripper, see `cups_of`.
     lost : ndarray (cups, 12, 13)
         Transitions without each of them, carried along in place.
 

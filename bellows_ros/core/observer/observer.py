@@ -18,7 +18,13 @@ from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.correction import Correction, Outcome, Track
+from bellows_ros.core.observer.correction import (
+    Correction,
+    OF_MOTION,
+    OF_PACKAGE,
+    Outcome,
+    Track,
+)
 from bellows_ros.core.observer.filter import (
     CAMERA,
     Estimate,
@@ -32,7 +38,6 @@ from bellows_ros.core.observer.filter import (
     wrench_of,
 )
 from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
-from bellows_ros.core.observer.prior import OF_MOTION, OF_PACKAGE
 import numpy as np
 
 LATEST_NS = 500_000_000

@@ -79,6 +79,11 @@ class Comparison:
         """Predicted minus measured (N, 6); NaN where the tool or the package was lost."""
         return self.predicted - self.measured
 
+    def select(self, which: Mask) -> 'Comparison':
+        """Return the comparison at some of the stamps."""
+        measured, predicted = self.measured[which], self.predicted[which]
+        return Comparison(self.stamps_ns[which], measured, predicted, score(measured, predicted))
+
 
 def relative_coordinates(tool: Trajectory, package: Trajectory) -> Array:
     """

@@ -15,15 +15,16 @@ from bellows_ros.core.live.health import (
     Window,
 )
 from bellows_ros.core.live.load import (
+    ALL,
     check_thresholds,
     deflection,
     equivalent_box,
     lip_position,
     Load,
     Safety,
+    Vacuum,
 )
 from bellows_ros.core.live.samples import ORIGIN, Prediction
-from bellows_ros.core.live.vacuum import ALL, Vacuum
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError

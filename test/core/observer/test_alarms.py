@@ -22,6 +22,7 @@ from bellows_ros.core.observer.alarms import (
     START_WEIGHS,
     UNEXPLAINED,
 )
+from bellows_ros.core.observer.correction import NO_CUPS
 from bellows_ros.core.observer.filter import (
     CAMERA,
     DAMPING,
@@ -35,7 +36,6 @@ from bellows_ros.core.observer.filter import (
     predicted,
     propagated,
 )
-from bellows_ros.core.observer.lost_cup import NO_CUPS, NO_LOSSES
 from bellows_ros.core.observer.measurement import OUT_OF_REACH, updated, USED
 import numpy as np
 import pytest
@@ -138,7 +138,7 @@ def _dense_transition(model, theta, tool, body, P, memory, *track):
     """Give the transition (n + 7, n + 7) of the error with what falls, and the tool at the end."""
     n, T = len(P), identity_transition(len(P))
     end, _ = propagated(
-        model, theta, tool, body, T, np.zeros((12, 12)), *track, NO_CUPS, NO_LOSSES)
+        model, theta, tool, body, T, np.zeros((12, 12)), *track, NO_CUPS, np.zeros((0, 12, 13)))
     F, h = np.eye(n + 7), T[12, 0]
     F[:12, [*range(MARKER), *range(DAMPING, n)]], F[LENGTH, LENGTHENING] = T[:12], h
     for i in range(6):

@@ -4,6 +4,7 @@ from bellows_ros.core.geometry.tuples import exp_quaternion, quaternion_product
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, pose_error, static_equilibrium
 from bellows_ros.core.model.kernels import advance
+from bellows_ros.core.observer.correction import cups_of, first_memory, NO_CUPS
 from bellows_ros.core.observer.filter import (
     ALL_ROWS,
     CAMERA,
@@ -25,9 +26,7 @@ from bellows_ros.core.observer.filter import (
     with_theta,
     WRENCH,
 )
-from bellows_ros.core.observer.lost_cup import cups_of, NO_CUPS, NO_LOSSES
 from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE
-from bellows_ros.core.observer.prior import first_memory
 import numpy as np
 import pytest
 
@@ -70,7 +69,7 @@ def test_transition_is_that_by_differences(is_off):
     T, Q = identity_transition(ALL_ROWS), np.zeros((12, 12))
     _, found = propagated(
         model, theta, start, body, T, Q, stamps[250:252], *rows, False, 1,
-        stamps[250], stamps[251], largest_step(model), drive, NO_CUPS, NO_LOSSES)
+        stamps[250], stamps[251], largest_step(model), drive, NO_CUPS, np.zeros((0, 12, 13)))
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(difference(middle, found), 0.0, atol=2e-6)
     F, memory, step = np.eye(ALL_ROWS), MEMORY, 1e-4
@@ -181,7 +180,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
     propagated(
         model, theta, tool, body, T, Q, np.array([0, 1_000_000]), *rows, False, 1, 0, 1_000_000,
-        1.0, np.zeros((12, 12)), NO_CUPS, NO_LOSSES)
+        1.0, np.zeros((12, 12)), NO_CUPS, np.zeros((0, 12, 13)))
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     for k in range(updates):

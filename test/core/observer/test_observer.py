@@ -5,9 +5,9 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance
+from bellows_ros.core.observer.correction import bias_walk, prior_std
 from bellows_ros.core.observer.filter import changed, DAMPING
 from bellows_ros.core.observer.measurement import at_com
-from bellows_ros.core.observer.prior import bias_walk, prior_std
 import numpy as np
 import pytest
 from scipy.stats import chi2
