@@ -15,6 +15,7 @@ from .outputs import Topic
 from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
+from ..core.model.kernels import ModelTuple
 from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
 from ..core.parameters.table import short
 
@@ -71,9 +72,14 @@ class Observing:
         """Compile once a possible publisher appears."""
         if count and self._live is not None and not self._is_warm:
             self._is_warm = True
-            warm_up_observer(self._values, self._live.model)
+            self.warm_up(self._live.model)
             gc.collect()
             gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
+
+    def warm_up(self, model: ModelTuple) -> None:
+        """Compile for a model what corrects it, if a camera may come."""
+        if self._is_warm:
+            warm_up_observer(self._values, model)
 
     def _on_measured(self, message: Any) -> None:
         """Correct the prediction."""

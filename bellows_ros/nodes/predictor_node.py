@@ -1,6 +1,7 @@
 """The node that publishes the pose of the held package: convert, predict, convert back."""
 
 from collections.abc import Callable
+from functools import partial
 import sys
 import time
 from typing import Any
@@ -27,10 +28,11 @@ from .tossing import Tossing
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import LivePredictor, Prediction, warm_up
+from ..core.live.flight import Flight
 from ..core.live.health import summary
 from ..core.live.load import check_live
 from ..core.live.uncertainty import warm_up_uncertainty
-from ..core.model.cup_package import cup_of, package_of
+from ..core.model.cup_package import cup_of, model_tuple, package_of
 from ..core.model.grip import grip_of
 from ..core.parameters.table import short
 from ..core.signals.trajectory import tip_of
@@ -94,6 +96,7 @@ class PredictorNode(ManagedNode):
         self._was_late = False
         self._arrival_at_last_tick: int | None = None
         self._last: Prediction | None = None
+        self._compiled, self._cup_waits = set[int](), False
         self._publish_more = self.guarded(self._publish_beside)
         self._diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
@@ -116,6 +119,7 @@ class PredictorNode(ManagedNode):
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
         model = cup, package, gravity, values['tool_twist.frame']
         warm_up(*model)
+        self._compiled.add(len(cup.as_tuple))
         live = LivePredictor(*model)
         live.tool.set_tip(tip_of(values))
         self._outputs = Outputs(self, values)
@@ -334,6 +338,8 @@ class PredictorNode(ManagedNode):
         before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
         # After a pause of this process what waits comes first; not twice.
         self._was_late = not self._was_late and self._ticked_ns - before_ns > LATE_TICK_NS
+        if self._cup_waits and self._live is not None and len(self._compiled) > 1:
+            self.use_values()
         if not self._active or self._was_late:
             return
         self._ticks += 1
@@ -399,13 +405,32 @@ class PredictorNode(ManagedNode):
         if len(opened - {-1.0}) < len(values['cup.layout']) // 3:  # else none holds: see detached
             values = {**values, 'cup.open': tuple(opened)}
         cup, package = cup_of(values), package_of(values)
-        if len(cup.as_tuple) != len(self._live.model[0]):  # relaxing or not, it is compiled anew
-            warm_up(cup, package, gravity_of(values), values['tool_twist.frame'])
-            warm_up_uncertainty(cup.relaxation)
+        if len(cup.as_tuple) not in self._compiled:  # relaxing or not, it is compiled anew
+            if not self._cup_waits:
+                self.get_logger().info(
+                    'Compiling for a cup that relaxes, or does not; until then the one before '
+                    'predicts.')
+                self.beside(partial(self._compile, values))
+            self._cup_waits = True
+            return
+        self._cup_waits = False
         self._live.set_model(cup, package)
         self._attachment.vacuum.set_values(values)
         self._diagnostics.set_values(values)
         self._apply(self._live, values)
+
+    def _compile(self, values: Values) -> None:
+        """Compile for a cup of another kind, in a thread; the next tick goes on with it."""
+        cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
+        try:
+            warm_up(cup, package, gravity, values['tool_twist.frame'])
+            warm_up_uncertainty(cup.relaxation)
+            model = model_tuple(cup, package, gravity)
+            Flight(values).warm_up(model)
+            self._observing.warm_up(model)
+            release_compiler()
+        finally:  # what fails to compile fails again where it is used
+            self._compiled.add(len(cup.as_tuple))
 
     def _apply(self, live: LivePredictor, values: Values) -> None:
         """Pass values on to what uses them, between two messages."""

@@ -1,5 +1,6 @@
 """Parameters of the nodes: declared from the table, refused in words, changed all or nothing."""
 
+from threading import Event
 import time
 from typing import Any
 
@@ -7,6 +8,7 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
+from bellows_ros.nodes import predictor_node
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -14,7 +16,7 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 
-from .conftest import PACKAGE, Peer
+from .conftest import PACKAGE, Peer, START
 from .test_planning import encode_multi_dof, message, VALUES
 
 ATOMICALLY = '/predictor/set_parameters_atomically'
@@ -305,6 +307,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner):
                 assert result.reason and node.values == kept, parameter.name
                 assert node.get_parameter(parameter.name).value == shown
                 continue
+            partner.wait(lambda: not node._cup_waits)
             begun = time.process_time()
             for k in range(1, 12):
                 stamp_ns = tried * 10**9 + k * 4_000_000
@@ -337,3 +340,19 @@ def test_a_set_that_fails_changes_nothing(make_predictor, monkeypatch):
     assert not result.successful and 'too large' in result.reason
     assert node.values == kept and list(kept['cup.stiffness']) == cup(node)[0]
     assert used(node)[0][0][0] == kept['cup.stiffness'][0] and sum(node.failures.values()) == 1
+
+
+def test_prediction_goes_on_while_a_cup_of_another_kind_compiles(make_partner, monkeypatch):
+    """Predict with the cup before until what a cup that relaxes needs is compiled beside it."""
+    compiled = Event()
+    partner = make_partner(with_twists=False)
+    node = partner.predictor
+    monkeypatch.setattr(predictor_node, 'warm_up', lambda *model: compiled.wait(30.0))
+    (result,) = node.set_parameters([Parameter('cup.relaxation', value=[0.1, 0.1])])
+    assert result.successful
+    partner.send_pose(START)
+    partner.wait_for_poses(1)
+    assert len(node._live.model[0]) == 4
+    compiled.set()
+    partner.wait(lambda: len(node._live.model[0]) == 6)
+    assert not node.failures
