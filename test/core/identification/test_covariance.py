@@ -124,23 +124,6 @@ def test_with_an_exact_tool_it_is_the_cramer_rao_bound():
     assert 0.85 < np.median(ratio) < 1.25
 
 
-class Push(Shake):
-    """A motion along z alone."""
-
-    def __init__(self, seed):
-        super().__init__(seed)
-        self.a = self.a * np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])
-
-
-def test_what_is_not_excited_is_infinitely_uncertain():
-    own = recorded(7, (5e-5, 2e-4), (1e-4, 5e-4), 6.0, 125.0, motion=Push)
-    fit = output_error([own], AXISYMMETRIC, TRUTH)
-    known = dict(zip(fit.labels, np.isfinite(np.diag(fit.covariance)), strict=True))
-    assert known['K z'] and not known['K rz'] and not known['P rz']
-    assert not np.isnan(fit.covariance).any()
-    assert np.linalg.eigvalsh(fit.stiffness)[0] > 0.0
-
-
 @pytest.mark.parametrize('seed', [
     2, *(pytest.param(seed, marks=pytest.mark.stress) for seed in (0, 1, 3, 4, 5, 6, 7))])
 def test_full_matrices_from_a_diagonal_start(seed):
@@ -167,14 +150,3 @@ def test_full_matrices_from_a_diagonal_start(seed):
     joint = z @ np.linalg.solve(correlation, z)
     least, most = chi2.ppf([1e-3, 0.999], len(z))
     assert joint < most and (joint > least or not any(noise))
-
-
-def test_a_search_that_does_not_end_has_no_standard_errors(monkeypatch):
-    from bellows_ros.core.identification import search
-
-    monkeypatch.setattr(search, 'MOST_STEPS', 1)
-    fit = output_error([recorded(3, (0.0, 0.0), (1e-4, 5e-4), 4.0)], AXISYMMETRIC,
-                       Cup(2.0 * TRUTH.stiffness, TRUTH.damping, TRUTH.length))
-    assert not fit.converged and not fit.usable
-    assert np.all(np.isinf(np.diag(fit.covariance)))
-    assert any('did not converge' in warning for warning in fit.warnings)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.geometry.lie import exp_so3, log_so3
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS
 from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
@@ -66,6 +66,15 @@ def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     assert segment.path is not path and segment.first is part.first
 
 
+def require_white(parts):
+    """Check that differences are white and of unit variance."""
+    white = parts[0].innovations.reshape(-1, 6)[20:]
+    within = 4.5 / np.sqrt(len(white))
+    assert_allclose(np.mean(white**2, axis=0), 1.0, atol=1.5 * within)
+    for lag in (1, 2, 5, 20):
+        assert np.all(np.abs(np.mean(white[lag:] * white[:-lag], axis=0)) < within)
+
+
 @pytest.mark.parametrize(('tool_noise', 'package_noise'), [
     (CAPTURE, CAPTURE), ((1e-7, 1e-6), CAPTURE)])
 def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, package_noise):
@@ -74,11 +83,7 @@ def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, pac
     for _ in range(2):  # about the measured path, then about the likeliest
         parts, _, _ = search.system(search.start, 0.0)
         search.take(parts)
-    white = parts[0].innovations.reshape(-1, 6)[20:]
-    within = 4.5 / np.sqrt(len(white))
-    assert_allclose(np.mean(white**2, axis=0), 1.0, atol=1.5 * within)
-    for lag in (1, 2, 5, 20):
-        assert np.all(np.abs(np.mean(white[lag:] * white[:-lag], axis=0)) < within)
+    require_white(parts)
 
 
 def test_every_derivative_is_that_of_the_differences():
@@ -124,12 +129,7 @@ def test_noise_with_memory_is_whitened():
     noise = BodyNoise(np.repeat(CAPTURE, 3), kept)
     own = Measured(*poses, PLATE, GRAVITY, noise, noise)
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
-    parts, _, _ = search.system(search.start, 0.0)
-    white = parts[0].innovations.reshape(-1, 6)[20:]
-    within = 4.5 / np.sqrt(len(white))
-    assert_allclose(np.mean(white**2, axis=0), 1.0, atol=1.5 * within)
-    for lag in (1, 2, 5):
-        assert np.all(np.abs(np.mean(white[lag:] * white[:-lag], axis=0)) < within)
+    require_white(search.system(search.start, 0.0)[0])
 
 
 def test_noise_of_the_tool_does_not_shake_the_simulated_package():
@@ -183,22 +183,6 @@ def test_gaps_and_outliers_are_bridged():
         AXISYMMETRIC, scaled(1.5))
     assert fit.converged
     assert np.all(np.abs(z_of(fit)) < 4.5)
-
-
-def test_the_likeliest_path_is_nearer_to_the_true_one_than_the_measured():
-    own = measured(10, CAPTURE, (1e-5, 5e-5), package_hz=250.0)
-    true = Shake(10).trajectory(12.1, 250.0)
-    segment = Segment(own)
-    search = Search([segment], AXISYMMETRIC, TRUTH, {})
-    parts, _, _ = search.system(search.start, 0.0)
-    there = true.select(np.isin(true.stamps_ns, segment.path.stamps_ns))
-
-    def off(path):
-        return np.std(log_so3(np.swapaxes(there.rotation, 1, 2) @ path.rotation), axis=0)
-
-    before = off(segment.path)
-    search.take(parts)
-    assert np.all(off(segment.path) < before)
 
 
 def test_a_wrong_number_is_named_with_its_size_and_a_sound_recording_is_not_accused():

@@ -105,16 +105,6 @@ def test_standstills_too_short_for_the_package_are_counted():
     assert failed == len(TILTS) + 1 - len(found) > 0
 
 
-def test_noise_of_a_mean_is_what_means_scatter_by():
-    lips = [
-        standstills_of(simulated.record(
-            simulated.standstills([(0.0, 0.0, 0.0)]), seed=seed, **NOISE))[0][0]
-        for seed in range(12)]
-    z = [still.lip[2] for still in lips]
-    expected = np.mean([still.error.position for still in lips])
-    assert 0.5 < np.std(z, ddof=1) / expected < 1.8  # 12 draws
-
-
 def test_a_motion_without_rest_has_no_standstill():
     motion = simulated.shake(duration=6.0)
     recording = simulated.record(motion)
@@ -206,22 +196,6 @@ def test_lengths_on_no_line_are_refused_with_exit_code_1():
         assert refused.value.exit_code == 1
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_nominal_length_of_simulated_recordings_is_right_to_a_tenth_of_a_millimetre(seed):
-    rest = simulated.standstills([(0.0, 0.0, 0.0)])
-    found = []
-    for number, mass in enumerate((0.4, 0.9, 1.3, 1.8, 2.3)):
-        recording = simulated.record(
-            rest, payload=weight(mass), seed=10 * seed + number,
-            tool=(1e-4, 2e-4), package=(2e-4, 5e-4))
-        found += standstills_of(recording)[0]
-    found = nominal_length(found, G)
-    assert_allclose(found.length, simulated.CUP.length, rtol=0, atol=1e-4)
-    assert abs(found.length - simulated.CUP.length) < 4.0 * found.length_std
-    assert found.length_std < 5e-5
-    assert_allclose(found.stiffness, simulated.CUP.stiffness[2, 2], rtol=0.1)
-
-
 def test_tilted_standstills_and_repeated_masses_do_not_count():
     standstills = [upright(0.0491, 1.0), upright(0.0491, 1.0), upright(0.3, 2.0, tilt=0.2)]
     with pytest.raises(BellowsError):
@@ -248,13 +222,6 @@ def test_a_wrong_mass_is_noticed(count):
         [upright(x, m, error=2e-6) for x, m in zip(lengths, given, strict=True)], G)
     assert any('off the line' in warning for warning in wrong.warnings)
     assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
-
-
-def test_a_length_known_badly_is_said_to_be():
-    standstills = [upright(0.0481 + 1e-3 * m, m, error=1e-3) for m in (2.0, 2.2, 2.4, 2.6)]
-    found = nominal_length(standstills, G)
-    assert found.length_std > 1e-4
-    assert any('is uncertain by' in warning for warning in found.warnings)
 
 
 def test_a_wrong_mass_is_named_as_the_cause():
