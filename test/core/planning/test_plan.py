@@ -137,14 +137,6 @@ def test_a_plan_at_rest_moves_nothing():
     assert_allclose(figures['smallest_safety_factor'], GRIP[0] / weight, rtol=1e-9)
 
 
-def test_a_plan_that_ends_in_motion_has_no_swing():
-    plan = SLIDE.plan()
-    half = plan.select(slice(0, len(plan) // 2))
-    found = predict(MODEL, GRIP, half)
-    assert not found.ends_at_rest
-    assert math.isnan(found.figures()['swing_left'])
-
-
 def test_never_holds_what_lets_go():
     """The safety factor is that of an integrator that samples at 1 kHz."""
     rng = np.random.default_rng(5)

@@ -10,7 +10,7 @@ from bellows_ros.core.recording.alignment import (
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 import pytest
 
 from .tracking import Noise, noisy, Shake, shaken, START
@@ -20,8 +20,6 @@ HANGS = np.array([0.0, 0.0, -0.05])
 TOOL_MARKERS = exp_so3([0.3, -0.2, 2.5])
 PACKAGE_MARKERS = exp_so3([-1.0, 0.4, -0.6])
 ASIDE = np.array([0.8e-3, -0.6e-3, 0.0])
-# Motive's axes in the world's: y is up (4.1).
-R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
 def held(rng, count=3000):
@@ -88,19 +86,6 @@ def test_alignment_is_that_of_the_thesis_at_rest_and_close_to_it_in_motion():
     bending = np.linalg.norm(log_so3(np.swapaxes(R_E, -1, -2) @ R_S), axis=1)
     apart = np.linalg.norm(aligned.position - A_o_S, axis=1)
     assert np.all(apart <= np.linalg.norm(ASIDE) * bending + 1e-12)
-
-
-def test_motive_recordings_come_to_the_world():
-    tool, _ = held(np.random.default_rng(45))
-    motive = Trajectory(
-        tool.stamps_ns, apply(R_MOTIVE_WORLD, tool.position), R_MOTIVE_WORLD @ tool.rotation
-    )
-    from_motive = world_rotation('motive_y_up')
-    assert_same_poses(in_world(motive, from_motive), tool, 1e-15)
-    assert in_world(tool, world_rotation('z_up')) is tool
-    # Up is y there, and z here.
-    up = Trajectory(tool.stamps_ns[:1], np.array([[0.0, 1.0, 0.0]]), np.eye(3)[None])
-    assert_array_equal(in_world(up, from_motive).position, [[0.0, 0.0, 1.0]])
 
 
 def test_a_standstill_on_a_wall_is_aligned_in_a_world_that_is_levelled():

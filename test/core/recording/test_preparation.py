@@ -11,7 +11,6 @@ from bellows_ros.core.signals.resampling import timing
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import read_streams
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -81,17 +80,6 @@ def test_poses_that_need_nothing_are_only_filtered():
     assert found.report.warnings == ()
     assert found.start_ns == tool.stamps_ns[0]
     assert_allclose(found.since_start(package.stamps_ns), package.seconds)
-
-
-def test_filters_have_their_own_windows_and_the_common_time_is_theirs():
-    tool, package = held(61)
-    settings = replace(PLAIN, tool_half_window=10, tool_order=3, package_half_window=40)
-    found = prepare(stream(tool), stream(package, '/package', slice(5, -300)), settings)
-    assert found.tool_weights.shape == (3, 21)
-    assert found.package_weights.shape == (3, 81)
-    assert_array_equal(found.tool.stamps_ns, package.stamps_ns[45:-340])
-    expected = at(savgol(tool, 10, 3), found.tool.stamps_ns)
-    assert_allclose(found.tool.twist, expected.twist, atol=1e-12)
 
 
 @pytest.mark.parametrize('rate_hz', [100.0, 360.0, 1000.0])
@@ -252,14 +240,6 @@ def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
         assert sum('jitter' in warning for warning in found) == 1
 
 
-def test_a_package_picked_up_far_aside_is_warned_about():
-    tool, package = held(69)
-    aside = displaced(package, slice(None), np.array([0.008, 0, 0]), np.zeros(3), True)
-    settings = AT_REST
-    (warning,) = prepare(stream(tool), stream(aside, '/package'), settings).report.warnings
-    assert '8.0 mm beside its middle' in warning
-
-
 def test_what_cannot_be_prepared_says_why():
     tool, package = held(70)
     settings = PLAIN
@@ -281,51 +261,6 @@ def test_what_cannot_be_prepared_says_why():
     twist = TwistStream('/twist', 'world', tool.stamps_ns[:2], zeros, zeros)
     with pytest.raises(BellowsError, match=r'\b2\b'):
         prepare(stream(tool), stream(package, '/package'), settings, twist)
-
-
-# Recordings of a known cup.
-
-
-def rig_streams(rig, name):
-    names = {
-        'clean': ('/tool_arm/pose', '/package/pose'),
-    }.get(name, ('/mocap/tool_arm/pose', '/mocap/plate/pose'))
-    streams = read_streams(rig / name, dict(zip(('tool', 'package'), names, strict=True)))
-    return streams['tool'], streams['package']
-
-
-def rig_truth(rig, name, stamps_ns):
-    """Give the true poses of E and B at stamps, which all are samples of the truth."""
-    with np.load(rig / f'{name}_truth.npz') as truth:
-        index = np.rint((stamps_ns - START) * 360e-9).astype(int)
-        return [
-            Trajectory(stamps_ns, T[index, :3, 3], T[index, :3, :3], twist[index])
-            for T, twist in (
-                (truth['tool'], truth['tool_twist']), (truth['package'], truth['package_twist']))
-        ]
-
-
-@pytest.mark.parametrize('name, jumps, gaps', [('lab', 6, 4)])
-def test_lab_recordings_lose_their_faults_and_become_the_true_poses(rig, name, jumps, gaps):
-    found = prepare(*rig_streams(rig, name), LAB)
-    truth = rig_truth(rig, name, found.package.stamps_ns)
-    for report in (found.report.tool, found.report.package):
-        assert len(report.outliers.excursions) == jumps
-        assert len(report.timing.gaps) == gaps
-        assert report.outliers.steps == ()
-        assert_allclose(report.outliers.noise['position'], 1e-4, rtol=0.05)
-        assert_allclose(report.outliers.noise['rotation'], 5e-4, rtol=0.05)
-    for measured, filtered, expected in zip(
-            (found.measured_tool, found.measured_package), (found.tool, found.package), truth,
-            strict=True):
-        position, turn = difference(measured, expected, found.measured)
-        # Six standard deviations of the noise, and of its mean over the standstill.
-        assert np.max(np.abs(position)) < 6e-4 and np.max(np.abs(turn)) < 3e-3
-        assert_allclose(np.mean(position, axis=0), 0.0, atol=0.03e-3)
-        assert_allclose(np.mean(turn, axis=0), 0.0, atol=0.13e-3)
-        position, turn = difference(filtered, expected, found.valid)
-        assert np.std(position) < 0.03e-3 and np.std(turn) < 0.14e-3
-    assert_allclose(found.alignment.lateral_offset, [0.8e-3, -0.6e-3, 0.0], atol=0.03e-3)
 
 
 @pytest.mark.parametrize('at', [0, -1])

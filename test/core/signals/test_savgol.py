@@ -15,8 +15,6 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 RATE_HZ = 360.0
-# The thesis' settings for its synthetic motions.
-HALF_WINDOW, ORDER = 23, 2
 
 
 def trajectory_of(position, rotation, rate_hz=RATE_HZ, valid=True):
@@ -31,34 +29,6 @@ def noisy_motion(count=120, seed=0):
     position = np.sin(t * [3.0, 7.0, 11.0]) + 1e-3 * rng.normal(size=(count, 3))
     phi = 2.0 * np.cos(t * [11.0, 5.0, 8.0]) + 0.02 * rng.normal(size=(count, 3))
     return trajectory_of(position, lie.exp_so3(phi))
-
-
-def thesis_motion(count):
-    """Give positions, rotation vectors, spatial twists and their derivatives (4.34-4.61)."""
-    w, t = 2.0 * pi, np.arange(count)[:, None] / RATE_HZ
-
-    def sine(a0, a1):
-        a0, a1 = np.array(a0), np.array(a1)
-        return a0 + a1 * np.sin(w * t), a1 * w * np.cos(w * t), -a1 * w**2 * np.sin(w * t)
-
-    o, o_rate, o_rate2 = sine([0.2, 0.1, -0.2], [0.6, -0.4, 0.5])
-    xi, xi_rate, xi_rate2 = sine([0.05, -0.15, 0.2], [0.4, 0.7, -0.7])
-    rate = lie.apply(lie.dexp(xi), xi_rate)
-    rate2 = lie.d2exp(xi, xi_rate, xi_rate) + lie.apply(lie.dexp(xi), xi_rate2)
-    v = o_rate - np.cross(rate, o)
-    # (4.38) with the covariant derivative, dw^, in place of R'' R^T.
-    v_rate = o_rate2 - np.cross(rate, o_rate) - np.cross(rate2, o)
-    return o, xi, np.concatenate([v, rate], axis=1), np.concatenate([v_rate, rate2], axis=1)
-
-
-def spatial(filtered):
-    """Return the spatial twist (4.32) and its rate (4.33): X(T) of the body's, as X' v = 0."""
-    X = lie.adjoint(lie.transform(filtered.rotation, filtered.position))
-    return lie.apply(X, filtered.twist), lie.apply(X, filtered.acceleration)
-
-
-def rms(error):
-    return np.sqrt(np.mean(error**2, axis=0))
 
 
 @pytest.mark.parametrize('half_window, order', [(1, 2), (3, 2), (5, 4), (15, 3), (25, 4), (30, 7)])
@@ -155,15 +125,6 @@ def test_right_through_several_turns(rate):
     assert_allclose(result.acceleration[:, 3:], body_rate2[15:-15], atol=1e-2)
 
 
-def test_constant_rotation_through_pi_is_exact():
-    rate = np.array([3.0, -2.0, 6.0])
-    R = lie.exp_so3(np.multiply.outer(np.arange(1500) / RATE_HZ, rate))
-    result = savgol(trajectory_of(np.zeros((1500, 3)), R), 25, 3)
-    # The body rate of a constant rotation is the spatial one.
-    assert_allclose(result.twist[:, 3:], np.tile(rate, (1450, 1)), atol=1e-11)
-    assert_allclose(result.acceleration[:, 3:], 0.0, atol=1e-9)
-
-
 def test_windows_beyond_the_reach_of_the_logarithm_are_not_valid():
     t = np.arange(400) / 125.0
     angle = 2.0 * t + 20.0 * np.clip(t - 1.6, 0.0, None)  # 0.4 rad and then 4.4 rad in 0.2 s
@@ -206,54 +167,6 @@ def test_blocks_leave_no_seams(monkeypatch):
         assert_allclose(parts.rotation, whole.rotation, atol=1e-15)
 
 
-def central_differences(poses):
-    """Return spatial twists and accelerations by central differences (F.49-F.54)."""
-    R, o, step = poses.rotation, poses.position, np.diff(poses.stamps_ns)[0] * 2e-9
-    rate = lie.log_so3(R[2:] @ R[:-2].swapaxes(1, 2)) / step
-    velocity = (o[2:] - o[:-2]) / step + np.cross(o[1:-1], rate)
-    twist = np.concatenate([velocity, rate], axis=1)
-    return twist[1:-1], (twist[2:] - twist[:-2]) / step
-
-
-def test_synthetic_motions_of_the_thesis():
-    """Both cases at once (4.34-4.39, 4.56-4.62), with its noise, rate, window and order."""
-    rng, count, sigma = np.random.default_rng(0), 1081, 1e-3
-    o, xi, twist, acceleration = thesis_motion(count)
-    noisy = trajectory_of(
-        o + sigma * rng.normal(size=o.shape), lie.exp_so3(xi + sigma * rng.normal(size=xi.shape))
-    )
-    found = {
-        name: spatial(result)
-        for name, result in (('parabola', savgol(noisy, HALF_WINDOW, ORDER)),
-                             ('quartic', savgol(noisy, HALF_WINDOW, 4)))}
-    errors = {}
-    for name, own in {**found, 'differences': central_differences(noisy)}.items():
-        k = (count - len(own[0])) // 2
-        errors[name] = (
-            rms(own[0] - twist[k:count - k]), rms(own[1] - acceleration[k:count - k]))
-    v, dv = zip(errors['parabola'], errors['differences'], strict=True)
-    # Noise makes 0.25 m/s and 80 m/s^2 of the differences, 0.004 and 0.2 of the parabola. Its
-    # velocities are limited by the bend that 47 samples of a parabola cannot follow (0.05 m/s).
-    assert np.all(v[0] < v[1] / 4)
-    assert np.all(dv[0] < dv[1] / 100)
-    # A quartic follows, and leaves the noise alone.
-    v, dv = zip(errors['quartic'], errors['differences'], strict=True)
-    assert np.all(v[0] < v[1] / 20)
-    assert np.all(dv[0] < dv[1] / 50)
-
-
-def test_weights_tell_the_noise_of_the_result():
-    rng, sigma, count = np.random.default_rng(5), 1e-3, 20_000
-    noise = sigma * rng.normal(size=(2, count, 3))
-    result = savgol(trajectory_of(noise[0], lie.exp_so3(noise[1])), 10, 3)
-    expected = sigma * np.linalg.norm(result.weights, axis=1)
-    # 60,000 samples, of which some 3,000 are independent: 5 % is four standard deviations.
-    assert_allclose(result.position.std(), expected[0], rtol=0.05)
-    assert_allclose(result.twist[:, :3].std(), expected[1], rtol=0.05)
-    assert_allclose(result.twist[:, 3:].std(), expected[1], rtol=0.05)
-    assert_allclose(result.acceleration[:, 3:].std(), expected[2], rtol=0.05)
-
-
 @pytest.mark.parametrize('kept', [(0.0, 0.0), (0.9, 0.0), (0.5, 0.97)])
 def test_noise_that_a_filter_lets_through(kept):
     count, noise, rate_hz = 40_000, np.array([2e-3, 5e-3]), 360.0
@@ -284,20 +197,3 @@ def test_impossible_fits_are_refused(half_window, order, message):
 def test_a_rate_that_is_not_uniform_is_refused():
     with pytest.raises(BellowsError, match='Resample'):
         savgol(noisy_motion().select(np.delete(np.arange(120), 60)), 10, 2)
-
-
-@pytest.mark.parametrize('body', ['tool', 'package'])
-def test_agrees_with_the_twists_of_an_independent_simulation(rig, body):
-    truth = np.load(rig / 'clean_truth.npz')
-    poses = truth[body]
-    n = 6
-    result = savgol(trajectory_of(poses[:, :3, 3], poses[:, :3, :3]), n, 4)
-    twist = truth[f'{body}_twist']
-    size = np.abs(twist).max(axis=0)
-    # What a quartic over 36 ms leaves of motions of 3 Hz, and of the cup's axial mode at 11.6 Hz.
-    assert np.all(np.abs(result.twist - twist[n:-n]).max(axis=0) < 1e-4 * size)
-    slope = (twist[2:] - twist[:-2]) * RATE_HZ / 2
-    size = np.abs(slope).max(axis=0)
-    # The differences of the true twists have an error of their own, (w h)^2 / 6 = 5e-4 at 3 Hz.
-    error = np.abs(result.acceleration - slope[n - 1:1 - n]).max(axis=0)
-    assert np.all(error < 1e-3 * size)
