@@ -174,24 +174,6 @@ print('imported', len(set({names!r})))
     assert done.stdout == f'imported {len(names)}\n', done.stderr
 
 
-HELP = "import sys; sys.argv = ['bellows', '--help']; from bellows_ros.cli import main; main()"
-
-
-def test_help_of_bellows_loads_no_numbers(user_environment):
-    """Answer --help without the packages that take long to load, and without ROS."""
-    code = f"""
-import sys
-try:
-    {HELP}
-except SystemExit as end:
-    loaded = [name for name in ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'rclpy')
-              if name in sys.modules]
-    print('exit', end.code, loaded)
-"""
-    done = run(code, user_environment)
-    assert done.stdout.endswith('exit 0 []\n'), done.stdout + done.stderr
-
-
 def test_a_plain_identification_loads_few_modules(root, user_environment):
     """Load no more of the package than the fit of one recording needs."""
     bags = root / 'bags'

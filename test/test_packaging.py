@@ -7,7 +7,6 @@ import py_compile
 import re
 import runpy
 import shlex
-import shutil
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -102,30 +101,6 @@ def test_version_and_licence_agree_everywhere(root):
     assert 'Apache License' in (root / 'LICENSE').read_text()
     assert re.search(rf'^{re.escape(version)} \(\d{{4}}-\d\d-\d\d\)$',
                      (root / 'CHANGELOG.rst').read_text(), re.MULTILINE)
-
-
-@pytest.mark.skipif(not shutil.which('dpkg-deb'), reason='Debian packages are built by dpkg-deb')
-def test_package_xml_makes_a_debian_package(root, tmp_path):
-    """Build a control file as the ROS build farm names packages, and let dpkg check it."""
-    manifest = ElementTree.parse(root / 'package.xml').getroot()
-    needs = [str(need.text) for need in manifest.findall('exec_depend')]
-    depends = [need if need.startswith('python3-') else f'ros-jazzy-{need.replace("_", "-")}'
-               for need in needs]
-    fields = {
-        'Package': 'ros-jazzy-bellows-ros', 'Version': f"{manifest.findtext('version')}-0noble",
-        'Architecture': 'all', 'Depends': ', '.join(depends),
-        'Maintainer': f"{manifest.findtext('maintainer')} "
-                      f"<{manifest.find('maintainer').get('email')}>",  # type: ignore[union-attr]
-        'Description': ' '.join(str(manifest.findtext('description')).split())}
-    control = tmp_path / 'tree' / 'DEBIAN' / 'control'
-    control.parent.mkdir(parents=True)
-    control.write_text(''.join(f'{name}: {value}\n' for name, value in fields.items()))
-    file = tmp_path / 'bellows.deb'
-    subprocess.run(['dpkg-deb', '--build', str(tmp_path / 'tree'), str(file)], check=True,
-                   capture_output=True)
-    found = subprocess.run(['dpkg-deb', '--field', str(file), 'Depends'], check=True,
-                           capture_output=True, text=True).stdout.strip().split(', ')
-    assert found == depends and len(set(found)) == len(found)
 
 
 def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root):

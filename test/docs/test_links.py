@@ -81,14 +81,6 @@ def test_figures_are_drawn_by_their_scripts(root, tmp_path):
     assert drawn and all((root / 'docs' / 'images' / name).is_file() for name in drawn)
 
 
-def test_pages_mention_every_command(root):
-    """Describe in the reference what `bellows --help` lists."""
-    from bellows_ros.cli.app import COMMANDS
-
-    text = (root / 'docs' / 'reference' / 'commands.md').read_text()
-    assert all(f'## bellows {name}\n' in text for name in COMMANDS)
-
-
 def test_the_first_page_leads_to_every_page(root):
     """Link each in the text of the index, where GitHub shows no table of contents."""
     docs = root / 'docs'

@@ -8,6 +8,8 @@ import subprocess
 
 import pytest
 
+from ..nodes.conftest import MS, Peer, pose_at, START
+
 PACKAGE = """
 /**:
   ros__parameters:
@@ -16,22 +18,18 @@ PACKAGE = """
       inertia: [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]
       com: [0.0, 0.0, -0.03]
 """
-START = 1_700_000_000_000_000_000
 LONGEST_START = 60.0  # s
 
 pytestmark = [pytest.mark.timeout(300), pytest.mark.xdist_group('installed')]
-MS = 1_000_000
 
 
-class User:
+class User(Peer):
     """Starts the installed predictor and talks to it over DDS."""
 
     def __init__(self, ros, installed, folder):
         """Join the graph."""
-        rclpy_node = pytest.importorskip('rclpy.node', reason='no rclpy here')
-        self.ros, self._installed = ros, installed
-        self.node = rclpy_node.Node('user', context=ros.context)
-        ros.executor.add_node(self.node)
+        super().__init__(ros, 'user')
+        self._installed = installed
         self._file = folder / 'package.yaml'
         self._file.write_text(PACKAGE)
         self.process: subprocess.Popen[str] | None = None
@@ -93,21 +91,12 @@ class User:
         """Send poses until so many answers have come; the first may meet nobody yet."""
         from geometry_msgs.msg import PoseStamped
 
-        answers = []
-        reader = self.node.create_subscription(PoseStamped, package, answers.append, 100)
-        writer = self.node.create_publisher(PoseStamped, tool, 100)
-        assert self.ros.spin_until(
-            lambda: reader.get_publisher_count() and writer.get_subscription_count(),
-            LONGEST_START)
-        message = PoseStamped()
-        message.header.frame_id = 'base'
-        message.pose.orientation.w = 1.0
+        answers, writer = self.hears(PoseStamped, package), self.writes(PoseStamped, tool)
+        self.connect()
         for k in range(20 * count):
             if len(answers) >= count:
                 break
-            stamp_ns = START + k * 2 * MS
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-            writer.publish(message)
+            writer.publish(pose_at(START + k * 2 * MS, frame_id='base'))
             before = len(answers)
             self.ros.spin_until(lambda before=before: len(answers) > before, 1.0)
         return len(answers)
