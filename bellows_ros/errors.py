@@ -1,4 +1,6 @@
-"""Errors with a message for the user; those that callers handle have a class of their own."""
+"""Errors with a message for the user, and what to install where an optional package is missing."""
+
+import importlib.util
 
 
 class BellowsError(Exception):
@@ -45,3 +47,25 @@ class NoReleaseError(NoLandingError):
     """No release of a plan leads to a landing."""
 
     exit_code = 1
+
+
+PACKAGES = {
+    'ros': "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
+    'plot': 'matplotlib',
+    'video': 'imageio-ffmpeg',
+    'view': 'rerun-sdk',
+    'parallel': 'joblib',
+    'dask': 'distributed',
+}
+
+
+def install(extra: str) -> str:
+    """Return the command that installs an extra."""
+    return f'pip install {PACKAGES[extra]}'
+
+
+def require_pictures() -> None:
+    """Raise BellowsError where matplotlib is missing: before long work, not after it."""
+    if importlib.util.find_spec('matplotlib') is None:
+        raise BellowsError(
+            f'matplotlib is not installed, but pictures need it: {install("plot")}')

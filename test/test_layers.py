@@ -8,17 +8,16 @@ import sys
 ALLOWED = {
     '': {'library'},
     'errors': set(),
-    'extras': {'errors'},
     'library': {'errors', 'core', 'files', 'workflows'},
     'core': {'errors'},
     'files': {'errors', 'core'},
-    'workflows': {'errors', 'extras', 'core', 'files'},
-    'nodes': {'errors', 'extras', 'core', 'files', 'workflows', 'report'},
-    'plots': {'errors', 'extras', 'core', 'files', 'workflows'},
+    'workflows': {'errors', 'core', 'files'},
+    'nodes': {'errors', 'core', 'files', 'workflows', 'report'},
+    'plots': {'errors', 'core', 'files', 'workflows'},
     'report': {'errors', 'core', 'files', 'workflows', 'plots'},
-    'cli': {'errors', 'extras', 'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
+    'cli': {'errors', 'core', 'files', 'workflows', 'plots', 'report', 'nodes'},
     'demo': {
-        'errors', 'extras', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots', 'report'},
+        'errors', 'core', 'files', 'workflows', 'nodes', 'cli', 'plots', 'report'},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')

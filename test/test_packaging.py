@@ -13,8 +13,7 @@ from xml.etree import ElementTree
 import zipfile
 
 import bellows_ros
-from bellows_ros.errors import BellowsError
-from bellows_ros.extras import install, PACKAGES
+from bellows_ros.errors import BellowsError, install, PACKAGES
 import pytest
 
 COMMANDS = {

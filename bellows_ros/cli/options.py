@@ -9,8 +9,7 @@ from pathlib import Path
 import re
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.errors import BellowsError
-from bellows_ros.extras import require_pictures
+from bellows_ros.errors import BellowsError, require_pictures
 
 from .console import Console, NOT_USABLE, OK
 

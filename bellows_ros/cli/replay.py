@@ -36,8 +36,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.errors import BellowsError
-from bellows_ros.extras import require_pictures
+from bellows_ros.errors import BellowsError, require_pictures
 
 from . import options
 from .console import Console, NOT_USABLE, OK

@@ -18,8 +18,7 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS, Scores
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError
-from bellows_ros.extras import require_pictures
+from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files.bags import read_messages
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.nodes.command import require_ros

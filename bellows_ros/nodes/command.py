@@ -23,8 +23,7 @@ from typing import Any, NamedTuple, NoReturn
 from bellows_ros.core import configure_process
 
 from ..core.parameters.table import parameters_of, short
-from ..errors import BellowsError
-from ..extras import install
+from ..errors import BellowsError, install
 
 NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "

@@ -15,8 +15,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from bellows_ros.errors import BellowsError
-from bellows_ros.extras import require_pictures
+from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
 

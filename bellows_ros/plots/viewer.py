@@ -19,8 +19,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Stamps
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
-from bellows_ros.errors import BellowsError
-from bellows_ros.extras import install
+from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
 from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed

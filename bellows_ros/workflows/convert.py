@@ -17,9 +17,14 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics
-from bellows_ros.files.motive import FEWEST_MARKERS, is_motive, read_motive
 from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
-from bellows_ros.files.trajectory_files import read_trajectory, write_tum
+from bellows_ros.files.trajectory_files import (
+    FEWEST_MARKERS,
+    is_motive,
+    read_motive,
+    read_trajectory,
+    write_tum,
+)
 from bellows_ros.workflows.recordings import FULL_RANGE, inside, part_of
 import numpy as np
 

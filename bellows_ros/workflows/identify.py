@@ -156,7 +156,7 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
         values = _with_free(values)
     given_structure(values)
     if values['output.report']:
-        from bellows_ros.extras import require_pictures
+        from bellows_ros.errors import require_pictures
 
         require_pictures()
     used = {os.path.realpath(bag) for bag in values['bags']}

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from bellows_ros.extras import require_pictures
+from bellows_ros.errors import require_pictures
 from bellows_ros.files import File
 from bellows_ros.files.results import write_json
 

@@ -13,8 +13,7 @@ import threading
 import time
 from typing import Any
 
-from bellows_ros.errors import BellowsError
-from bellows_ros.extras import install
+from bellows_ros.errors import BellowsError, install
 from bellows_ros.files.atomic import remove_abandoned
 from bellows_ros.workflows.recordings import Failed
 

@@ -8,7 +8,7 @@ import tracemalloc
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import bags, sqlite_storage
+from bellows_ros.files import bags
 from bellows_ros.files.bags import read_streams, topics
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -175,7 +175,7 @@ def test_messages_come_in_the_order_they_were_received_in(tmp_path):
 
 
 def test_one_topic_may_serve_two_roles_and_batches_join(tmp_path, monkeypatch):
-    monkeypatch.setattr(sqlite_storage, '_BATCH', 7)
+    monkeypatch.setattr(bags, '_BATCH', 7)
     messages = made.poses(50)
     messages[3] = (messages[3][0], faulty(3, 'malformed'))
     messages[20] = (messages[20][0], faulty(20, 'frame_id'))
@@ -443,13 +443,13 @@ def test_a_damaged_or_computing_database_is_refused(tmp_path, reason, statements
 
 
 def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(sqlite_storage, '_LEAST_STEPS', 1_000_000)
+    monkeypatch.setattr(bags, '_LEAST_STEPS', 1_000_000)
     folder = altered_database(
         tmp_path,
         'WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c LIMIT 200000)'
         ' INSERT INTO messages (topic_id, timestamp, data) SELECT 1, x, zeroblob(0) FROM c',
     )
-    monkeypatch.setattr(sqlite_storage, '_STEPS_PER_BYTE', 0)
+    monkeypatch.setattr(bags, '_STEPS_PER_BYTE', 0)
     assert 'interrupted' in error_of(folder)
 
 

@@ -4,7 +4,7 @@ import csv
 from dataclasses import dataclass
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.motive import is_motive, read_motive
+from bellows_ros.files.trajectory_files import is_motive, read_motive
 import numpy as np
 import pytest
 

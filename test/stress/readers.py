@@ -9,10 +9,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import Recorded, write_bag
 from bellows_ros.files.bags import read_contents, topics
-from bellows_ros.files.motive import read_motive
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
-from bellows_ros.files.trajectory_files import read_euroc, read_tum
+from bellows_ros.files.trajectory_files import read_euroc, read_motive, read_tum
 from bellows_ros.workflows.info import info
 from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.recordings import load
