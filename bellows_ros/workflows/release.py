@@ -13,7 +13,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.toss import release_fit
 from bellows_ros.core.toss.landing import as_law
 from bellows_ros.core.toss.release import law_of, RELEASE_NAMES
-from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
+from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import with_units
@@ -157,7 +157,7 @@ def _valves(bag: str, values: Mapping[str, Any]) -> list[int]:
         (log_ns, on) for _, _, log_ns, data in messages_of(bag, (BOOL,), topic)
         if (on := decode_bool(data)) is not None) if topic else []
     if not said:
-        raise UndeterminedError(
+        raise NoTopicError(
             f"'{bag}' has no std_msgs/Bool on '{topic}', so that nothing is "
             'known of when the valve was switched. Record it (false for off), or name its topic '
             'with topics.valve.')

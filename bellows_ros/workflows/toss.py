@@ -9,6 +9,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.core.parameters.checks import implausible
+from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing
@@ -16,7 +17,13 @@ from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of,
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.plan import MotionSource, plan_with_cup, Source, write_prediction
+from bellows_ros.workflows.plan import (
+    bending,
+    MotionSource,
+    plan_with_cup,
+    Source,
+    write_prediction,
+)
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
@@ -147,6 +154,12 @@ class TossResult(CommandResult):
             found.append(
                 f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched '
                 f'at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
+        held = self.held.times <= self.toss.release_time
+        angle = float(np.max(bending(*(
+            quaternion_to_rotation(rows[held, 3:7]) for rows in (self.held.tools, self.held.states)
+        ))))
+        if angle > PEAK_MOMENT_BENDING:
+            found.append(flip_sentence(angle, ' before it lets go'))
         if self.held.mode == 'delay' and not self.case.release.law[5]:
             found.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import NoTopicError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load
 from bellows_ros.workflows.release import identify_release
@@ -60,7 +60,7 @@ def test_finds_the_valve_that_was_simulated(recorded):
 def test_says_first_that_no_valve_was_recorded_and_needs_no_grip(recorded):
     """Without a topic it is refused; without a grip tau is not identifiable."""
     values = {**VALUES, 'bags': [str(recorded[0])]}
-    with pytest.raises(BellowsError, match='topics.valve'):
+    with pytest.raises(NoTopicError, match='topics.valve'):
         identify_release({**values, 'topics.valve': '/another'})
     loose = identify_release({**values, 'vacuum.holding': 0.0})
     assert loose.fit.free == (0, 2)
@@ -91,5 +91,5 @@ def test_a_recording_without_tosses_is_refused(tmp_path):
     """Say that the valve is missing."""
     motion = {**load(BAGS / 'throw.yaml'), 'package': {'rate_hz': 120.0}}
     simulate_recording(VALUES, motion, tmp_path / 'bag')
-    with pytest.raises(BellowsError, match='topics.valve'):
+    with pytest.raises(NoTopicError, match='topics.valve'):
         identify_release({**VALUES, 'bags': [str(tmp_path / 'bag')]})

@@ -441,9 +441,9 @@ class HeldMotion:
     ----------
     duration : float
         Of the plan, s.
-    times, states, loads : ndarray (M,), (M, 13), (M,)
-        At each integration step: time (s), state of B, and the suction force (N) at which it
-        would peel.
+    times, tools, states, loads : ndarray (M,), (M, 13), (M, 13), (M,)
+        At each integration step: time (s), states of E and B, and the suction force (N) at which
+        it would peel.
 
     Raises
     ------
@@ -475,7 +475,7 @@ class HeldMotion:
         size = int(counts.sum()) + 1
         self.times, self.loads = np.empty((2, size))
         tools, states = np.empty((size, 13)), np.empty((size, simulation.row_length(start)))
-        self.states = states[:, :13]
+        self.tools, self.states = tools, states[:, :13]
         try:
             _hold(model, self.grip, start, *as_inputs(rows[:count], durations, counts),
                   self.times, tools, states, self.loads)
