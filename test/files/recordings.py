@@ -1,6 +1,7 @@
 """Recordings made by rosbags, so that the package's own writer does not judge its reader."""
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
@@ -37,44 +38,36 @@ def twist_values(count, seed=1):
     return np.random.default_rng(seed).normal(size=(count, 6))
 
 
+def built(kind, values):
+    """Return the object rosbags makes of nested values in the order of a type's fields."""
+    def part(value, node, of):
+        if node == Nodetype.NAME:
+            return built(of, value)
+        if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            (inner, name), _ = of
+            return ([built(name, each) for each in value] if inner == Nodetype.NAME else
+                    np.asarray(value, float) if name[0] != 'string' else list(value))
+        return float(value) if of[0] == 'float64' else value
+
+    fields = TYPES.fielddefs[kind][1]
+    return TYPES.types[kind](*(
+        part(value, *field) for value, (_, field) in zip(values, fields, strict=True)))
+
+
+def header(stamp_ns, frame_id='world'):
+    """Return the values of a header."""
+    return divmod(int(stamp_ns), 10**9), frame_id
+
+
 def message(kind, stamp_ns, pose=None, twist=None, frame_id='world', child_frame_id='body',
             covariance=None):
-    """Return the object rosbags makes of a message, and its name."""
-    t = TYPES.types
-    sec, nanosec = divmod(int(stamp_ns), 10**9)
-    stamp = t['builtin_interfaces/msg/Time'](sec=sec, nanosec=nanosec)
-    header = t['std_msgs/msg/Header'](stamp=stamp, frame_id=frame_id)
-
-    def point(name, xyz):
-        return t[f'geometry_msgs/msg/{name}'](*(float(x) for x in xyz))
-
-    covariance = np.arange(36.0) if covariance is None else covariance
-    if pose is not None:
-        rotation = t['geometry_msgs/msg/Quaternion'](*(float(x) for x in pose[3:]))
-        body = t['geometry_msgs/msg/Pose'](
-            position=point('Point', pose[:3]), orientation=rotation)
-        with_covariance = t['geometry_msgs/msg/PoseWithCovariance'](
-            pose=body, covariance=covariance)
-    if twist is not None:
-        velocity = t['geometry_msgs/msg/Twist'](
-            linear=point('Vector3', twist[:3]), angular=point('Vector3', twist[3:]))
-    if kind == POSE:
-        return t[kind](header=header, pose=body)
-    if kind == POSE_COVARIANCE:
-        return t[kind](header=header, pose=with_covariance)
-    if kind == TRANSFORM:
-        transform = t['geometry_msgs/msg/Transform'](
-            translation=point('Vector3', pose[:3]), rotation=rotation)
-        return t[kind](header=header, child_frame_id=child_frame_id, transform=transform)
-    if kind == ODOMETRY:
-        return t[kind](
-            header=header,
-            child_frame_id=child_frame_id,
-            pose=with_covariance,
-            twist=t['geometry_msgs/msg/TwistWithCovariance'](
-                twist=velocity, covariance=covariance),
-        )
-    return t[TWIST](header=header, twist=velocity)
+    """Return the object rosbags makes of a message."""
+    head, cov = header(stamp_ns, frame_id), np.arange(36.0) if covariance is None else covariance
+    body, velocity = (part if part is None else (part[:3], part[3:]) for part in (pose, twist))
+    return built(kind, {
+        POSE: (head, body), POSE_COVARIANCE: (head, (body, cov)), TWIST: (head, velocity),
+        TRANSFORM: (head, child_frame_id, body),
+        ODOMETRY: (head, child_frame_id, (body, cov), (velocity, cov))}[kind])
 
 
 def encoded(kind, *args, little_endian=True, **kwargs):

@@ -12,10 +12,9 @@ from bellows_ros.files.plan_messages import (
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
-from rosbags.typesys import get_typestore, Stores
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
-T = TYPES.types
+from . import recordings as made
+from .recordings import TYPES
 
 
 def message(parts=(1, 1, 1), count=5, frame='base', names=('tool',)):
@@ -23,21 +22,9 @@ def message(parts=(1, 1, 1), count=5, frame='base', names=('tool',)):
     rng = np.random.default_rng(count)
     poses, twists, rates = rng.normal(size=(count, 7)), *rng.normal(size=(2, count, 6))
     times = np.arange(count) * 1_234_567_891
-    Vector3, Transform = T['geometry_msgs/msg/Vector3'], T['geometry_msgs/msg/Transform']
-
-    def twist(row):
-        return T['geometry_msgs/msg/Twist'](Vector3(*row[:3]), Vector3(*row[3:]))
-
-    points = [
-        T['trajectory_msgs/msg/MultiDOFJointTrajectoryPoint'](
-            transforms=parts[0] * [Transform(
-                Vector3(*p[:3]), T['geometry_msgs/msg/Quaternion'](*p[3:]))],
-            velocities=parts[1] * [twist(v)], accelerations=parts[2] * [twist(a)],
-            time_from_start=T['builtin_interfaces/msg/Duration'](
-                *map(int, divmod(t, 1_000_000_000))))
-        for t, p, v, a in zip(times, poses, twists, rates, strict=True)]
-    stamp = T['builtin_interfaces/msg/Time'](17, 5)
-    theirs = T[MULTI_DOF](T['std_msgs/msg/Header'](stamp, frame), list(names), points)
+    theirs = made.built(MULTI_DOF, ((((17, 5), frame), list(names), [
+        (parts[0] * [(p[:3], p[3:])], parts[1] * [(v[:3], v[3:])], parts[2] * [(a[:3], a[3:])],
+         divmod(int(t), 10**9)) for t, p, v, a in zip(times, poses, twists, rates, strict=True)])))
     ours = PlanMessage(
         17_000_000_005, frame, tuple(names), times, poses, twists if parts[1] else None,
         rates if parts[2] else None)

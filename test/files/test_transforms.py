@@ -10,10 +10,10 @@ from bellows_ros.workflows.info import info
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from rosbags.typesys import get_typestore, Stores
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-t = STORE.types
+from . import recordings as made
+
+t = made.TYPES.types
 T0 = 1_700_000_000_000_000_000
 MOUNT = exp_se3([0.1, -0.2, 0.3, 0.3, 0.1, -0.4])
 FLANGE = exp_se3([0.0, 0.0, 0.12, 0.0, 0.5, 0.0])
@@ -33,13 +33,9 @@ def box_in_camera(s):
 
 
 def message(parent, child, T, ns):
-    q = rotation_to_quaternion(T[:3, :3])
-    stamped = t['geometry_msgs/msg/TransformStamped'](
-        t['std_msgs/msg/Header'](t['builtin_interfaces/msg/Time'](*divmod(ns, 10**9)), parent),
-        child, t['geometry_msgs/msg/Transform'](
-            t['geometry_msgs/msg/Vector3'](*map(float, T[:3, 3])),
-            t['geometry_msgs/msg/Quaternion'](*map(float, q))))
-    return bytes(STORE.serialize_cdr(t[TF]([stamped]), TF))
+    pose = T[:3, 3], rotation_to_quaternion(T[:3, :3])
+    return bytes(made.TYPES.serialize_cdr(
+        made.built(TF, [[(made.header(ns, parent), child, pose)]]), TF))
 
 
 def recording(folder, more=()):

@@ -27,7 +27,7 @@ import yaml
 
 from ..core.planning.test_arm import URDF
 from ..core.plans import CUP, Move
-from ..files.recordings import POSE, TWIST, TYPES
+from ..files.recordings import built, header, POSE, TWIST, TYPES
 from ..files.yaml_plans import BAD, damaged_at, places_in, plan_messages
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
@@ -38,7 +38,6 @@ VALUES = {
     'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01,
 }
 T0 = 1_700_000_000_000_000_000
-t = TYPES.types
 FIGURES = ('smallest_safety_factor', 'peak_bending', 'peak_force', 'peak_moment', 'swing_left')
 
 
@@ -62,15 +61,9 @@ def bag_of(path, kind, data, topic='/plan'):
     return path
 
 
-def header(frame='base', ns=0):
-    """Return a header."""
-    stamp = t['builtin_interfaces/msg/Time'](*map(int, divmod(ns, 10**9)))
-    return t['std_msgs/msg/Header'](stamp, frame)
-
-
-def encoded(kind, content):
-    """Return a message as CDR."""
-    return bytes(TYPES.serialize_cdr(content, kind))
+def encoded(kind, values):
+    """Return a message as CDR, of nested values."""
+    return bytes(TYPES.serialize_cdr(built(kind, values), kind))
 
 
 def figures(path, **options):
@@ -129,10 +122,8 @@ def joints(rate_hz=100):
 def joint_message(names=('turn', 'slide', 'spin')):
     """Return a plan of joints."""
     times, position, velocity = joints()
-    points = [t['trajectory_msgs/msg/JointTrajectoryPoint'](
-        q, v, np.array([]), np.array([]), t['builtin_interfaces/msg/Duration'](0, int(at)))
-        for at, q, v in zip(times, position, velocity, strict=True)]
-    return t[JOINTS](header(''), list(names), points)
+    return header(0, ''), names, [
+        (q, v, [], [], (0, int(at))) for at, q, v in zip(times, position, velocity, strict=True)]
 
 
 def upright(urdf):
@@ -147,10 +138,9 @@ def upright(urdf):
 def joint_recording(folder):
     """Write a recording with a robot description and joint states, and none of the tool."""
     times, position, velocity = joints()
-    states = [t[STATES](header('', T0 + int(at)), ['slide', 'turn', 'spin'],
-                        q[[1, 0, 2]], v[[1, 0, 2]], np.array([]))
+    states = [(header(T0 + at, ''), ['slide', 'turn', 'spin'], q[[1, 0, 2]], v[[1, 0, 2]], [])
               for at, q, v in zip(times, position, velocity, strict=True)]
-    urdf = t[DESCRIPTION](upright(URDF))
+    urdf = (upright(URDF),)
     write_bag(folder, [
         Encoded('/robot_description', DESCRIPTION, np.array([T0]), [encoded(DESCRIPTION, urdf)]),
         Encoded('/joint_states', STATES, T0 + times,
@@ -181,16 +171,10 @@ def tf_recording(folder):
     """Write a recording that has only transforms: a mount, an arm, and the tool on it."""
     times, poses, _ = samples()
 
-    def stamped(parent, child, xyz, q, ns):
-        return t['geometry_msgs/msg/TransformStamped'](
-            header(parent, ns), child, t['geometry_msgs/msg/Transform'](
-                t['geometry_msgs/msg/Vector3'](*map(float, xyz)),
-                t['geometry_msgs/msg/Quaternion'](*map(float, q))))
-
-    fixed = t[TF]([stamped('flange', 'tool', [0, 0, 0.1], [0, 0, 0, 1], 0)]) if TF in t else None
-    if fixed is None:
+    if TF not in TYPES.types:
         pytest.skip('this rosbags does not know tf2_msgs')
-    moving = [t[TF]([stamped('base', 'flange', p[:3], p[3:], T0 + int(at))])
+    fixed = [[(header(0, 'flange'), 'tool', ([0, 0, 0.1], [0, 0, 0, 1]))]]
+    moving = [[[(header(T0 + at, 'base'), 'flange', (p[:3], p[3:]))]]
               for at, p in zip(times, poses, strict=True)]
     write_bag(folder, [
         Encoded('/tf_static', TF, np.array([T0]), [encoded(TF, fixed)]),
@@ -394,16 +378,14 @@ def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path, values):
 
 
 def test_a_plan_in_a_frame_that_transforms_tilt_is_refused(tmp_path):
-    if TF not in t:
+    if TF not in TYPES.types:
         pytest.skip('this rosbags does not know tf2_msgs')
     half = math.radians(15.0)
-    stamped = t['geometry_msgs/msg/TransformStamped'](
-        header('base'), 'camera', t['geometry_msgs/msg/Transform'](
-            t['geometry_msgs/msg/Vector3'](0.0, 0.0, 1.0),
-            t['geometry_msgs/msg/Quaternion'](math.sin(half), 0.0, 0.0, math.cos(half))))
+    tilted = [[(header(0, 'base'), 'camera', (
+        [0.0, 0.0, 1.0], [math.sin(half), 0.0, 0.0, math.cos(half)]))]]
     for frame in ('base', 'camera'):
         write_bag(tmp_path / frame, [
-            Encoded('/tf_static', TF, np.array([T0]), [encoded(TF, t[TF]([stamped]))]),
+            Encoded('/tf_static', TF, np.array([T0]), [encoded(TF, tilted)]),
             Encoded('/plan', MULTI_DOF, np.array([T0]),
                     [encode_multi_dof(message(frame_id=frame))])])
     assert figures(tmp_path / 'base')['frame_id'] == 'base'
