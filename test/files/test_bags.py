@@ -119,7 +119,7 @@ def faulty(index, reason):
     pose = made.pose_values(100)[index]
     options = {}
     if reason == 'nan':
-        pose[index % 7] = (np.nan, np.inf, -np.inf)[index % 3]
+        pose[2 + index % 5] = (np.nan, np.inf, -np.inf)[index % 3]  # of both parts
     elif reason == 'zero_quaternion':
         pose[3:] *= 1e-9
     elif reason == 'not_unit':

@@ -11,57 +11,72 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import pose_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
-from bellows_ros.files.bags import message_types, read_streams
+from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.observe import observed
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import predicted_live, replay, tool_messages
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from ..files.recordings import encoded, POSE_COVARIANCE
+from ..files.recordings import built, encoded, header, POSE, POSE_COVARIANCE, TWIST, TYPES
 
 NOISE = 2e-3, 1e-2
 ROLES = {'tool': 'tool_arm/pose', 'twist': 'tool_arm/twist', 'package': 'package/pose'}
+CAMERA = 'camera/box'
+SEEN = {'tool': ROLES['tool'], 'package': ROLES['package'], 'camera': CAMERA}
+T_WORLD_CAMERA = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
+
+
+def poses(role, stamps_ns, position, rotation, frame_id='world'):
+    """Give poses to record."""
+    return Recorded('/' + SEEN[role], POSE, stamps_ns,
+                    np.hstack([position, rotation_to_quaternion(rotation)]), frame_id)
+
+
+def of(streams, *roles):
+    """Give the poses of streams to record."""
+    return [poses(role, own.stamps_ns, own.position, own.rotation)
+            for role, own in ((role, streams[role]) for role in roles)]
+
+
+def text_of(T):
+    """Give a pose as a parameter."""
+    return ' '.join(map(str, [*T[:3, 3], *rotation_to_quaternion(T[:3, :3])]))
 
 
 @pytest.fixture(scope='module')
-def filmed(root, tmp_path_factory):
+def known(root):
+    """Give the parameters of the shipped cup and package."""
+    return {
+        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml')}
+
+
+@pytest.fixture(scope='module')
+def filmed(root, known, tmp_path_factory):
     """Give the shipped validation with a camera of 30 Hz, and its parameters."""
-    bag = root / 'bags' / 'validation'
-    streams = read_streams(bag, ROLES)
-    tool, twist, package = (streams[role] for role in ROLES)
+    streams = read_streams(root / 'bags' / 'validation', ROLES)
+    twist, package = streams['twist'], streams['package']
     rng = np.random.default_rng(1)
     which = np.arange(12, len(package.stamps_ns), 12)
     position = package.position[which] + rng.normal(size=(len(which), 3)) * NOISE[0]
-    turns = [exp_so3(turn) for turn in rng.normal(size=(len(which), 3)) * NOISE[1]]
+    turns = exp_so3(rng.normal(size=(len(which), 3)) * NOISE[1])
     position[20::20] += 0.2  # wild ones
     folder = tmp_path_factory.mktemp('filmed') / 'bag'
-    pose = 'geometry_msgs/msg/PoseStamped'
     write_bag(folder, [
-        Recorded('/' + ROLES['tool'], pose, tool.stamps_ns, rows(tool.position, tool.rotation)),
-        Recorded('/' + ROLES['package'], pose, package.stamps_ns,
-                 rows(package.position, package.rotation)),
-        Recorded('/' + ROLES['twist'], 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
+        *of(streams, 'tool', 'package'),
+        Recorded('/' + ROLES['twist'], TWIST, twist.stamps_ns,
                  np.hstack([twist.linear, twist.angular])),
-        Recorded('/camera/box', pose, package.stamps_ns[which],
-                 rows(position, package.rotation[which] @ turns)),
-    ])
-    values = {
-        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml')}
-    return folder, values
-
-
-def rows(position, rotation):
-    """Give poses as they are recorded."""
-    return np.hstack([position, rotation_to_quaternion(rotation)])
+        poses('camera', package.stamps_ns[which], position, package.rotation[which] @ turns)])
+    return folder, known
 
 
 def test_both_are_better_than_either(filmed):
     """Grip the package 10 mm beside its middle: the camera says so, and the model its noise."""
     bag, values = filmed
     wrong = {**values, 'package.com': (0.01, 0.0, -0.03), 'payload.estimate': True}
-    found = replay(bag, wrong, observe='camera/box').observed
+    found = replay(bag, wrong, observe=CAMERA).observed
     alone, camera, both = (way.scores.rms for way in found.ways.values())
     size = [np.linalg.norm(rms[:3]) for rms in (alone, camera, both)]
     turn = [np.linalg.norm(rms[3:]) for rms in (alone, camera, both)]
@@ -77,22 +92,16 @@ def test_both_are_better_than_either(filmed):
 def test_two_worlds_are_brought_into_one(filmed, tmp_path):
     """Correct as well by a camera that sees the package from a world of its own."""
     bag, values = filmed
-    T = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
-    back = inverse_transform(T)
-    recorded = []
-    for topic in (ROLES['tool'], ROLES['package'], 'camera/box'):
-        own = read_streams(bag, {'tool_pose': topic})['tool_pose']
-        o, R = own.position, own.rotation
-        if topic != ROLES['tool']:
-            o, R = back[:3, 3] + o @ back[:3, :3].T, back[:3, :3] @ R
-        recorded.append(Recorded('/' + topic, 'geometry_msgs/msg/PoseStamped', own.stamps_ns,
-                                 rows(o, R), 'base' if topic == ROLES['tool'] else 'mocap'))
-    write_bag(tmp_path / 'two', recorded)
-    pose = [*T[:3, 3], *rotation_to_quaternion(T[:3, :3])]
+    back = inverse_transform(T_WORLD_CAMERA)
+    streams = read_streams(bag, SEEN)
+    write_bag(tmp_path / 'two', [*of(streams, 'tool'), *(
+        poses(role, own.stamps_ns, back[:3, 3] + own.position @ back[:3, :3].T,
+              back[:3, :3] @ own.rotation, 'mocap')
+        for role, own in streams.items() if role != 'tool')])
     part = {**values, 'topics.tool_twist': '', 'recording.start': 2.0, 'recording.end': 6.0}
-    one = replay(bag, part, observe='camera/box').observed
-    apart = {**part, 'recording.package_world': ' '.join(map(str, pose))}
-    two = replay(tmp_path / 'two', apart, observe='camera/box').observed
+    one = replay(bag, part, observe=CAMERA).observed
+    apart = {**part, 'recording.package_world': text_of(T_WORLD_CAMERA)}
+    two = replay(tmp_path / 'two', apart, observe=CAMERA).observed
     assert two.counts == one.counts and one.counts['used'] < 130  # of 4 s
     for way in one.ways:
         np.testing.assert_allclose(two.ways[way].scores.rms, one.ways[way].scores.rms, rtol=1e-3)
@@ -103,12 +112,11 @@ def test_calibration_leads_to_where_the_camera_is(filmed):
     bag, values = filmed
     settings = resolve({**values, 'measured.calibrate': True})
     recording = load(bag, settings)
-    turn, shift = exp_so3(np.array([0.02, -0.01, 0.03])), np.array([0.015, -0.01, 0.005])
-    pose = [*shift, *rotation_to_quaternion(turn)]
-    settings['recording.package_world'] = ' '.join(map(str, pose))
+    settings['recording.package_world'] = text_of(transform(
+        exp_so3(np.array([0.02, -0.01, 0.03])), np.array([0.015, -0.01, 0.005])))
     found = observed(
         bag, recording, tool_messages(recording, settings), predicted_live(recording, settings),
-        settings, 'camera/box').parameters
+        settings, CAMERA).parameters
     world = pose_of(found['recording.package_world'])
     at = recording.measured_package.position
     error = at @ quaternion_to_rotation(world[3:]).T + world[:3] - at
@@ -120,19 +128,14 @@ def test_calibration_leads_to_where_the_camera_is(filmed):
 def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):
     """Say why poses of another clock and in another frame are not used."""
     bag, values = filmed
-    streams = read_streams(bag, {**ROLES, 'camera': 'camera/box'})
+    streams = read_streams(bag, SEEN)
     camera = streams['camera']
-    tool, package = (
-        Recorded('/' + ROLES[role], 'geometry_msgs/msg/PoseStamped', streams[role].stamps_ns,
-                 rows(streams[role].position, streams[role].rotation), 'world')
-        for role in ('tool', 'package'))
 
     def seen(name, late_ns=0, frame_id='world'):
-        write_bag(tmp_path / name, [tool, package, Recorded(
-            '/camera/box', 'geometry_msgs/msg/PoseStamped', camera.stamps_ns + late_ns,
-            rows(camera.position, camera.rotation), frame_id)])
+        write_bag(tmp_path / name, [*of(streams, 'tool', 'package'), poses(
+            'camera', camera.stamps_ns + late_ns, camera.position, camera.rotation, frame_id)])
         return replay(
-            tmp_path / name, {**values, 'topics.tool_twist': ''}, observe='camera/box').observed
+            tmp_path / name, {**values, 'topics.tool_twist': ''}, observe=CAMERA).observed
 
     early = seen('early', late_ns=-3_600_000_000_000)
     assert early.counts == {'not_held': len(camera.stamps_ns)}
@@ -144,31 +147,27 @@ def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):
 def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
     """Correct by them in whichever axes they come, not by measured.noise, and refuse a bad one."""
     bag, values = filmed
-    streams = read_streams(bag, {**ROLES, 'camera': 'camera/box'})
+    streams = read_streams(bag, SEEN)
     values = {**values, 'topics.tool_twist': '', 'recording.start': 2.0, 'recording.end': 6.0}
 
     def seen(name, sizes, T=None, **changes):
         T = np.eye(4) if T is None else T
         o, R = T[:3, 3], T[:3, :3]
-        tool, package, camera = (
-            rows(own.position, own.rotation) if role == 'tool' else
-            rows(o + own.position @ R.T, R @ own.rotation)
-            for role, own in streams.items() if role != 'twist')
+        package, camera = (
+            poses(role, own.stamps_ns, o + own.position @ R.T, R @ own.rotation)
+            for role, own in streams.items() if role != 'tool')
         both = np.kron(np.eye(2), R)
         noise = (both @ np.diag(np.square(sizes)) @ both.T).ravel()
-        stamps = streams['camera'].stamps_ns
         data = [encoded(POSE_COVARIANCE, ns, row, covariance=noise if i != 100 else np.nan * noise)
-                for i, (ns, row) in enumerate(zip(stamps, camera, strict=True))]
+                for i, (ns, row) in enumerate(zip(camera.stamps_ns, camera.values, strict=True))]
         write_bag(tmp_path / name, [
-            *(Recorded('/' + ROLES[role], 'geometry_msgs/msg/PoseStamped',
-                       streams[role].stamps_ns, own)
-              for role, own in (('tool', tool), ('package', package))),
-            Encoded('/camera/box', POSE_COVARIANCE, stamps, data)])
+            *of(streams, 'tool'), package,
+            Encoded(camera.topic, POSE_COVARIANCE, camera.stamps_ns, data)])
         settings = resolve({**values, **changes})
         recording = load(tmp_path / name, settings)
         found = observed(
             tmp_path / name, recording, tool_messages(recording, settings),
-            predicted_live(recording, settings), settings, 'camera/box')
+            predicted_live(recording, settings), settings, CAMERA)
         assert found.counts['covariance'] == 1
         return found.both.scores.rms
 
@@ -178,42 +177,33 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
     np.testing.assert_allclose(even, by_values, rtol=1e-9)
     uneven = seen('uneven', known * [1, 5, 1, 1, 1, 1])
     assert np.abs(uneven / even - 1.0).max() > 0.05
-    T = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -0.7, 0.3]))
-    pose = [*T[:3, 3], *rotation_to_quaternion(T[:3, :3])]
-    apart = seen('apart', known * [1, 5, 1, 1, 1, 1], inverse_transform(T), **{
-        'recording.package_world': ' '.join(map(str, pose))})
+    apart = seen('apart', known * [1, 5, 1, 1, 1, 1], inverse_transform(T_WORLD_CAMERA), **{
+        'recording.package_world': text_of(T_WORLD_CAMERA)})
     np.testing.assert_allclose(apart, uneven, rtol=1e-3)
 
 
 def breaking(stamps, at_ns, bad=False):
     """Give pressures (ns, Pa) that rise at a time, as they are recorded."""
-    types, kind = message_types(), 'sensor_msgs/msg/FluidPressure'
-    t, data = types.types, []
-    for ns in stamps.tolist():
-        stamp = t['builtin_interfaces/msg/Time'](*divmod(ns, 1_000_000_000))
-        pressure = np.nan if bad else 40e3 if ns < at_ns else 100e3
-        data.append(bytes(types.serialize_cdr(
-            t[kind](t['std_msgs/msg/Header'](stamp, ''), pressure, 0.0), kind)))
+    kind = 'sensor_msgs/msg/FluidPressure'
+    data = [bytes(TYPES.serialize_cdr(built(kind, (
+        header(ns, ''), np.nan if bad else 40e3 if ns < at_ns else 100e3, 0.0)), kind))
+        for ns in stamps.tolist()]
     return Encoded('/cell/vacuum/pressure', kind, stamps, data)
 
 
 def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
     """By its camera until it is 0.5 m below, sooner with the vacuum; no other cause is named."""
     bag, values = filmed
-    streams = read_streams(bag, {**ROLES, 'camera': 'camera/box'})
+    streams = read_streams(bag, SEEN)
     at_ns, recorded = int(streams['tool'].stamps_ns[0]) + 5_000_000_000, []
-    for role, topic in {**ROLES, 'camera': 'camera/box'}.items():
-        own = streams[role]
-        if role == 'twist':
-            continue
+    for role, own in streams.items():
         position, falls = own.position.copy(), role != 'tool'
         position[:, 2] -= falls * 4.9 * np.square(np.maximum(own.stamps_ns - at_ns, 0) * 1e-9)
         seen = own.stamps_ns < at_ns + (320_000_000 if falls else 10**15)
-        recorded.append(Recorded('/' + topic, 'geometry_msgs/msg/PoseStamped',
-                                 own.stamps_ns[seen], rows(position, own.rotation)[seen]))
+        recorded.append(poses(role, own.stamps_ns[seen], position[seen], own.rotation[seen]))
     values = {**values, 'topics.tool_twist': '', 'recording.start': 3.0}
     write_bag(tmp_path / 'dropped', recorded)
-    found = replay(tmp_path / 'dropped', values, observe='camera/box')
+    found = replay(tmp_path / 'dropped', values, observe=CAMERA)
     (seconds, alarm), = found.observed.alarms
     assert (alarm.cause, alarm.second) == ('lost', 'camera')
     assert 2.0 < seconds < 2.3
@@ -223,42 +213,28 @@ def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
     values['vacuum.signal'] = 'pressure'
     write_bag(tmp_path / 'heard', [*recorded, breaking(pressures, at_ns)])
     (seconds, alarm), = replay(
-        tmp_path / 'heard', values, observe='camera/box').observed.alarms
+        tmp_path / 'heard', values, observe=CAMERA).observed.alarms
     assert (alarm.cause, alarm.second) == ('lost', 'leak')
     assert 2.0 <= seconds < 2.06
     write_bag(tmp_path / 'deaf', [*recorded, breaking(pressures, at_ns, bad=True)])
     with pytest.raises(BellowsError, match="vacuum.signal is 'pressure'.*vacuum/pressure"):
-        replay(tmp_path / 'deaf', values, observe='camera/box')
+        replay(tmp_path / 'deaf', values, observe=CAMERA)
 
 
-def with_memory(streams, which, seconds, rng, noise=NOISE):
-    """Give camera rows whose noise has a memory (s), 30 Hz."""
-    kept = np.exp(-1.0 / 30.0 / seconds)
-    n = rng.normal(size=(len(which), 6))
-    for k in range(1, len(n)):
-        n[k] = kept * n[k - 1] + np.sqrt(1.0 - kept**2) * n[k]
-    package = streams['package']
-    turns = exp_so3(n[:, 3:] * noise[1])
-    return rows(package.position[which] + n[:, :3] * noise[0], package.rotation[which] @ turns)
-
-
-def test_alarms_are_calibrated_on_sound_work(root, tmp_path):
+def test_alarms_are_calibrated_on_sound_work(root, known, tmp_path):
     """Find noise of 3 mm and 15 mrad with a memory of 100 ms, and say what it makes of alarms."""
     streams = read_streams(root / 'bags' / 'validation', ROLES)
-    which = np.arange(12, len(streams['package'].stamps_ns), 12)
+    package, noise = streams['package'], (3e-3, 15e-3)
+    which = np.arange(12, len(package.stamps_ns), 12)  # 30 Hz
+    kept, n = np.exp(-1.0 / 3.0), np.random.default_rng(2).normal(size=(len(which), 6))
+    n[1:] *= np.sqrt(1.0 - kept**2)
+    n = lfilter([1.0], [1.0, -kept], n, axis=0)
     bag = tmp_path / 'bag'
-    pose = 'geometry_msgs/msg/PoseStamped'
-    noise = 3e-3, 15e-3
-    camera = with_memory(streams, which, 0.1, np.random.default_rng(2), noise)
-    write_bag(bag, [
-        *(Recorded('/' + ROLES[role], pose, streams[role].stamps_ns,
-                   rows(streams[role].position, streams[role].rotation))
-          for role in ('tool', 'package')),
-        Recorded('/camera/box', pose, streams['package'].stamps_ns[which], camera)])
-    values = {
-        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml'),
-        'topics.tool_twist': '', 'measured.noise': (1e-3, 5e-3)}
-    found = replay(bag, values, observe='camera/box', calibrate_alarms=True).observed
+    write_bag(bag, [*of(streams, 'tool', 'package'), poses(
+        'camera', package.stamps_ns[which], package.position[which] + n[:, :3] * noise[0],
+        package.rotation[which] @ exp_so3(n[:, 3:] * noise[1]))])
+    values = {**known, 'topics.tool_twist': '', 'measured.noise': (1e-3, 5e-3)}
+    found = replay(bag, values, observe=CAMERA, calibrate_alarms=True).observed
     calibration = found.alarm_calibration
     # some 13 s hold some 60 independent values in each of three axes
     np.testing.assert_allclose(calibration.parameters['measured.noise'], noise, rtol=0.25)
@@ -268,4 +244,4 @@ def test_alarms_are_calibrated_on_sound_work(root, tmp_path):
     assert calibration.after.per_hour < min(calibration.before.per_hour, 100.0)
     assert calibration.after.per_hour < calibration.after.at_most
     with pytest.raises(BellowsError, match='usable measured poses'):
-        replay(bag, {**values, 'recording.end': 4.0}, observe='camera/box', calibrate_alarms=True)
+        replay(bag, {**values, 'recording.end': 4.0}, observe=CAMERA, calibrate_alarms=True)
