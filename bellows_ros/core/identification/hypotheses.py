@@ -70,6 +70,9 @@ NOT_KNOWN = 1e200
 TENFOLD = float(np.log(10.0))
 """No inertia is off by more, but by its unit."""
 
+BENT = 0.02
+"""Part by which an entry of K is otherwise at the largest deflection, at least, to be said."""
+
 MOST_TURNED = float(np.radians(30.0))
 """Frames and worlds that are turned further are in other axes."""
 
@@ -287,8 +290,9 @@ def _trials(ensemble: Ensemble, world: str, beside: Hypothesis | None = None) ->
     objective, structure = Objective.of(ensemble, beside is not None), ensemble.given[0].structure
     before = objective.solved(ensemble)
     if before.excess < _chance(before):
-        return _Round(before, _in_order(
-            _tried(h, objective, ensemble) for h in _OTHERWISE), structure, objective)
+        tried = _in_order(_tried(h, objective, ensemble) for h in _OTHERWISE)
+        return _Round(before, sorted(tried, key=lambda own: not own.is_significant), structure,
+                      objective)
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
     tried = _in_order(
@@ -313,6 +317,11 @@ class _Trial(NamedTuple):
     theta: Array
     std: Array
     solved: Solved
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether one of its numbers is many standard errors from nothing, or it has none."""
+        return not len(self.theta) or bool(np.any(np.abs(self.theta) > SIGNIFICANT * self.std))
 
     def vary(self, given: Sequence[Given]) -> list[Given]:
         """Return recordings as they are by the hypothesis."""
@@ -411,15 +420,14 @@ def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
             excess < _chance(before) and other.solved.excess - excess > least)
 
     if own in _OTHERWISE and before.excess < DOUBTED:
-        others = min([before.excess, *(t.solved.excess for t in tried if t is not trial)])
+        others = min([before.excess, *(t.solved.excess for t in tried
+                                       if t is not trial and t.is_significant)])
         certain = others - trial.solved.excess > least
     else:
         certain = left < DISTINCT**2 * first + _chance(before) and (
             left < DISTINCT * first and excess < ONE_OF_MANY) and all(
                 dominated(t) for t in tried
                 if t.hypothesis.name != own.name and not any(t is i for i in instead))
-    if len(theta):
-        certain = certain and bool(np.any(np.abs(theta) > SIGNIFICANT * std))
     diagonal = [i for i, (row, column) in enumerate(structure.leads)
                 if row == column and structure.labels[i] in labels]
     moved = change = np.zeros(1)
@@ -430,8 +438,9 @@ def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
         best = int(np.argmax(np.isin(entries, diagonal) * np.abs(theta) / std))
         value, theta, std = structure.labels[entries[best]], theta[[best]], std[[best]]
         change = np.abs(theta)
-    material = own.name == 'structure' or left < DISTINCT**2 * first or np.any(change > MATERIAL)
+    material = own.name == 'structure' or left < DISTINCT**2 * first or np.any(
+        change > (BENT if own in _OTHERWISE else MATERIAL))
     return Finding(
         own.name, value, theta, std, float(np.sqrt(left / first)), float(moved.max(initial=0.0)),
-        own.datum, bool(certain and material and trial is tried[0]),
+        own.datum, bool(certain and material and trial.is_significant and trial is tried[0]),
         instead[0].hypothesis.value or instead[0].hypothesis.name if instead else '', excess)
