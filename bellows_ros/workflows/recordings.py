@@ -6,7 +6,7 @@ import math
 import os
 from typing import Any
 
-from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.model.cup_package import one_cup_of, package_of
 from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters.checks import (
@@ -15,7 +15,15 @@ from bellows_ros.core.parameters.checks import (
     RECORDING_PARAMETERS,
     require,
 )
-from bellows_ros.core.recording.preparation import filter_streams
+from bellows_ros.core.recording.alignment import (
+    Alignment,
+    closed_form,
+    in_tool_world,
+    pose_of,
+    rough_offset,
+    shifted_pose,
+)
+from bellows_ros.core.recording.preparation import filter_streams, FilteredStreams
 from bellows_ros.core.recording.recording import (
     PackageWorld,
     PrepareSettings,
@@ -168,109 +176,66 @@ def _prepared(
     values: Mapping[str, Any],
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
-    if values['fit.method'] == 'output_error' and (
-            values['recording.package_world'] == ESTIMATE or values['fit.time_offset']
-            or 'package_marker' in values['fit.free']):
-        return _registered(tool, package, twist, settings, values)
-    world = values['recording.package_world']
-    recorded, pose = package, None
+    world, late = values['recording.package_world'], values['fit.time_offset']
+    estimate, marked = world == ESTIMATE, 'package_marker' in values['fit.free']
+    simulated = values['fit.method'] == 'output_error' and (estimate or late or marked)
     if world == '':
         require_one_frame(tool, package)
-    else:
-        from bellows_ros.core.recording.alignment import (  # late: rare
-            closed_form,
-            in_tool_world,
-            pose_of,
-        )
+    rough_s = 0.0
+    if simulated and late:
+        rough_s = rough_offset(tool.trajectory(), package.trajectory())
+        tool, twist = _earlier(tool, rough_s), twist and _earlier(twist, rough_s)
+    pose, alignment = _first_guess(tool, package, settings, values, simulated)
 
-        origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
-        pose = pose_of(world) if world != ESTIMATE else closed_form(
-            tool.trajectory(), package.trajectory(), values['cup.length'], origin,
-            settings.align_at_rest)
-        package = in_tool_world(recorded, pose, tool.frame_id)
-    filtered = filter_streams(tool, package, settings, twist)
-    recording = filtered.joined()
-    if not (world == ESTIMATE or values['fit.time_offset']):
-        return recording
-    from bellows_ros.core.identification.registration import refined_preparation
-    from bellows_ros.core.recording.alignment import in_tool_world, shifted_pose
+    def filtered(alignment: Alignment | None) -> FilteredStreams:
+        """Return the streams in the world of the tool, filtered."""
+        there = package if pose is None else in_tool_world(package, pose, tool.frame_id)
+        return filter_streams(tool, there, settings, twist, alignment)
 
-    wanted = (values['cup.length'], given_structure(values), world == ESTIMATE,
-              values['fit.time_offset'])
-    changes = dict[str, Any]()
-    for rough in (True, False) if world == ESTIMATE else (False,):
-        found = refined_preparation(recording, *wanted, rough)
+    streams = filtered(alignment)
+    if not (estimate or late or simulated):
+        return streams.joined()
+    from bellows_ros.core.identification.registration import refined_preparation, registered
+
+    changes, structure = dict[str, Any](), given_structure(values)
+    names = [name for name, wanted in (
+        ('time_offset', late), ('package_world', estimate),
+        ('package_marker', marked and simulated)) if wanted]
+    for rough in (True, False) if estimate and not simulated else (False,):
+        recording = streams.joined()
+        found = (registered(recording, structure, one_cup_of(values), names) if simulated else
+                 refined_preparation(recording, structure, values['cup.length'], names, rough))
         if found.world is not None and pose is not None:
             pose = shifted_pose(pose, settings.R_world_recorded, found.middle, found.world)
             changes['package_world'] = PackageWorld(pose, found.world_std)
-            package = in_tool_world(recorded, pose, tool.frame_id)
-            filtered = filter_streams(
-                tool, package, settings, twist, None if rough else found.alignment)
-            recording = filtered.joined()
-    if values['fit.time_offset']:
-        if found.offset is None:
-            changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
-        else:
-            filtered, changes['time_offset'] = filtered.earlier(found.offset), found.offset
-    recording = filtered.joined()
-    return replace(recording, report=replace(recording.report, **changes))
-
-
-def _registered(
-    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Mapping[str, Any],
-) -> Recording:
-    """Return prepared streams whose clocks, worlds and marker are found by simulation."""
-    from bellows_ros.core.identification.registration import (  # late: rare
-        hand_eye,
-        registered,
-        regripped,
-    )
-    from bellows_ros.core.recording.alignment import (
-        in_tool_world,
-        pose_of,
-        rough_offset,
-        shifted_pose,
-    )
-
-    world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
-    wanted = {'time_offset': values['fit.time_offset'], 'package_world': world == ESTIMATE,
-              'package_marker': marked}
-    offset, recorded, pose, alignment = 0.0, package, None, None
-    if values['fit.time_offset']:
-        offset = rough_offset(tool.trajectory(), package.trajectory())
-        tool, twist = _earlier(tool, offset), twist and _earlier(twist, offset)
-    if world == '':
-        require_one_frame(tool, package)
-    elif world != ESTIMATE:
-        pose = pose_of(world)
-    if marked or world == ESTIMATE:
-        guess, grip = hand_eye(tool.trajectory(), package.trajectory(), values['cup.length'],
-                               settings.payload.com)
-        pose = guess if world == ESTIMATE else pose
-        alignment = grip if marked else None
-    if pose is not None:
-        package = in_tool_world(recorded, pose, tool.frame_id)
-    filtered = filter_streams(tool, package, settings, twist, alignment)
-    found = registered(filtered.joined(), given_structure(values),
-                       one_cup_of(values), [name for name, own in wanted.items() if own])
-    changes = dict[str, Any]()
-    if 'package_world' in found.values and pose is not None:
-        pose = shifted_pose(pose, settings.R_world_recorded, found.middle,
-                            found.values['package_world'])
-        changes['package_world'] = PackageWorld(pose, found.std['package_world'])
-        package = in_tool_world(recorded, pose, tool.frame_id)
-    alignment = filtered.alignment
-    if marked:
-        alignment = regripped(alignment, found.values['package_marker'])
-    if 'time_offset' in found.values:
-        fine = float(found.values['time_offset'][0])
-        tool, twist = _earlier(tool, fine), twist and _earlier(twist, fine)
-        changes['time_offset'] = TimeOffset(offset + fine, float(found.std['time_offset'][0]))
-    recording = filter_streams(tool, package, settings, twist, alignment).joined()
-    if values['fit.time_offset'] and 'time_offset' not in found.values:
+        if found.alignment is not None:
+            streams = filtered(None if rough else found.alignment)
+    if found.offset is not None:
+        streams = streams.earlier(found.offset)
+        changes['time_offset'] = TimeOffset(rough_s + found.offset.value, found.offset.std)
+    recording = streams.joined()
+    if late and found.offset is None:
         changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
     return replace(recording, report=replace(recording.report, **changes))
+
+
+def _first_guess(
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Mapping[str, Any],
+    simulated: bool,
+) -> tuple[Array | None, Alignment | None]:
+    """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
+    world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
+    pose = pose_of(world) if world not in ('', ESTIMATE) else None
+    poses, length = (tool.trajectory(), package.trajectory()), values['cup.length']
+    if simulated and (world == ESTIMATE or marked):
+        from bellows_ros.core.identification.registration import hand_eye  # late: rare
+
+        guess, grip = hand_eye(*poses, length, settings.payload.com)
+        return guess if world == ESTIMATE else pose, grip if marked else None
+    if world == ESTIMATE:
+        origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
+        pose = closed_form(*poses, length, origin, settings.align_at_rest)
+    return pose, None
 
 
 def _earlier(stream: Any, seconds: float) -> Any:

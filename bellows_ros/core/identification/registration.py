@@ -5,7 +5,7 @@ First guesses come from what needs no cup: both bodies turn alike, and at about 
 Then all is free beside K and P in the output error; for least squares, in its objective.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -33,6 +33,15 @@ from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
+
+LARGEST_ERROR = 3e-4
+"""Largest standard error (s) of an identifiable time offset."""
+
+WORLD_ERROR = 5e-3
+"""Largest standard error (m, rad) of an identifiable transform between two worlds."""
+
+BEYOND_RANGE = 0.9
+"""If residuals at the largest offset fall below this fraction, the true offset is larger."""
 
 
 def hand_eye(
@@ -71,18 +80,25 @@ def hand_eye(
 
 
 class Registered(NamedTuple):
-    """Values and standard errors by names of `KINDS`, SI units, and the middle of the way."""
+    """
+    What was found beside K and P in one recording, None where it is not wanted or identifiable.
 
-    values: Mapping[str, Array]
-    std: Mapping[str, Array]
+    The motion of the package's world (6,) about a point (3,), with its standard errors (6,), the
+    alignment with which the streams are to be filtered again, and the time offset.
+    """
+
+    world: Array | None
+    world_std: Array
     middle: Array
+    alignment: Alignment | None
+    offset: TimeOffset | None
 
 
 def registered(
     recording: Recording, structure: Structure, start: Cup, names: Sequence[str]
 ) -> Registered:
     """
-    Find what is free beside K and P in one recording; leave out a clock that it does not tell.
+    Find what is free beside K and P by simulation; leave out a clock that it does not tell.
 
     Raises
     ------
@@ -93,71 +109,50 @@ def registered(
     measured = measured_of(recording)
     search = Search([Segment(own) for own in measured], structure, start, anything(names))
     found = search.found(lambda cup, chi2: None)
-    middle = np.asarray(measured[0].middle)
+    middle, alignment = np.asarray(measured[0].middle), recording.alignment
     if not found.converged and list(names) == ['time_offset']:
-        return Registered({}, {}, middle)
+        return Registered(None, np.zeros(6), middle, alignment, None)
     if not found.converged:
         raise BellowsError(
             f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '
             'and package.com, and tilt and turn the tool more.')
-    x = search.units * found.theta
-    std = search.units * np.sqrt(np.diag(np.linalg.inv(found.information)))
-    places = {name: own[0] for name, own in search.places.items()
-              if name != 'time_offset' or std[own[0, 0]] < KINDS[name].known}
-    return Registered({name: x[own] for name, own in places.items()},
-                      {name: std[own] for name, own in places.items()}, middle)
+    theta = {name: (search.units * found.theta)[own[0]] for name, own in search.places.items()}
+    every = search.units * np.sqrt(np.diag(np.linalg.inv(found.information)))
+    std = {name: every[own[0]] for name, own in search.places.items()}
+    if 'package_marker' in names:
+        alignment = _gripped(alignment, *np.split(theta['package_marker'], 2))
+    offset = None
+    if 'time_offset' in names and std['time_offset'][0] < KINDS['time_offset'].known:
+        offset = TimeOffset(float(theta['time_offset'][0]), float(std['time_offset'][0]))
+    return Registered(theta.get('package_world'), std.get('package_world', np.zeros(6)), middle,
+                      alignment, offset)
 
 
-def regripped(known: Alignment, theta: Array) -> Alignment:
-    """Return an alignment with B moved and turned in its own axes by theta (6,), m and rad."""
-    R = exp_so3(theta[3:])
+def _gripped(known: Alignment, way: Array, turn: Array) -> Alignment:
+    """Return an alignment with B moved (m) and turned (rad) in its own axes."""
+    R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
     return replace(known, R_package_markers_lip=known.R_package_markers_lip @ R,
-                   origin_to_com=R.T @ (known.origin_to_com + theta[:3]))
-
-
-LARGEST_ERROR = 3e-4
-"""Largest standard error (s) of an identifiable time offset."""
-
-WORLD_ERROR = 5e-3
-"""Largest standard error (m, rad) of an identifiable transform between two worlds."""
-
-BEYOND_RANGE = 0.9
-"""If residuals at the largest offset fall below this fraction, the true offset is larger."""
-
-
-class RefinedPreparation(NamedTuple):
-    """
-    Estimates for one recording, None if not wanted or not identifiable.
-
-    The motion of the package's world (6,) about a point (3,), its standard errors (6,), the
-    alignment that belongs to it, and the time offset.
-    """
-
-    world: Array | None
-    world_std: Array
-    middle: Array
-    alignment: Alignment | None
-    offset: TimeOffset | None
+                   origin_to_com=R.T @ (known.origin_to_com + way))
 
 
 def refined_preparation(
-    recording: Recording, length: float, structure: Structure, world: bool, offset: bool,
+    recording: Recording, structure: Structure, length: float, names: Sequence[str],
     rough: bool = False,
-) -> RefinedPreparation:
+) -> Registered:
     """
-    Find the package's world and the time offset of a recording, together with K and P.
+    Find the package's world and the time offset of a recording by wrenches, with K and P.
 
     Parameters
     ----------
     recording : Recording
         Prepared with a first guess of the world.
-    length : float
-        Of the cup, m.
     structure : Structure
         Of K and P.
-    world, offset : bool
-        Which of the two is wanted. Where alignment at rest was made, the grip's offset and turn
-        are found with the world.
+    length : float
+        Of the cup, m.
+    names : sequence of str
+        Of 'time_offset' and 'package_world', in this order. Where alignment at rest was made, the
+        grip's offset and turn are found with the world.
     rough : bool
         Whether it is for a better first guess alone, without regard to noise.
 
@@ -167,32 +162,38 @@ def refined_preparation(
         If the offset is beyond those looked for, or the world is not identifiable.
 
     """
-    names = [*(['time_offset'] if offset else []), *(['package_world'] if world else []),
-             *(['grip'] if world and recording.settings.align_at_rest else [])]
+    world = 'package_world' in names
+    gripped = world and recording.settings.align_at_rest
     ensemble = ensemble_of([recording], length, structure, 0 if rough else DRAWS)
     if ensemble.seconds < FEWEST_SECONDS:
-        return RefinedPreparation(None, np.zeros(6), np.zeros(3), None, None)
+        return Registered(None, np.zeros(6), np.zeros(3), None, None)
     body = recording.package
     middle = body.position[body.valid].mean(axis=0)
     objective = Objective.of(ensemble)
-    found = refine(objective, ensemble, [BLOCKS[name] for name in names])
+    found = refine(objective, ensemble, [
+        BLOCKS[name] for name in (*names, *(['grip'] if gripped else []))])
     theta, std = found.theta, found.std
-    taken = None
-    if offset:
+    offset = None
+    if 'time_offset' in names:
         fallen = found.solved.excess < BEYOND_RANGE * objective.solved(ensemble).excess
-        taken = _offset(float(theta[0]), float(std[0]), fallen)
+        offset = _offset(float(theta[0]), float(std[0]), fallen)
         theta, std = theta[1:], std[1:]
     if not world:
-        return RefinedPreparation(None, np.zeros(6), middle, None, taken)
+        return Registered(None, np.zeros(6), middle, None, offset)
     if not (rough or np.all(std[:6] < WORLD_ERROR)):
+        each = [f'{1e3 * x:.2g}' for x in std[:6]]
         raise BellowsError(
             'recording.package_world is not identifiable from this recording: the standard '
-            f'errors are {_listed(1e3 * std[:3])} mm and {_listed(1e3 * std[3:6])} mrad. Tilt '
+            f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} mrad. Tilt '
             'and turn the tool more, best with three standstills tilted to different sides, or '
             'set its seven numbers.'
         )
-    alignment = _gripped(recording, theta[6:11]) if 'grip' in names else recording.alignment
-    return RefinedPreparation(theta[:6], std[:6], middle, alignment, taken)
+    alignment = recording.alignment
+    if gripped:
+        way = np.array([theta[6], theta[7], 0.0])
+        alignment = replace(_gripped(alignment, way, theta[8:11]),
+                            lateral_offset=alignment.lateral_offset - way)
+    return Registered(theta[:6], std[:6], middle, alignment, offset)
 
 
 def _offset(value: float, std: float, fallen: bool) -> TimeOffset | None:
@@ -204,18 +205,3 @@ def _offset(value: float, std: float, fallen: bool) -> TimeOffset | None:
             'delay.'
         )
     return TimeOffset(value, std) if std < LARGEST_ERROR else None
-
-
-def _gripped(recording: Recording, theta: Array) -> Alignment:
-    """Return the alignment of a recording with the grip moved and turned by theta (5,)."""
-    known, R = recording.alignment, exp_so3(theta[2:])
-    way = np.array([theta[0], theta[1], 0.0])
-    # B' is at R_B way from B, and origin_to_com is in axes of the lip, which has turned by R.
-    return replace(
-        known, R_package_markers_lip=known.R_package_markers_lip @ R,
-        origin_to_com=R.T @ (known.origin_to_com + way), lateral_offset=known.lateral_offset - way)
-
-
-def _listed(values: Array) -> str:
-    """Return numbers in words."""
-    return ', '.join(f'{x:.2g}' for x in values)

@@ -65,7 +65,7 @@ SOFT = Cup(
 def found(recording, structure='axisymmetric'):
     """Return the offset found in a recording."""
     return refined_preparation(
-        recording, simulated.CUP.length, STRUCTURES[structure], False, True).offset
+        recording, STRUCTURES[structure], simulated.CUP.length, ['time_offset']).offset
 
 
 @pytest.mark.parametrize('later', [-0.19, -0.095, -0.0002, 0.0, 0.005, 0.048, 0.15])
