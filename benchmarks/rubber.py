@@ -13,7 +13,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
-from bellows_ros.core.geometry.tuples import add, apply, rotation_matrix, scale
+from bellows_ros.core.geometry.tuples import add, add_scaled, apply, rotation_matrix, scale
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -37,6 +37,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.core.synthetic.motion import smooth_step
 import numpy as np
 
 TIMES = np.array([0.006, 0.03, 0.15, 0.7, 3.0])
@@ -85,34 +86,28 @@ def _simulate(
     model: Any, r: Any, tau: Any, body: Any, rows: Array, durations: Array, count: int, out: Array
 ) -> None:
     """Write the package's rows, starting at rest, by RK4 of everything."""
-    z, dz = np.zeros((5, 6)), np.zeros((4, 5, 6))
-    _rates(model, r, tau, row_state(rows[0]), body, z, dz[0])
+    z, dz = np.zeros((5, 6)), np.zeros((5, 6))
+    _rates(model, r, tau, row_state(rows[0]), body, z, dz)
     for k in range(5):
-        z[k] = dz[0, k] * tau[k]  # h, as z was zero
+        z[k] = dz[k] * tau[k]  # h, as z was zero
     write_row(out[0], body)
     for k in range(len(durations)):
         segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
         h = durations[k] / count
         for i in range(count):
-            start, part = tool_at(segment, i / count), 0.5 / count
-            middle, end = tool_at(segment, i / count + part), tool_at(segment, (i + 1.0) / count)
-            o1, s1 = apply(rotation_matrix(body[1]), body[2]), body[3]
-            v1, w1 = _rates(model, r, tau, start, body, z, dz[0])
-            b = stage_state(body, 0.5 * h, o1, s1, v1, w1)
-            o2, s2 = apply(rotation_matrix(b[1]), b[2]), rotation_rate(scale(0.5 * h, s1), b[3])
-            v2, w2 = _rates(model, r, tau, middle, b, z + 0.5 * h * dz[0], dz[1])
-            b = stage_state(body, 0.5 * h, o2, s2, v2, w2)
-            o3, s3 = apply(rotation_matrix(b[1]), b[2]), rotation_rate(scale(0.5 * h, s2), b[3])
-            v3, w3 = _rates(model, r, tau, middle, b, z + 0.5 * h * dz[1], dz[2])
-            b = stage_state(body, h, o3, s3, v3, w3)
-            o4, s4 = apply(rotation_matrix(b[1]), b[2]), rotation_rate(scale(h, s3), b[3])
-            v4, w4 = _rates(model, r, tau, end, b, z + h * dz[2], dz[3])
-            body = stage_state(
-                body, h / 6.0, add(add(o1, o4), scale(2.0, add(o2, o3))),
-                add(add(s1, s4), scale(2.0, add(s2, s3))),
-                add(add(v1, v4), scale(2.0, add(v2, v3))),
-                add(add(w1, w4), scale(2.0, add(w2, w3))))
-            z = z + h / 6.0 * (dz[0] + dz[3] + 2.0 * (dz[1] + dz[2]))
+            o = s = v = w = sum_o = sum_s = sum_v = sum_w = (0.0, 0.0, 0.0)
+            dz, sum_z = np.zeros((5, 6)), np.zeros((5, 6))
+            for stage in range(4):
+                at, weight = 0.5 * ((stage + 1) // 2), 1.0 if stage % 3 == 0 else 2.0
+                b = stage_state(body, at * h, o, s, v, w)
+                o, s = apply(rotation_matrix(b[1]), b[2]), rotation_rate(scale(at * h, s), b[3])
+                v, w = _rates(
+                    model, r, tau, tool_at(segment, (i + at) / count), b, z + at * h * dz, dz)
+                sum_o, sum_s = add_scaled(sum_o, weight, o), add_scaled(sum_s, weight, s)
+                sum_v, sum_w = add_scaled(sum_v, weight, v), add_scaled(sum_w, weight, w)
+                sum_z += weight * dz
+            body = stage_state(body, h / 6.0, sum_o, sum_s, sum_v, sum_w)
+            z = z + h / 6.0 * sum_z
         write_row(out[k + 1], body)
 
 
@@ -133,8 +128,7 @@ Path = Callable[[Array], Array]
 
 def step(t: Array, start: float, duration: float) -> Array:
     """Return a smooth step from 0 to 1."""
-    s = np.clip((t - start) / duration, 0.0, 1.0)
-    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+    return np.asarray(smooth_step((t - start) / duration)[0])
 
 
 def multisine(seed: int, seconds: float = 20.0, hold: float = 7.0, tilt: float = 0.31) -> Path:

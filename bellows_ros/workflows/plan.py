@@ -37,22 +37,11 @@ from bellows_ros.core.signals.trajectory import (
 )
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, plan_messages
+from bellows_ros.files import File, plan_messages, plans
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.plan_messages import JointPlan
-from bellows_ros.files.plans import (
-    arm_of,
-    encode_joints,
-    JOINTS,
-    joints_or_tf,
-    plan_in_yaml,
-    plans_in,
-    read_transforms,
-    read_yaml,
-    rotations_in_root,
-)
 from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.workflows.recordings import inside
@@ -427,19 +416,19 @@ def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> 
         raise BellowsError(
             f"--topic {topic}: '{file}' is no recording, so it has no topics. Leave --topic out.")
     if file.suffix.lower() in YAML:
-        content = read_yaml(file)
+        content = plans.read_yaml(file)
         if 'kind' in content:
             return _motion(content, values)
-        return _checked(plan_in_yaml(content, os.fspath(file)), values, urdf, '')
+        return _checked(plans.plan_in_yaml(content, os.fspath(file)), values, urdf, '')
     if file.suffix.lower() in TEXT:
         stamps, poses = read_trajectory(file)
         return Source(at_tip(plan_of(
             stamps, poses[:, :3], poses[:, 3:], name=f"'{file}'"), tip_of(values)), '')
-    plans = plans_in(file, topic)
-    if plans:
-        notes = ([f"'{file}' has {len(plans)} plans; using the first, on {plans[0][0]}."]
-                 if len(plans) > 1 else [])
-        found = replace(_checked(plans[0][1], values, urdf, file), notes=tuple(notes))
+    read = plans.plans_in(file, topic)
+    if read:
+        notes = ([f"'{file}' has {len(read)} plans; using the first, on {read[0][0]}."]
+                 if len(read) > 1 else [])
+        found = replace(_checked(read[0][1], values, urdf, file), notes=tuple(notes))
         _require_level(file, found.frame_id, values['gravity.direction'])
         return found
     return _recorded(file, values, urdf, topic)
@@ -447,10 +436,10 @@ def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> 
 
 def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> None:
     """Refuse a plan in a frame that the transforms of its recording turn against gravity."""
-    links = read_transforms(file)
+    links = plans.read_transforms(file)
     if frame_id not in links:
         return
-    R, root = rotations_in_root(links, frame_id, f"'{file}'")
+    R, root = plans.rotations_in_root(links, frame_id, f"'{file}'")
     down = np.asarray(direction) / np.linalg.norm(direction)
     tilt = float(np.max(np.linalg.norm(R @ down - down, axis=1)))
     if tilt > LARGEST_TILT:
@@ -467,7 +456,7 @@ def _checked(
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
     if isinstance(read, JointPlan):
-        arm = arm_of(urdf, values['tool_link'], recording).with_tip(tip_of(values))
+        arm = plans.arm_of(urdf, values['tool_link'], recording).with_tip(tip_of(values))
         columns = arm.columns(read.names, 'The plan')
         parts = [None if part is None else part[:, columns]
                  for part in (read.position, read.velocity, read.acceleration)]
@@ -508,7 +497,7 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
     if not isinstance(poses, PoseStream):
         if not values['tool_link']:
             raise contents.problems['tool_pose']
-        read = joints_or_tf(path, urdf, values['tool_link'])
+        read = plans.joints_or_tf(path, urdf, values['tool_link'])
         rates, twists = read.twists, None
         poses = PoseStream(
             'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
@@ -583,7 +572,7 @@ def write_prediction(
     joints = []
     if source.joints is not None:
         found = source.joints.along(tool, source.tool)
-        joints.append(('/tool_arm/plan_joints', JOINTS, encode_joints(JointPlan(
+        joints.append(('/tool_arm/plan_joints', plans.JOINTS, plans.encode_joints(JointPlan(
             frame, 0, source.joints.arm.moving,
             np.round(found.seconds * NS_PER_S).astype(np.int64), *found[1:]))))
     write_bag(path, [

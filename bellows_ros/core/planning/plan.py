@@ -16,21 +16,10 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.model import kernels
+from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import (
-    diverged,
-    require_steps,
-    rest,
-    row_state,
-    stands,
-    steady_start,
-    tool_rows,
-    ToolRows,
-    write_row,
-)
 from bellows_ros.core.model.validity_range import beyond, Envelope
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
@@ -103,7 +92,7 @@ class PlanPrediction:
 
     """
 
-    tool: Trajectory | ToolRows
+    tool: Trajectory | simulation.ToolRows
     states: Array
     wrench: Array
     loads: Array
@@ -160,8 +149,8 @@ class PlanPrediction:
 
 
 def predict(
-    model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows, start: State | None = None,
-    tail: float = LONGEST_TAIL,
+    model: ModelTuple, grip: Grip | None, tool: Trajectory | simulation.ToolRows,
+    start: State | None = None, tail: float = LONGEST_TAIL,
 ) -> PlanPrediction:
     """
     Predict the package along a plan and while it swings out.
@@ -198,21 +187,22 @@ class PlanSimulation:
     """
 
     def __init__(
-        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows,
+        self, model: ModelTuple, grip: Grip | None, tool: Trajectory | simulation.ToolRows,
         start: State | None = None, tail: float = LONGEST_TAIL, longest: float = 0.0,
         stop: Mask = NEVER,
     ) -> None:
         """Take the plan, and find where the package rests."""
         self.tool, self._model, self._grip = tool, model, grip
-        self._rows = rows = tool_rows(tool)
+        self._rows = rows = simulation.tool_rows(tool)
         self._steady = start is None
-        self._start = adapted(model, row_state(rows[0]), start or steady_start(model, tool))
-        self._tail = tail if stands(rows[-1]) else 0.0
+        self._start = adapted(
+            model, simulation.row_state(rows[0]), start or simulation.steady_start(model, tool))
+        self._tail = tail if simulation.stands(rows[-1]) else 0.0
         self._end = self._start
         if self._tail:
             self._end = rest_after(model, rows[0], self._start, rows[-1])
         self._longest, self._stop = longest or largest_step(model), stop
-        require_steps(float(tool.seconds[-1]) / self._longest)
+        simulation.require_steps(float(tool.seconds[-1]) / self._longest)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
 
     def with_model(self, model: ModelTuple) -> PlanSimulation:
@@ -220,7 +210,7 @@ class PlanSimulation:
         other = copy(self)
         other._model = model
         if self._steady:
-            other._start = steady_start(model, self.tool, self._start)
+            other._start = simulation.steady_start(model, self.tool, self._start)
         if self._tail:
             other._end = rest_after(
                 model, self._rows[0], other._start, self._rows[-1], self._end)
@@ -242,7 +232,7 @@ class PlanSimulation:
         self._simulate_plan(duration_scale, math.inf)
         states = self._out[0].copy()
         if not np.isfinite(states).all():
-            raise diverged()
+            raise simulation.diverged()
         return states
 
     def prediction(self) -> PlanPrediction:
@@ -265,7 +255,7 @@ class PlanSimulation:
                 self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,
                 duration_scale, self._longest, ceiling, *self._out, self._past, self._stop)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
-            raise diverged() from None
+            raise simulation.diverged() from None
         self._require_not_stopped()
         return bool(below)
 
@@ -276,10 +266,10 @@ class PlanSimulation:
         try:
             settled = float(_simulate_decay(
                 self._model, self._grip or UNKNOWN_GRIP, self._end[1],
-                row_state(self._inputs[0][-1]), self._body, self._seconds, h,
+                simulation.row_state(self._inputs[0][-1]), self._body, self._seconds, h,
                 math.ceil(self._tail / h), ceiling, peaks, self._past, lip, self._stop))
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
-            raise diverged() from None
+            raise simulation.diverged() from None
         self._require_not_stopped()
         return settled
 
@@ -308,9 +298,9 @@ def rest_after(
             t3.add(tuple(last[:3].tolist()), t3.apply(R_end, shift)),
             t3.quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
     try:
-        return rest(model, last, near)
+        return simulation.rest(model, last, near)
     except UnstableError:
-        return rest(model, last)
+        return simulation.rest(model, last)
 
 
 @kernel
@@ -408,8 +398,8 @@ def _simulate_plan(
     arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
     peaks[:] = 0.0
     lip[:, 0], lip[:, 1], lip[:, 2] = math.inf, -math.inf, 0.0
-    body, tool, t = start, slowed(row_state(rows[0]), duration_scale), 0.0
-    write_row(states[0], body)
+    body, tool, t = start, slowed(simulation.row_state(rows[0]), duration_scale), 0.0
+    simulation.write_row(states[0], body)
     velocity = rigid_velocity(tool, arm)
     if record_sample(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
         return body, t, False
@@ -417,7 +407,7 @@ def _simulate_plan(
         if stop[0]:
             break
         duration = durations[k] * duration_scale
-        after = slowed(row_state(rows[k + 1]), duration_scale)
+        after = slowed(simulation.row_state(rows[k + 1]), duration_scale)
         segment = kernels.tool_segment(tool, after, duration)
         n = substeps_for(duration, longest)
         h = duration / n
@@ -436,14 +426,14 @@ def _simulate_plan(
             if moment > peaks[6, 0]:
                 peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
         t += duration
-        write_row(states[k + 1], body)
+        simulation.write_row(states[k + 1], body)
     return body, t, True
 
 
 @kernel
 def _simulate_decay(
-    model: ModelTuple, grip: Grip, rest: Quaternion, tool: State, body: State, t: float, h: float,
-    count: int, ceiling: float, peaks: Array, past: Array, lip: Array, stop: Mask,
+    model: ModelTuple, grip: Grip, hanging: Quaternion, tool: State, body: State, t: float,
+    h: float, count: int, ceiling: float, peaks: Array, past: Array, lip: Array, stop: Mask,
 ) -> float:
     """
     Let the package swing under a tool at rest, until a load is above the ceiling.
@@ -452,13 +442,13 @@ def _simulate_decay(
     """
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
-    settled, turn = 0.0, turn_between(rest, body[1])
+    settled, turn = 0.0, turn_between(hanging, body[1])
     update_peak(peaks, past, 7, t, turn)
     for i in range(count):
         before, since = turn, (i + 1.0) * h
         body = kernels.step(model, body, tool, tool, tool, h)
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
-        turn = turn_between(rest, body[1])
+        turn = turn_between(hanging, body[1])
         update_peak(peaks, past, 7, t + since, turn)
         if load > ceiling or turn > OVERTURNED or stop[0]:
             return math.inf

@@ -5,10 +5,10 @@ import math
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
 from bellows_ros.core.model import perturbed
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.simulation import tool_rows
+from bellows_ros.core.model.simulation import rest, tool_rows
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
-from bellows_ros.core.planning.plan import PlanSimulation, predict, rest
+from bellows_ros.core.planning.plan import PlanSimulation, predict
 from bellows_ros.core.planning.points import curve_of
 from bellows_ros.core.planning.steering import SwingMode
 from bellows_ros.core.signals.resampling import resample
