@@ -186,23 +186,11 @@ def write_urscript(
         If it cannot be written.
 
     """
-    step = float(seconds[1] - seconds[0])
-    lines = [
-        'def bellows_motion():',
-        f'  # poses of the tool tip in {frame!r}; set where that is in the base of the arm,',
-        '  # and the tool tip (TCP) in the installation',
-        '  world = p[0, 0, 0, 0, 0, 0]',
-        '  def to(pose):',
-        f'    servoj(get_inverse_kin(pose_trans(world, pose)), t={step:g}, '
-        'lookahead_time=0.03, gain=2000)',
-        '  end']
     poses = ['p[' + ', '.join(f'{x:.6f}' for x in row) + ']'
              for row in np.hstack([position, rotation_vector]).tolist()]
-    lines += ['  popup("The arm moves to the start of the motion. Continue if world is set and '
-              'the way is free.", title="bellows_motion", blocking=True)',
-              f'  movej(get_inverse_kin(pose_trans(world, {poses[0]})), a=0.3, v=0.2)',
-              *(f'  to({pose})' for pose in poses), '  stopj(2.0)', 'end']
-    atomic.write_text(path, '\n'.join(lines) + '\n')
+    atomic.write_text(path, Path(__file__).with_name('motion.script').read_text().format(
+        frame=repr(frame), step=float(seconds[1] - seconds[0]), start=poses[0],
+        moves='\n'.join(f'  to({pose})' for pose in poses)))
 
 
 def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6) -> Lines:

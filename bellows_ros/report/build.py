@@ -31,15 +31,9 @@ from .text import print_identification, print_replay
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
     """Return a whole page of sections that are HTML already."""
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f'<title>{escape(title)}</title>\n<style>{_style()}</style>\n</head>\n<body>\n'
-        f'<h1>{escape(title)}</h1>\n<p class="dim">{escape(subtitle)}</p>\n'
-        + '\n'.join(sections)
-        + '\n</body>\n</html>\n'
-    )
+    return PAGE.read_text().format(
+        title=escape(title), style=_style(), subtitle=escape(subtitle),
+        sections='\n'.join(sections))
 
 
 class Section:
@@ -111,7 +105,7 @@ def _style() -> str:
     )
 
 
-STYLE = Path(__file__).with_name('style.css')
+PAGE, STYLE = (Path(__file__).with_name(name) for name in ('page.html', 'style.css'))
 
 
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
