@@ -68,38 +68,22 @@ def drawing(theme: Theme) -> Iterator[Any]:
     import matplotlib
     import matplotlib.figure
 
-    with matplotlib.rc_context(_settings(theme)):
+    base = matplotlib.rc_params_from_file(STYLE, use_default_template=False)
+    with matplotlib.rc_context({**base, **_colours(theme)}):
         yield matplotlib.figure
 
 
-def _settings(theme: Theme) -> dict[Any, Any]:
-    """Return matplotlib's settings of a theme."""
-    return {
-        'font.family': 'sans-serif',
-        'font.sans-serif': ['DejaVu Sans'],
-        'font.size': 9.0,
-        'text.color': theme.text,
-        'figure.facecolor': theme.background,
-        'savefig.facecolor': theme.background,
-        'axes.facecolor': theme.background,
-        'axes.edgecolor': theme.quiet,
-        'axes.labelcolor': theme.text,
-        'axes.linewidth': 0.6,
-        'axes.grid': True,
-        'axes.axisbelow': True,
-        'axes.spines.top': False,
-        'axes.spines.right': False,
-        'grid.color': theme.grid,
-        'grid.linewidth': 0.6,
-        'xtick.color': theme.quiet,
-        'ytick.color': theme.quiet,
-        'xtick.labelcolor': theme.text,
-        'ytick.labelcolor': theme.text,
-        **{f'axes3d.{axis}axis.panecolor': theme.background for axis in 'xyz'},
-        'legend.frameon': False,
-        'lines.solid_joinstyle': 'round',
-        'path.simplify_threshold': 0.2,
-    }
+STYLE = Path(__file__).with_name('pictures.mplstyle')
+
+
+def _colours(theme: Theme) -> dict[Any, Any]:
+    """Return matplotlib's settings of a theme's colours."""
+    return {name: colour for colour, names in (
+        (theme.text, 'text.color axes.labelcolor xtick.labelcolor ytick.labelcolor'),
+        (theme.background, 'figure.facecolor savefig.facecolor axes.facecolor '
+         'axes3d.xaxis.panecolor axes3d.yaxis.panecolor axes3d.zaxis.panecolor'),
+        (theme.quiet, 'axes.edgecolor xtick.color ytick.color'), (theme.grid, 'grid.color'),
+    ) for name in names.split()}
 
 
 PICTURES, FILMS = ('.png', '.svg', '.pdf'), ('.gif', '.mp4')
