@@ -251,34 +251,44 @@ def _assigned(
         notes.append(
             'An identification needs the poses of tool and package; the tool alone is enough '
             'only for a simulation or a prediction.')
-    rest_s = None
-    wrong = why_apart = ''
-    if tool and package:
-        both = poses[tool.topic], poses[package.topic]
-        if len({own.frame_id for own in both if own.frame_id}) < 2:
-            wrong = convention_sentence(*both, path)
-        why_apart = '' if wrong else _why_apart(pair, *both)
-    if why_apart:
-        settings |= {
-            'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
-            'fit.time_offset': True, 'fit.free': ('package_marker',)}
-        notes.append(
-            f'{why_apart} recording.package_world: {ESTIMATE} finds how the world of the package '
-            'lies in that of the tool, best with standstills tilted to several sides at the end; '
-            'if you know it, give its seven numbers. The time offset and the marker are '
-            'estimated, too: leave out what you know.')
     if any(timing(poses[guess.topic].stamps_ns).rate_hz < LOW_RATE_HZ
            for guess in (tool, package) if guess):
         settings['fit.method'] = 'output_error'
-    if pair:
-        rest_s, at_rest, more = _at_rest(poses, pair, bool(why_apart))
-        settings |= at_rest if why_apart else {'recording.world': pair.world, **at_rest}
-        notes = [wrong, *notes] if wrong else notes + more  # before that, nothing else is known
+    rest_s = None
+    if tool and package:
+        wrong, apart, rest_s, remarks = _arranged(
+            pair, poses[tool.topic], poses[package.topic], path)
+        settings |= apart
+        notes = [wrong, *notes] if wrong else notes + remarks  # before that, nothing else is known
     if in_degrees and twist:
         notes.insert(0, finding_sentence(IN_DEGREES, {'topics.tool_twist': twist.topic}))
     return Info(
         str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
     )
+
+
+def _arranged(
+    pair: roles.Pair | None, tool: PoseStream, package: PoseStream, path: File
+) -> tuple[str, dict[str, Any], float | None, list[str]]:
+    """Return what is wrong with two streams, settings, how long they rest at first, and notes."""
+    wrong = apart = ''
+    if len({own.frame_id for own in (tool, package) if own.frame_id}) < 2:
+        wrong = convention_sentence(tool, package, path)
+    settings, notes, rest_s = dict[str, Any](), list[str](), None
+    if not wrong and (apart := _why_apart(pair, tool, package)):
+        settings = {
+            'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
+            'fit.time_offset': True, 'fit.free': ('package_marker',)}
+        notes.append(
+            f'{apart} recording.package_world: {ESTIMATE} finds how the world of the package '
+            'lies in that of the tool, best with standstills tilted to several sides at the end; '
+            'if you know it, give its seven numbers. The time offset and the marker are '
+            'estimated, too: leave out what you know.')
+    if pair:
+        rest_s, at_rest, more = _at_rest(pair, tool, package, bool(apart))
+        settings |= at_rest if apart else {'recording.world': pair.world, **at_rest}
+        notes += more
+    return wrong, settings, rest_s, notes
 
 
 def _why_apart(pair: roles.Pair | None, tool: PoseStream, package: PoseStream) -> str:
@@ -295,7 +305,7 @@ def _why_apart(pair: roles.Pair | None, tool: PoseStream, package: PoseStream) -
 
 
 def _at_rest(
-    poses: Mapping[str, PoseStream], pair: roles.Pair, apart: bool
+    pair: roles.Pair, tool_poses: PoseStream, package_poses: PoseStream, apart: bool
 ) -> tuple[float, dict[str, Any], list[str]]:
     """
     Return the duration of the initial standstill, the settings from it, and remarks.
@@ -303,8 +313,8 @@ def _at_rest(
     Where their worlds are apart, distance and turn say nothing of the bodies.
     """
     R = alignment.world_rotation(pair.world)
-    tool, package = (alignment.in_world(poses[guess.topic].trajectory(), R)
-                     for guess in (pair.tool, pair.package))
+    tool, package = (alignment.in_world(own.trajectory(), R)
+                     for own in (tool_poses, package_poses))
     rest = alignment.rest_of(tool, package)
     notes = [
         f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '

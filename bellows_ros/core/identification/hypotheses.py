@@ -115,13 +115,12 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
     """
     given = recordings[0]
     enough = Ensemble((given,), ()).seconds > FEWEST_SECONDS
-    for name in (*(('time_offset',) if enough else ()), 'com', 'length', 'package_world'):
-        block = BLOCKS[name]._replace(each=False)
-        yield Hypothesis(name, block.vary, len(block.steps), block=block)
-    for name, block in (('inertia', SCALE), ('gravity.direction', TILT),
-                        ('package_marker', BLOCKS['grip']._replace(each=False)),
+    names = (*(('time_offset',) if enough else ()), 'com', 'length', 'package_world')
+    for name, block in (*((name, BLOCKS[name]) for name in names), ('inertia', SCALE),
+                        ('gravity.direction', TILT), ('package_marker', BLOCKS['grip']),
                         *(('slip', slip_block(own)) for own in recordings)):
-        yield Hypothesis(name, block.vary, len(block.steps), block=block)
+        yield Hypothesis(
+            name, block.vary, len(block.steps), block=block._replace(each=False))
     yield from _packages(recordings)
     for value, R in _worlds(world):
         yield Hypothesis('recording.world', variations.gravity(R), value=value)

@@ -155,10 +155,17 @@ def _with_relaxation(
 
 def _relaxes(search: Search, found: Minimum) -> bool:
     """Return whether strengths of relaxation are significant."""
+    r, covariance = _strengths(search, found, covariance_of(search, found)[0])
+    return bool(r @ np.linalg.solve(covariance, r) > SIGNIFICANT)
+
+
+def _strengths(search: Search, found: Minimum, covariance: Array) -> tuple[Array, Array]:
+    """Return the strengths of relaxation (2,) with their covariance, zeros without it."""
+    if 'relaxation' not in search.places:
+        return np.zeros(2), np.zeros((2, 2))
     (own,) = search.places['relaxation']
-    r = np.add(search.given.relaxation, found.theta[own] * search.units[own])
-    return bool(r @ np.linalg.solve(
-        covariance_of(search, found)[0][np.ix_(own, own)], r) > SIGNIFICANT)
+    return (np.add(search.given.relaxation, search.units[own] * found.theta[own]),
+            covariance[np.ix_(own, own)])
 
 
 def covariance_of(
@@ -198,14 +205,11 @@ def _fit(
         largest[search.places[name]] = KINDS[name].known
     known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
     notes = [*_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size])]
-    strengths = [(0.0, 0.0), (0.0, 0.0)]
-    if 'relaxation' in search.places:
-        (own,) = search.places['relaxation']
-        r = np.add(search.given.relaxation, x[own])
-        strengths = [(float(pair[0]), float(pair[1])) for pair in (r, std[own])]
-        ratio = np.array([-DEFAULT_RATIO, 1.0])
-        if np.sqrt(ratio @ covariance[np.ix_(own, own)] @ ratio) > 0.7 * RATIO_STD * r[0]:
-            notes.append(R2_ASSUMED)
+    strengths, of_strengths = _strengths(search, found, covariance)
+    (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
+    ratio = np.array([-DEFAULT_RATIO, 1.0])
+    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
+        notes.append(R2_ASSUMED)
     std = np.where(known, std, np.inf)
     r = np.concatenate([own.innovations for own in found.parts])
     left = np.concatenate([own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
@@ -237,8 +241,8 @@ def _fit(
             for name, (own, *_) in search.places.items()
             if name in named and not KINDS[name].each),
         causes=reasons,
-        relaxation=strengths[0],
-        relaxation_std=strengths[1],
+        relaxation=(r1, r2),
+        relaxation_std=(r1_std, r2_std),
     )
 
 
