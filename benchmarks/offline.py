@@ -6,8 +6,8 @@ import tempfile
 import time
 from typing import Any
 
-from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.parameter_files import read_parameters, write_parameters
+from bellows_ros.files.safe_yaml import load
 from bellows_ros.workflows.simulate import simulate_recording
 
 from .timing import figures, in_process
@@ -19,15 +19,7 @@ DURATION = {False: 600.0, True: 3.0}
 FIT_DURATION = 20.0
 """Of the recording for the fit by output error, s."""
 
-SETTINGS: Mapping[str, Any] = {
-    'topics.tool_pose': '/tool_arm/pose',
-    'topics.tool_twist': '/tool_arm/twist',
-    'topics.package_pose': '/package/pose',
-    'package.mass': 1.8,
-    'package.inertia': (0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0),
-    'package.com': (0.0, 0.0, -0.03),
-    'recording.package_frame': 'com',
-}
+ROOT = Path(__file__).resolve().parents[1]
 
 PEAK = """
 def peak():  # not ru_maxrss, which a process has from the one that started it
@@ -77,13 +69,8 @@ with open(out) as file:
 
 def parameters() -> dict[str, Any]:
     """Return the parameters of the recording's package, and of its cup."""
-    cup = Cup.thesis()
-    return {
-        **SETTINGS,
-        'cup.length': cup.length,
-        'cup.stiffness': tuple(cup.stiffness.ravel().tolist()),
-        'cup.damping': tuple(cup.damping.ravel().tolist()),
-    }
+    return {**read_parameters(ROOT / 'bags' / 'package.yaml'),
+            **read_parameters(ROOT / 'config' / 'cup_thesis.yaml')}
 
 
 def run(short: bool) -> dict[str, Any]:
@@ -99,35 +86,10 @@ def run(short: bool) -> dict[str, Any]:
     return found
 
 
-def motion(duration: float, seed: int = 1) -> dict[str, Any]:
-    """Return the content of a motion file: all axes at once, noise, a twist."""
-    return {
-        'kind': 'multi_sine', 'duration': duration, 'rest_duration': 1.0, 'ramp_duration': 1.0,
-        'seed': seed,
-        'multi_sine': {
-            'position': {
-                axis: {'amplitude': [0.05, 0.01, 0.003], 'frequency': [0.3 + shift, 1.1, 3.1]}
-                for axis, shift in (('x', 0.0), ('y', 0.07), ('z', 0.03))
-            },
-            'rotation': {
-                axis: {'amplitude': [0.10, 0.04], 'frequency': [0.4 + shift, 1.5 - shift]}
-                for axis, shift in (('x', 0.0), ('y', 0.05), ('z', 0.11))
-            },
-        },
-        'tool': {
-            'rate_hz': RATE, 'noise': {'position': 2e-5, 'rotation': 5e-5},
-            'twist': {'publish': True, 'frame': 'world'},
-        },
-        'package': {
-            'rate_hz': RATE, 'frame': 'com', 'noise': {'position': 1e-4, 'rotation': 5e-4},
-        },
-        'storage': 'mcap',
-    }
-
-
 def make_recording(bag: Path, duration: float, seed: int = 1) -> None:
     """Simulate a recording, with its parameter file beside it."""
-    simulate_recording(parameters(), motion(duration, seed), bag)
+    motion = load(Path(__file__).with_name('motion.yaml')) | {'duration': duration, 'seed': seed}
+    simulate_recording(parameters(), motion, bag)
     write_parameters(f'{bag}.yaml', parameters())
 
 
