@@ -91,7 +91,7 @@ def _process(
 
 
 def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the medians of each run's percentiles and processor time, and what was lost."""
+    """Return the medians of each run's percentiles, processor time and memory; what was lost."""
     percentiles = np.array([np.percentile(run['latency'], [50.0, 99.0, 99.9]) for run in runs])
     p50, p99, p999 = np.median(percentiles, axis=0).tolist()
     per_pose = [run['processor_seconds'] / max(run['answered'], 1) for run in runs]
@@ -100,7 +100,7 @@ def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:
         'p99': p99,
         'p99.9': p999,
         'processor_per_pose': float(np.median(per_pose)),
-        'memory': max(run['memory'] for run in runs),
+        'memory': float(np.median([run['memory'] for run in runs])),
         'sent': sum(run['sent'] for run in runs),
         'lost': sum(run['sent'] - run['answered'] for run in runs),
     }
