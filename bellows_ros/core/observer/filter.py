@@ -16,67 +16,15 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_product,
-    add_scaled,
-    add_scaled_matrix,
-    apply,
-    cross,
-    dot,
-    hat,
-    Matrix,
-    multiply,
-    product,
-    rotation_matrix,
-    scale,
-    scale_matrix,
-    subtract,
-    transpose,
-    transposed,
-    unit,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.model import jacobians as jac
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import linearise, moved, substeps_for
-from bellows_ros.core.model.jacobians import (
-    acceleration_at,
-    accelerations,
-    body_jacobians,
-    by_com,
-    by_length,
-    cup_accelerations,
-    ends_of_spring,
-    IDENTITY,
-    NOTHING,
-    parameter_jacobian,
-    shift_left,
-    Square,
-    strain_jacobian,
-    wrench_jacobians,
-    write_block,
-    write_column,
-    write_square,
-)
-from bellows_ros.core.model.kernels import (
-    advance,
-    Blocks,
-    Branch,
-    cup_wrench,
-    CupTuple,
-    effective_strain,
-    lip_relative_to_tool,
-    lip_wrench,
-    ModelTuple,
-    multiply_blocks,
-    State,
-    strain,
-    tool_at,
-    tool_segment,
-    with_twist,
-    Wrench,
-)
+from bellows_ros.core.model.jacobians import Square
+from bellows_ros.core.model.kernels import Blocks, Branch, CupTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, row_state, write_row
 import numpy as np
 
@@ -202,12 +150,12 @@ def checked_wrench(
     load.
     """
     cup, package, _ = model
-    o_lip, R_lip, v_lip, w_lip = lip_relative_to_tool(package[1], tool, body)
-    f, m = wrench = cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
+    o_lip, R_lip, v_lip, w_lip = kernels.lip_relative_to_tool(package[1], tool, body)
+    f, m = wrench = kernels.cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
     v, w = body[2], body[3]
-    total = dot(v, v) + dot(w, w) + dot(f, f) + dot(m, m) + body[1][0] + body[1][3]
+    total = t3.dot(v, v) + t3.dot(w, w) + t3.dot(f, f) + t3.dot(m, m) + body[1][0] + body[1][3]
     shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
-    return wrench, total - total == 0.0 and dot(shift, shift) <= reach * reach
+    return wrench, total - total == 0.0 and t3.dot(shift, shift) <= reach * reach
 
 
 @kernel
@@ -216,15 +164,16 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
     cup, (mass, com, inertia, inverse), gravity = model
     k, longer = 1.0 + theta[0], theta[LENGTH - STATE]
     K, P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
-    inertia, inverse = scale_matrix(k, inertia), scale_matrix(1.0 / k, inverse)
+    inertia, inverse = t3.scale_matrix(k, inertia), t3.scale_matrix(1.0 / k, inverse)
     if len(theta) > DAMPING - STATE:
         P = _scaled(P, theta[DAMPING - STATE:])
         x, y, z = theta[INERTIA - STATE], theta[INERTIA - STATE + 1], theta[INERTIA - STATE + 2]
         more = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
-        inertia = add_scaled_matrix(inertia, 1.0, more)
-        inverse = add_scaled_matrix(inverse, -1.0, multiply(inverse, multiply(more, inverse)))
+        inertia = t3.add_scaled_matrix(inertia, 1.0, more)
+        inverse = t3.add_scaled_matrix(
+            inverse, -1.0, t3.multiply(inverse, t3.multiply(more, inverse)))
     return (cup[0] + 0.5 * longer, cup[1] + longer, K, P, *cup[4:]), (
-        k * mass, add(com, (theta[1], theta[2], theta[3])), inertia, inverse), gravity
+        k * mass, t3.add(com, (theta[1], theta[2], theta[3])), inertia, inverse), gravity
 
 
 @kernel
@@ -296,11 +245,11 @@ def pushed(
     substeps: int,
 ) -> State:
     """Return a state after a motion of the tool: half of the push before and half after it."""
-    dv, dw = acceleration_at(model[1], model[1][1], push[0], push[1])
-    half = 0.5 * seconds
-    body = with_twist(body, add_scaled(body[2], half, dv), add_scaled(body[3], half, dw))
-    body = advance(model, body, start, end, seconds, substeps)
-    return with_twist(body, add_scaled(body[2], half, dv), add_scaled(body[3], half, dw))
+    dv, dw = jac.acceleration_at(model[1], model[1][1], push[0], push[1])
+    dv, dw = t3.scale(0.5 * seconds, dv), t3.scale(0.5 * seconds, dw)
+    body = kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))
+    body = kernels.advance(model, body, start, end, seconds, substeps)
+    return kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))
 
 
 @array_kernel
@@ -326,44 +275,46 @@ def slopes(
 
     """
     package, com, turning = model[1], model[1][1], body[3]
-    v_hat, w_hat = hat(body[2]), hat(turning)
-    by_pose, by_twist = body_jacobians(model, tool, body)
-    write_block(A, 0, 0, scale_matrix(-1.0, w_hat))
-    write_block(A, 0, 3, scale_matrix(-1.0, v_hat))
-    write_block(A, 3, 3, scale_matrix(-1.0, w_hat))
+    v_hat, w_hat = t3.hat(body[2]), t3.hat(turning)
+    by_pose, by_twist = jac.body_jacobians(model, tool, body)
+    jac.write_block(A, 0, 0, t3.scale_matrix(-1.0, w_hat))
+    jac.write_block(A, 0, 3, t3.scale_matrix(-1.0, v_hat))
+    jac.write_block(A, 3, 3, t3.scale_matrix(-1.0, w_hat))
     for i in range(6):
         A[i, 6 + i] = 1.0
-    write_square(A, 6, 0, by_pose)
-    write_square(A, 6, 6, by_twist)
-    f, m = lip_wrench(model, tool, body)
-    c, o, R, v, w, _, _, _ = ends_of_spring(model, tool, body)
+    jac.write_square(A, 6, 0, by_pose)
+    jac.write_square(A, 6, 6, by_twist)
+    f, m = kernels.lip_wrench(model, tool, body)
+    c, o, R, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
     B[:, STIFFNESS:] = 0.0
-    h = effective_strain(strain(o, R), model[0][4:], body[4:])
-    J_oo, J_oR, J_RR = strain_jacobian(o, R)
-    _by_axes(-0.125, nominal[2], accelerations(package, shift_left(
-        c, (transposed(J_oo), NOTHING, transposed(J_oR), transposed(J_RR)))),
+    h = kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:])
+    J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
+    _by_axes(-0.125, nominal[2], jac.accelerations(package, jac.shift_left(
+        c, (t3.transposed(J_oo), jac.NOTHING, t3.transposed(J_oR), t3.transposed(J_RR)))),
         h[0], h[1], B[:, STIFFNESS:])
     if B.shape[1] > MARKER:
-        far = apply(R, w)
-        _by_axes(-0.25, nominal[3], accelerations(
-            package, shift_left(c, (IDENTITY, NOTHING, NOTHING, IDENTITY))), v, w, B[:, MARKER:])
-        _by_axes(-0.25, nominal[3], accelerations(package, shift_left(
-            c, (transposed(R), NOTHING, transposed(multiply(hat(o), R)), transposed(R)))),
-            add(apply(R, v), cross(o, far)), far, B[:, MARKER:])
-        parameter_jacobian(model, tool, body, 43, 46, B, MARKER + INERTIA - DAMPING)
-    dv, dw = by_length(model, tool, body, f)
-    write_column(B, LENGTH, dv, dw)
-    dv, dw = acceleration_at(package, com, add(f, push[0]), add(m, push[1]))
-    write_column(B, MASS, scale(-1.0 / grown, dv), scale(-1.0 / grown, dw))
-    at_S1 = wrench_jacobians(model, tool, body)
+        far, R_back = t3.apply(R, w), t3.transposed(R)
+        at_S1 = jac.IDENTITY, jac.NOTHING, jac.NOTHING, jac.IDENTITY
+        at_S2 = R_back, jac.NOTHING, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
+        _by_axes(-0.25, nominal[3], jac.accelerations(package, jac.shift_left(c, at_S1)),
+                 v, w, B[:, MARKER:])
+        _by_axes(-0.25, nominal[3], jac.accelerations(package, jac.shift_left(c, at_S2)),
+                 t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, MARKER:])
+        jac.parameter_jacobian(model, tool, body, 43, 46, B, MARKER + INERTIA - DAMPING)
+    dv, dw = jac.by_length(model, tool, body, f)
+    jac.write_column(B, LENGTH, dv, dw)
+    dv, dw = jac.acceleration_at(package, com, t3.add(f, push[0]), t3.add(m, push[1]))
+    jac.write_column(B, MASS, t3.scale(-1.0 / grown, dv), t3.scale(-1.0 / grown, dw))
+    slopes_S1 = jac.wrench_jacobians(model, tool, body)
     for i in range(3):  # by the centre of mass (m), the push has another arm, too
-        along = unit(i, 1.0)
-        dv, dw = by_com(package, c, at_S1[0], at_S1[1], turning, f, along)
-        write_column(B, COM + i, dv, subtract(dw, apply(package[3], cross(along, push[0]))))
-        write_column(B, WRENCH + i, scale(1.0 / package[0], along), apply(
-            package[3], cross(along, com)))
-        write_column(B, WRENCH + 3 + i, ZERO, apply(package[3], along))
-    return apply(rotation_matrix(body[1]), f)
+        along = t3.unit(i, 1.0)
+        dv, dw = jac.by_com(package, c, slopes_S1[0], slopes_S1[1], turning, f, along)
+        by_push = t3.apply(package[3], t3.cross(along, push[0]))
+        jac.write_column(B, COM + i, dv, t3.subtract(dw, by_push))
+        jac.write_column(B, WRENCH + i, t3.scale(1.0 / package[0], along), t3.apply(
+            package[3], t3.cross(along, com)))
+        jac.write_column(B, WRENCH + 3 + i, ZERO, t3.apply(package[3], along))
+    return t3.apply(t3.rotation_matrix(body[1]), f)
 
 
 @kernel
@@ -375,12 +326,12 @@ def _by_axes(
 
     Entry jk of M makes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
     """
-    a, b = multiply_blocks(M, x, y)
+    a, b = kernels.multiply_blocks(M, x, y)
     left = (
-        add_scaled_matrix(multiply(S[0], M[0]), 1.0, multiply(S[1], transposed(M[1]))),
-        add_scaled_matrix(multiply(S[0], M[1]), 1.0, multiply(S[1], M[2])),
-        add_scaled_matrix(multiply(S[2], M[0]), 1.0, multiply(S[3], transposed(M[1]))),
-        add_scaled_matrix(multiply(S[2], M[1]), 1.0, multiply(S[3], M[2])))
+        t3.add_scaled_matrix(t3.multiply(S[0], M[0]), 1.0, t3.multiply(S[1], t3.transposed(M[1]))),
+        t3.add_scaled_matrix(t3.multiply(S[0], M[1]), 1.0, t3.multiply(S[1], M[2])),
+        t3.add_scaled_matrix(t3.multiply(S[2], M[0]), 1.0, t3.multiply(S[3], t3.transposed(M[1]))),
+        t3.add_scaled_matrix(t3.multiply(S[2], M[1]), 1.0, t3.multiply(S[3], M[2])))
     _add_block(out, 0, 0, factor, S[0], left[0], x, a)
     _add_block(out, 0, 3, factor, S[1], left[1], y, b)
     _add_block(out, 3, 0, factor, S[2], left[2], x, a)
@@ -412,12 +363,12 @@ def write_losses(
         cup = model[0]
         one = ((cup[0], cup[1], blocks_at(cups[i], 0), blocks_at(cups[i], 27), *cup[4:]), model[1],
                model[2])
-        by_pose, by_twist = cup_accelerations(one, tool, body)
-        write_square(out[i], 0, 0, by_pose)
-        write_square(out[i], 0, 6, by_twist)
-        f, m = lip_wrench(one, tool, body)
-        dv, dw = acceleration_at(model[1], model[1][1], f, m)
-        write_column(out[i], 12, dv, dw)
+        by_pose, by_twist = jac.cup_accelerations(one, tool, body)
+        jac.write_square(out[i], 0, 0, by_pose)
+        jac.write_square(out[i], 0, 6, by_twist)
+        f, m = kernels.lip_wrench(one, tool, body)
+        dv, dw = jac.acceleration_at(model[1], model[1][1], f, m)
+        jac.write_column(out[i], 12, dv, dw)
 
 
 @array_kernel
@@ -450,10 +401,10 @@ def accumulate(
     X, F, n = np.empty((12, 12)), np.empty((12, 12)), T.shape[1]
     G = identity_plus(0.25 * h, A, np.empty((12, 12)))
     for k in (3.0, 2.0):
-        identity_plus(h / k, product(A, G, X), G)
-    identity_plus(h, product(A, G, X), F)
+        identity_plus(h / k, t3.product(A, G, X), G)
+    identity_plus(h, t3.product(A, G, X), F)
     Q += drive
-    product(F, transpose(product(F, Q, X)), Q)
+    t3.product(F, t3.transpose(t3.product(F, Q, X)), Q)
     Q += drive
     last, by_twist = T[STATE], np.empty((12, 6))
     for i in range(12):
@@ -462,12 +413,12 @@ def accumulate(
     for c in range(len(lost)):
         without = lost[c].copy()
         for _ in range(2):  # with the loss of the step's beginning, then of its mean
-            taken = product(losses[c], 0.5 * (lost[c] + without), np.empty((6, 13)))
+            taken = t3.product(losses[c], 0.5 * (lost[c] + without), np.empty((6, 13)))
             taken[:, 12] += losses[c, :, 12]
-            product(F, lost[c], without)
-            add_product(-by_twist, taken, without)
+            t3.product(F, lost[c], without)
+            t3.add_product(-by_twist, taken, without)
         lost[c] = without
-    T[:STATE] = add_product(by_twist, B, product(F, T[:STATE], np.empty((12, n))))
+    T[:STATE] = t3.add_product(by_twist, B, t3.product(F, T[:STATE], np.empty((12, n))))
     for i in range(12):
         for k in range(6):
             T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_twist[i, k] * B[k, LENGTH]
@@ -503,9 +454,9 @@ def identity_transition(rows: int) -> Array:
 @kernel
 def times_transition(T: Any, B: Any, out: Any) -> Any:
     """Write what a transition (13, m) makes of errors (n, k) into (12, k), and return it."""
-    product(T[:STATE], B[:MARKER], out)
+    t3.product(T[:STATE], B[:MARKER], out)
     if T.shape[1] > MARKER:
-        add_product(np.ascontiguousarray(T[:STATE, MARKER:]), B[DAMPING:], out)
+        t3.add_product(np.ascontiguousarray(T[:STATE, MARKER:]), B[DAMPING:], out)
     return out
 
 
@@ -546,7 +497,7 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
         out[WRENCH + i, WRENCH + i] += 2.0 * more
         for j in range(STATE):
             side[j, WRENCH + i] += more * T[j, WRENCH + i]
-    side[:, :STATE] = times_transition(T, transpose(side), np.empty((STATE, STATE))) + Q
+    side[:, :STATE] = times_transition(T, t3.transpose(side), np.empty((STATE, STATE))) + Q
     out[LENGTH] += h * out[LENGTHENING]
     fade = np.repeat(np.array(correlations(memory, h)), 3)
     for i in range(n):  # both halves are rounded alike
@@ -643,7 +594,7 @@ def propagated(
             if not fresh:
                 accumulate(
                     0.5 * (A0 + A1), 0.5 * (B0 + B1), h, 0.5 * held * drive, T, Q,
-                    scale(-1.0 / model[1][0], force), 0.5 * (losses0 + losses1), lost)
+                    t3.scale(-1.0 / model[1][0], force), 0.5 * (losses0 + losses1), lost)
             A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
             fresh, h, held = False, 0.0, 0.0
         if now_ns == until_ns:
@@ -662,8 +613,8 @@ def propagated(
         later_ns = now_ns + (later_ns - now_ns) // cuts
         there = row_state(ends[k])
         if later_ns < stamps[k]:
-            segment = tool_segment(row_state(starts[k]), there, whole_ns * 1e-9)
-            there = tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
+            segment = kernels.tool_segment(row_state(starts[k]), there, whole_ns * 1e-9)
+            there = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
         part = (later_ns - now_ns) * 1e-9
         body = _followed(
             model, push, body, tool, there, part, longest, bodies[k], is_known,
@@ -708,7 +659,7 @@ def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
     for i in range(3):
         falling[i, 0], falling[3 + i, 0] = last[FALL_SPEED + i], last[FALL + i]
         falling[3 + i, 1 + i] = last[SECONDS]
-    add_product(falling, E[n:], out[n + 1:])
+    t3.add_product(falling, E[n:], out[n + 1:])
     first = E.shape[1] - len(lost) * ONSETS
     for c in range(len(lost)):
         other = (lost[c, :, :STATE] - T[:STATE, :STATE]).astype(np.float32)
@@ -752,7 +703,7 @@ def followed(
     for i in range(cuts):
         there = end
         if i < cuts - 1:
-            there = tool_at(tool_segment(start, end, seconds), (i + 1) / cuts)
+            there = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / cuts)
         body = pushed(
             model, wrench_of(theta), body, tool, there, part, substeps_for(part, longest))
         tool = there

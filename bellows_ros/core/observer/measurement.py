@@ -6,33 +6,13 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
-from bellows_ros.core.geometry.tuples import (
-    add,
-    add_scaled,
-    apply,
-    cross,
-    dot,
-    exp_quaternion,
-    hat,
-    multiply,
-    normalised,
-    product,
-    Quaternion,
-    quaternion_conjugate,
-    quaternion_product,
-    rotation_matrix,
-    scale,
-    subtract,
-    subtract_product,
-    transpose,
-    transposed,
-    Vector,
-)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.equilibrium import moved, pose_error
-from bellows_ros.core.model.jacobians import acceleration_at
-from bellows_ros.core.model.kernels import body_acceleration, ModelTuple, State
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer.filter import (
     CAMERA,
     COM,
@@ -94,7 +74,7 @@ class PoseSensor:
         self.noise = np.diag(np.repeat(np.square(values['measured.noise']), 3))
         of_lip = values['measured.frame'] == 'lip'
         x, y, z, *turn = values['measured.offset']
-        self.marker: Marker = (x, y, z), exp_quaternion((turn[0], turn[1], turn[2])), of_lip
+        self.marker: Marker = (x, y, z), t3.exp_quaternion((turn[0], turn[1], turn[2])), of_lip
         world = values['recording.package_world'] or '0 0 0 0 0 0 1'
         self.has_own_world = bool(values['recording.package_world'])
         x, y, z, qx, qy, qz, qw = map(float, world.split())
@@ -120,11 +100,11 @@ class PoseSensor:
             noise = 0.5 * (covariance + covariance.T)
             if not (np.isfinite(noise).all() and np.linalg.eigvalsh(noise)[0] > 0.0):
                 return 'covariance'
-        q = normalised(quaternion_xyzw)
+        q = t3.normalised(quaternion_xyzw)
         if self.has_own_world:
-            R = rotation_matrix(self._world)
-            position = add(self._origin, apply(R, position))
-            q = quaternion_product(self._world, q)
+            R = t3.rotation_matrix(self._world)
+            position = t3.add(self._origin, t3.apply(R, position))
+            q = t3.quaternion_product(self._world, q)
             turn = np.kron(np.eye(2), np.reshape(R, (3, 3)))
             noise = turn @ noise @ turn.T
         return Measurement(stamp_ns, position, q, noise)
@@ -140,17 +120,17 @@ def at_com(
     With B at com (m) from the lip; the rest are those of a `Measurement` and of `PoseSensor`.
     """
     offset, turn, of_lip = marker
-    arm = subtract(com if of_lip else ZERO, offset)
-    q = quaternion_product(quaternion_xyzw, quaternion_conjugate(turn))
-    R = rotation_matrix(q)
-    across = multiply(hat(arm), transposed(R))
+    arm = t3.subtract(com if of_lip else ZERO, offset)
+    q = t3.quaternion_product(quaternion_xyzw, t3.quaternion_conjugate(turn))
+    R = t3.rotation_matrix(q)
+    across = t3.multiply(t3.hat(arm), t3.transposed(R))
     T = np.zeros((6, 6))
     for i in range(3):
         for j in range(3):
             T[i, j] = T[3 + i, 3 + j] = R[3 * j + i]
             T[i, 3 + j] = -across[3 * i + j]
-    found = product(product(T, noise, np.empty((6, 6))), transpose(T), np.empty((6, 6)))
-    return add(position, apply(R, arm)), q, found
+    found = t3.product(t3.product(T, noise, np.empty((6, 6))), t3.transpose(T), np.empty((6, 6)))
+    return t3.add(position, t3.apply(R, arm)), q, found
 
 
 @kernel
@@ -164,11 +144,11 @@ def corrected_pose(
     position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
     """Return what `at_com` does, without the estimated errors of camera, marker and noise."""
-    turn = exp_quaternion(scale(-1.0, three(theta, CAMERA + 3)))
-    position = apply(rotation_matrix(turn), subtract(position, three(theta, CAMERA)))
-    position, q, noise = at_com(position, quaternion_product(turn, q), noise, marker, com)
-    q = quaternion_product(q, exp_quaternion(scale(-1.0, three(theta, MARKER + 3))))
-    position = subtract(position, apply(rotation_matrix(q), three(theta, MARKER)))
+    turn = t3.exp_quaternion(t3.scale(-1.0, three(theta, CAMERA + 3)))
+    position = t3.apply(t3.rotation_matrix(turn), t3.subtract(position, three(theta, CAMERA)))
+    position, q, noise = at_com(position, t3.quaternion_product(turn, q), noise, marker, com)
+    q = t3.quaternion_product(q, t3.exp_quaternion(t3.scale(-1.0, three(theta, MARKER + 3))))
+    position = t3.subtract(position, t3.apply(t3.rotation_matrix(q), three(theta, MARKER)))
     return position, q, noise
 
 
@@ -179,21 +159,21 @@ def when_exposed(model: ModelTuple, tool: State, body: State, theta: Array) -> S
     if late == 0.0:
         return body
     push, half = wrench_of(theta), 0.5 * late * late
-    dv, dw = body_acceleration(model, tool, body)
-    more = acceleration_at(model[1], model[1][1], push[0], push[1])
-    dv = add(add(dv, more[0]), cross(body[3], body[2]))
+    dv, dw = kernels.body_acceleration(model, tool, body)
+    more = jacobians.acceleration_at(model[1], model[1][1], push[0], push[1])
+    dv = t3.add(t3.add(dv, more[0]), t3.cross(body[3], body[2]))
     return moved(
-        body, add_scaled(scale(-late, body[2]), half, dv),
-        add_scaled(scale(-late, body[3]), half, add(dw, more[1])), ZERO, ZERO)
+        body, t3.add_scaled(t3.scale(-late, body[2]), half, dv),
+        t3.add_scaled(t3.scale(-late, body[3]), half, t3.add(dw, more[1])), ZERO, ZERO)
 
 
 @kernel
 def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length: float) -> float:
     """Return the displacement (m) of the lip from its place without load, for a package pose."""
-    lip = subtract(position, apply(rotation_matrix(q), com))
-    free = add(tool[0], apply(rotation_matrix(tool[1]), (0.0, 0.0, -length)))
-    away = subtract(lip, free)
-    return math.sqrt(dot(away, away))
+    lip = t3.subtract(position, t3.apply(t3.rotation_matrix(q), com))
+    free = t3.add(tool[0], t3.apply(t3.rotation_matrix(tool[1]), (0.0, 0.0, -length)))
+    away = t3.subtract(lip, free)
+    return math.sqrt(t3.dot(away, away))
 
 
 class Innovation(NamedTuple):
@@ -233,8 +213,8 @@ def cholesky(S: Array) -> tuple[Array, Array]:
 def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
     """Return the derivative (6, n) of an innovation by the error."""
     H, root = np.zeros((6, rows)), cholesky(noise)[0]
-    R = rotation_matrix(body[1])
-    lever = multiply(transposed(R), hat(body[0]))
+    R = t3.rotation_matrix(body[1])
+    lever = t3.multiply(t3.transposed(R), t3.hat(body[0]))
     v = body[2] + body[3]
     for i in range(6):
         H[i, i] = H[i, MARKER + i] = 1.0
@@ -290,7 +270,7 @@ def innovation(
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
     HP = observed(H, P, np.empty((6, n)), of_lip)
-    S = observed(H, transpose(HP), np.empty((6, 6)), of_lip)
+    S = observed(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
     for i in range(6):
         for j in range(6):
             S[i, j] += WHITE * noise[i, j]
@@ -301,7 +281,7 @@ def innovation(
         for j in range(i + 1):
             z += W[i, j] * y[j]
         distance += z * z
-    return y, H, W, distance, product(W, HP, np.empty((6, n)))
+    return y, H, W, distance, t3.product(W, HP, np.empty((6, n)))
 
 
 @kernel
@@ -331,7 +311,7 @@ def corrected(
     body, theta = changed_by(body, theta, error)
     for i in range(len(P)):
         P[i, i] *= 1.0 + ROUNDING
-    subtract_product(Z, Z, P)
+    t3.subtract_product(Z, Z, P)
     return body, theta
 
 
