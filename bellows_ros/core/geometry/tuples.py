@@ -354,7 +354,8 @@ if COMPILED:
         for i in range(Z.shape[1]):
             row = out[i]
             a, b, c, d, e, f = Z[0, i], Z[1, i], Z[2, i], Z[3, i], Z[4, i], Z[5, i]
-            for j in range(B.shape[1]):
+            is_any = a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0 or e != 0.0 or f != 0.0
+            for j in range(B.shape[1] if is_any else 0):
                 row[j] -= (
                     a * B[0, j] + b * B[1, j] + c * B[2, j] + d * B[3, j] + e * B[4, j]
                     + f * B[5, j])

@@ -428,6 +428,14 @@ def accumulate(
     last[SECONDS] += h
 
 
+@array_kernel
+def averaged(A: Array, B: Array) -> Array:
+    """Write the mean of two arrays into the first, and return it."""
+    A += B
+    A *= 0.5
+    return A
+
+
 @kernel
 def identity_plus(factor: float, A: Array, out: Array) -> Array:
     """Write I + factor A, and return it."""
@@ -593,8 +601,8 @@ def propagated(
             write_losses(model, scaled, tool, body, losses1)
             if not fresh:
                 accumulate(
-                    0.5 * (A0 + A1), 0.5 * (B0 + B1), h, 0.5 * held * drive, T, Q,
-                    t3.scale(-1.0 / model[1][0], force), 0.5 * (losses0 + losses1), lost)
+                    averaged(A0, A1), averaged(B0, B1), h, 0.5 * held * drive, T, Q,
+                    t3.scale(-1.0 / model[1][0], force), averaged(losses0, losses1), lost)
             A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
             fresh, h, held = False, 0.0, 0.0
         if now_ns == until_ns:
@@ -652,7 +660,8 @@ def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
 
     The last columns are those of lost cups, as many for each transition (12, 13) without a cup.
     """
-    n, last, out = len(E) - FALLEN, T[STATE], E.copy()
+    n, last, out = len(E) - FALLEN, T[STATE], np.empty_like(E)
+    out[STATE:] = E[STATE:]
     times_transition(T.astype(np.float32), E[:n], out[:STATE])
     carry_theta(out[STATE:n], last[SECONDS], memory)
     falling = np.zeros((6, FALLEN), np.float32)
