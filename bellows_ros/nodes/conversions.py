@@ -16,6 +16,7 @@ from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import Prediction
 from ..core.live.uncertainty import in_world_axes
 from ..core.observer import Payload
+from ..core.signals.trajectory import NS_PER_S
 
 TOOL_POSES = {
     'pose': (geometry.PoseStamped, attrgetter('pose.position', 'pose.orientation')),
@@ -28,7 +29,6 @@ TOOL_POSES = {
 }
 """By the parameter tool_pose.type: the message type, and what it contains."""
 
-NANOSECONDS = 1_000_000_000
 NO_STAMP = 0
 
 
@@ -40,12 +40,12 @@ def stamp_to_ns(stamp: Time) -> int:
     predictor refuses and counts.
     """
     nanosec: int = stamp.nanosec
-    return stamp.sec * NANOSECONDS + nanosec if nanosec < NANOSECONDS else NO_STAMP
+    return stamp.sec * NS_PER_S + nanosec if nanosec < NS_PER_S else NO_STAMP
 
 
 def write_stamp(stamp: Time, stamp_ns: int) -> None:
     """Write integer nanoseconds into a stamp."""
-    stamp.sec, stamp.nanosec = divmod(stamp_ns, NANOSECONDS)
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, NS_PER_S)
 
 
 def vector(message: Any) -> Vector:

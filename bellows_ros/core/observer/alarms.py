@@ -201,7 +201,7 @@ DECIDES = {
 """What tells causes apart; of the first mass with inertia is K and P the other way round."""
 
 
-Outcome = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int]]
+Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int]]
 NOTHING_FOUND = -math.inf, 0.0, (0, 0, 0), 0, (0, 0, 0)
 """What `_step` returns, and where nothing is compared."""
 
@@ -280,7 +280,7 @@ class Alarms:
         return (*before, stamp_ns) if total > 0.5 * self._threshold else ()
 
     def found(
-        self, known: Evidence, stamp_ns: int, outcome: Outcome,
+        self, known: Evidence, stamp_ns: int, outcome: Likeliest,
         opened: tuple[int, ...],
     ) -> DetectedFault | None:
         """
@@ -447,7 +447,7 @@ def processed(
 def _step(
     E: Any, numbers: Array, onsets: Stamps, steps: Array, stamp_ns: int,
     found: tuple[Array, Array, Array, float, Array], of_lip: bool, used: bool, is_first: bool,
-) -> Outcome:
+) -> Likeliest:
     """
     Take the next `Innovation`.
 
@@ -562,7 +562,7 @@ def _compare(seen: Array, z: Array, what: int, numbers: Array) -> None:
 @array_kernel
 def _judged(
     numbers: Array, onsets: Stamps, stamp_ns: int, is_first: bool
-) -> Outcome:
+) -> Likeliest:
     """Return what `_step` does."""
     cups = (len(numbers) - INFORMATION[-1]) // (2 * ONSETS)
     causes = len(SHARES) + cups
