@@ -8,6 +8,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import safe_yaml
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
@@ -347,8 +348,9 @@ def test_points_that_are_not_alike_are_the_same_plan(tmp_path, kind):
         assert_array_equal(other.times_ns, found[0].times_ns)
 
 
-def test_too_much_yaml_names_the_remedy(tmp_path):
-    text = yaml.safe_dump(plan_messages(4000)['multi'])
+def test_too_much_yaml_names_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setattr(safe_yaml, 'LARGEST_COUNT', 5000)
+    text = yaml.safe_dump(plan_messages(400)['multi'])
     (tmp_path / 'plan.yaml').write_text(text.replace('x: 0.02', 'x: 0.02  # turn', 1))
     with pytest.raises(BellowsError, match='ros2 bag record'):
         read_yaml(tmp_path / 'plan.yaml')

@@ -82,6 +82,17 @@ def test_poses_that_need_nothing_are_only_filtered():
     assert_allclose(found.since_start(package.stamps_ns), package.seconds)
 
 
+def test_filters_have_their_own_windows_and_the_common_time_is_theirs():
+    tool, package = held(61)
+    settings = replace(PLAIN, tool_half_window=10, tool_order=3, package_half_window=40)
+    found = prepare(stream(tool), stream(package, '/package', slice(5, -300)), settings)
+    assert found.tool_weights.shape == (3, 21)
+    assert found.package_weights.shape == (3, 81)
+    assert_array_equal(found.tool.stamps_ns, package.stamps_ns[45:-340])
+    expected = at(savgol(tool, 10, 3), found.tool.stamps_ns)
+    assert_allclose(found.tool.twist, expected.twist, atol=1e-12)
+
+
 @pytest.mark.parametrize('rate_hz', [100.0, 360.0, 1000.0])
 def test_windows_that_are_not_given_last_equally_long_at_every_rate(rate_hz):
     tool, package = held(71, rate_hz, 6.0)
