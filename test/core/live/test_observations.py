@@ -28,7 +28,6 @@ from bellows_ros.core.live.samples import ORIGIN, Prediction
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import with_chosen_cup
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -224,20 +223,6 @@ def test_words_on_the_load(factor, bending, level, words):
     assert status.values['distance from envelope'] == 'not known'
     detached = health.load_status('x', None, None, 0.0, True, False, 1.5)
     assert detached.message == 'No load: no package is held.'
-
-
-def test_cup_is_chosen_by_name():
-    soft = tuple(np.eye(6).ravel())
-    values = resolve({
-        **PACKAGE, 'cups.soft.stiffness': soft, 'cups.soft.length': 0.03, 'cup.name': 'soft'})
-    chosen = with_chosen_cup(values)
-    assert chosen['cup.stiffness'] == soft and chosen['cup.length'] == 0.03
-    assert chosen['cup.damping'] == values['cup.damping']
-    assert with_chosen_cup({**values, 'cup.name': ''}) == {**values, 'cup.name': ''}
-    with pytest.raises(BellowsError, match="'soft'"):
-        with_chosen_cup({**values, 'cup.name': 'sofd'})
-    with pytest.raises(BellowsError, match=r'cups\.soft\.stiffness'):
-        resolve({**PACKAGE, 'cups.soft.stiffness': [0.0] * 36})
 
 
 def test_every_count_has_words():
