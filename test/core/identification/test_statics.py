@@ -224,6 +224,13 @@ def test_a_wrong_mass_is_noticed(count):
     assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
 
 
+def test_a_length_known_badly_is_said_to_be():
+    standstills = [upright(0.0481 + 1e-3 * m, m, error=1e-3) for m in (2.0, 2.2, 2.4, 2.6)]
+    found = nominal_length(standstills, G)
+    assert found.length_std > 1e-4
+    assert any('is uncertain by' in warning for warning in found.warnings)
+
+
 def test_a_wrong_mass_is_named_as_the_cause():
     """By the factor between the deflections; a length that does not depend on load is refused."""
     cup = Cup(np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]), np.eye(6), 0.046)

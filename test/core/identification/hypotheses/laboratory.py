@@ -84,7 +84,7 @@ def dragged(row, o, turn, way):
 class Laboratory:
     """A cup and a package, how they are recorded, and what is said of them."""
 
-    def __init__(self, seed, soft=0.0, coloured=False, seconds=20.0):
+    def __init__(self, seed, soft=0.0, coloured=False, seconds=10.0):
         rng = self.rng = np.random.default_rng((11, seed))
         lateral, axial, turning = np.exp(rng.uniform(-0.4, 0.4, 3))
         self.K = np.array([6000.0 * lateral] * 2 + [11000.0 * axial] + [4.2 * turning] * 2

@@ -170,7 +170,7 @@ def test_a_turn_is_named_as_it_is():
 
 
 def test_a_slip_and_a_tilt_are_sized():
-    slipped, tilted = Laboratory(101), Laboratory(101)
+    slipped, tilted = (Laboratory(101, seconds=20.0) for _ in range(2))
     FAULTS['package slipped'][0](slipped)
     FAULTS['gravity tilted'][0](tilted)
     slip, tilt = diagnosed(slipped)[0], diagnosed(tilted)[0]
