@@ -7,19 +7,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.excitation import fisher
+from bellows_ros.core.excitation import fisher, motion_design
 from bellows_ros.core.excitation.arm_limits import limits_from
-from bellows_ros.core.excitation.motion_design import (
-    cups_near,
-    Design,
-    design,
-    everyday,
-    HOLD,
-    LOADS,
-    RAMP,
-    REST,
-    standstills,
-)
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
@@ -48,7 +37,7 @@ Progress = Callable[[str, float], None]
 POINT_RATE, UR_RATE = 1000.0, 125.0
 """Points per second in recordings and CSV, and in a URScript program, Hz."""
 
-SHORTEST, LONGEST = REST + 3.0 * RAMP, 120.0
+SHORTEST, LONGEST = motion_design.REST + 3.0 * motion_design.RAMP, 120.0
 """Range of durations, s."""
 
 STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_validation'
@@ -87,7 +76,7 @@ class DesignedMotion(CommandResult):
 
     """
 
-    design: Design
+    design: motion_design.Design
     structure: Structure
     guess: Array
     beside: Mapping[str, Array]
@@ -104,7 +93,7 @@ class DesignedMotion(CommandResult):
     def warnings(self) -> tuple[str, ...]:
         """Return warnings before the motion: what it cannot identify, and what would."""
         found = checks.implausible(self.values)
-        if LOADS[-1] not in self.design.ratios:
+        if motion_design.LOADS[-1] not in self.design.ratios:
             found += (NO_GRIP,)
         if self.hold and not self.design.motion.hold:
             found += (NO_HOLD,)
@@ -148,7 +137,7 @@ def _rounded_up(factor: float) -> str:
 def excite(
     settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[File] = (), seed: int = 0,
-    progress: Progress | None = None, with_series: bool = False, hold: float = HOLD,
+    progress: Progress | None = None, with_series: bool = False, hold: float = motion_design.HOLD,
 ) -> DesignedMotion:
     """
     Design a motion that is most informative on K and P.
@@ -183,7 +172,7 @@ def excite(
     if not SHORTEST <= duration <= LONGEST:
         raise BellowsError(
             f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s, with '
-            f'{REST:g} s of rest and ramps of {RAMP:g} s.')
+            f'{motion_design.REST:g} s of rest and ramps of {motion_design.RAMP:g} s.')
     if not 0.0 <= hold <= LONGEST:
         raise BellowsError(
             f'The hold is {hold:g} s long; expected 0 (none) to {LONGEST:g} s, 5 to 10 s for '
@@ -200,14 +189,14 @@ def excite(
     gravity = checks.gravity_of(values)
     grip, models = grip_of(values), [
         cup_package.model_tuple(cup_package.gripper_of(each, structure.places), package, gravity)
-        for each in cups_near(cup)]
+        for each in motion_design.cups_near(cup)]
 
     def errors_of(tool: Trajectory) -> Array:
         return fisher.standard_errors(fisher.motion_information(
             cup, package, gravity, tool, tracking, structure))
 
     plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
-    found = design(
+    found = motion_design.design(
         cup, package, gravity, grip, structure, bounds, tracking, duration, seed, tell, hold)
     period = tracking.package_period
     others = {}
@@ -217,8 +206,8 @@ def excite(
         others[path] = errors_of(resample(tool, tool.stamps_ns[0] + at))
     guess = structure.parameters(cup.stiffness, cup.damping)
     more: dict[str, Motion] = {
-        STANDSTILLS: standstills(bounds, models, grip), EXCITATION: found.motion,
-        VALIDATION: everyday(bounds, models, grip, duration, seed),
+        STANDSTILLS: motion_design.standstills(bounds, models, grip), EXCITATION: found.motion,
+        VALIDATION: motion_design.everyday(bounds, models, grip, duration, seed),
     } if with_series else {}
     series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
               for name, motion in more.items()}
