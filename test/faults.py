@@ -44,7 +44,7 @@ def outcome(laboratory, cause, other='', quick=False):
         return ('refused otherwise', 'one of two' if other else 'right', 'right')[len(named)], (
             str(error)[:90])
     findings, besides = verdict.diagnosis.findings, verdict.diagnosis.besides
-    named = [f'{own.name} {own.value}{own.words} {own.instead} '
+    named = [f'{own.name} {own.value}{own.sentence} {own.instead} '
              f'{"certain" if own.certain else "perhaps"}' for own in (*findings, *besides)]
     said = '; '.join([*named, *verdict.refusals])[:200]
     if any('certain' in word and cause not in word and not (other and other in word)

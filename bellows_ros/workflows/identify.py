@@ -123,7 +123,8 @@ def identify(
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
     fitted_structure(values)
-    of_files = _origins(parameter_files)
+    of_files = tuple(
+        {'path': os.fspath(path), 'files': digests(path)} for path in parameter_files)
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
@@ -212,11 +213,6 @@ def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
         f"cup.length is not set: using the thesis's {THESIS_LENGTH:g} m, on which K and P "
         'depend. Measure yours from the tool tip to the lip, under vacuum and without load.',
     )
-
-
-def _origins(paths: Sequence[str | os.PathLike[str]]) -> tuple[Mapping[str, Any], ...]:
-    """Return path and digests of files."""
-    return tuple({'path': os.fspath(path), 'files': digests(path)} for path in paths)
 
 
 def _static(values: Mapping[str, Any], tell: Progress) -> 'StaticResult | None':

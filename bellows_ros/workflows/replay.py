@@ -243,8 +243,9 @@ def replay(
     tell = progress or (lambda what, part: None)
     tell(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)
-    if wrong := [own.words for own in corrected(recording)[0] if own.words]:
-        raise BellowsError(' '.join(wrong))
+    facts = corrected(recording)[0]
+    if any(own.sentence for own in facts):  # the package is not below the tool
+        raise BellowsError(' '.join(finding_sentence(own, values) for own in facts))
     tell('simulating', 0.3)
     free = validated(values, recording)
     live = predicted_live(recording, values, lambda what, part: tell(what, 0.4 + 0.6 * part))

@@ -128,8 +128,8 @@ class Finding(NamedTuple):
         Squares beyond noise that it leaves, in those expected of noise and rubber.
     is_fact : bool
         Whether it is seen without any fit.
-    words : str
-        The sentence, where it is not the one that `KNOWN_CAUSES` has.
+    sentence : str
+        What is said of it, where it is not the one that `KNOWN_CAUSES` has.
 
     """
 
@@ -144,7 +144,7 @@ class Finding(NamedTuple):
     instead: str = ''
     rest: float = 0.0
     is_fact: bool = False
-    words: str = ''
+    sentence: str = ''
 
     @property
     def material(self) -> bool:
@@ -187,7 +187,7 @@ def _corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
         except BellowsError as error:
             if not found:
                 raise
-            found.append(Finding('recording', '', is_fact=True, words=str(error)))
+            found.append(Finding('recording', '', is_fact=True, sentence=str(error)))
             break
         if not new:
             break
@@ -197,7 +197,7 @@ def _corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
 def require_hanging(recording: Recording) -> None:
     """Refuse a recording whose package is mostly not below the tool, by what is the cause."""
     if wrong := misread(recording):
-        raise BellowsError(wrong.words)
+        raise BellowsError(wrong.sentence)
 
 
 def misread(own: Recording) -> Finding | None:
@@ -215,8 +215,8 @@ def misread(own: Recording) -> Finding | None:
 
 def _misread(own: Recording) -> Finding | None:
     """Return the same."""
-    def because(name: str, words: str) -> Finding:
-        return Finding(name, '', is_fact=True, words=words)
+    def because(name: str, sentence: str) -> Finding:
+        return Finding(name, '', is_fact=True, sentence=sentence)
 
     some = np.flatnonzero(own.valid)[::LOOKED_AT_EVERY]
     if not len(some):
@@ -427,7 +427,7 @@ Words = Callable[[Finding, Mapping[str, Any]], tuple[str, str]]
 """Returns what was found with its size, and what to do, given the parameters by name."""
 
 
-def sentence(what: str, remedy: str) -> Words:
+def _setting_words(what: str, remedy: str) -> Words:
     """Return the words of a setting whose value is otherwise."""
     return lambda found, given: (what.format(found.value), remedy.format(found.value))
 
@@ -553,7 +553,7 @@ class KnownCause(NamedTuple):
     """
 
     setting: str
-    words: Words = sentence('', '')
+    words: Words = _setting_words('', '')
     units: Any = '1'
     corrected: Callable[[Recording, Finding], Recording] = lambda own, found: own
 
@@ -565,7 +565,8 @@ KNOWN_CAUSES: Mapping[str, KnownCause] = {
             own, tool=own.package_pose, package=own.tool_pose, tool_twist=None)),
     'recording.package_frame': KnownCause(
         'recording.package_frame',
-        sentence('The package poses are those of the {}', 'Set recording.package_frame: {}.'),
+        _setting_words('The package poses are those of the {}',
+                       'Set recording.package_frame: {}.'),
         corrected=lambda own, found: _prepared(
             own, settings=replace(own.settings, package_frame='lip'))),
     'package_world': KnownCause(
@@ -576,12 +577,12 @@ KNOWN_CAUSES: Mapping[str, KnownCause] = {
     'mass': KnownCause('package.mass', _package_words, corrected=_in_other_units),
     'inertia': KnownCause('package.inertia', _package_words, corrected=_in_other_units),
     'time_offset': KnownCause('fit.time_offset', _clock_words, 's', _by_one_clock),
-    'tool_twist.frame': KnownCause('tool_twist.frame', sentence(
+    'tool_twist.frame': KnownCause('tool_twist.frame', _setting_words(
         "The tool's twists match its poses only in axes of the {}", 'Set tool_twist.frame: {}.')),
     'topics.tool_twist': KnownCause('topics.tool_twist', lambda found, given: (
         f"The angular twists of '{given.get('topics.tool_twist', 'tool')}' are in {found.value}, "
         'not in rad/s', "Correct the driver, or set topics.tool_twist: '' to leave them out.")),
-    'low-pass': KnownCause('the tracking system', sentence(
+    'low-pass': KnownCause('the tracking system', _setting_words(
         'The poses of {} went through a low-pass: above 25 Hz their noise falls more steeply than '
         'noise does', 'It takes a part of the motion, and biases K and P: record unfiltered '
         'poses.')),
@@ -593,9 +594,9 @@ KNOWN_CAUSES: Mapping[str, KnownCause] = {
     'gravity.direction': KnownCause('gravity.direction', _gravity_words, 'rad'),
     'recording.world': KnownCause('recording.world', _world_words),
     'yaw': KnownCause('', _yaw_words),
-    'package.files': KnownCause('package.files', sentence(
+    'package.files': KnownCause('package.files', _setting_words(
         'The packages of the two recordings are {}', 'Exchange the two names in package.files.')),
-    'structure': KnownCause('fit.structure', sentence(
+    'structure': KnownCause('fit.structure', _setting_words(
         'The structure of the cup is not the given one, but {}', 'Set fit.structure: {}.')),
     'drift': KnownCause('', _cup_words(
         'The stiffness of the cup drifts: {entry} {side} by {part} from beginning to end',
@@ -625,8 +626,8 @@ def setting_of(found: Finding) -> str:
 
 def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
     """Return what was found, its size, by how much residuals fall, and what to change."""
-    if found.words:
-        return found.words
+    if found.sentence:
+        return found.sentence
     what, remedy = KNOWN_CAUSES[found.name].words(found, given)
     falls = f' With that, the residuals fall to {100.0 * found.left:.2g} %.'
     return f'{what}.{falls if found.left else ""} {remedy}'

@@ -1,5 +1,6 @@
 """One thing is wrong in each recording, and it is named; where nothing is, nothing is refused."""
 
+from dataclasses import replace
 import re
 
 from bellows_ros.core.geometry.jit import COMPILED
@@ -14,7 +15,9 @@ from bellows_ros.core.identification.hypotheses import diagnose
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.search import Search
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.errors import BellowsError
+from bellows_ros.workflows.replay import validated
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 import pytest
@@ -45,7 +48,7 @@ def named(laboratory, cause):
     if not findings:
         return 'silent'
     first = findings[0]
-    if cause in (first.name, first.instead) or cause in first.value + first.words:
+    if cause in (first.name, first.instead) or cause in first.value + first.sentence:
         return 'right'
     if not first.certain:
         return 'not certain'
@@ -76,12 +79,22 @@ def test_of_two_faults_both_are_named(first, second, seed):
         FAULTS[fault][0](laboratory)
     found = verdict_of(None, laboratory.recordings(), laboratory.said_length,
                        parameters(laboratory))
-    named = [f'{own.name} {own.value}{own.words}' for own in (
+    named = [f'{own.name} {own.value}{own.sentence}' for own in (
         *found.diagnosis.findings[:2 if found.diagnosis.findings[0].is_fact else 1],
         *found.diagnosis.besides) if own.certain]
     assert [True, True] == [any(FAULTS[fault][1] in own for own in named)
                             for fault in (first, second)]
     assert len(named) == 2 == len(found.cause) and 'Besides' in found.cause[1]
+
+
+def test_a_replay_names_clocks_that_are_apart():
+    laboratory = Laboratory(4, seconds=8.0)
+    recording = laboratory.recording()
+    tool = replace(recording.tool_pose, stamps_ns=recording.tool_pose.stamps_ns + 10**9)
+    late = prepare(tool, recording.package_pose, recording.settings)
+    named = [any('fit.time_offset' in text for text in validated(
+        parameters(laboratory), own).warnings) for own in (recording, late)]
+    assert named == [False, True]
 
 
 def test_what_is_left_is_said_where_a_second_fault_is_not_found():
