@@ -134,7 +134,13 @@ def test_the_truth_agrees_with_an_independent_integrator(tmp_path):
 
 
 def test_streams_have_their_own_rates_and_are_the_truth_without_noise(tmp_path):
-    streams, report = recorded(tmp_path, MOTION)
+    streams, report = recorded(
+        tmp_path, motion(**{'package.stamps': {'jitter': 0.0, 'latency': 0.012}}))
+    with AnyReader([tmp_path / 'bag']) as reader:
+        received = {topic: [log_ns for connection, log_ns, _ in reader.messages()
+                            if connection.topic == topic] for topic in ROLES.values()}
+    for role, late_ns in (('tool_pose', 0), ('tool_twist', 0), ('pose', 12_000_000)):
+        assert_array_equal(received[ROLES[role]] - streams[role].stamps_ns, late_ns)
     counts = {name: count for name, _, count in topics(tmp_path / 'bag')}
     assert counts == dict(report.messages)
     assert counts == {'/tool_arm/pose': 501, '/tool_arm/twist': 501, '/package/pose': 241}
