@@ -84,11 +84,12 @@ def test_other_than_one_thing_is_refused():
     twice.joint_names *= 2
     with pytest.raises(BellowsError, match=r'\b1\b'):
         decode_multi_dof(bytes(TYPES.serialize_cdr(twice, MULTI_DOF)))
-    _, two = message()
-    for point in two.points:
-        point.transforms *= 2
-    with pytest.raises(BellowsError, match=r'\b2\b'):
-        decode_multi_dof(bytes(TYPES.serialize_cdr(two, MULTI_DOF)))
+    for part in ('transforms', 'velocities', 'accelerations'):
+        _, two = message()
+        for point in two.points:
+            setattr(point, part, 2 * getattr(point, part))
+        with pytest.raises(BellowsError, match=rf'\b2 {part}\b'):
+            decode_multi_dof(bytes(TYPES.serialize_cdr(two, MULTI_DOF)))
     _, empty = message(count=0)
     with pytest.raises(BellowsError, match=r'\b0\b'):
         decode_multi_dof(bytes(TYPES.serialize_cdr(empty, MULTI_DOF)))
