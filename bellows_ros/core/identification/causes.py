@@ -433,6 +433,7 @@ def _setting_words(what: str, remedy: str) -> Words:
 
 
 def _clock_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of clocks that are apart."""
     (offset,), (std,) = found.theta, found.std
     size = f'{_size(offset, std)} ms' if std < ROUGH else f'about {abs(offset):.2f} s'
     return (f'The stamps of the tool are {size} {"behind" if offset > 0.0 else "ahead of"} those '
@@ -440,6 +441,7 @@ def _clock_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _com_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of a centre of mass that is elsewhere."""
     if found.instead:
         return _length_or_com(found.theta[2])
     shifts = ', '.join(
@@ -452,6 +454,7 @@ def _com_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _length_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of another length of the cup."""
     (off,), (std,) = found.theta, found.std
     if found.instead:
         return _length_or_com(off)
@@ -468,6 +471,7 @@ def _length_or_com(way: float) -> tuple[str, str]:
 
 
 def _marker_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of a marker frame that is turned."""
     shift, turn = (float(np.linalg.norm(part))
                    for part in np.split(found.theta, [len(found.theta) - 3]))
     return (f'The marker frame of tool or package is turned by {np.rad2deg(turn):.1f} degrees, '
@@ -477,6 +481,7 @@ def _marker_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _slip_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of a package that slipped."""
     x, y, since = found.theta
     return (f'The package slipped on the lip by {1e3 * np.hypot(x, y):.1f} mm, {since:.1f} s '
             'after its first sample', 'Fit what is before or after: set recording.end or '
@@ -484,6 +489,7 @@ def _slip_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _gravity_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of a world that is not level."""
     down = levelling(given.get('gravity.direction', DOWN)).T @ (
         exp_so3(np.append(-found.theta, 0.0)) @ DOWN)
     return (f'Gravity is {np.rad2deg(np.hypot(*found.theta)):.1f} degrees off gravity.direction',
@@ -492,6 +498,7 @@ def _gravity_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _package_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of a mass or an inertia that is otherwise."""
     name, value = f'package.{found.name}', found.value
     if not value:
         factor = float(np.exp(-found.theta[0]))
@@ -505,6 +512,7 @@ def _package_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _world_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of another world of the recording."""
     if found.value.startswith('gravity'):
         return ('Gravity is not along -z of the world',
                 f'Set gravity.direction: {found.value.removeprefix("gravity ")}.')
@@ -512,6 +520,7 @@ def _world_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _yaw_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of a frame that is turned about z."""
     turns = [f"the {body}'s frame is turned by {degrees} degrees about z"
              for body, degrees in map(str.split, filter(None, (found.value, found.instead)))]
     words = ', or '.join(turns)
