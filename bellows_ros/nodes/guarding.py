@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 
 from ..core.geometry.arrays import Mask
@@ -27,6 +29,12 @@ from ..core.parameters.table import short
 
 PACKAGE = Path(__file__).parents[1]
 NEGATIVE_TIME = 'negative time on /clock'
+
+OVERRIDABLE = (
+    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+)
+"""Durability is for a vacuum switch that publishes only when it changes."""
 
 
 class GuardedNode(Node):
@@ -82,9 +90,15 @@ class GuardedNode(Node):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any, **options: Any
     ) -> Any:
-        """Subscribe with a callback that may fail; rclpy subscribes to the clock here, too."""
+        """
+        Subscribe with a callback that may fail, and QoS that can be overridden.
+
+        rclpy subscribes to the clock here, too.
+        """
         if msg_type is Clock:
             callback = partial(self._take_time, callback)
+        else:
+            options['qos_overriding_options'] = QoSOverridingOptions(OVERRIDABLE)
         return super().create_subscription(
             msg_type, topic, self.guarded(callback), *more, **options)
 

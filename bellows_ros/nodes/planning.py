@@ -15,14 +15,12 @@ from nav_msgs.msg import Odometry, Path
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
 from .conversions import stamp_to_ns, write_odometry
 from .guarding import Worker
 from .outputs import Topic
-from .tool_inputs import OVERRIDABLE
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import Level, number, Status
 from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
@@ -123,8 +121,7 @@ class Planning:
             node.create_subscription(
                 kind, topic, callback, QoSProfile(depth=10), raw=raw,
                 event_callbacks=SubscriptionEventCallbacks(
-                    matched=node.guarded(partial(self._on_publishers, compile_it))),
-                qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
+                    matched=node.guarded(partial(self._on_publishers, compile_it))))
         self.forget()
 
     @property
@@ -410,9 +407,7 @@ class JointPlanning:
                 (JointTrajectory, 'tool_arm/steer_joints',
                  partial(planning.steerer.submit, 'steering', self._on_steer),
                  QoSProfile(depth=10))):
-            node.create_subscription(
-                kind, topic, callback, qos,
-                qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
+            node.create_subscription(kind, topic, callback, qos)
 
     def set_values(self, values: Mapping[str, Any]) -> None:
         """Go on with other values."""

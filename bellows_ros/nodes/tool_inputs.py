@@ -7,8 +7,7 @@ import time
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from .conversions import quaternion_xyzw, stamp_to_ns, vector
 from .guarding import GuardedNode
@@ -19,12 +18,6 @@ from ..errors import BellowsError
 
 QUEUE = 500
 """Length of each queue: at 1 kHz the longest gap across which the motion is followed."""
-
-OVERRIDABLE = (
-    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY,
-)
-"""Durability is for a vacuum switch that publishes only when it changes."""
 
 
 class SensorInput:
@@ -63,7 +56,6 @@ class SensorInput:
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
             event_callbacks=events,
-            qos_overriding_options=QoSOverridingOptions(OVERRIDABLE),
         )
 
     @property

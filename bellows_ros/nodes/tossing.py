@@ -6,7 +6,6 @@ from typing import Any
 
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 import numpy as np
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -14,7 +13,6 @@ from .conversions import write_header, write_quaternion, write_stamp, write_vect
 from .guarding import Worker
 from .outputs import marker, NAMESPACE, Topic
 from .planning import Planning
-from .tool_inputs import OVERRIDABLE
 from ..core.geometry.arrays import Array
 from ..core.live import Prediction
 from ..core.live.flight import Flight, Landing, PATH_POINTS
@@ -57,9 +55,7 @@ class Tossing:
         self._at = Topic(node, Header, 'release/at')
         self._message = PoseWithCovarianceStamped()
         self._picture = Topic(node, MarkerArray, 'package/landing_markers')
-        node.create_subscription(
-            Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10,
-            qos_overriding_options=QoSOverridingOptions(OVERRIDABLE))
+        node.create_subscription(Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10)
         self._landed_ns = self._aimed_ns = 0
 
     def forget(self) -> None:

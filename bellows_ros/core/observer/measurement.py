@@ -176,19 +176,13 @@ def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length:
     return math.sqrt(t3.dot(away, away))
 
 
-class Innovation(NamedTuple):
-    """The difference of a measured pose from an estimate, with its covariance."""
-
-    y: Array
-    """Shift (m) and turn (rad) from the estimated to the measured pose, in B axes (6,)."""
-    H: Array
-    """Its derivative by the error (6, n)."""
-    whitener: Array
-    """Triangular (6, 6); makes its covariance the identity."""
-    distance: float
-    """Its squared Mahalanobis distance."""
-    whitened: Array
-    """Whitener times H P (6, n): its square is what a measurement takes from P."""
+Innovation = tuple[Array, Array, Array, float, Array]
+"""
+The difference of a measured pose from an estimate, with its covariance: shift (m) and turn (rad)
+from the estimated to the measured pose, in B axes (6,); its derivative by the error (6, n); a
+triangular whitener (6, 6), which makes its covariance the identity; its squared Mahalanobis
+distance; and the whitener times H P (6, n), whose square is what a measurement takes from P.
+"""
 
 
 @kernel
@@ -260,8 +254,8 @@ def observed(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
 def innovation(
     body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
     of_lip: bool,
-) -> tuple[Array, Array, Array, float, Array]:
-    """Return an `Innovation` as a tuple; noise is in B axes."""
+) -> Innovation:
+    """Return an `Innovation`; noise is in B axes."""
     n = len(P)
     shift, turn = pose_error(body, position, q)
     y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
@@ -297,7 +291,7 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
 
 @array_kernel
 def corrected(
-    body: State, theta: Array, P: Array, found: tuple[Array, Array, Array, float, Array]
+    body: State, theta: Array, P: Array, found: Innovation
 ) -> tuple[State, Array]:
     """Return state and theta after a measurement, by its `Innovation`; P is changed in place."""
     y, _, W, _, Z = found
@@ -343,7 +337,7 @@ def updated(
     model: ModelTuple, tool: State, body: State, theta: Array, P: Array, memory: Array,
     seconds: float, position: Vector, quaternion_xyzw: Quaternion, noise: Array, marker: Marker,
     reach: float, gate: float,
-) -> tuple[int, tuple[Array, Array, Array, float, Array], State, Array, Array]:
+) -> tuple[int, Innovation, State, Array, Array]:
     """
     Update an estimate with a measurement.
 
