@@ -14,7 +14,6 @@ from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.observer import Measurement, Observer
-from bellows_ros.core.observer.filter import checked_wrench
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,13 +38,13 @@ def advance_and_hold(
     reach: float,
 ) -> tuple[State, Wrench, bool]:
     """
-    Return the package at the newest tool sample, and what `checked_wrench` does.
+    Return the package at the newest tool sample, and what `kernels.checked_wrench` does.
 
     With no substeps the package stays as it is.
     """
     if substeps > 0:
         body = kernels.advance(model, body, before, now, duration, substeps)
-    wrench, is_sound = checked_wrench(model, now, body, reach)
+    wrench, is_sound = kernels.checked_wrench(model, now, body, reach)
     return body, wrench, is_sound
 
 

@@ -15,6 +15,8 @@ kernel is compiled once with them and once without; at rest, without them, K alo
 
 from __future__ import annotations
 
+from typing import Any
+
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
@@ -33,6 +35,35 @@ Strains = tuple[Strain, ...]
 """Of the two branches, or none."""
 State = tuple[Vector, Quaternion, Vector, Vector, *Strains]
 """Position (m), orientation, linear and angular body twist (m/s, rad/s) of a frame in A."""
+
+
+@kernel
+def matrix_at(row: Any, i: int) -> Matrix:
+    """Return a 3x3 matrix from nine numbers of a row."""
+    return (row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5], row[i + 6],
+            row[i + 7], row[i + 8])
+
+
+@kernel
+def blocks_at(row: Any, i: int) -> Blocks:
+    """Return K or P from 27 numbers of a row."""
+    return matrix_at(row, i), matrix_at(row, i + 9), matrix_at(row, i + 18)
+
+
+def model_row(model: ModelTuple) -> list[float]:
+    """Return the numbers of a model but those of relaxation: read from Python at once."""
+    cup, (mass, com, *inertia), gravity = model
+    blocks = [number for matrix in cup[2:4] for block in matrix for number in block]
+    return [*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity]
+
+
+@kernel
+def model_of(row: Any, branches: tuple[Branch, ...]) -> ModelTuple:
+    """Return the model with the numbers of `model_row`, and with branches of relaxation."""
+    return (
+        (row[0], row[1], blocks_at(row, 2), blocks_at(row, 29), *branches),
+        (row[56], (row[57], row[58], row[59]), matrix_at(row, 60), matrix_at(row, 69)),
+        (row[78], row[79], row[80]))
 
 
 @kernel
@@ -455,3 +486,22 @@ def advance(
         body = stages(model, body, tool, middle, tool_end, h)[3]
         tool = tool_end
     return body
+
+
+@kernel
+def checked_wrench(
+    model: ModelTuple, tool: State, body: State, reach: float
+) -> tuple[Wrench, bool]:
+    """
+    Return the cup's wrench on the package, and if both can be.
+
+    They can where all numbers are finite, and the lip is within reach (m) of where it is without
+    load.
+    """
+    cup, package, _ = model
+    o_lip, R_lip, v_lip, w_lip = lip_relative_to_tool(package[1], tool, body)
+    f, m = wrench = cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
+    v, w = body[2], body[3]
+    total = t3.dot(v, v) + t3.dot(w, w) + t3.dot(f, f) + t3.dot(m, m) + body[1][0] + body[1][3]
+    shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
+    return wrench, total - total == 0.0 and t3.dot(shift, shift) <= reach * reach

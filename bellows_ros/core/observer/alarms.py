@@ -33,7 +33,7 @@ from bellows_ros.core.geometry.tuples import (
     subtract_product,
     Vector,
 )
-from bellows_ros.core.model.kernels import Branch, State
+from bellows_ros.core.model.kernels import Branch, model_of, State
 from bellows_ros.core.observer.filter import (
     CAMERA,
     COM,
@@ -43,7 +43,6 @@ from bellows_ros.core.observer.filter import (
     LENGTHENING,
     MARKER,
     MASS,
-    model_of,
     ONSETS,
     predicted,
     SHIFT,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.model.grip import one_of
-from bellows_ros.core.model.kernels import Blocks, ModelTuple, State
+from bellows_ros.core.model.kernels import Blocks, model_row, ModelTuple, State
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
 from bellows_ros.core.observer.alarms import Alarm, Alarms, CONFIRMED, processed
 from bellows_ros.core.observer.filter import (
@@ -27,7 +27,6 @@ from bellows_ros.core.observer.filter import (
     LEAST_ROWS,
     MARKER,
     MASS,
-    model_row,
     NO_EVIDENCE,
     NOISE,
     NOT_FOLLOWED,
@@ -228,7 +227,7 @@ class Correction:
         """Know what is uncertain."""
         self.nominal, self.longest, self.reach = model, longest, reach
         self.branches = model[0][4:]
-        (self._row,) = as_inputs(model_row(model))
+        self._row, = as_inputs(np.array(model_row(model)))
         self.prior, self._walk = prior_std(values, model), bias_walk(model)
         self._marker, places = sensor.marker, places_of(values)
         self._cups = cups_of(model, places)

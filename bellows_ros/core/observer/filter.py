@@ -111,54 +111,6 @@ class Estimate(NamedTuple):
 
 
 @kernel
-def matrix_at(row: Any, i: int) -> Matrix:
-    """Return a 3x3 matrix from nine numbers of a row."""
-    return (row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5], row[i + 6],
-            row[i + 7], row[i + 8])
-
-
-@kernel
-def blocks_at(row: Any, i: int) -> Blocks:
-    """Return K or P from 27 numbers of a row."""
-    return matrix_at(row, i), matrix_at(row, i + 9), matrix_at(row, i + 18)
-
-
-def model_row(model: ModelTuple) -> Array:
-    """Return the numbers of a model but those of relaxation: read from Python at once."""
-    cup, (mass, com, *inertia), gravity = model
-    blocks = [number for matrix in cup[2:4] for block in matrix for number in block]
-    return np.array([*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity])
-
-
-@kernel
-def model_of(row: Any, branches: tuple[Branch, ...]) -> ModelTuple:
-    """Return the model with the numbers of `model_row`, and with branches of relaxation."""
-    return (
-        (row[0], row[1], blocks_at(row, 2), blocks_at(row, 29), *branches),
-        (row[56], (row[57], row[58], row[59]), matrix_at(row, 60), matrix_at(row, 69)),
-        (row[78], row[79], row[80]))
-
-
-@kernel
-def checked_wrench(
-    model: ModelTuple, tool: State, body: State, reach: float
-) -> tuple[Wrench, bool]:
-    """
-    Return the cup's wrench on the package, and if both can be.
-
-    They can where all numbers are finite, and the lip is within reach (m) of where it is without
-    load.
-    """
-    cup, package, _ = model
-    o_lip, R_lip, v_lip, w_lip = kernels.lip_relative_to_tool(package[1], tool, body)
-    f, m = wrench = kernels.cup_wrench(cup, o_lip, R_lip, v_lip, w_lip, body[4:])
-    v, w = body[2], body[3]
-    total = t3.dot(v, v) + t3.dot(w, w) + t3.dot(f, f) + t3.dot(m, m) + body[1][0] + body[1][3]
-    shift = (o_lip[0], o_lip[1], o_lip[2] + cup[1])
-    return wrench, total - total == 0.0 and t3.dot(shift, shift) <= reach * reach
-
-
-@kernel
 def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
     """Return a model with its numbers changed by theta."""
     cup, (mass, com, inertia, inverse), gravity = model
@@ -178,8 +130,8 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
 
 @kernel
 def model_with(row: Any, branches: tuple[Branch, ...], theta: Array) -> ModelTuple:
-    """Return the model that `model_of` returns, with its numbers changed by theta."""
-    return with_theta(model_of(row, branches), theta)
+    """Return the model that `kernels.model_of` returns, with its numbers changed by theta."""
+    return with_theta(kernels.model_of(row, branches), theta)
 
 
 @kernel
@@ -361,8 +313,8 @@ def write_losses(
     """
     for i in range(len(cups)):
         cup = model[0]
-        one = ((cup[0], cup[1], blocks_at(cups[i], 0), blocks_at(cups[i], 27), *cup[4:]), model[1],
-               model[2])
+        K, P = kernels.blocks_at(cups[i], 0), kernels.blocks_at(cups[i], 27)
+        one = (cup[0], cup[1], K, P, *cup[4:]), model[1], model[2]
         by_pose, by_twist = jac.cup_accelerations(one, tool, body)
         jac.write_square(out[i], 0, 0, by_pose)
         jac.write_square(out[i], 0, 6, by_twist)
@@ -717,7 +669,7 @@ def followed(
             model, wrench_of(theta), body, tool, there, part, substeps_for(part, longest))
         tool = there
     write_row(bodies[k], body)
-    wrench, is_sound = checked_wrench(model, end, body, reach)
+    wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
     return body, wrench, is_sound
 
 
@@ -729,6 +681,6 @@ def body_ahead(
     """Return the package of an estimate at a later stamp, and write it into the samples."""
     none = np.zeros((0, 0))
     return propagated(
-        model_of(row, branches), theta, tool, body, none, none, stamps, starts, ends, bodies,
-        False, first_after(stamps, now_ns, count), now_ns, until_ns, longest, none,
+        kernels.model_of(row, branches), theta, tool, body, none, none, stamps, starts, ends,
+        bodies, False, first_after(stamps, now_ns, count), now_ns, until_ns, longest, none,
         np.zeros((0, 54)), np.zeros((0, 12, 13)))[1]

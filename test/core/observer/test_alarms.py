@@ -3,6 +3,7 @@
 from collections import Counter
 import re
 
+from bellows_ros.core.model.kernels import model_of
 from bellows_ros.core.model.structure import SINGLE
 from bellows_ros.core.observer import correction as module
 from bellows_ros.core.observer.alarms import (
@@ -31,7 +32,6 @@ from bellows_ros.core.observer.filter import (
     LENGTH,
     LENGTHENING,
     MARKER,
-    model_of,
     NOISE,
     predicted,
     propagated,
