@@ -54,6 +54,6 @@ def test_two_recordings_of_one_cup(files):
 ])
 def test_results_with_other_content_are_refused(files, tmp_path, change, word):
     """Say what is missing, at a length that can be read."""
-    with pytest.raises(BellowsError, match=word) as error:
+    with pytest.raises(BellowsError, match=word or None) as error:
         compare_files(changed(files[0], tmp_path, **change), files[0])
     assert len(str(error.value)) < 1000
