@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
@@ -12,7 +12,7 @@ from bellows_ros.core.live.samples import Prediction, ZERO
 from bellows_ros.core.live.uncertainty import Modes, modes_of, Settling
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
+from bellows_ros.core.model.kernels import Branch, ModelTuple, State, Wrench
 from bellows_ros.core.observer import Measurement, Observer
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -34,14 +34,15 @@ RETRY_NS = 100_000_000
 
 @kernel
 def advance_and_hold(
-    model: ModelTuple, body: State, before: State, now: State, duration: float, substeps: int,
-    reach: float,
+    row: Any, branches: tuple[Branch, ...], body: State, before: State, now: State,
+    duration: float, substeps: int, reach: float,
 ) -> tuple[State, Wrench, bool]:
     """
     Return the package at the newest tool sample, and what `kernels.checked_wrench` does.
 
-    With no substeps the package stays as it is.
+    Takes the model as `kernels.model_of` does. With no substeps the package stays as it is.
     """
+    model = kernels.model_of(row, branches)
     if substeps > 0:
         body = kernels.advance(model, body, before, now, duration, substeps)
     wrench, is_sound = kernels.checked_wrench(model, now, body, reach)
@@ -148,6 +149,7 @@ class LivePayload:
         """Go on with another cup or package; pose and motion stay as they are."""
         self._model, self._longest_step, self._reach, modes = prepared(
             cup, package, self._gravity)
+        self._row, self._branches = kernels.model_row(self._model), self._model[0][4:]
         self.settling.modes = modes
         self._retry_ns = -1
         if self.sample is not None:
@@ -243,17 +245,22 @@ class LivePayload:
         try:
             if self.observer is None:
                 body, wrench, sound = advance_and_hold(
-                    self._model, body, start, end, duration, substeps, self._reach)
+                    self._row, self._branches, body, start, end, duration, substeps, self._reach)
             elif kept_ns and (found := self.observer.follow(kept_ns, start, end)):
                 body, wrench, sound = found
             else:
                 body = (self.observer.body if kept_ns
                         else self.observer.drifted(body, start, end, duration))
-                _, wrench, sound = advance_and_hold(
-                    self.model, body, end, end, 0.0, 0, self._reach)
+                wrench, sound = self._held(body, end, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             return None
         return (body, wrench) if sound else None
+
+    def _held(self, body: State, tool: State, reach: float) -> tuple[Wrench, bool]:
+        """Return what `kernels.checked_wrench` does, of a package as it is."""
+        row = self._row if self.observer is None else kernels.model_row(self.observer.model)
+        _, wrench, sound = advance_and_hold(row, self._branches, body, tool, tool, 0.0, 0, reach)
+        return wrench, sound
 
     def _start(self, stamp_ns: int, tool: State) -> Prediction | None:
         """Let the package hang at rest from the tool, if it can."""
@@ -265,8 +272,7 @@ class LivePayload:
         try:
             body = equilibrium.static_equilibrium(self.model, tool)
             still: State = tool[0], tool[1], ZERO, ZERO
-            _, (force, moment), _ = advance_and_hold(
-                self.model, body, still, still, 0.0, 0, math.inf)
+            (force, moment), _ = self._held(body, still, math.inf)
         except (BellowsError, ArithmeticError, ValueError):
             return None
         if not all(map(math.isfinite, (*body[0], *body[1], *force, *moment))):

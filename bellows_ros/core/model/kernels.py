@@ -18,8 +18,9 @@ from __future__ import annotations
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import kernel
+from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
+import numpy as np
 
 Blocks = tuple[Matrix, Matrix, Matrix]
 Branch = tuple[float, float]
@@ -50,11 +51,12 @@ def blocks_at(row: Any, i: int) -> Blocks:
     return matrix_at(row, i), matrix_at(row, i + 9), matrix_at(row, i + 18)
 
 
-def model_row(model: ModelTuple) -> list[float]:
+def model_row(model: ModelTuple) -> Any:
     """Return the numbers of a model but those of relaxation: read from Python at once."""
     cup, (mass, com, *inertia), gravity = model
     blocks = [number for matrix in cup[2:4] for block in matrix for number in block]
-    return [*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity]
+    row, = as_inputs(np.array([*cup[:2], *blocks, mass, *com, *inertia[0], *inertia[1], *gravity]))
+    return row
 
 
 @kernel

@@ -227,7 +227,7 @@ class Correction:
         """Know what is uncertain."""
         self.nominal, self.longest, self.reach = model, longest, reach
         self.branches = model[0][4:]
-        self._row, = as_inputs(np.array(model_row(model)))
+        self._row = model_row(model)
         self.prior, self._walk = prior_std(values, model), bias_walk(model)
         self._marker, places = sensor.marker, places_of(values)
         self._cups = cups_of(model, places)
