@@ -39,16 +39,17 @@ State = tuple[Vector, Quaternion, Vector, Vector, *Strains]
 
 
 @kernel
-def matrix_at(row: Any, i: int) -> Matrix:
-    """Return a 3x3 matrix from nine numbers of a row."""
-    return (row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5], row[i + 6],
-            row[i + 7], row[i + 8])
+def matrix_of(numbers: Any) -> Matrix:
+    """Return a 3x3 matrix of nine numbers."""
+    return (numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
+            numbers[7], numbers[8])
 
 
 @kernel
-def blocks_at(row: Any, i: int) -> Blocks:
-    """Return K or P from 27 numbers of a row."""
-    return matrix_at(row, i), matrix_at(row, i + 9), matrix_at(row, i + 18)
+def blocks_of(numbers: Any) -> Blocks:
+    """Return K or P of 27 numbers."""
+    # By slices: numba compiles a kernel anew for each constant index that it is passed.
+    return matrix_of(numbers[:9]), matrix_of(numbers[9:18]), matrix_of(numbers[18:])
 
 
 def model_row(model: ModelTuple) -> Any:
@@ -63,8 +64,8 @@ def model_row(model: ModelTuple) -> Any:
 def model_of(row: Any, branches: tuple[Branch, ...]) -> ModelTuple:
     """Return the model with the numbers of `model_row`, and with branches of relaxation."""
     return (
-        (row[0], row[1], blocks_at(row, 2), blocks_at(row, 29), *branches),
-        (row[56], (row[57], row[58], row[59]), matrix_at(row, 60), matrix_at(row, 69)),
+        (row[0], row[1], blocks_of(row[2:29]), blocks_of(row[29:56]), *branches),
+        (row[56], (row[57], row[58], row[59]), matrix_of(row[60:69]), matrix_of(row[69:78])),
         (row[78], row[79], row[80]))
 
 

@@ -313,7 +313,7 @@ def write_losses(
     """
     for i in range(len(cups)):
         cup = model[0]
-        K, P = kernels.blocks_at(cups[i], 0), kernels.blocks_at(cups[i], 27)
+        K, P = kernels.blocks_of(cups[i][:27]), kernels.blocks_of(cups[i][27:])
         one = (cup[0], cup[1], K, P, *cup[4:]), model[1], model[2]
         by_pose, by_twist = jac.cup_accelerations(one, tool, body)
         jac.write_square(out[i], 0, 0, by_pose)
