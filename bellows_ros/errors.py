@@ -55,8 +55,7 @@ PACKAGES = {
     'video': 'imageio-ffmpeg',
     'view': 'rerun-sdk',
     'parallel': 'joblib',
-    'dask': 'distributed',
-}
+    'dask': 'distributed'}
 
 
 def install(extra: str) -> str:
@@ -67,5 +66,4 @@ def install(extra: str) -> str:
 def require_pictures() -> None:
     """Raise BellowsError where matplotlib is missing: before long work, not after it."""
     if importlib.util.find_spec('matplotlib') is None:
-        raise BellowsError(
-            f'matplotlib is not installed, but pictures need it: {install("plot")}')
+        raise BellowsError(f'matplotlib is not installed, but pictures need it: {install("plot")}')

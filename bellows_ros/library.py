@@ -45,8 +45,7 @@ __all__ = [
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
     'design_motion', 'fastest', 'identify', 'observe', 'parameters_of', 'plan', 'read_cup',
     'read_package', 'read_parameters', 'replay', 'savgol', 'simulate', 'static_equilibrium',
-    'steer', 'toss', 'write_cup', 'write_parameters',
-]
+    'steer', 'toss', 'write_cup', 'write_parameters']
 
 Parameters = Mapping[str, object] | File
 """Parameters by name, as `read_parameters` and `parameters_of` return them, or their file."""
@@ -145,14 +144,12 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
         'cup.damping': cup.damping.ravel().tolist(),
         'cup.length': float(cup.length),
         'cup.relaxation': cup.relaxation,
-        'cup.relaxation_times': cup.relaxation_times,
-    }
+        'cup.relaxation_times': cup.relaxation_times}
     if package is not None:
         values.update({
             'package.mass': float(package.mass),
             'package.inertia': package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist(),
-            'package.com': package.com.tolist(),
-        })
+            'package.com': package.com.tolist()})
     return values
 
 
@@ -216,10 +213,7 @@ def identify(
 
 
 def simulate(
-    cup: Cup,
-    package: Package,
-    tool: Trajectory,
-    gravity: float | ArrayLike = STANDARD_GRAVITY,
+    cup: Cup, package: Package, tool: Trajectory, gravity: float | ArrayLike = STANDARD_GRAVITY
 ) -> Trajectory:
     """
     Simulate the package under a whole motion of the tool, from rest.

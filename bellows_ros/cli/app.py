@@ -46,14 +46,11 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or '
                    'tf',
         'export': 'write a cup for MuJoCo, as SDF, or as C',
-        'parameters': 'list all parameters, or write a parameter file to fill in',
-    }
-)
+        'parameters': 'list all parameters, or write a parameter file to fill in'})
 
 DESCRIPTION = (
     'Identify bellows suction cups from recordings (rosbag2), and predict the motion of the '
-    'packages they hold.'
-)
+    'packages they hold.')
 TRY = """try it:
   bellows identify bags/identification --params bags/package.yaml --out cup.yaml
   bellows replay bags/validation --params bags/package.yaml --params cup.yaml
@@ -181,10 +178,8 @@ def command_parser(name: str) -> Parser:
     text, pairs = described(module)
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in pairs)
     found = f'1 if {module.FOUND}, ' if hasattr(module, 'FOUND') else ''
-    ends = textwrap.fill(
-        f'Ends with 0 when done, {found}2 if something must be put right.', WIDTH)
-    parser = Parser(
-        f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
+    ends = textwrap.fill(f'Ends with 0 when done, {found}2 if something must be put right.', WIDTH)
+    parser = Parser(f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
     module.add_arguments(parser)
     parser.set_defaults(run=module.run)
     return parser

@@ -310,9 +310,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
             signal.signal(number, before[number])
 
 
-def _run_guarded(
-    work: Callable[[Console], int], console: Console, ended: Sequence[int]
-) -> int:
+def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequence[int]) -> int:
     """Do some work, and print why it ends; return the exit code."""
     try:
         code = work(console)

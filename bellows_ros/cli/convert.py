@@ -42,23 +42,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'sources', metavar='SOURCE', nargs='+', type=Path,
         help='Motive or EuRoC .csv, TUM or KITTI .tum, .kitti or .txt; or one recording, to '
-             'write a TUM file or, with --tool-link or --tool-frame, a recording with poses',
-    )
+             'write a TUM file or, with --tool-link or --tool-frame, a recording with poses')
     parser.add_argument(
         '--out', metavar='NAME', required=True, type=options.Folder,
         help='recording to write; from a recording also a file that ends in .tum or .txt')
     parser.add_argument(
         '--topic', metavar='TOPIC', action='append', default=[],
         help='topic for each source, in the same order (default: /NAME/pose); for a recording, '
-             'the topic to write',
-    )
+             'the topic to write')
     parser.add_argument(
         '--markers', metavar='N', type=int, default=3,
-        help='leave out poses of Motive with fewer visible markers than this (default: 3)',
-    )
+        help='leave out poses of Motive with fewer visible markers than this (default: 3)')
     parser.add_argument(
-        '--storage', choices=('mcap', 'sqlite3'), default='mcap',
-        help='storage of the recording')
+        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage of the recording')
     options.add_force_option(parser)
     options.add_span_options(parser)
     options.add_arm_options(parser)
@@ -105,8 +101,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
                     source, arguments.tool_link, str(arguments.urdf or ''), topic)
             else:
                 bodies = convert.bodies_in_files(arguments.sources, topics, arguments.markers)
-            done = convert.to_bag(
-                bodies, arguments.out, arguments.storage, arguments.force, span)
+            done = convert.to_bag(bodies, arguments.out, arguments.storage, arguments.force, span)
     options.put_json(arguments.json, done)
     _print_result(done, console)
     console.wrote(arguments.json)

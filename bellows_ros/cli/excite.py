@@ -39,17 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--limits', metavar='FILE', required=True, type=Path,
         help='limits of the arm, and noise and rates of the tracking (YAML); '
-             'config/limits_example.yaml explains every setting',
-    )
+             'config/limits_example.yaml explains every setting')
     parser.add_argument(
         '--time', metavar='S', required=True, type=float,
-        help='duration, s: 2 s of standstill, then the motion with ramps of 1 s at both ends',
-    )
+        help='duration, s: 2 s of standstill, then the motion with ramps of 1 s at both ends')
     parser.add_argument(
         '--hold', metavar='S', type=float, default=7.0,
         help='then hold a tilt for this time, s, beside --time: rubber relaxes in it, which '
-             'bellows identify fits (default: 7; 0 for none)',
-    )
+             'bellows identify fits (default: 7; 0 for none)')
     options.add_output(
         parser, '--out', kind=options.Folder, required=True,
         what='recording to write, with the plan on /tool_arm/plan')
@@ -62,14 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--beside', metavar='PLAN', action='append', default=[], type=Path,
         help='compare with another motion, a plan as for bellows plan; may be repeated. --from '
-             'and --to apply to these',
-    )
+             'and --to apply to these')
     options.add_span_options(parser, '0')
     parser.add_argument(
         '--series', action='store_true',
         help='write everything to record for a new cup into the folder --out: standstills, this '
-             'motion, and one for validation; report what each identifies',
-    )
+             'motion, and one for validation; report what each identifies')
     parser.add_argument(
         '--seed', metavar='N', type=int, default=0,
         help='seed of the random start; another seed gives another motion')

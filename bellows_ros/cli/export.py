@@ -27,16 +27,13 @@ FORMATS = ('mjcf', 'sdf', 'c')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        'params', metavar='CUP', type=Path, nargs=1,
-        help='parameter file with cup and package')
+        'params', metavar='CUP', type=Path, nargs=1, help='parameter file with cup and package')
     parser.add_argument(
         '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
-        help='set one parameter, overriding the file; may be repeated',
-    )
+        help='set one parameter, overriding the file; may be repeated')
     parser.add_argument(
         '--to', choices=FORMATS, required=True,
-        help='mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in C99',
-    )
+        help='mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in C99')
     parser.add_argument(
         '--name', default='bellows_exported',
         help='of the numbers in the header in C, and prefix of their names (default: '

@@ -51,23 +51,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
     parser.add_argument(
         '--force', action='store_true',
-        help='also write the cup file of a refused cup; its header says so',
-    )
+        help='also write the cup file of a refused cup; its header says so')
     parser.add_argument(
         '--jobs', metavar='N', type=int, default=None,
         help='read N recordings in parallel, -1 for one per core (extra parallel); unusable '
-             'recordings are then reported and left out',
-    )
+             'recordings are then reported and left out')
     parser.add_argument(
         '--dask', metavar='ADDRESS', default='',
         help='read them on the workers of a Dask scheduler instead (extra dask), for example '
-             'tcp://host:8786; the workers must see the recordings under the same paths',
-    )
+             'tcp://host:8786; the workers must see the recordings under the same paths')
     parser.add_argument(
         '--release', action='store_true',
         help='identify release.* instead, from tosses with the cup given by the parameters; the '
-             "valve is on 'topics.valve'",
-    )
+             "valve is on 'topics.valve'")
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:

@@ -58,13 +58,11 @@ def add_parameter_options(parser: argparse.ArgumentParser, span: bool = True) ->
     parser.add_argument(
         '--params', metavar='FILE', action='append', default=[], type=Path,
         help='parameter file (YAML, as for ROS nodes); may be repeated, later files override '
-             'earlier ones',
-    )
+             'earlier ones')
     parser.add_argument(
         '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
         help="set one parameter, overriding the files; may be repeated. 'bellows parameters' "
-             'lists all, with units and defaults',
-    )
+             'lists all, with units and defaults')
     if span:
         add_span_options(parser)
 
@@ -74,8 +72,7 @@ def add_span_options(parser: argparse.ArgumentParser, default: str = '') -> None
     for name, which in (('from', 'earlier'), ('to', 'later')):
         parser.add_argument(
             f'--{name}', metavar='S', dest=SPAN[name], default=default,
-            help=f'leave out data {which} than this, in s from the start of the data',
-        )
+            help=f'leave out data {which} than this, in s from the start of the data')
 
 
 def add_output(
@@ -91,14 +88,12 @@ def add_output(
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --json."""
     add_output(
-        parser, '--json',
-        f"write {what} as JSON; '-' for stdout (all else then goes to stderr)")
+        parser, '--json', f"write {what} as JSON; '-' for stdout (all else then goes to stderr)")
 
 
 def add_force_option(parser: argparse.ArgumentParser, what: str = 'a recording') -> None:
     """Add --force, which replaces existing output."""
-    parser.add_argument(
-        '--force', action='store_true', help=f'replace {what} that already exists')
+    parser.add_argument('--force', action='store_true', help=f'replace {what} that already exists')
 
 
 def add_arm_options(parser: argparse.ArgumentParser) -> None:
@@ -106,8 +101,7 @@ def add_arm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--urdf', metavar='FILE', type=Path,
         help="URDF of the arm, if the source has joint positions; default: the recording's "
-             '/robot_description',
-    )
+             '/robot_description')
     parser.add_argument(
         '--tool-link', metavar='LINK', default='', help='link of the arm at the tool tip E')
 
@@ -140,9 +134,7 @@ def naming_written() -> Iterator[list[str]]:
         raise
 
 
-def given_parameters(
-    arguments: argparse.Namespace, node: str | None = None
-) -> 'dict[str, Value]':
+def given_parameters(arguments: argparse.Namespace, node: str | None = None) -> 'dict[str, Value]':
     """
     Return the parameters of the files and, over them, those of the command line.
 
@@ -229,8 +221,7 @@ def parse_override(text: str) -> 'tuple[str, Value]':
     name, equals, value = (part.strip() for part in text.partition('='))
     if not (name and equals):
         raise BellowsError(
-            f"--set takes NAME=VALUE, got '{text}'. For example: --set fit.structure=full"
-        )
+            f"--set takes NAME=VALUE, got '{text}'. For example: --set fit.structure=full")
     try:
         parameter = lookup(name)
         return parameter.name, validate(name, _parsed(parameter.kind, value))
@@ -311,8 +302,7 @@ def add_plan_options(
         'plan', metavar='PLAN', type=Path,
         help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
              'poses, joint states or transforms; a YAML file with such a message or with a '
-             'motion for bellows simulate; or a TUM, KITTI or EuRoC file',
-    )
+             'motion for bellows simulate; or a TUM, KITTI or EuRoC file')
     parser.add_argument(
         '--topic', metavar='TOPIC', default='',
         help='topic of the plan, if the recording has several plans')

@@ -36,8 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('names', metavar='NAME', nargs='*', help='list only names that begin '
                                                                  'with this')
     parser.add_argument(
-        '--yaml', action='store_true',
-        help='print a parameter file with the defaults, to fill in')
+        '--yaml', action='store_true', help='print a parameter file with the defaults, to fill in')
     options.add_json_option(parser, 'the table')
 
 

@@ -40,8 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--fastest', action='store_true',
         help='find the shortest time in which the safety factor, less two standard deviations, '
-             'stays above safety.least',
-    )
+             'stays above safety.least')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -50,8 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     return run_plan_command(
         arguments, console, lambda values, progress: plan(
-            arguments.plan, values, str(arguments.urdf or ''), arguments.topic,
-            arguments.fastest),
+            arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest),
         _print_result, lambda report: write_prediction(
             arguments.out, report.source, report.driven[0], report.driven[1], arguments.force),
         good=lambda report: report.holds)
@@ -94,8 +92,7 @@ def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
         ('largest deflection', value('peak_deflection', 1e3, 'mm'), ''),
         ('largest force', value('peak_force', 1.0, 'N'), ''),
         ('largest moment', value('peak_moment', 1.0, 'N m'),
-         f'{value("rigid_peak_moment", 1.0, "N m")} of the rigid load'),
-    ]
+         f'{value("rigid_peak_moment", 1.0, "N m")} of the rigid load')]
     if report.prediction.ends_at_rest:
         after = figures['settled_after']
         still = 'below 0.5 degrees' + (f' after {after:.2f} s' if after > 0.0 else '')

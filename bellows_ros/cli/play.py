@@ -34,14 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--topic', metavar='TOPIC[:=NAME]', action='append', default=[], dest='topics',
         help='topic to play, and the name to play it under; may be repeated (default: all with '
-             'poses or twists)',
-    )
+             'poses or twists)')
     parser.add_argument(
         '--rate', metavar='R', type=float, default=1.0, help='times the recorded speed')
     parser.add_argument(
         '--stamps', choices=('recorded', 'now'), default='recorded',
-        help='stamps of the headers: as recorded, or the current time',
-    )
+        help='stamps of the headers: as recorded, or the current time')
     parser.add_argument('--loop', action='store_true', help='start again at the end, forever')
     options.add_json_option(parser, 'what was played')
 

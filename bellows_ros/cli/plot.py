@@ -40,8 +40,7 @@ WHAT = {
     'margin': 'safety factors of the grip against time, with two standard deviations',
     'residuals': 'load on the cup against time, and the part the cup does not explain',
     'prediction': 'predicted and measured pose of the package, and their difference',
-    'animation': 'tool, cup and package moving (.gif; .mp4 with ffmpeg)',
-}
+    'animation': 'tool, cup and package moving (.gif; .mp4 with ffmpeg)'}
 
 OF_THE_RECORDING = ('motion', 'spectra', 'path')  # pictures that need no cup
 FASTEST = 100.0
@@ -52,8 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
         'what', metavar='WHAT', choices=WHAT,
-        help='; '.join(f'{name}: {text}' for name, text in WHAT.items()),
-    )
+        help='; '.join(f'{name}: {text}' for name, text in WHAT.items()))
     options.add_bag_argument(parser)
     options.add_parameter_options(parser, span=False)
     options.add_output(
@@ -65,16 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='colours on a light or dark background')
     parser.add_argument(
         '--speed', metavar='S', type=float, default=0.25,
-        help='speed of an animation: seconds of the recording per second (default: %(default)s)',
-    )
+        help='speed of an animation: seconds of the recording per second (default: %(default)s)')
     parser.add_argument(
         '--from', metavar='S', type=float, dest='first', default=FULL_RANGE[0],
-        help="start of the picture, in s after the recording's first stamp; not for spectra",
-    )
+        help="start of the picture, in s after the recording's first stamp; not for spectra")
     parser.add_argument(
         '--to', metavar='S', type=float, dest='last', default=FULL_RANGE[1],
-        help='end of the picture',
-    )
+        help='end of the picture')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:

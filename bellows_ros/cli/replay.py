@@ -59,8 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--observe', metavar='TOPIC', default='',
         help='poses of the package from a camera, which correct a second live prediction; see '
-             'measured.*',
-    )
+             'measured.*')
     parser.add_argument(
         '--calibrate-alarms', action='store_true',
         help='take the recording for sound work: find noise, its memory, and errors of pose and '
@@ -70,8 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--calibrate-alarms or measured.calibrate)')
     parser.add_argument(
         '--limit', metavar='PERCENT', type=float, default=None,
-        help='exit with 1 if the NRMSE of an axis that moves is above this',
-    )
+        help='exit with 1 if the NRMSE of an axis that moves is above this')
 
 
 def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:

@@ -37,15 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--motion', metavar='FILE', required=True, type=Path,
         help='motion file (YAML): the motion of the tool and the tracking; '
-             'config/motion_example.yaml explains every setting',
-    )
+             'config/motion_example.yaml explains every setting')
     parser.add_argument(
         '--plan', metavar='PLAN', type=Path,
         help='move the tool along this plan, as of bellows plan or bellows excite; then only the '
-             'rest of --motion counts',
-    )
-    options.add_output(
-        parser, '--out', 'recording to write, a folder', options.Folder, True)
+             'rest of --motion counts')
+    options.add_output(parser, '--out', 'recording to write, a folder', options.Folder, True)
     options.add_force_option(parser)
     options.add_json_option(parser, 'what was recorded')
 

@@ -45,8 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_bags_argument(parser, 'static.bags')
     parser.add_argument(
         '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
-        help='mass in a recording, once for each BAG in the same order; overrides package.mass',
-    )
+        help='mass in a recording, once for each BAG in the same order; overrides package.mass')
     options.add_parameter_options(parser)
     options.add_output(
         parser, '--out', 'write the parameters of --params and --set with the new nominal length')
@@ -74,9 +73,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK if result.spring is None or result.spring.passed else NOT_USABLE
 
 
-def _bags(
-    arguments: argparse.Namespace, settings: Mapping[str, 'Value']
-) -> 'list[StaticBag]':
+def _bags(arguments: argparse.Namespace, settings: Mapping[str, 'Value']) -> 'list[StaticBag]':
     """Return the recordings with their masses; those of static.bags if none is named."""
     from bellows_ros.core.parameters.checks import resolve
     from bellows_ros.workflows.static import static_bags
@@ -101,8 +98,7 @@ def _print_result(result: 'StaticResult', console: Console) -> None:
         console.table(
             _spring_rows(result.spring), right=True,
             title=f'Spring, with a nominal length of {result.cup_length * 1e3:.2f} mm')
-        console.paragraph(
-            result.spring.sentence, style='' if result.spring.passed else 'red')
+        console.paragraph(result.spring.sentence, style='' if result.spring.passed else 'red')
     console.warn(*result.warnings)
 
 
@@ -166,5 +162,4 @@ def _print_length(result: 'StaticResult', console: Console) -> None:
     beyond = length.linear_load < float(length.loads.max())
     console.paragraph(
         f'  Axial stiffness {length.stiffness:.3g} N/m; linear up to '
-        f'{length.linear_load:.1f} N{"" if beyond else ", the largest load, at least"}.'
-    )
+        f'{length.linear_load:.1f} N{"" if beyond else ", the largest load, at least"}.')

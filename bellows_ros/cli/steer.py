@@ -40,13 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'the steered motion, and the package along it')
     parser.add_argument(
         '--method', required=True, choices=('inverse', 'zv', 'zvd'),
-        help='the inverse of cup and package, or input shaping for their modes at rest',
-    )
+        help='the inverse of cup and package, or input shaping for their modes at rest')
     parser.add_argument(
         '--limits', metavar='FILE', type=Path,
         help='limits of the arm: the motion is slowed down until it meets all of them; '
-             'config/limits_example.yaml explains every setting',
-    )
+             'config/limits_example.yaml explains every setting')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -62,8 +60,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     def write(report: 'SteerReport') -> None:
         motion = report.motions[report.method]
         write_prediction(
-            arguments.out, report.source, motion.tool, motion.prediction.states,
-            arguments.force)
+            arguments.out, report.source, motion.tool, motion.prediction.states, arguments.force)
 
     return run_plan_command(
         arguments, console, lambda values, progress: steer_plan(
@@ -75,9 +72,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def _print_result(report: 'SteerReport', console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
-    rows = [(
-        'motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled',
-        'safety')]
+    rows = [('motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled', 'safety')]
     for name, motion in report.motions.items():
         found = motion.figures()
         factor = found['smallest_safety_factor']

@@ -65,13 +65,11 @@ def _print_result(result: 'StructureAdvice', console: Console) -> None:
                   title='Identifiability of the diagonal, by least squares')
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
-        f'{excitation.condition_number:.3g}.'
-    )
+        f'{excitation.condition_number:.3g}.')
     console.table(_structure_rows(selection_json(selection)), right=True, title='Structures')
     console.paragraph(
         f'{selection.samples} samples, equivalent to {selection.effective_samples:.0f} '
-        'independent ones.'
-    )
+        'independent ones.')
     console.line()
     relaxation = result.recordings[0].relaxation
     print_relaxation(relaxation.strengths, relaxation.std, console)

@@ -33,8 +33,7 @@ FARTHEST = 100.0
 UNITS = {
     'package.mass': (1e3, 'g'), 'package.com': (1e3, 'mm'), 'release.delay': (1e3, 'ms'),
     'release.tau': (1e3, 'ms'), 'release.impulse': (1e3, 'mN s'), 'release.closing': (1.0, 'N'),
-    'release.opening': (1e3, 'mm'), 'release.damping': (1.0, 'N s/m'),
-}
+    'release.opening': (1e3, 'mm'), 'release.damping': (1.0, 'N s/m')}
 """In which units a standard deviation is printed."""
 
 
@@ -45,21 +44,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'tool and package, held, parting and flying until it lands')
     parser.add_argument(
         '--release', metavar='T', type=float,
-        help='when to switch the valve, in s from the beginning of the plan',
-    )
+        help='when to switch the valve, in s from the beginning of the plan')
     parser.add_argument(
         '--target', metavar=('X', 'Y'), type=float, nargs=2,
-        help='find the time of release whose landing is nearest to this point, m in the world',
-    )
+        help='find the time of release whose landing is nearest to this point, m in the world')
     parser.add_argument(
         '--target-rotation', metavar=('QX', 'QY', 'QZ', 'QW'), type=float, nargs=4,
         help='with --target: also match this orientation (quaternion); an angle counts as the '
-             'distance it moves the farthest corner',
-    )
+             'distance it moves the farthest corner')
     parser.add_argument(
         '--monte-carlo', metavar='N', type=int, default=0,
-        help='also draw this many random tosses, beside the linear ellipse',
-    )
+        help='also draw this many random tosses, beside the linear ellipse')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:

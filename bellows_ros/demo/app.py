@@ -46,16 +46,13 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the demonstration and return the exit code; 0 only if all went well."""
     parser = argparse.ArgumentParser(
         prog='python -m bellows_ros.demo',
-        description='Identify a cup, predict another recording live over DDS, and compare.',
-    )
+        description='Identify a cup, predict another recording live over DDS, and compare.')
     parser.add_argument(
         '--bags', metavar='FOLDER', type=Path, default=Path('bags'),
-        help=f'has {IDENTIFICATION}, {VALIDATION} and {KNOWN} (default: %(default)s)',
-    )
+        help=f'has {IDENTIFICATION}, {VALIDATION} and {KNOWN} (default: %(default)s)')
     parser.add_argument(
         '--out', metavar='FOLDER', type=Path, default=Path('demo_output'),
-        help='gets the pictures, the cup, the fit and the log (default: %(default)s)',
-    )
+        help='gets the pictures, the cup, the fit and the log (default: %(default)s)')
     arguments = parser.parse_args(args)
     return run_guarded(lambda console: run(arguments.bags, arguments.out, console))
 
@@ -171,8 +168,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
                *(word for file in parameters for word in ('--params-file', str(file)))]
     with log.open('wb') as output:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
-        )
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT)
 
     def require_alive() -> None:
         if process.poll() is not None:

@@ -45,8 +45,7 @@ def unused_domain() -> int:
         if all(_is_free(port + PORTS_PER_DOMAIN * domain) for port in PORTS) and _reserve(domain):
             return domain
     raise BellowsError(
-        f'All ROS domains from 1 to {DOMAINS} are in use on this machine. End other ROS programs.'
-    )
+        f'All ROS domains from 1 to {DOMAINS} are in use on this machine. End other ROS programs.')
 
 
 def _is_free(port: int) -> bool:

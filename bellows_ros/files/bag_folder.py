@@ -220,8 +220,7 @@ def _damaged(folder: Path, reason: str) -> BellowsError:
     """Return the error for metadata that cannot be used."""
     return BellowsError(
         f"'{folder / METADATA}' is damaged: {reason}. Run 'ros2 bag reindex' on the folder, "
-        'or give its storage file itself.'
-    )
+        'or give its storage file itself.')
 
 
 def _inside(folder: Path, name: str) -> Path:
@@ -262,8 +261,7 @@ def open_plain(path: Path) -> Iterator[tuple[BinaryIO, bool]]:
 # What decompresses frames of a form, and what that raises where they are damaged.
 FRAMES: dict[str, tuple[Any, type[Exception]]] = {
     'zstd': (zstd.ZstdDecompressor, zstd.ZstdError),
-    'lz4': (lz4.frame.LZ4FrameDecompressor, RuntimeError),
-}
+    'lz4': (lz4.frame.LZ4FrameDecompressor, RuntimeError)}
 
 
 def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes:

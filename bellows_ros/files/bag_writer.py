@@ -172,5 +172,4 @@ def require_replaceable(folder: Path) -> None:
         held = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
         raise BellowsError(
             f"Folder '{folder}' is not replaced because it is not just a recording: {held}. "
-            'Give another name, or remove it first.'
-        )
+            'Give another name, or remove it first.')

@@ -314,8 +314,7 @@ def decoded(data: bytes, type_name: str) -> Any:
     try:
         return message_types().deserialize_cdr(data, type_name)
     except SerdeError as error:
-        raise BellowsError(
-            f'A {type_name} cannot be decoded: {error} Record it again.') from None
+        raise BellowsError(f'A {type_name} cannot be decoded: {error} Record it again.') from None
 
 
 @cache
@@ -534,8 +533,7 @@ def _require_closed(path: Path) -> None:
         if beside.is_file() and beside.stat().st_size:
             raise DamagedError(
                 f'its recording was not closed: {beside.name} holds what is not yet in it. '
-                f"Run 'sqlite3 {path.name} .schema' in its folder once, which merges the two"
-            )
+                f"Run 'sqlite3 {path.name} .schema' in its folder once, which merges the two")
 
 
 def _require_whole(path: Path) -> None:

@@ -205,28 +205,23 @@ def _braced(values: Any) -> str:
 
 _ANGLES = (
     'Rotation angles are taken one after the other and springs are linear in them; (3.17) '
-    'has the sine of one rotation. The difference is below 5 % up to 15 degrees.'
-)
+    'has the sine of one rotation. The difference is below 5 % up to 15 degrees.')
 
 _TOOL_AXES = (
     'Springs and dampers along x, y, z are in axes of the tool, not halfway to the package. With '
-    'its weight on them a swing differs by some percent.'
-)
+    'its weight on them a swing differs by some percent.')
 
 TARGETS: Mapping[str, Target] = {
     'mjcf': Target('MuJoCo (MJCF)', mjcf, (
         _ANGLES,
         _TOOL_AXES,
         'A tool that is a mocap body has no velocity in MuJoCo, so the damper would act against '
-        'the world: move the tool with joints.',
-    )),
+        'the world: move the tool with joints.')),
     'sdf': Target('SDF', sdf, (
         _ANGLES,
         f'Five dummy links stand between the joints. They and the tool weigh {100 * DUMMY:g} % of '
         'the package each, and need time steps of 0.1 ms or less.',
-        _TOOL_AXES,
-    )),
+        _TOOL_AXES)),
     'c': Target('C99 (a header)', header, (
         'Release, flight and uncertainties are left out; the model itself is complete.',
-    ), whole=True),
-}
+    ), whole=True)}

@@ -222,8 +222,7 @@ class _Scan:
         for channel, count in struct.iter_unpack('<HQ', counted):
             if self.met[channel] != count:
                 raise DamagedError(
-                    f'it has {self.met[channel]} messages in channel {channel}, but says {count}'
-                )
+                    f'it has {self.met[channel]} messages in channel {channel}, but says {count}')
 
     def _add_channel(self, fields: '_Fields') -> None:
         """Remember a topic; the summary at the end repeats them."""

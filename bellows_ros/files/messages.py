@@ -75,8 +75,7 @@ LAYOUTS: Mapping[str, Layout] = MappingProxyType({
     'geometry_msgs/msg/TwistStamped': Layout(1, _TWIST, twist=slice(0, 6)),
     'nav_msgs/msg/Odometry': Layout(
         2, _SECOND + _TWIST + _COVARIANCE, pose=slice(0, 7),
-        twist=slice(_SECOND, _SECOND + _TWIST), pose_covariance=_COVARIANCE),
-})
+        twist=slice(_SECOND, _SECOND + _TWIST), pose_covariance=_COVARIANCE)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,9 +266,7 @@ def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
             'names': ['sec', 'nanosec', 'doubles'],
             'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
             'offsets': [_STAMP_AT, _STAMP_AT + 4, doubles_at],
-            'itemsize': size,
-        }
-    )
+            'itemsize': size})
 
 
 def _doubles_at(head: bytes) -> int:
@@ -278,9 +275,7 @@ def _doubles_at(head: bytes) -> int:
     return end + (_STAMP_AT - end) % 8
 
 
-def encode(
-    stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout
-) -> list[bytes]:
+def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout) -> list[bytes]:
     """
     Encode messages of one type, little-endian.
 
@@ -350,9 +345,7 @@ REASONS: Mapping[str, str] = MappingProxyType(
         'frame_id': 'name another frame than most',
         'duplicate_stamp': 'repeat the stamp before',
         'backward_stamp': 'have a stamp before an earlier one',
-        'future_stamp': 'have a stamp ahead of its time',
-    }
-)
+        'future_stamp': 'have a stamp ahead of its time'})
 
 _ROTATIONS_AT_ONCE = 65536
 
@@ -388,8 +381,7 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
         norm = np.linalg.norm(decoded.values[:, 3:], axis=1)
     unusable = {
         'zero_quaternion': norm < ZERO_QUATERNION_BELOW,
-        'not_unit': np.abs(norm - 1.0) > NOT_UNIT_ABOVE,
-    }
+        'not_unit': np.abs(norm - 1.0) > NOT_UNIT_ABOVE}
     used, frame_id, refused = _drop_invalid(decoded, decoded.values[:, :3], unusable)
     return PoseStream(
         name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
@@ -433,8 +425,7 @@ def _drop_invalid(
         'zero_stamp': decoded.stamps_ns == 0,
         'nan': ~finite,
         'out_of_range': finite & (np.abs(lengths) > LARGEST_VALUE).any(axis=1),
-        **unusable,
-    }
+        **unusable}
     left = np.arange(len(decoded.stamps_ns))
     refused: Refused = {}
     for reason, bad in tests.items():

@@ -29,9 +29,7 @@ _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.*')
 
 # Units of the rows of K and P as comments: linear and angular columns.
 _ROW_UNITS = {
-    'cup.stiffness': ('N/m, N', 'N, N m/rad'),
-    'cup.damping': ('N s/m, N s', 'N s, N m s/rad'),
-}
+    'cup.stiffness': ('N/m, N', 'N, N m/rad'), 'cup.damping': ('N s/m, N s', 'N s, N m s/rad')}
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 NamedValue = tuple[str, Any, int]
@@ -43,8 +41,7 @@ OTHER_FILES = {
     'kind': "a motion, for --motion or 'bellows plan'",
     'points': 'a plan',
     'provenance': 'a result of --json',
-    'workspace': 'limits, for --limits',
-}
+    'workspace': 'limits, for --limits'}
 """What a file holds that has such a name at its beginning."""
 
 
@@ -83,8 +80,7 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     content, lines = safe_yaml.load_with_lines(file)
     if not isinstance(content, dict):
         raise BellowsError(
-            f"Parameter file '{file}' holds no parameters. Give 'name: value' lines."
-        )
+            f"Parameter file '{file}' holds no parameters. Give 'name: value' lines.")
     if other := next((what for key, what in OTHER_FILES.items() if key in content), ''):
         raise BellowsError(
             f"'{file}' is no parameter file, but {other}. Give the file that "
@@ -100,8 +96,7 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
                 raise BellowsError(f'{file}, line {line}: {error}') from None
             if node is None and values.get(name, checked) != checked:
                 raise BellowsError(
-                    f"{file}, line {line}: '{name}' is given before with another value. Keep one."
-                )
+                    f"{file}, line {line}: '{name}' is given before with another value. Keep one.")
             values[lookup(name).name] = checked
     return values
 
@@ -163,13 +158,11 @@ def _sections(
         there = ', '.join('/'.join(keys[:-1]) for keys, _ in every)
         raise BellowsError(
             f"Parameter file '{file}' has nothing for {' or '.join(wanted)}, only for: {there}. "
-            "Name the node, or write '/**:' for any."
-        )
+            "Name the node, or write '/**:' for any.")
     for keys, part in chosen:
         if not isinstance(part, dict):
             raise BellowsError(
-                f"Parameter file '{file}': {'/'.join(keys)} must hold 'name: value' lines."
-            )
+                f"Parameter file '{file}': {'/'.join(keys)} must hold 'name: value' lines.")
     return chosen
 
 
@@ -310,7 +303,6 @@ def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
             f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}")
     chosen = {
         f'cup.{key.removeprefix(prefix)}': value
-        for key, value in values.items() if key.startswith(prefix)
-    }
+        for key, value in values.items() if key.startswith(prefix)}
     kept = {key: value for key, value in values.items() if not key.startswith('envelope.')}
     return {**kept, **chosen}

@@ -149,9 +149,7 @@ def poses_in(
     return stamps[valid], T[valid], root, sum(links[name].bad for name in (*up, *down))
 
 
-def rotations_in_root(
-    links: Mapping[str, Link], frame: str, of: str
-) -> tuple[Array, str]:
+def rotations_in_root(links: Mapping[str, Link], frame: str, of: str) -> tuple[Array, str]:
     """
     Return rotations (N, 3, 3) of a frame in the farthest one above it, and the name of that.
 

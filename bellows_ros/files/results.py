@@ -59,8 +59,7 @@ UNIT_OF: Mapping[str, Any] = {
     **dict.fromkeys(('release_twist', 'landing_twist'), [*3 * ['m/s'], *3 * ['rad/s']]),
     'release_pose': [*3 * ['m'], *4 * ['1']],
     'landing_covariance': [
-        [POSE_COVARIANCE[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)],
-}
+        [POSE_COVARIANCE[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]}
 """Units of numbers by their keys, and of their standard errors."""
 
 WITHOUT = ('settings', 'provenance', 'units')
@@ -110,8 +109,7 @@ def read_result(path: File) -> dict[str, Any]:
     content = read_json(path, " Give what 'bellows identify --json' wrote.")
     missing = [key for key in KEYS if not isinstance(content, dict) or key not in content]
     if missing:
-        raise BellowsError(
-            f"Result '{path}' lacks {', '.join(missing)}. Identify the cup again.")
+        raise BellowsError(f"Result '{path}' lacks {', '.join(missing)}. Identify the cup again.")
     for key in _MATRICES:
         rows = content[key]
         shaped = isinstance(rows, list) and len(rows) == 6
@@ -153,8 +151,7 @@ def content_of(*paths: File) -> Iterator[None]:
         what = f'{str(error)[:60]} is missing' if missing else f'{str(error)[:100]}'
         raise BellowsError(
             f"Result '{names}' is damaged, or was changed by hand: {what}. "
-            "Make it again with 'bellows identify --json'."
-        ) from None
+            "Make it again with 'bellows identify --json'.") from None
 
 
 def _refuse_constant(name: str) -> None:
@@ -250,8 +247,7 @@ def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ())
     return {
         'recordings': [{'path': os.fspath(p), 'files': digests(p)} for p in recordings],
         'parameter_files': [{'path': os.fspath(p), 'files': digests(p)} for p in parameter_files],
-        'versions': versions(),
-    }
+        'versions': versions()}
 
 
 def versions() -> dict[str, str | None]:

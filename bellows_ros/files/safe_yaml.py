@@ -88,13 +88,11 @@ class _Loader(yaml.SafeLoader):
 _NUMBERS = {
     'int': r'[-+]?(0b[01_]+|0[0-7_]*|[1-9][0-9_]*|0x[0-9a-fA-F_]+)$',
     'float': r'[-+]?([0-9][0-9_]*\.[0-9_]*([eE][-+]?[0-9]+)?|\.[0-9][0-9_]*([eE][-+]?[0-9]+)?'
-             r'|[0-9]+[eE][-+]?[0-9]+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$',
-}
+             r'|[0-9]+[eE][-+]?[0-9]+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$'}
 _OTHERWISE = {f'tag:yaml.org,2002:{name}' for name in (*_NUMBERS, 'timestamp')}
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, form) for tag, form in forms if tag not in _OTHERWISE]
-    for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
+    for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()}
 for _name, _form in _NUMBERS.items():
     _Loader.add_implicit_resolver(
         f'tag:yaml.org,2002:{_name}', re.compile(_form), list('-+.0123456789'))

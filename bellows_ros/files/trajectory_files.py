@@ -129,8 +129,7 @@ def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
     """
     lines = [
         f'{stamp // NS_PER_S}.{stamp % NS_PER_S:09d} ' + ' '.join(f'{x:.9g}' for x in row)
-        for stamp, row in zip(stamps_ns.tolist(), values.tolist(), strict=True)
-    ]
+        for stamp, row in zip(stamps_ns.tolist(), values.tolist(), strict=True)]
     head = '# time x y z qx qy qz qw (s, m)'
     atomic.write_text(path, '\n'.join([head, *lines]) + '\n')
 
@@ -198,8 +197,7 @@ def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6
     lines = [
         (number, [cell.strip() for cell in line.split(separator)])
         for number, line in enumerate(read_text(path, LARGEST_FILE).splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith('#')
-    ]
+        if line.strip() and not line.lstrip().startswith('#')]
     if not lines:
         raise BellowsError(f"'{path}' has no poses.")
     for number, cells in lines:
@@ -350,8 +348,7 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
         kept = there & enough
         found.append(MotiveBody(
             name, stamps[kept], np.hstack([scale * pose[kept, 4:], pose[kept, :4]]),
-            int(np.count_nonzero(~there)), int(np.count_nonzero(there & ~enough)),
-        ))
+            int(np.count_nonzero(~there)), int(np.count_nonzero(there & ~enough))))
     return tuple(found)
 
 
@@ -361,8 +358,7 @@ def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]
     if first and first[0].startswith('Format Version;'):
         raise BellowsError(
             f"'{path}' has semicolons between its cells: a spreadsheet has saved it again. Take "
-            'the file that Motive has written.'
-        )
+            'the file that Motive has written.')
     # By name, as a take's own name or notes may hold commas.
     about = {name: first[first.index(name) + 1] for name in SETTINGS if name in first[:-1]}
     above: dict[str, list[str]] = {}
@@ -372,16 +368,14 @@ def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]
             heads = {label: (cells + [''] * width)[:width] for label, cells in above.items()}
             lacking = [name for name in ('Type', 'Name', 'Quantity') if name not in heads]
             if lacking:
-                raise BellowsError(
-                    f"'{path}' lacks the header row {lacking[0]}. Export it again.")
+                raise BellowsError(f"'{path}' lacks the header row {lacking[0]}. Export it again.")
             _require_settings(path, about)
             return about, {**heads, 'axis': row}
         if any(row):
             above[row[1] if len(row) > 1 and row[1] else 'Quantity'] = row
     raise BellowsError(
         f"'{path}' is no CSV export of Motive with its header. Export it again, with 'Header "
-        "Information' switched on."
-    )
+        "Information' switched on.")
 
 
 def _require_settings(path: Path, about: Mapping[str, str]) -> None:
@@ -390,8 +384,7 @@ def _require_settings(path: Path, about: Mapping[str, str]) -> None:
         if about.get(name, wanted) != wanted:
             raise BellowsError(
                 f"'{path}' has {name} {about[name]}; {wanted} is needed. Export it again with "
-                f'{name} set to {wanted}.'
-            )
+                f'{name} set to {wanted}.')
     unit = about.get('Length Units', 'an unknown unit')
     if unit.lower() not in UNITS:
         raise BellowsError(
@@ -419,8 +412,7 @@ def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
     names = list(dict.fromkeys(name for kind, name in pairs if kind == 'Rigid Body'))
     if not names:
         raise BellowsError(
-            f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on."
-        )
+            f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on.")
     poses: dict[str, dict[str, int]] = {name: {} for name in names}
     qualities: dict[str, list[int]] = {name: [] for name in names}
     positions: dict[str, list[int]] = {name: [] for name in names}
@@ -440,7 +432,6 @@ def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
         lacking = [column for column in POSE if column not in pose]
         if lacking:
             raise BellowsError(
-                f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again."
-            )
+                f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again.")
     return {name: ([poses[name][column] for column in POSE], qualities[name], positions[name])
             for name in names}

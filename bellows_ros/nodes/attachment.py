@@ -64,8 +64,7 @@ class Attachment:
         for service, held, words in (
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
-            node.create_service(
-                Trigger, f'package/{service}', partial(self._answer, held, words))
+            node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
         self._said: bool | None = None  # by the vacuum signal, the last time
         self._refused = {'nan': 0, 'negative': 0, 'no_such_cup': 0}
         self.signal: SensorInput | None = None

@@ -27,8 +27,7 @@ from ..errors import BellowsError, install
 
 NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
-    f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}'
-)
+    f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}')
 ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
 WIDTH = 96
 

@@ -25,8 +25,7 @@ TOOL_POSES = {
     'pose_with_covariance': (
         geometry.PoseWithCovarianceStamped,
         attrgetter('pose.pose.position', 'pose.pose.orientation')),
-    'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation')),
-}
+    'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation'))}
 """By the parameter tool_pose.type: the message type, and what it contains."""
 
 NO_STAMP = 0
@@ -96,8 +95,7 @@ def write_wrench(message: geometry.WrenchStamped, frame_id: str, prediction: Pre
 
 
 def write_odometry(
-    message: Odometry, frame_id: str, child_frame_id: str, prediction: Prediction,
-    root: np.ndarray,
+    message: Odometry, frame_id: str, child_frame_id: str, prediction: Prediction, root: np.ndarray
 ) -> None:
     """
     Write pose and twist of the package with their covariances (REP-103: row-major, xyz first).

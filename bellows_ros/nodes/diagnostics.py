@@ -102,13 +102,11 @@ class Diagnostics:
         if live is None:
             return [health.prediction_status('prediction', health.PredictionSeen(
                 state, 'none', 'none', self.compute.take(), {}, {}, 'unknown'))]
-        now = Counter(
-            {**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
+        now = Counter({**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
         new, self._before = now - self._before, now
         restarts = {reason: new[reason] for reason in live.restarts}
         down = rotation_matrix(last.tool[1])[2::3] if last else (0.0, 0.0, 0.0)  # z of the tool
-        above = bool(
-            np.dot(down, self._gravity) > UPSIDE_DOWN * np.linalg.norm(self._gravity))
+        above = bool(np.dot(down, self._gravity) > UPSIDE_DOWN * np.linalg.norm(self._gravity))
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
         lines = [health.prediction_status('prediction', health.PredictionSeen(
             state, live.phase(time.monotonic_ns()), self._cup, self.compute.take(),

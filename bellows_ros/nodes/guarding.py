@@ -32,8 +32,7 @@ NEGATIVE_TIME = 'negative time on /clock'
 
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY,
-)
+    QoSPolicyKind.DURABILITY)
 """Durability is for a vacuum switch that publishes only when it changes."""
 
 
@@ -113,8 +112,7 @@ class GuardedNode(Node):
         self, timer_period_sec: float, callback: Callable[[], Any], *more: Any, **options: Any
     ) -> Any:
         """Start a timer with a callback that may fail."""
-        return super().create_timer(
-            timer_period_sec, self.guarded(callback), *more, **options)
+        return super().create_timer(timer_period_sec, self.guarded(callback), *more, **options)
 
     def _take_time(self, take: Callable[[Clock], Any], message: Clock) -> None:
         """Take a time of the clock; drop one before 1970, for which rclpy raises."""

@@ -11,13 +11,10 @@ INTERFACE = Interface(
         'Identify the stiffness and damping of a bellows suction cup from recordings of the '
         'tool arm and the package. The node shows the result as its parameters cup.stiffness '
         'and cup.damping, writes it to output.parameters and output.json, and sets it on the '
-        'node named by predictor.'
-    ),
+        'node named by predictor.'),
     examples=(
         'identifier --ros-args --params-file identifier.yaml',
-        'identifier --ros-args --params-file identifier.yaml -p output.parameters:=cup.yaml',
-    ),
-)
+        'identifier --ros-args --params-file identifier.yaml -p output.parameters:=cup.yaml'))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -149,8 +149,7 @@ class IdentifierNode(TableNode):
         yield from wait_for(answer.done, 'there was no answer')
         result = answer.result().result
         if not result.successful:
-            raise BellowsError(
-                f"The node '{name}' refused the identified cup: {result.reason}")
+            raise BellowsError(f"The node '{name}' refused the identified cup: {result.reason}")
         self.get_logger().info(f"Set the cup on '{name}'.")
 
     def close(self) -> None:

@@ -20,8 +20,7 @@ from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
 from ..core.parameters.table import short
 
 KINDS = {
-    'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped, 'odometry': Odometry,
-}
+    'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped, 'odometry': Odometry}
 """By the name of the parameter measured.type."""
 
 ALARM_SHOWN_NS = 5_000_000_000
@@ -142,8 +141,7 @@ class Observing:
             more |= {
                 'mass (kg)': f'{payload.mass:.4g} ± {payload.mass_std:.2g}',
                 **{f'com {axis} (mm)': f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
-                   for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True)},
-            }
+                   for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True)}}
         more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
         status = status._replace(values={
             **status.values, **{key: str(value) for key, value in more.items()}})

@@ -90,8 +90,7 @@ class Topic:
         self._publisher = node.create_lifecycle_publisher(
             kind, name, qos or QoSProfile(depth=QUEUE),
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self.name = str(self._publisher.topic_name)
 
     def publish(self, message: Any) -> None:
@@ -185,8 +184,7 @@ class Outputs:
         self._is_late = 0 <= self._extrapolated_ns - stamp_ns < LATE_WITHIN_NS
         if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
-        self._is_due = not (
-            self._is_late if self._values['coast.poses'] else prediction.coasting)
+        self._is_due = not (self._is_late if self._values['coast.poses'] else prediction.coasting)
         if self._is_due:
             pose = self._messages[0]
             write_pose(pose, frame_id, prediction)
@@ -282,8 +280,7 @@ class Picture:
         """Size the box."""
         self._box = marker(0, Marker.CUBE, equivalent_box(values))
         self._cup = marker(1, Marker.LINE_LIST, (CUP_WIDTH, 0.0, 0.0))
-        self._places: list[Vector] = [
-            (x, y, z) for x, y, z in places_of(values)[:, :3].tolist()]
+        self._places: list[Vector] = [(x, y, z) for x, y, z in places_of(values)[:, :3].tolist()]
         self._force = marker(2, Marker.ARROW, ARROW_WIDTH)
         self._array = MarkerArray(markers=[self._box, self._cup, self._force])
         self._last_ns = 0

@@ -49,8 +49,7 @@ def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.Parame
     described = interfaces.ParameterDescriptor(
         description=parameter.description + unit,
         additional_constraints=parameter.constraint,
-        read_only=read_only or parameter.read_only,
-    )
+        read_only=read_only or parameter.read_only)
     low = parameter.above if parameter.minimum is None else parameter.minimum
     high = parameter.maximum
     if low is not None and high is not None:  # of a single number; ROS knows none for arrays
@@ -94,11 +93,7 @@ class TableNode(GuardedNode):
     """
 
     def __init__(
-        self,
-        user: str,
-        read_only: bool = False,
-        results: Collection[str] = (),
-        **options: Any,
+        self, user: str, read_only: bool = False, results: Collection[str] = (), **options: Any
     ) -> None:
         """Declare all parameters, with the values from files and the command line."""
         try:
@@ -158,8 +153,7 @@ class TableNode(GuardedNode):
         given = {
             table.lookup(name).name: parameter.value
             for name, parameter in self._parameter_overrides.items()
-            if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))
-        }
+            if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
         self.given = frozenset(given)
         required = [p.name for p in table.parameters_of(user) if p.default is None]
         self.values: Values = resolve(given, () if given.get('package.files') else required)
@@ -386,8 +380,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         made: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
             (self.publishers, self.destroy_lifecycle_publisher),
             (self.subscriptions, self.destroy_subscription),
-            (self.services, self.destroy_service),
-        )
+            (self.services, self.destroy_service))
         for entities, destroy in made:
             for entity in set(entities) - self._before:
                 destroy(entity)
@@ -404,8 +397,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         name = short(wanted.label) or wanted.id
         self.get_logger().warning(
             f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
-            f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.'
-        )
+            f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')
         response.success = False
         return response
 

@@ -340,12 +340,10 @@ class Planning:
             body = live.flight.later(live.model, now, duration)
         except BellowsError as error:
             self._node.get_logger().warning(
-                f'A request on package/predict_at was refused. {error}',
-                throttle_duration_sec=1.0)
+                f'A request on package/predict_at was refused. {error}', throttle_duration_sec=1.0)
             return
         message = Odometry()
-        later = Prediction(
-            stamp_to_ns(request.stamp), *body[:4], ZERO, ZERO)
+        later = Prediction(stamp_to_ns(request.stamp), *body[:4], ZERO, ZERO)
         write_odometry(message, self._live.frame_id, self._values['frames.package'], later,
                        UNKNOWN_ROOT)
         self._at.publish(message)
@@ -424,8 +422,7 @@ class JointPlanning:
             raise BellowsError(
                 f'It is one of joints, but {what}; expected both. Publish the URDF of the arm, '
                 'and set tool_link to the link at the tool tip.')
-        arm: Arm = read_arm(self._urdf, self._values['tool_link']).with_tip(
-            tip_of(self._values))
+        arm: Arm = read_arm(self._urdf, self._values['tool_link']).with_tip(tip_of(self._values))
         self._planning.require_frame(arm.root)
         plan = joint_plan(message)
         columns = arm.columns(plan.names, 'The plan')

@@ -9,14 +9,11 @@ INTERFACE = Interface(
     name='predictor',
     purpose=(
         'Predict live the pose of a package held by a bellows suction cup, from the pose (and '
-        'optionally the twist) of the tool arm.'
-    ),
+        'optionally the twist) of the tool arm.'),
     examples=(
         'predictor --ros-args --params-file cup.yaml --params-file package.yaml',
         'predictor --ros-args --params-file package.yaml '
-        '-r tool_arm/pose:=/tcp_pose_broadcaster/pose',
-    ),
-)
+        '-r tool_arm/pose:=/tcp_pose_broadcaster/pose'))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -60,8 +60,7 @@ BACKWARD = Duration(nanoseconds=-1)
 OF_A_CUP = {
     'cup.stiffness': 'cup.stiffness K of (4.78)',
     'cup.damping': 'cup.damping P of (4.79)',
-    'cup.length': 'cup.length l0 = 0.0481 m',
-}
+    'cup.length': 'cup.length l0 = 0.0481 m'}
 """What describes a cup, and the value of the thesis where it is not set."""
 
 
@@ -101,8 +100,7 @@ class PredictorNode(ManagedNode):
         self._diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
-            post_callback=self.guarded(lambda jump: self._start_afresh('clock_jump')),
-        )
+            post_callback=self.guarded(lambda jump: self._start_afresh('clock_jump')))
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # which nobody sets
         self.create_timer(TICK, self._tick, clock=steady)
         self.create_timer(REPORT_PERIOD, self._report_health, clock=steady)
@@ -135,8 +133,7 @@ class PredictorNode(ManagedNode):
             lambda pressure: self._diagnostics.load.set_pressure(pressure), self._on_vacuum,
             self._on_open_cups)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._planning = Planning(
-            self, lambda: self._last, lambda: self._diagnostics.load.grip)
+        self._planning = Planning(self, lambda: self._last, lambda: self._diagnostics.load.grip)
         self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
         self._diagnostics.watch(
@@ -206,8 +203,7 @@ class PredictorNode(ManagedNode):
         log(f'Listens to {self._pose_in.topic} and {self._twist_in.topic}, publishes '
             f'{self._outputs.pose.name}.')
         if grip_of(values, 0.0 if values['vacuum.signal'] == 'pressure' else None) is None:
-            log('The safety factor of the grip is unknown: set cup.lip_radius and '
-                'vacuum.holding.')
+            log('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 
     # --------------------------------------------------------------- messages
 
@@ -226,8 +222,7 @@ class PredictorNode(ManagedNode):
             return
         arrival_ns = time.monotonic_ns()
         self._pose_in.note(arrival_ns, stamp_ns)
-        self._publish(
-            self._live.on_pose, stamp_ns, frame_id, position, orientation, arrival_ns)
+        self._publish(self._live.on_pose, stamp_ns, frame_id, position, orientation, arrival_ns)
         self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _on_twist(self, message: TwistStamped) -> None:
@@ -262,8 +257,7 @@ class PredictorNode(ManagedNode):
         factors = self._diagnostics.load.watch_force(self._live.model, prediction)
         if factors and min(factors) < self._diagnostics.load.required:
             self._outputs.note_unsafe()
-        self._outputs.publish_more(
-            prediction, self._live.model, self._live.frame_id, factors)
+        self._outputs.publish_more(prediction, self._live.model, self._live.frame_id, factors)
         self._planning.follow()
 
     # ----------------------------------------------------------------- events
@@ -283,9 +277,7 @@ class PredictorNode(ManagedNode):
             self._live.start_afresh(reason)
             self._last = None
 
-    def _on_reset(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Start again from static equilibrium."""
         response.success = self._active
         response.message = 'The node is not active.'
@@ -379,8 +371,7 @@ class PredictorNode(ManagedNode):
         if idle:
             raise BellowsError(
                 f"{idle[0]} has no effect while cup.name is '{name}'. Set "
-                f"cups.{name}.{idle[0].removeprefix('cup.')}, or set cup.name to ''."
-            )
+                f"cups.{name}.{idle[0].removeprefix('cup.')}, or set cup.name to ''.")
         check_live(with_chosen_cup(values))
 
     def on_values(self, names: list[str]) -> None:

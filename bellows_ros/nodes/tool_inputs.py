@@ -55,8 +55,7 @@ class SensorInput:
         self._subscription = node.create_subscription(
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
-            event_callbacks=events,
-        )
+            event_callbacks=events)
 
     @property
     def topic(self) -> str:
@@ -86,8 +85,7 @@ class SensorInput:
         publishers = self._node.count_publishers(self.topic)
         return InputSeen(
             self.topic, publishers, self._mismatch(publishers), self.arrivals.take(), silent,
-            {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused,
-        )
+            {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
     def _mismatch(self, publishers: int) -> Mismatch | None:
         """Return why a publisher cannot be heard, if there is one."""

@@ -45,9 +45,7 @@ class Tossing:
 
     """
 
-    def __init__(
-        self, node: Any, on_valve: Callable[[bool], None], planning: Planning
-    ) -> None:
+    def __init__(self, node: Any, on_valve: Callable[[bool], None], planning: Planning) -> None:
         """Advertise, and listen to the valve."""
         self._planning = planning
         self._worker = Worker(node, 'release')  # no plan waits behind a search

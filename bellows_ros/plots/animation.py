@@ -27,8 +27,7 @@ Progress = Callable[[str, float], None]
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 NO_FFMPEG = (
     'An .mp4 needs ffmpeg, which is not installed. Install it (apt install ffmpeg, or '
-    f'{install("video")}), or write a .gif.'
-)
+    f'{install("video")}), or write a .gif.')
 SIZE, DPI = (8.0, 4.5), 80
 ARM = 0.10  # m, of the tool that is drawn above its tip
 AFTER = 0.5  # s, that a steered motion is shown after its end
@@ -72,13 +71,10 @@ def write_animation(
         replayed.cup_length, FAR_ZOOM)
     near = world._replace(label='moving with the tool tip', zoom=NEAR_ZOOM, near=True)
     _write(
-        path, (world, near),
-        'Predicted, and measured as an outline', note, theme, progress, speed)
+        path, (world, near), 'Predicted, and measured as an outline', note, theme, progress, speed)
 
 
-def write_steering(
-    path: File, report: SteerReport, note: str, speed: float
-) -> None:
+def write_steering(path: File, report: SteerReport, note: str, speed: float) -> None:
     """Write a motion as planned and as steered, side by side; see `write_animation`."""
     values = report.source.values
     com, box = np.array(values['package.com']), np.array(equivalent_box(values))
@@ -212,8 +208,7 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
     for order, thing in enumerate((package, cup, outline), 1):
         thing.set_zorder(order)
         space.add_collection3d(thing)
-    drawn = space.plot(*arm.T, color=colours.quiet, linewidth=7.0, solid_capstyle='butt',
-                       zorder=2)
+    drawn = space.plot(*arm.T, color=colours.quiet, linewidth=7.0, solid_capstyle='butt', zorder=2)
     return [package, cup, outline, *drawn]
 
 
@@ -225,8 +220,7 @@ def _gif(pictures: Iterator[Any], rate_hz: float) -> bytes:
     data = io.BytesIO()
     images[0].save(
         data, 'gif', save_all=True, append_images=images[1:], loop=0,
-        duration=round(1000.0 / rate_hz), optimize=False,
-    )
+        duration=round(1000.0 / rate_hz), optimize=False)
     return data.getvalue()
 
 
@@ -244,6 +238,5 @@ def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
             for frame in chain((first,), pictures):
                 process.stdin.write(frame.tobytes())  # type: ignore[union-attr]
         if process.returncode != 0:
-            raise BellowsError(
-                'ffmpeg failed, with the reason above. Write a .gif instead.')
+            raise BellowsError('ffmpeg failed, with the reason above. Write a .gif instead.')
         return target.read_bytes()

@@ -127,8 +127,7 @@ def legend(figure: Any, entries: Sequence[tuple[str, str, float]]) -> None:
              for label, colour, width in entries]
     figure.legend(
         handles=lines, loc='upper right', bbox_to_anchor=(0.992, 0.985), ncols=len(lines),
-        fontsize=9.5, handlelength=1.8, columnspacing=1.6,
-    )
+        fontsize=9.5, handlelength=1.8, columnspacing=1.6)
 
 
 def label_abscissa(panel: Any, axis: int, label: str) -> None:
@@ -174,8 +173,7 @@ def six_pairs(
 
     outer, seconds, found = figure.add_gridspec(3, 2, **place), lines[0].x, []
     for axis in range(6):
-        inner = outer[axis % 3, axis // 3].subgridspec(
-            2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
+        inner = outer[axis % 3, axis // 3].subgridspec(2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
         upper, lower = (figure.add_subplot(inner[i]) for i in (0, 1))
         for line in lines:
             upper.plot(seconds, line.values[:, axis], color=getattr(theme, line.colour),
@@ -192,8 +190,7 @@ def six_pairs(
         for panel in (upper, lower):
             panel.set_xlim(seconds[0], seconds[-1])
             panel.tick_params(length=2.5, width=0.6)
-            panel.xaxis.set_major_locator(
-                MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
+            panel.xaxis.set_major_locator(MaxNLocator(nbins=12, steps=[1, 2, 5, 10], integer=True))
             panel.yaxis.set_label_coords(labels_at, 0.5)
         upper.tick_params(labelbottom=False)
         lower.tick_params(axis='y', labelsize=7.5)

@@ -372,8 +372,7 @@ FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
         found.design, f'{found.design.motion.duration:g} s', theme),
     Replay: lambda found, theme: prediction_figure(
         found.recording.since_start(found.validation.stamps_ns), found.validation,
-        'Measured and simulated', f'{found.bag}, relative to the tool', theme),
-}
+        'Measured and simulated', f'{found.bag}, relative to the tool', theme)}
 
 
 def figure_of(found: CommandResult, theme: str = 'light') -> Any:

@@ -157,8 +157,7 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
         space.plot(*package.T, color=colours.predicted, linewidth=1.0)
         for i in usable[:: max(1, len(usable) // 40)]:  # some forty
             space.plot(*np.array([tool[i], package[i]]).T, color=colours.quiet, linewidth=0.6)
-        space.plot(*tool[usable[0]][:, None], 'o', color=colours.text,
-                   markersize=4.0)
+        space.plot(*tool[usable[0]][:, None], 'o', color=colours.text, markersize=4.0)
         space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.93)
         space.set_aspect('equal', adjustable='datalim')
         space.locator_params(nbins=5)

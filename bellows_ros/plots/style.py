@@ -49,8 +49,7 @@ THEMES = {
         measured='#9fb4c9', predicted='#b3261e', error='#5b4a9e'),
     'dark': Theme(
         background='#0d1117', text='#e6edf3', quiet='#9198a1', grid='#262c36',
-        measured='#5b7fa6', predicted='#ffb454', error='#b7a8ff'),
-}
+        measured='#5b7fa6', predicted='#ffb454', error='#b7a8ff')}
 
 
 @contextmanager

@@ -30,8 +30,7 @@ from .style import THEMES
 
 NO_RERUN = (
     f'The viewer Rerun is not installed. Install it: {install("view")}. Or use '
-    "'bellows plot animation'."
-)
+    "'bellows plot animation'.")
 ENDING = '.rrd'
 TIMELINE = 'time'
 CUPS_PER_SECOND = 60.0
@@ -98,8 +97,7 @@ def open_view(replayed: Replayed, note: str) -> None:
         raise BellowsError(
             f'The viewer Rerun exited with {done.returncode}, with the reason above. Without a '
             'display, write a file with --view replay.rrd, and open it elsewhere: '
-            "'rerun replay.rrd'."
-        )
+            "'rerun replay.rrd'.")
 
 
 def require_viewer(path: File = '') -> Any:
@@ -156,8 +154,7 @@ def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
     moved = replayed.motion
     rings = np.array([
         bellows_rings(moved.tool_position[i], moved.tool_rotation[i], lip[i], replayed.rotation[i])
-        for i in shown
-    ])
+        for i in shown])
     outward = rings - rings[:, :, :-1].mean(axis=2, keepdims=True)
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
     count = RINGS * SIDES
@@ -167,8 +164,7 @@ def _send_cup(rr: Any, recording: Any, replayed: Replayed) -> None:
         'world/cup', [rr.TimeColumn(TIMELINE, duration=replayed.seconds[shown])],
         rr.Mesh3D.columns(
             vertex_positions=rings.reshape(-1, 3), vertex_normals=outward.reshape(-1, 3),
-        ).partition([count] * len(shown)),
-    )
+        ).partition([count] * len(shown)))
 
 
 def _triangles() -> Stamps:
@@ -188,8 +184,7 @@ def _send_series(rr: Any, recording: Any, replayed: Replayed, times: list[Any]) 
             (f'package/{name}/measured', 'measured', _rgb(COLOURS.measured), 3.0, live.measured),
             (f'package/{name}/predicted', 'predicted', _rgb(COLOURS.predicted), 1.2,
              live.predicted),
-            (f'error/{name}', name, XYZ_COLOURS[axis % 3], 1.0,
-             live.predicted - live.measured),
+            (f'error/{name}', name, XYZ_COLOURS[axis % 3], 1.0, live.predicted - live.measured),
             (f'deflection/{name}', name, XYZ_COLOURS[axis % 3], 1.2, replayed.deflection),
         ):
             recording.log(path, rr.SeriesLines(
@@ -216,16 +211,13 @@ def _blueprint(rr: Any, replayed: Replayed) -> Any:
                                contents=[f'{what}/{name}' for name in names])
             for unit, names in (('mm', AXES[:3]), ('mrad', AXES[3:]))), name=words)
            for what, words in (('deflection', 'Deflection of the cup'),
-                               ('error', 'Predicted minus measured'))},
-    )
+                               ('error', 'Predicted minus measured'))})
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin='world', name='Tool, cup, package', eye_controls=eye),
             rrb.Tabs(views.package, views.deflection, views.error), column_shares=[2, 3]),
         rrb.BlueprintPanel(state='collapsed'), rrb.SelectionPanel(state='collapsed'),
-        rrb.TimePanel(state='collapsed', timeline=TIMELINE, play_state='playing',
-                      loop_mode='all'),
-    )
+        rrb.TimePanel(state='collapsed', timeline=TIMELINE, play_state='playing', loop_mode='all'))
 
 
 def _rgb(colour: str) -> tuple[int, ...]:

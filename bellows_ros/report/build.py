@@ -101,8 +101,7 @@ def _style() -> str:
     return (
         f':root{{{_variables(THEMES["light"])}--warn:#9a6700}}\n'
         f'@media (prefers-color-scheme:dark){{:root{{{_variables(THEMES["dark"])}'
-        f'--warn:#e3b341}}}}\n\n{STYLE.read_text()}'
-    )
+        f'--warn:#e3b341}}}}\n\n{STYLE.read_text()}')
 
 
 PAGE, STYLE = (Path(__file__).with_name(name) for name in ('page.html', 'style.css'))

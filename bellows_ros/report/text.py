@@ -23,8 +23,7 @@ LEGEND = (
     'predictor, from the messages as they came. noise: RMS error due to measurement noise '
     'alone. NRMSE: RMS error over motion; * moves too little for a verdict, as noise alone is '
     'more than 5 % of its motion. one-step: whether the errors are white if every sample corrects '
-    'the model.'
-)
+    'the model.')
 
 
 class Writer(Protocol):
@@ -182,6 +181,5 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
         rows.append((
             f'{name:2} {MILLI_UNITS[i]}', *(error[i] for error in errors),
             percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
-            white[i].removesuffix(' white'),
-        ))
+            white[i].removesuffix(' white')))
     return rows

@@ -61,8 +61,7 @@ class ResultComparison:
                for name, changes in (
                    ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
             'settings': self.settings,
-            'shared_recordings': self.shared,
-        }
+            'shared_recordings': self.shared}
 
 
 def compare_files(before: File, after: File) -> ResultComparison:
@@ -102,8 +101,7 @@ def compare_files(before: File, after: File) -> ResultComparison:
                 Difference(name, old.get(name), new.get(name))
                 for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             shared=tuple(name for name, content in _contents(contents[1]).items()
-                         if content in _contents(contents[0]).values()),
-        )
+                         if content in _contents(contents[0]).values()))
 
 
 def _fitted(content: Mapping[str, Any]) -> Fitted:
@@ -116,8 +114,7 @@ def _fitted(content: Mapping[str, Any]) -> Fitted:
     order = [labels.index(label) for label in structure.labels]
     cup = Cup(
         np.array(content['stiffness'], dtype=float), np.array(content['damping'], dtype=float),
-        float(content['cup_length']), tuple(content.get('relaxation', (0.0, 0.0))),
-    )
+        float(content['cup_length']), tuple(content.get('relaxation', (0.0, 0.0))))
     return Fitted(structure, cup, covariance[np.ix_(order, order)])
 
 
@@ -129,13 +126,11 @@ def _described(content: Mapping[str, Any]) -> dict[str, Any]:
         **{name: content.get(name) for name in ('method', 'structure', 'samples_used')},
         **{f'version of {name}': version for name, version in versions.items()},
         **{f'content of {path}': ' '.join(digest[:12] for digest in digests)
-           for path, digests in _contents(content).items()},
-    }
+           for path, digests in _contents(content).items()}}
 
 
 def _contents(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Return the digests of the files of a fit's recordings, by name."""
     return {
         recording['path']: tuple(file['sha256'] for file in recording['files'])
-        for recording in content['provenance']['recordings']
-    }
+        for recording in content['provenance']['recordings']}

@@ -75,8 +75,7 @@ class Body:
         own = self.messages
         content: Any = {'data': tuple(compress(own.data, chosen))} if isinstance(
             own, Encoded) else {'values': own.values[chosen]}
-        return replace(
-            self, messages=replace(own, stamps_ns=own.stamps_ns[chosen], **content))
+        return replace(self, messages=replace(own, stamps_ns=own.stamps_ns[chosen], **content))
 
 
 @dataclass(frozen=True)
@@ -310,16 +309,14 @@ def to_bag(
         raise BellowsError(
             f'No pose can be used: {lost}. Fewer markers are enough with --markers N.')
     write_bag(out, [body.messages for body in kept], storage, replace=replace)
-    return Conversion(
-        os.fspath(out), kept, 'motive_y_up' if motive else 'z_up', tuple(notes))
+    return Conversion(os.fspath(out), kept, 'motive_y_up' if motive else 'z_up', tuple(notes))
 
 
 def _read(source: Path, fewest_markers: int) -> list[Body]:
     """Return the bodies in a file, and what was left out."""
     if not os.path.isfile(source):
         raise BellowsError(
-            f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file."
-        )
+            f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file.")
     if source.suffix.lower() == '.csv' and is_motive(source):
         return [Body(
             Recorded(_topic_of(own.name), POSE, own.stamps_ns, own.values, MOTIVE_FRAME),
@@ -363,8 +360,7 @@ def to_tum(
         if len(fitting) != 1:
             raise BellowsError(
                 f"Recording '{bag}' has {len(fitting)} topics with poses"
-                f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.'
-            )
+                f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.')
         topic = fitting[0]
     stream = part_of(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
     if not isinstance(stream, PoseStream):

@@ -124,8 +124,7 @@ class DesignedMotion(CommandResult):
             'series': {name: {'duration_s': motion.duration, 'expected_std': errors.tolist()}
                        for name, (motion, errors) in self.series.items()},
             'limited_by': self.design.shares,
-            'warnings': self.warnings,
-        }
+            'warnings': self.warnings}
 
 
 def _rounded_up(factor: float) -> str:

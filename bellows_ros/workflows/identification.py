@@ -143,8 +143,7 @@ class Identification:
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
             'cup.length': self.cup_length,
-            'cup.relaxation': self.fit.relaxation,
-        }
+            'cup.relaxation': self.fit.relaxation}
 
     def parameters(self) -> dict[str, Any]:
         """
@@ -156,12 +155,10 @@ class Identification:
             ['recording.package_world'] if any(part.package_world for part in self.parts) else [])}
         kept = {
             name: value for name, value in self.cup_values().items()
-            if name in wanted or (
-                name in WITH_THE_CUP and value != PARAMETERS[name].default)}
+            if name in wanted or (name in WITH_THE_CUP and value != PARAMETERS[name].default)}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
-            for name in ('stiffness_std', 'damping_std')
-        }
+            for name in ('stiffness_std', 'damping_std')}
         return {**kept, **errors, **self.envelope.parameters()}
 
     @property
@@ -220,8 +217,7 @@ class Identification:
             *((one_cup.verdict,) if one_cup and one_cup.differs else ()),
             *(static.warnings if static else ()),
             *(text for part in self.parts for text in part.report['warnings']),
-            *(f'{v.bag}: {text}' for v in self.validations for text in v.warnings),
-        )
+            *(f'{v.bag}: {text}' for v in self.validations for text in v.warnings))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
@@ -249,11 +245,9 @@ class Identification:
             'provenance': {
                 'recordings': [{'path': r.name, 'files': r.files} for r in read],
                 'parameter_files': self.parameter_files,
-                'versions': versions(),
-            },
+                'versions': versions()},
             'failed': [{'bag': f.bag, 'error': f.reason} for f in self.failed],
-            'version': __version__,
-        })
+            'version': __version__})
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -276,8 +270,7 @@ class Identification:
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
             *self._offset_sentences(),
-            *(f'REFUSED, but written because of --force: {reason}' for reason in self.refusals),
-        ]
+            *(f'REFUSED, but written because of --force: {reason}' for reason in self.refusals)]
 
 
 def names_of(bags: Sequence[str], payload: Iterable[Package]) -> list[str]:
@@ -351,24 +344,19 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             'labels': fit.labels, 'covariance': fit.covariance, 'noise_bias': fit.bias,
             'covariance_from_given': fit.from_given,
             'units': {**dict.fromkeys(('covariance', 'covariance_from_given'), _products(units)),
-                      'noise_bias': units},
-        },
+                      'noise_bias': units}},
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
-        'iterations': [
-            attributes(i, 'chi2', 'stiffness', 'damping') for i in fit.iterations],
+        'iterations': [attributes(i, 'chi2', 'stiffness', 'damping') for i in fit.iterations],
         'with_standstills': found and {
             'standstills': found.count,
             'chi2': found.chi2,
             'cup_length': found.length,
             'cup_length_std': found.length_std,
-            'narrowed': dict(zip(fit.labels, found.narrowed.tolist(), strict=True)),
-        },
+            'narrowed': dict(zip(fit.labels, found.narrowed.tolist(), strict=True))},
         'units': {
             'weight': _products([f'1/({unit})' for unit in fit.residual_units]),
-            **dict.fromkeys(('residual_rms', 'noise_rms'), fit.residual_units),
-        },
-    }
+            **dict.fromkeys(('residual_rms', 'noise_rms'), fit.residual_units)}}
 
 
 def _products(units: Any) -> list[list[str]]:
@@ -393,12 +381,9 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
                 **attributes(
                     own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
                     'weak'),
-                'units': {'value': unit},
-            }
-            for own, unit in zip(excitation.parameters, units, strict=True)
-        },
-        **attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings'),
-    }
+                'units': {'value': unit}}
+            for own, unit in zip(excitation.parameters, units, strict=True)},
+        **attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings')}
 
 
 def selection_json(selection: Any) -> dict[str, Any]:
@@ -408,5 +393,4 @@ def selection_json(selection: Any) -> dict[str, Any]:
             attributes(candidate, 'structure', 'parameters', 'usable', 'refused', 'aic', 'bic',
                        'held_out', 'simulated')
             for candidate in selection.candidates],
-        **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice', 'fits'),
-    }
+        **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice', 'fits')}

@@ -123,8 +123,7 @@ def identify(
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
     fitted_structure(values)
-    of_files = tuple(
-        {'path': os.fspath(path), 'files': digests(path)} for path in parameter_files)
+    of_files = tuple({'path': os.fspath(path), 'files': digests(path)} for path in parameter_files)
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
@@ -292,8 +291,7 @@ def read_all(
     if not parts:
         raise BellowsError(
             f'None of {len(failed)} recordings can be used. The first, '
-            f"'{failed[0].bag}': {failed[0].reason}"
-        )
+            f"'{failed[0].bag}': {failed[0].reason}")
     return parts, failed
 
 
@@ -426,8 +424,7 @@ class StructureAdvice:
             'recordings': self.recordings,
             'warnings': self.warnings,
             'settings': dict(self.values),
-            'version': __version__,
-        })
+            'version': __version__})
 
 
 def structures(

@@ -159,8 +159,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
         f'{topic.name} {kind}': topic.name
         for topic in found if topic.messages
         for kind, types in (('pose', pose_types), ('twist', twist_types))
-        if topic.type_name in types
-    }
+        if topic.type_name in types}
     contents = read_contents(path, wanted) if wanted else Contents({}, {}, ())
     problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
     streams = {role: own for role, own in part_of(contents.streams, span).items() if len(own)}
@@ -199,8 +198,7 @@ def _topic(
         *topic, ' and '.join(mine), frame_id=stream.frame_id,
         start_ns=int(stream.stamps_ns[0]),
         duration_s=float(stream.stamps_ns[-1] - stream.stamps_ns[0]) / NS_PER_S,
-        refused={reason: len(where) for reason, where in stream.refused.items()}, **quality,
-    )
+        refused={reason: len(where) for reason, where in stream.refused.items()}, **quality)
 
 
 def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
@@ -209,8 +207,7 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
     quality: dict[str, Any] = {
         'rate_hz': time.rate_hz,
         'jitter_s': time.jitter_s,
-        'gaps': tuple(((gap.start_ns - start_ns) / NS_PER_S, gap.duration_s) for gap in time.gaps),
-    }
+        'gaps': tuple(((gap.start_ns - start_ns) / NS_PER_S, gap.duration_s) for gap in time.gaps)}
     if isinstance(stream, PoseStream):
         stream, arrivals = at_sampling(stream)
         time, poses = timing(stream.stamps_ns), stream.trajectory()
@@ -222,8 +219,7 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
             'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},
-            'warnings': tuple(stream_warnings(stream, time, outliers, arrivals)),
-        }
+            'warnings': tuple(stream_warnings(stream, time, outliers, arrivals))}
     return quality
 
 
@@ -262,9 +258,7 @@ def _assigned(
         notes = [wrong, *notes] if wrong else notes + remarks  # before that, nothing else is known
     if in_degrees and twist:
         notes.insert(0, finding_sentence(IN_DEGREES, {'topics.tool_twist': twist.topic}))
-    return Info(
-        str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes)
-    )
+    return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes))
 
 
 def _arranged(
@@ -320,13 +314,11 @@ def _at_rest(
         f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
         'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
         'cup.length plus the depth of package.com if they are those of the centre of mass '
-        '(com).'
-    ] if not apart else []
+        '(com).'] if not apart else []
     if rest.seconds < alignment.SHORTEST_REST:
         notes.append(
             f'The standstill at the beginning lasts only {rest.seconds:.1f} s. Start with 2 s of '
-            'standstill, so that rotated marker frames can be detected.'
-        )
+            'standstill, so that rotated marker frames can be detected.')
     if longest_hold(tool) < SHORTEST_HOLD:
         notes.append(
             f'No tilt is held for {SHORTEST_HOLD:g} s, so how far the rubber creeps '

@@ -130,8 +130,7 @@ class Observed:
             'calibration': self.calibration and attributes(
                 self.calibration, *self.calibration._fields),
             'alarm_calibration': self.alarm_calibration,
-            **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
-        }
+            **{f'rms {name}': found.scores.rms for name, found in self.ways.items()}}
 
 
 def observed(
@@ -230,11 +229,9 @@ def _calibrated(found: Calibration | None, pose: Array, turn: Array) -> dict[str
     back = turn.T @ exp_so3(-found.turn)
     q = rotation_to_quaternion(back @ turn @ quaternion_to_rotation(pose[3:]))
     return {
-        'recording.package_world': pose_text(
-            np.append(back @ (turn @ pose[:3] - found.shift), q)),
+        'recording.package_world': pose_text(np.append(back @ (turn @ pose[:3] - found.shift), q)),
         'measured.offset_std': (float(found.shift_std.max()), float(found.turn_std.max())),
-        'measured.latency_std': math.hypot(found.latency, found.latency_std),
-    }
+        'measured.latency_std': math.hypot(found.latency, found.latency_std)}
 
 
 def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]:
@@ -290,5 +287,4 @@ def _held(observer: Observer, poses: PoseStream, at: Trajectory, com: Array) -> 
         assert not isinstance(seen, str)
         found.append(np.concatenate(at_com(*seen[1:], observer.sensor.marker, (x, y, z))[:2]))
     rows = np.array(found)[newest[inside]]
-    return Trajectory(
-        at.stamps_ns[inside], rows[:, :3], quaternion_to_rotation(rows[:, 3:]))
+    return Trajectory(at.stamps_ns[inside], rows[:, :3], quaternion_to_rotation(rows[:, 3:]))

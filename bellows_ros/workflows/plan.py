@@ -68,13 +68,11 @@ LARGEST_TILT = 0.02
 LARGEST_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
-NO_GRIP = (
-    'The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
+NO_GRIP = ('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 BEGINS_IN_MOTION = (
     'The plan begins in motion: the package is taken to hang as if its first acceleration had '
     'lasted. What swings from before is unknown.')
-ENDS_IN_MOTION = (
-    'The plan ends in motion, so the swing after its end is unknown.')
+ENDS_IN_MOTION = ('The plan ends in motion, so the swing after its end is unknown.')
 
 
 MotionSource = File | Trajectory
@@ -262,8 +260,7 @@ class PlanReport(CommandResult):
                 'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
             'plan': self.source.path, 'frame_id': self.source.frame_id,
             'points': len(self.source.tool), 'least_safety_factor': self.least,
-            'warnings': self.warnings,
-        })
+            'warnings': self.warnings})
 
 
 def plan(
@@ -352,8 +349,7 @@ def curves(
         factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
         return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
 
-    return Curves(
-        tool.seconds, tool.position, compute(model), _deviations(values, model, compute))
+    return Curves(tool.seconds, tool.position, compute(model), _deviations(values, model, compute))
 
 
 def standing(tool: Trajectory, seconds: float) -> Trajectory:
@@ -405,8 +401,7 @@ def read_plan(path: File, values: Mapping[str, Any], urdf: str = '', topic: str 
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
             'more. Select a longer part.')
-    return replace(
-        source, tool=source.tool.select(chosen), path=os.fspath(path), values=values)
+    return replace(source, tool=source.tool.select(chosen), path=os.fspath(path), values=values)
 
 
 @seldom_collected()  # which takes most of the time, of many points
@@ -584,5 +579,4 @@ def write_prediction(
              plan_messages.encode_path(start, frame, package.times_ns, package.poses)))),
         Recorded('/tool_arm/pose', POSE, stamps, plan.poses, frame),
         Recorded('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
-        Recorded('/package/pose', POSE, stamps, package.poses, frame),
-    ], replace=replace_bag)
+        Recorded('/package/pose', POSE, stamps, package.poses, frame)], replace=replace_bag)

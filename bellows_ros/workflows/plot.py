@@ -163,8 +163,7 @@ def _motion(recording: Recording) -> MeasuredMotion:
     return MeasuredMotion(
         recording.since_start(tool.stamps_ns), tool.position, tool.rotation,
         package.position, package.rotation, relative_coordinates(tool, package),
-        tool.valid & package.valid,
-    )
+        tool.valid & package.valid)
 
 
 def spectra(bag: File, settings: Mapping[str, object], cup: bool) -> Spectra:
@@ -217,8 +216,7 @@ def loads(bag: File, settings: Mapping[str, object]) -> Loads:
         deflection=np.hstack([moved, bending]),
         load=needed, residual=residual,
         stiffness=np.diag(cup.stiffness),
-        valid=recording.valid,
-    )
+        valid=recording.valid)
 
 
 def replayed(
@@ -255,8 +253,7 @@ def with_bodies(values: Mapping[str, Any], recording: Recording, live: Live) -> 
     return Replayed(
         measured.seconds, result, measured,
         position, measured.tool_rotation @ bent, np.hstack([shift, result.predicted[:, 3:]]),
-        length, package.com, np.array(equivalent_box(values)),
-    )
+        length, package.com, np.array(equivalent_box(values)))
 
 
 def margins(bag: File, settings: Mapping[str, object]) -> Margins:
@@ -288,8 +285,7 @@ def within(shown: Timed, first: float, last: float) -> Timed:
     if np.count_nonzero(part & getattr(poses, 'valid', True)) < 2:
         raise BellowsError(
             f'There are fewer than two usable samples from {first:g} to {last:g} s; the '
-            f'recording covers {seconds[0]:.2f} to {seconds[-1]:.2f} s.'
-        )
+            f'recording covers {seconds[0]:.2f} to {seconds[-1]:.2f} s.')
     groups: dict[str, Any] = {}
     if isinstance(shown, Replayed):
         result = _picked(shown.live, part)
@@ -302,8 +298,7 @@ def _picked(group: Group, index: Stamps | Mask) -> Group:
     """Return a group of arrays at some samples; `NOT_SAMPLES` are kept whole."""
     picked = {
         field.name: getattr(group, field.name)[index]
-        for field in fields(group) if field.name not in NOT_SAMPLES
-    }
+        for field in fields(group) if field.name not in NOT_SAMPLES}
     return replace(group, **picked)
 
 
@@ -319,5 +314,4 @@ def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> d
         'deflection': shown.deflection,
         'position': shown.position,
         'rotation': shown.rotation,
-        'scores': shown.live,
-    }
+        'scores': shown.live}

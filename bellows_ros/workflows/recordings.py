@@ -51,8 +51,7 @@ Progress = Callable[[str, float], None]
 NO_OFFSET = (
     'The time offset between tool and package is not identifiable from this recording; its '
     'stamps were used unchanged. Record a motion that is richer in all directions, with clocks '
-    'that differ by less than 200 ms.'
-)
+    'that differ by less than 200 ms.')
 """Used if a time offset is wanted and not identifiable."""
 
 OWN_TOPICS = ' If only some recordings have other topics, give each its own file in package.files.'
@@ -250,8 +249,7 @@ def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
     where = 'behind' if offset.value >= 0.0 else 'ahead of'
     return [
         f'{bag}: the stamps of the tool were {1e3 * abs(offset.value):.3f} ± '
-        f'{1e3 * offset.std:.3f} ms {where} those of the package; this was corrected.'
-    ]
+        f'{1e3 * offset.std:.3f} ms {where} those of the package; this was corrected.']
 
 
 def world_sentence(bag: object, found: PackageWorld | None) -> list[str]:
@@ -265,8 +263,7 @@ def world_sentence(bag: object, found: PackageWorld | None) -> list[str]:
     return [
         f'{bag}: recording.package_world was estimated: position {position} mm, quaternion (x y '
         f"z w) {quaternion}; standard errors {errors} mm at the middle of the package's path, "
-        f'{turns} mrad.'
-    ]
+        f'{turns} mrad.']
 
 
 def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
@@ -289,14 +286,11 @@ def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
         if digest in first:
             yield number, (
                 f"'{name}' and '{first[digest]}' are the same recording and would count twice. "
-                'Give it once.'
-            )
+                'Give it once.')
         first.setdefault(digest, name)
 
 
-def values_of_each(
-    values: Mapping[str, Any], bags_in: str = 'bags'
-) -> list[Mapping[str, Any]]:
+def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Mapping[str, Any]]:
     """
     Return the parameters for each recording in a parameter of `FILES_OF`, with its own package.
 
@@ -310,8 +304,7 @@ def values_of_each(
     if files and len(files) != len(bags):
         raise BellowsError(
             f'{FILES_OF[bags_in]} has {len(files)} files for {len(bags)} recordings. Name one for '
-            f'each recording in {bags_in}, in the same order, or none.'
-        )
+            f'each recording in {bags_in}, in the same order, or none.')
     if bags_in == 'static.bags':
         values = {'package.inertia': NO_INERTIA, **values}
     each: list[Mapping[str, Any]] = [
@@ -342,5 +335,4 @@ def prepare_settings(values: Mapping[str, Any]) -> PrepareSettings:
         tool_order=values['filter.tool.order'],
         package_half_window=values['filter.package.half_window'],
         package_order=values['filter.package.order'],
-        tool_twist_frame=values['tool_twist.frame'],
-    )
+        tool_twist_frame=values['tool_twist.frame'])

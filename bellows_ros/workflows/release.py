@@ -98,13 +98,11 @@ class ReleaseResult:
                       for bag, drop in zip(self.used, fit.drops, strict=True)],
             'left_out': self.left_out,
             'warnings': self.warnings,
-            'settings': self.values,
-        })
+            'settings': self.values})
 
 
 def identify_release(
-    settings: Mapping[str, object],
-    progress: Progress = lambda what, part: None,
+    settings: Mapping[str, object], progress: Progress = lambda what, part: None
 ) -> ReleaseResult:
     """
     Identify the law of release from the drops in the recordings that `bags` names.

@@ -140,8 +140,7 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
         why_tool.append(f"'{package.name}' hangs below it")
     return Pair(
         Guess(tool.name, tuple(why_tool)), Guess(package.name, tuple(why_package)), world,
-        distance, float(high - low), score,
-    )
+        distance, float(high - low), score)
 
 
 def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None:

@@ -200,14 +200,12 @@ def _simulated(
     rate = max(
         LEAST_RATE,
         SAMPLES_PER_PERIOD * motion.highest_frequency,
-        STEPS_PER_LARGEST / largest_step(model),
-    )
+        STEPS_PER_LARGEST / largest_step(model))
     count = motion.duration * (rate + recipe.tool.rate_hz + recipe.package.rate_hz)
     if count > LARGEST_COUNT:
         raise BellowsError(
             f'The recording needs {count:.2g} simulated samples; the limit is '
-            f'{LARGEST_COUNT:.2g}. Make it shorter, or lower the rates or the highest frequency.'
-        )
+            f'{LARGEST_COUNT:.2g}. Make it shorter, or lower the rates or the highest frequency.')
     fine = sample_stamps(rate, motion.duration, recipe.start_ns)
     stamps_ns = np.unique(np.concatenate([fine, *(p.sampled_ns for p in plans.values())]))
     tool = motion.trajectory(stamps_ns, recipe.start_ns)
@@ -280,8 +278,7 @@ def _truth_bytes(
         'package': transform(turn @ at.package.rotation, apply(turn, at.package.position)),
         'package_twist': np.asarray(at.package.twist),
         'K': cup.stiffness,
-        'P': cup.damping,
-    }
+        'P': cup.damping}
     file = io.BytesIO()
     np.savez(file, **arrays)  # type: ignore[arg-type]
     return file.getvalue()
@@ -290,8 +287,7 @@ def _truth_bytes(
 def _bending(truth: Truth) -> tuple[float, float, tuple[str, ...]]:
     """Return the largest bending (rad), when that is (s), and what to know of it."""
     seconds = truth.tool.seconds
-    angle = np.where(
-        truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
+    angle = np.where(truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))
     beyond = seconds[angle > PEAK_MOMENT_BENDING]
     warnings = () if not len(beyond) else (

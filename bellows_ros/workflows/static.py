@@ -113,16 +113,14 @@ class StaticResult:
             found.append(
                 f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings give '
                 f'{self.length.length * 1e3:.2f} mm. Write the new value to a parameter file '
-                'with --out.'
-            )
+                'with --out.')
         for recording in self.recordings:
             good, failed = standstills_in(recording)
             if failed:
                 found.append(
                     f'{recording.name}: in {failed} of {failed + len(good)} standstills of the '
                     'tool the package was still swinging; they are left out. Hold each pose for '
-                    'longer.'
-                )
+                    'longer.')
         return (*found, *(f'{r.name}: {text}' for r in self.recordings for text in
                           r.report.warnings))
 
@@ -134,8 +132,7 @@ class StaticResult:
                 'units': {
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
-                },
-            },
+                }},
             'no_nominal_length': self.no_length,
             'cup_length': self.cup_length,
             'stiffness_after_moves': self.after_moves,
@@ -146,17 +143,14 @@ class StaticResult:
                 'poses': [
                     {'tilt': pose.standstill.tilt,
                      **attributes(pose, 'measured', 'predicted', 'verdict')}
-                    for pose in self.spring.poses
-                ],
-            },
+                    for pose in self.spring.poses]},
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [
                     attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip', 'creep')
                     for still in found]}
                 for recording in self.recordings
                 for found, failed in [standstills_in(recording)]],
-            'warnings': self.warnings,
-        })
+            'warnings': self.warnings})
 
 
 def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
@@ -203,9 +197,7 @@ def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
 
 
 def static_check(
-    bags: Sequence[StaticBag],
-    settings: Mapping[str, object],
-    progress: Progress | None = None,
+    bags: Sequence[StaticBag], settings: Mapping[str, object], progress: Progress | None = None
 ) -> StaticResult:
     """
     Find the standstills of recordings and the nominal length, and check the spring.
@@ -251,9 +243,7 @@ def with_spring(found: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     return replace(found, spring=check_spring(cup, found.standstills, gravity))
 
 
-def _read(
-    each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress
-) -> StaticResult:
+def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists do not matter at rest."""
     recordings = list[Recording]()
     for number, (bag, own) in enumerate(each):
@@ -300,6 +290,5 @@ def save_length(result: StaticResult, path: File) -> None:
     bags = ', '.join(recording.name for recording in result.recordings)
     header = [
         f'Nominal length found by bellows_ros {__version__} from {bags}:',
-        f'{result.length.text}.',
-    ]
+        f'{result.length.text}.']
     write_parameters(path, {'cup.length': result.length.length}, header)

@@ -58,8 +58,7 @@ class SteeredMotion(NamedTuple):
             'expected_swing': self.expected_swing,
             **{name: size for name, size in self.prediction.figures().items()
                if name in ('swing_left', 'settled_after', 'smallest_safety_factor')},
-            **demands(self.tool),
-        }
+            **demands(self.tool)}
 
 
 OF_EXCITE = (
@@ -150,8 +149,7 @@ class SteerReport(CommandResult):
                        'units': {'frequency': 'Hz', 'damping_ratio': '1', 'swing': 'rad'}}
                       for mode in self.steered.modes],
             'advice': self.advice, 'notes': self.notes,
-            'plan': self.source.path, 'frame_id': self.source.frame_id,
-        })
+            'plan': self.source.path, 'frame_id': self.source.frame_id})
 
 
 def steer_plan(
@@ -188,8 +186,7 @@ def steer_plan(
     motions = {method: _motion(source, steered.tool, steered.package, arrival)}
     try:
         planned = tool_above(model, source.tool) if of_package else source.tool
-        motions['as planned'] = _motion(
-            source, planned, hanging(model, planned), source.duration)
+        motions['as planned'] = _motion(source, planned, hanging(model, planned), source.duration)
         if method == 'inverse':
             other = steer(model, wanted, 'zvd', of_package)
             motions['zvd'] = _motion(
@@ -197,8 +194,7 @@ def steer_plan(
     except UnstableError:  # as planned the package falls over: the method stands alone
         pass
     return SteerReport(
-        source, method, motions, steered, scale, limit,
-        bool(deviations_of(source.values).any()))
+        source, method, motions, steered, scale, limit, bool(deviations_of(source.values).any()))
 
 
 def read_limits(content: object) -> Limits:
@@ -228,9 +224,7 @@ def read_limits(content: object) -> Limits:
     return Limits(rates, lower, upper, safety, acceleration)
 
 
-def _scale(
-    source: Source, method: str, of_package: bool, limits: Limits
-) -> tuple[float, str]:
+def _scale(source: Source, method: str, of_package: bool, limits: Limits) -> tuple[float, str]:
     """Return how many times as long the motion takes within limits, and which one needs that."""
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:

@@ -115,8 +115,7 @@ class TossResult(CommandResult):
             'tumbling': found.tumbling,
             'budget': _budget(self.shares()),
             'budget_of_groups': _budget(self.groups()),
-            'warnings': self.warnings, 'plan': self.source.path,
-        }
+            'warnings': self.warnings, 'plan': self.source.path}
         if self.aim is not None and self.target is not None:
             content['target'] = {
                 'position': list(self.target), 'valve_time': self.aim.switched,

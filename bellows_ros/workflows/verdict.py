@@ -153,8 +153,7 @@ class FitVerdict(NamedTuple):
                 'use a simpler fit.structure.')
         first = self.diagnosis.findings[:1]
         if first and first[0].material:
-            found.append(
-                f'Correct {setting_of(first[0])} as the first line says, and fit again.')
+            found.append(f'Correct {setting_of(first[0])} as the first line says, and fit again.')
         return tuple(found)
 
     def as_json(self) -> dict[str, Any]:
@@ -167,8 +166,7 @@ class FitVerdict(NamedTuple):
                  'sentence': finding_sentence(found, self.given),
                  'units': dict.fromkeys(('theta', 'std'), KNOWN_CAUSES[found.name].units)}
                 for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
-            'besides': len(self.diagnosis.besides),
-        }
+            'besides': len(self.diagnosis.besides)}
 
 
 def verdict_of(

@@ -75,9 +75,7 @@ def _in_pool(
         remove_abandoned(tempfile.gettempdir())
 
 
-def _watched(
-    parent: int, task: Task, number: int, bag: str, values: Mapping[str, Any]
-) -> Outcome:
+def _watched(parent: int, task: Task, number: int, bag: str, values: Mapping[str, Any]) -> Outcome:
     """Return the result of `_tried`, in a process that ends with its parent."""
     _end_with(parent)
     return _tried(task, number, bag, values)
@@ -127,14 +125,11 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
     except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise BellowsError(
             f"No Dask scheduler answers at '{address}': {error}. Start one with 'dask scheduler', "
-            'and give the address that it prints.'
-        ) from None
+            'and give the address that it prints.') from None
     with client:
         futures = [
-            client.submit(
-                _tried, task, number, bag, own, path=os.path.abspath(bag), pure=False)
-            for number, bag, own in work
-        ]
+            client.submit(_tried, task, number, bag, own, path=os.path.abspath(bag), pure=False)
+            for number, bag, own in work]
         for future, (number, bag, _) in zip(futures, work, strict=True):
             try:
                 result: Outcome = future.result()
@@ -160,5 +155,4 @@ def _imported(module: str, extra: str, option: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise BellowsError(
-            f"{option} needs '{module}', which is not installed: {install(extra)}."
-        ) from None
+            f"{option} needs '{module}', which is not installed: {install(extra)}.") from None

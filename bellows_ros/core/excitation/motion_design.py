@@ -463,9 +463,7 @@ SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
 SLOWER, MOST_SLOWER = 1.15, 30
 
 
-def standstills(
-    limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
-) -> Waypoints:
+def standstills(limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None) -> Waypoints:
     """Return standstills upright and tilted to both sides, within the limits with any model."""
     tilt = WORKSPACE_SHARE * limits.turn[:2]
     turns = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0)]

@@ -71,9 +71,7 @@ def _wrapped(function: Function, options: dict[str, Any]) -> Function:
     return compiled  # type: ignore[no-any-return]
 
 
-def _compiler(
-    function: Callable[..., Any], options: dict[str, Any], called: bool = False
-) -> Any:
+def _compiler(function: Callable[..., Any], options: dict[str, Any], called: bool = False) -> Any:
     """Return what compiles a kernel for Python, or only to be called by other kernels."""
     options = {**options, 'no_cfunc_wrapper': True, 'no_cpython_wrapper': called}
     try:

@@ -243,8 +243,7 @@ def d2exp(phi: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
     result: Array = (
         _half_beta(t2) * b_a
         + _gamma(t2) * (np.cross(b, phi_a) + np.cross(phi, b_a))
-        + along * (_delta(t2) * phi_a + _eps(t2) * twice)
-    )
+        + along * (_delta(t2) * phi_a + _eps(t2) * twice))
     return result
 
 
@@ -273,8 +272,7 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> Array:
     if not np.all(np.isfinite(norm) & (norm > 0.0)):
         raise BellowsError(
             'A quaternion is zero or not finite, hence not a rotation. Leave such samples out '
-            'first.'
-        )
+            'first.')
     q = q / norm
     v, w = q[..., :3], q[..., 3]
     # exp(phi) with phi^ = v^ |phi| / sin(|phi|/2): I + 2 w v^ + 2 (v^)^2.
@@ -349,9 +347,7 @@ def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
             pw * qx + px * qw + py * qz - pz * qy,
             pw * qy + py * qw + pz * qx - px * qz,
             pw * qz + pz * qw + px * qy - py * qx,
-            pw * qw - px * qx - py * qy - pz * qz,
-        ]
-    )
+            pw * qw - px * qx - py * qy - pz * qz])
     return np.moveaxis(product, 0, -1)
 
 
@@ -545,8 +541,7 @@ def _rotation_polynomial(v: Array, linear: Array, quadratic: Array) -> Array:
     square = v[..., :, None] * v[..., None, :]
     np.einsum('...ii->...i', square)[...] -= _squared(v)[..., None]
     result: Array = (
-        np.eye(3) + linear[..., None, None] * hat(v) + quadratic[..., None, None] * square
-    )
+        np.eye(3) + linear[..., None, None] * hat(v) + quadratic[..., None, None] * square)
     return result
 
 

@@ -65,8 +65,7 @@ def dot(a: Vector, b: Vector) -> float:
 @kernel
 def unit(axis: int, size: float) -> Vector:
     """Return a vector of a size along one of the axes 0 to 2; of others, zero."""
-    return (
-        size if axis == 0 else 0.0, size if axis == 1 else 0.0, size if axis == 2 else 0.0)
+    return (size if axis == 0 else 0.0, size if axis == 1 else 0.0, size if axis == 2 else 0.0)
 
 
 @kernel
@@ -81,8 +80,7 @@ def cross(a: Vector, b: Vector) -> Vector:
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+        a[0] * b[1] - a[1] * b[0])
 
 
 @kernel
@@ -91,8 +89,7 @@ def apply(A: Matrix, v: Vector) -> Vector:
     return (
         A[0] * v[0] + A[1] * v[1] + A[2] * v[2],
         A[3] * v[0] + A[4] * v[1] + A[5] * v[2],
-        A[6] * v[0] + A[7] * v[1] + A[8] * v[2],
-    )
+        A[6] * v[0] + A[7] * v[1] + A[8] * v[2])
 
 
 @kernel
@@ -101,8 +98,7 @@ def apply_transposed(A: Matrix, v: Vector) -> Vector:
     return (
         A[0] * v[0] + A[3] * v[1] + A[6] * v[2],
         A[1] * v[0] + A[4] * v[1] + A[7] * v[2],
-        A[2] * v[0] + A[5] * v[1] + A[8] * v[2],
-    )
+        A[2] * v[0] + A[5] * v[1] + A[8] * v[2])
 
 
 @kernel
@@ -117,8 +113,7 @@ def multiply_transposed(A: Matrix, B: Matrix) -> Matrix:
         A[1] * B[2] + A[4] * B[5] + A[7] * B[8],
         A[2] * B[0] + A[5] * B[3] + A[8] * B[6],
         A[2] * B[1] + A[5] * B[4] + A[8] * B[7],
-        A[2] * B[2] + A[5] * B[5] + A[8] * B[8],
-    )
+        A[2] * B[2] + A[5] * B[5] + A[8] * B[8])
 
 
 @kernel
@@ -133,8 +128,7 @@ def multiply(A: Matrix, B: Matrix) -> Matrix:
         A[3] * B[2] + A[4] * B[5] + A[5] * B[8],
         A[6] * B[0] + A[7] * B[3] + A[8] * B[6],
         A[6] * B[1] + A[7] * B[4] + A[8] * B[7],
-        A[6] * B[2] + A[7] * B[5] + A[8] * B[8],
-    )
+        A[6] * B[2] + A[7] * B[5] + A[8] * B[8])
 
 
 @kernel
@@ -149,8 +143,7 @@ def add_scaled_matrix(A: Matrix, factor: float, B: Matrix) -> Matrix:
     return (
         A[0] + factor * B[0], A[1] + factor * B[1], A[2] + factor * B[2],
         A[3] + factor * B[3], A[4] + factor * B[4], A[5] + factor * B[5],
-        A[6] + factor * B[6], A[7] + factor * B[7], A[8] + factor * B[8],
-    )
+        A[6] + factor * B[6], A[7] + factor * B[7], A[8] + factor * B[8])
 
 
 @kernel
@@ -159,8 +152,7 @@ def scale_matrix(factor: float, A: Matrix) -> Matrix:
     return (
         factor * A[0], factor * A[1], factor * A[2],
         factor * A[3], factor * A[4], factor * A[5],
-        factor * A[6], factor * A[7], factor * A[8],
-    )
+        factor * A[6], factor * A[7], factor * A[8])
 
 
 @kernel
@@ -175,8 +167,7 @@ def outer(a: Vector, b: Vector) -> Matrix:
     return (
         a[0] * b[0], a[0] * b[1], a[0] * b[2],
         a[1] * b[0], a[1] * b[1], a[1] * b[2],
-        a[2] * b[0], a[2] * b[1], a[2] * b[2],
-    )
+        a[2] * b[0], a[2] * b[1], a[2] * b[2])
 
 
 @kernel
@@ -186,8 +177,7 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
         p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
         p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
         p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3],
-        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
-    )
+        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2])
 
 
 @kernel
@@ -216,8 +206,7 @@ def rotation_matrix(q: Quaternion) -> Matrix:
         2.0 * (y * z - w * x),
         2.0 * (x * z - w * y),
         2.0 * (y * z + w * x),
-        1.0 - 2.0 * (x * x + y * y),
-    )
+        1.0 - 2.0 * (x * x + y * y))
 
 
 @kernel

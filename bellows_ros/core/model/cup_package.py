@@ -105,8 +105,7 @@ class Cup:
         return cls(
             stiffness=np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123]),
             damping=np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]),
-            length=0.0481,
-        )
+            length=0.0481)
 
     @cached_property
     def as_tuple(self) -> CupTuple:
@@ -116,8 +115,7 @@ class Cup:
         return (
             0.5 * float(self.length), float(self.length),
             blocks(self.stiffness), blocks(self.damping),
-            *(branches if any(self.relaxation) else []),
-        )
+            *(branches if any(self.relaxation) else []))
 
 
 @dataclass(frozen=True)
@@ -166,8 +164,7 @@ class Package:
             float(self.mass),
             _tuple(self.com),
             _tuple(self.inertia),
-            _tuple(np.linalg.inv(self.inertia)),
-        )
+            _tuple(np.linalg.inv(self.inertia)))
 
 
 def is_gripper(values: Mapping[str, Any]) -> bool:
@@ -197,8 +194,7 @@ def one_cup_of(values: Mapping[str, Any]) -> Cup:
         matrix(values['cup.stiffness']), matrix(values['cup.damping']),
         length=values['cup.length'],
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
-        relaxation_times=values.get('cup.relaxation_times', RELAXATION_TIMES),
-    )
+        relaxation_times=values.get('cup.relaxation_times', RELAXATION_TIMES))
 
 
 def varied(
@@ -224,8 +220,7 @@ def package_of(values: Mapping[str, Any]) -> Package:
     return Package(
         mass=values['package.mass'],
         inertia=inertia_matrix(values['package.inertia']),
-        com=values['package.com'],
-    )
+        com=values['package.com'])
 
 
 def _tuple(values: NDArray[Any]) -> Any:
@@ -306,9 +301,7 @@ def regressor(
 
 
 @jit.kernel
-def _wrenches(
-    cup: CupTuple, o: Array, R: Array, v: Array, w: Array, z: Array, out: Array
-) -> None:
+def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, z: Array, out: Array) -> None:
     """Write the cup's wrench for every sample into out (N, 6)."""
     for k in range(o.shape[1]):
         f, m = kernels.cup_wrench(
@@ -317,8 +310,7 @@ def _wrenches(
             (R[0, k], R[1, k], R[2, k], R[3, k], R[4, k], R[5, k], R[6, k], R[7, k], R[8, k]),
             (v[0, k], v[1, k], v[2, k]),
             (w[0, k], w[1, k], w[2, k]),
-            strains_of(cup, z, k),
-        )
+            strains_of(cup, z, k))
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m
 
@@ -330,8 +322,7 @@ def strains_of(cup: CupTuple, z: Array, k: int) -> Strains:
         return ()
     return (
         ((z[0, k], z[1, k], z[2, k]), (z[3, k], z[4, k], z[5, k])),
-        ((z[6, k], z[7, k], z[8, k]), (z[9, k], z[10, k], z[11, k])),
-    )
+        ((z[6, k], z[7, k], z[8, k]), (z[9, k], z[10, k], z[11, k])))
 
 
 def box_inertia(mass: float, depth: float, width: float, height: float) -> Array:

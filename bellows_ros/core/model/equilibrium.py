@@ -50,14 +50,11 @@ def displaced(body: State, delta: Vector, phi: Vector) -> State:
     return (
         (o[0] + move[0], o[1] + move[1], o[2] + move[2]),
         t3.quaternion_product(body[1], t3.exp_quaternion(phi)),
-        *body[2:],
-    )
+        *body[2:])
 
 
 @kernel
-def moved(
-    body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector
-) -> State:
+def moved(body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector) -> State:
     """Return a state displaced in its own axes, with its twist changed."""
     perturbed = displaced(body, shift, turn)
     perturbed = kernels.with_rotation(perturbed, t3.normalised(perturbed[1]))
@@ -70,8 +67,7 @@ def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Ve
     """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
     return (
         t3.apply_transposed(t3.rotation_matrix(body[1]), t3.subtract(position, body[0])),
-        t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(body[1]), q)),
-    )
+        t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(body[1]), q)))
 
 
 class Jacobian(NamedTuple):
@@ -173,9 +169,7 @@ _LARGEST_MOVE = 0.3  # m or rad, of one iteration
 _DIFFERENCE = 1e-6  # m or rad
 
 
-def static_equilibrium(
-    model: ModelTuple, tool: State, near: State | None = None
-) -> State:
+def static_equilibrium(model: ModelTuple, tool: State, near: State | None = None) -> State:
     """
     Return the state in which the package hangs at rest from a tool at rest (3.9).
 

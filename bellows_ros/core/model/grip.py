@@ -146,8 +146,7 @@ def largest_peel_load(grip: Grip, model: ModelTuple, tool: State, body: State) -
     (places,) = grip[3:]
     one, load = cup_of_gripper(cup, places), -math.inf
     for k in range(len(places)):
-        f, m = wrench_at(
-            one, (places[k, 0], places[k, 1], places[k, 2]), o, R, v, w, body[4:])
+        f, m = wrench_at(one, (places[k, 0], places[k, 1], places[k, 2]), o, R, v, w, body[4:])
         load = max(load, peel_load(grip[1], f, m))
     return load
 
@@ -198,9 +197,7 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
 
 
 @kernel
-def _write_factors(
-    model: ModelTuple, grip: Grip, tool: Array, body: Array, out: Array
-) -> None:
+def _write_factors(model: ModelTuple, grip: Grip, tool: Array, body: Array, out: Array) -> None:
     """Write the factors of every row."""
     for k in range(len(tool)):
         at, held = row_state(tool[k]), row_state(body[k])

@@ -50,8 +50,7 @@ def add_scaled_square(A: Square, factor: float, B: Square) -> Square:
     """Return A + factor * B."""
     return (
         t3.add_scaled_matrix(A[0], factor, B[0]), t3.add_scaled_matrix(A[1], factor, B[1]),
-        t3.add_scaled_matrix(A[2], factor, B[2]), t3.add_scaled_matrix(A[3], factor, B[3]),
-    )
+        t3.add_scaled_matrix(A[2], factor, B[2]), t3.add_scaled_matrix(A[3], factor, B[3]))
 
 
 @kernel
@@ -59,8 +58,7 @@ def apply_square(A: Square, a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return A [a; b]."""
     return (
         t3.add(t3.apply(A[0], a), t3.apply(A[1], b)),
-        t3.add(t3.apply(A[2], a), t3.apply(A[3], b)),
-    )
+        t3.add(t3.apply(A[2], a), t3.apply(A[3], b)))
 
 
 @kernel
@@ -69,8 +67,7 @@ def shift_left(c: Vector, A: Square) -> Square:
     return (
         A[0], A[1],
         t3.add_scaled_matrix(A[2], -1.0, t3.multiply(t3.hat(c), A[0])),
-        t3.add_scaled_matrix(A[3], -1.0, t3.multiply(t3.hat(c), A[1])),
-    )
+        t3.add_scaled_matrix(A[3], -1.0, t3.multiply(t3.hat(c), A[1])))
 
 
 @kernel
@@ -78,8 +75,7 @@ def shift_right(A: Square, c: Vector) -> Square:
     """Return A X with X = [[I, c^], [0, I]]."""
     return (
         A[0], t3.add_scaled_matrix(A[1], 1.0, t3.multiply(A[0], t3.hat(c))),
-        A[2], t3.add_scaled_matrix(A[3], 1.0, t3.multiply(A[2], t3.hat(c))),
-    )
+        A[2], t3.add_scaled_matrix(A[3], 1.0, t3.multiply(A[2], t3.hat(c))))
 
 
 @kernel
@@ -96,12 +92,9 @@ def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
     return (
         (R[0] + 1.0, R[1], R[2], R[3], R[4] + 1.0, R[5], R[6], R[7], R[8] + 1.0),
         t3.hat(t3.apply_transposed(R, o)),
-        (
-            trace - R[0], -R[3], -R[6],
-            -R[1], trace - R[4], -R[7],
-            -R[2], -R[5], trace - R[8],
-        ),
-    )
+        (trace - R[0], -R[3], -R[6],
+         -R[1], trace - R[4], -R[7],
+         -R[2], -R[5], trace - R[8]))
 
 
 @kernel
@@ -115,8 +108,7 @@ def stress_jacobian(
         t3.multiply(K[0], J_oo),
         t3.add_scaled_matrix(t3.multiply(K[0], q_hat), 1.0, t3.multiply(K[1], J_RR)),
         t3.multiply(K_Ro, J_oo),
-        t3.add_scaled_matrix(t3.multiply(K_Ro, q_hat), 1.0, t3.multiply(K[2], J_RR)),
-    )
+        t3.add_scaled_matrix(t3.multiply(K_Ro, q_hat), 1.0, t3.multiply(K[2], J_RR)))
     if len(strains) == 0:
         return KJ
     return add_scaled_square(KJ, branches[0][0] + branches[1][0], KJ)
@@ -148,8 +140,7 @@ def spring_jacobian(
         t3.scale_matrix(-0.25, t3.multiply_transposed(J_oo, Z_oo)),
         t3.scale_matrix(-0.25, oR),
         t3.scale_matrix(-0.25, t3.add_scaled_matrix(Ro, -1.0, far[0])),
-        t3.scale_matrix(-0.25, t3.add_scaled_matrix(RR, -1.0, far[1])),
-    )
+        t3.scale_matrix(-0.25, t3.add_scaled_matrix(RR, -1.0, far[1])))
 
 
 @kernel
@@ -174,22 +165,19 @@ def damper_jacobians(
         t3.add_scaled_matrix(
             t3.multiply_transposed(R, right[2]), 1.0, t3.multiply_transposed(o_R, right[0])),
         t3.add_scaled_matrix(
-            t3.multiply_transposed(R, right[3]), 1.0, t3.multiply_transposed(o_R, right[1])),
-    )
+            t3.multiply_transposed(R, right[3]), 1.0, t3.multiply_transposed(o_R, right[1])))
     F_o, F_R = apply_square(G, v, w)
     turning = times_twist(G, v, w)
     by_pose = (
         t3.scale_matrix(0.5, turning[0]),
         t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[1], -1.0, t3.hat(F_o))),
         t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[2], -1.0, t3.hat(F_o))),
-        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[3], -1.0, t3.hat(F_R))),
-    )
+        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[3], -1.0, t3.hat(F_R))))
     by_twist = (
         t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[0], 1.0, G[0])),
         t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[1], 1.0, G[1])),
         t3.scale_matrix(-0.5, t3.add_scaled_matrix(t3.transposed(P[1]), 1.0, G[2])),
-        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[2], 1.0, G[3])),
-    )
+        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[2], 1.0, G[3])))
     return by_pose, by_twist
 
 
@@ -200,8 +188,7 @@ def times_twist(A: Square, v: Vector, w: Vector) -> Square:
         t3.multiply(A[0], t3.hat(w)),
         t3.add_scaled_matrix(t3.multiply(A[0], t3.hat(v)), 1.0, t3.multiply(A[1], t3.hat(w))),
         t3.multiply(A[2], t3.hat(w)),
-        t3.add_scaled_matrix(t3.multiply(A[2], t3.hat(v)), 1.0, t3.multiply(A[3], t3.hat(w))),
-    )
+        t3.add_scaled_matrix(t3.multiply(A[2], t3.hat(v)), 1.0, t3.multiply(A[3], t3.hat(w))))
 
 
 @kernel
@@ -223,14 +210,11 @@ def ends_of_spring(
         (v[0] + l1 * w[1], v[1] - l1 * w[0], v[2]), w,
         o_E_S1,
         t3.apply_transposed(R, t3.add(tool[2], t3.cross(tool[3], o_E_S1))),
-        t3.apply_transposed(R, tool[3]),
-    )
+        t3.apply_transposed(R, tool[3]))
 
 
 @kernel
-def wrench_jacobians(
-    model: ModelTuple, tool: State, body: State
-) -> tuple[Square, Square]:
+def wrench_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
     """Return the derivatives of the cup's wrench at S1 by shift and turn, and twist, of S1."""
     _, o, R, v, w, _, v_tool, w_tool = ends_of_spring(model, tool, body)
     damper, by_twist = damper_jacobians(o, R, v, w, model[0][3])
@@ -245,8 +229,7 @@ def accelerations(package: PackageTuple, A: Square) -> Square:
     inverse = 1.0 / package[0]
     return (
         t3.scale_matrix(inverse, A[0]), t3.scale_matrix(inverse, A[1]),
-        t3.multiply(package[3], A[2]), t3.multiply(package[3], A[3]),
-    )
+        t3.multiply(package[3], A[2]), t3.multiply(package[3], A[3]))
 
 
 @kernel
@@ -273,9 +256,7 @@ def body_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
         (
             t3.add_scaled_matrix(twist[0], -1.0, t3.hat(w)),
             t3.add_scaled_matrix(twist[1], 1.0, t3.hat(v)),
-            twist[2], t3.add_scaled_matrix(twist[3], 1.0, t3.multiply(package[3], gyro)),
-        ),
-    )
+            twist[2], t3.add_scaled_matrix(twist[3], 1.0, t3.multiply(package[3], gyro))))
 
 
 @kernel
@@ -290,8 +271,7 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
     Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2], (), ())
     quarter = (
         t3.scale_matrix(0.25, t3.transposed(Z_oo)), t3.scale_matrix(0.25, t3.transposed(Z_Ro)),
-        t3.scale_matrix(0.25, t3.transposed(Z_oR)), t3.scale_matrix(0.25, t3.transposed(Z_RR)),
-    )
+        t3.scale_matrix(0.25, t3.transposed(Z_oR)), t3.scale_matrix(0.25, t3.transposed(Z_RR)))
     return accelerations(model[1], shift_left(c, quarter)), shift_right(
         (J_oo, J_oR, NOTHING, J_RR), c)
 
@@ -345,8 +325,7 @@ def accelerations_at(
         acceleration_at(package, c, row(forces, 2), row(moments, 2)),
         acceleration_at(package, c, ZERO, row(couples, 0)),
         acceleration_at(package, c, ZERO, row(couples, 1)),
-        acceleration_at(package, c, ZERO, row(couples, 2)),
-    )
+        acceleration_at(package, c, ZERO, row(couples, 2)))
 
 
 @kernel
@@ -450,8 +429,7 @@ def _pair(factor: float, A: Wrench, a: float, B: Wrench, b: float) -> Wrench:
     """Return factor * (A a + B b)."""
     return (
         t3.add(t3.scale(factor * a, A[0]), t3.scale(factor * b, B[0])),
-        t3.add(t3.scale(factor * a, A[1]), t3.scale(factor * b, B[1])),
-    )
+        t3.add(t3.scale(factor * a, A[1]), t3.scale(factor * b, B[1])))
 
 
 @kernel

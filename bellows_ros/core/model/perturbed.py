@@ -31,8 +31,7 @@ NAMES = (
     *(f'{kind}[{i},{j}]' for kind in ('cup.stiffness', 'cup.damping')
       for i, j in zip(*UPPER, strict=True)),
     'package.mass', *(f'package.com[{axis}]' for axis in 'xyz'),
-    *(f'package.inertia[{entry}]' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')),
-)
+    *(f'package.inertia[{entry}]' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
 """The 52 parameters, in the order of the arrays."""
 
 
@@ -64,9 +63,7 @@ def capped_std(std: Array, diagonal: ArrayLike) -> Array:
     return smaller
 
 
-def model_with(
-    model: ModelTuple, numbers: Array, places: Array = SINGLE
-) -> ModelTuple:
+def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> ModelTuple:
     """
     Return a model with other numbers (52,), length and gravity as they are.
 

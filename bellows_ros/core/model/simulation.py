@@ -217,14 +217,12 @@ def simulate(
         raise UnstableError(
             'The simulation diverged. The package is too heavy for the cup, the cup too stiff for '
             'the sampling time, or its damping negative. Check package.mass, cup.stiffness, '
-            'cup.damping and their units.'
-        )
+            'cup.damping and their units.')
     return Trajectory(
         stamps_ns=tool.stamps_ns,
         position=frozen(out)[:, :3],
         rotation=frozen(lie.quaternion_to_rotation(out[:, 3:7])),
-        twist=out[:, 7:13],
-    )
+        twist=out[:, 7:13])
 
 
 def simulate_rows(
@@ -243,8 +241,7 @@ def row_state(row: Array) -> State:
         (row[0], row[1], row[2]),
         (row[3], row[4], row[5], row[6]),
         (row[7], row[8], row[9]),
-        (row[10], row[11], row[12]),
-    )
+        (row[10], row[11], row[12]))
 
 
 @kernel
@@ -256,8 +253,7 @@ def body_row(row: Array, body: State) -> State:
     return (
         o, q, v, w,
         ((row[13], row[14], row[15]), (row[16], row[17], row[18])),
-        ((row[19], row[20], row[21]), (row[22], row[23], row[24])),
-    )
+        ((row[19], row[20], row[21]), (row[22], row[23], row[24])))
 
 
 def row_length(body: State) -> int:

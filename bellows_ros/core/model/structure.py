@@ -231,16 +231,14 @@ class Structure:
     @cached_property
     def upper(self) -> Array:
         """The model's upper triangles (42, 2 n) of K and P, row by row, by the parameters."""
-        return np.kron(
-            np.eye(2), np.transpose([unit[UPPER] for unit in self.model_basis]))
+        return np.kron(np.eye(2), np.transpose([unit[UPPER] for unit in self.model_basis]))
 
     def matrices(self, x: Array) -> tuple[Array, Array]:
         """Return K and P (6, 6) of the parameters x (2 n,)."""
         basis = np.array(self.basis)
         return (
             np.tensordot(x[: self.size], basis, axes=1),
-            np.tensordot(x[self.size:], basis, axes=1),
-        )
+            np.tensordot(x[self.size:], basis, axes=1))
 
     def spread(self, errors: Array) -> tuple[Array, Array]:
         """Return errors (2 n,) of the parameters, which may be infinite, as those of K and P."""
@@ -257,9 +255,7 @@ class Structure:
             [
                 np.mean([sign * matrix[row, column] for row, column, sign in entries])
                 for matrix in (stiffness, damping)
-                for entries in self.entries
-            ]
-        )
+                for entries in self.entries])
 
     def within(self, other: 'Structure') -> Array:
         """Return T (2 m, 2 n) with which the model of x is that of parameters T x of another."""
@@ -269,8 +265,7 @@ class Structure:
     def sizes(self, stiffness: Array, damping: Array) -> Array:
         """Return the scale of each parameter (2 n,): the root of its two diagonal entries."""
         i, j = np.array(self.leads).T
-        return np.concatenate([
-            np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
+        return np.concatenate([np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
 
     def contains(self, other: 'Structure') -> bool:
         """Return whether every model of another structure also has this structure."""
@@ -321,8 +316,7 @@ STRUCTURES = {structure.name: structure for structure in (
     Structure('axisymmetric_coupled', 'as axisymmetric, with its centre of stiffness anywhere on '
               'the axis', ('x ry = y -rx', 'z', 'rz')),
     Structure('diagonal', 'no coupling of directions', ('x', 'y', 'z', 'rx', 'ry', 'rz')),
-    Structure('full', 'any symmetric matrix', ('x y z rx ry rz',)),
-)}
+    Structure('full', 'any symmetric matrix', ('x y z rx ry rz',)))}
 """From the simplest to the most general."""
 
 
@@ -441,8 +435,7 @@ def require_damping(damping: Array, name: str = 'cup.damping') -> None:
         raise BellowsError(
             f'{name} is not positive semidefinite: its smallest eigenvalue is {smallest:.6g}, '
             'but a negative one would let the cup create energy. Check signs and rows, or '
-            'identify it again.'
-        )
+            'identify it again.')
 
 
 def require_symmetric(values: Array, name: str) -> None:
@@ -453,8 +446,7 @@ def require_symmetric(values: Array, name: str) -> None:
         raise BellowsError(
             f'{name} is not symmetric: row {row + 1}, column {column + 1} is '
             f'{values[row, column]:.9g}, row {column + 1}, column {row + 1} is '
-            f'{values[column, row]:.9g}. Give the same number to both, row by row.'
-        )
+            f'{values[column, row]:.9g}. Give the same number to both, row by row.')
 
 
 def _smallest_eigenvalue(name: str, values: Array) -> tuple[float, float]:
@@ -474,8 +466,7 @@ def check_inertia(inertia: Array) -> None:
     require_symmetric(inertia, 'package.inertia')
     moments = np.linalg.eigvalsh(inertia)
     shown = ', '.join(f'{moment:.6g}' for moment in moments)
-    if moments[0] <= 0.0 or (
-            moments[2] > (moments[0] + moments[1]) * (1.0 + MOMENTS_WITHIN)):
+    if moments[0] <= 0.0 or (moments[2] > (moments[0] + moments[1]) * (1.0 + MOMENTS_WITHIN)):
         raise BellowsError(
             f'No body has this package.inertia: its principal moments are {shown} kg m^2; '
             'expected all above zero, and the largest at most the sum of the other two. Check '

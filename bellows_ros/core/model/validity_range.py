@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 
 DIRECTIONS = (
     'displacement in x', 'displacement in y', 'displacement in z',
-    'bending about x', 'bending about y', 'torsion',
-)
+    'bending about x', 'bending about y', 'torsion')
 """Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
 
 SHOWN_UNITS = ('mm',) * 3 + ('degrees',) * 3
@@ -39,8 +38,7 @@ MASS_MARGIN = 0.1
 DOWN, UP = (Context(prec=6, rounding=way) for way in (ROUND_FLOOR, ROUND_CEILING))
 ROUNDING = {
     'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
-    'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP),
-}
+    'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP)}
 """Outward, so that what is in a range stays in it."""
 
 FIELDS = tuple(ROUNDING)
@@ -78,16 +76,14 @@ class Envelope:
             if array.shape != shape or not np.isfinite(array).all():
                 raise BellowsError(
                     f'Envelope: {name} must be finite numbers of shape {shape}, not '
-                    f'{array.tolist()}.'
-                )
+                    f'{array.tolist()}.')
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         ordered = (
             (self.deflection_low <= self.deflection_high).all()
             and (self.frequencies[:, 0] <= self.frequencies[:, 1]).all()
             and self.mass[0] <= self.mass[1]
-            and (self.rates >= 0.0).all()
-        )
+            and (self.rates >= 0.0).all())
         if not ordered:
             raise BellowsError('Envelope: a range ends below its beginning.')
 
@@ -96,10 +92,8 @@ class Envelope:
         return {
             f'envelope.{name}': tuple(
                 float(way.create_decimal(repr(x)))
-                for x, way in zip(getattr(self, name).ravel().tolist(), ways, strict=True)
-            )
-            for name, ways in ROUNDING.items()
-        }
+                for x, way in zip(getattr(self, name).ravel().tolist(), ways, strict=True))
+            for name, ways in ROUNDING.items()}
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for the result of a fit."""
@@ -107,25 +101,21 @@ class Envelope:
             'directions': DIRECTIONS,
             'units': {
                 **dict.fromkeys(('deflection_low', 'deflection_high'), ['m'] * 3 + ['rad'] * 3),
-                'rates': ['m/s'] * 3 + ['rad/s'] * 3, 'frequencies': 'Hz', 'mass': 'kg',
-            },
-            **{name: getattr(self, name) for name in FIELDS},
-        }
+                'rates': ['m/s'] * 3 + ['rad/s'] * 3, 'frequencies': 'Hz', 'mass': 'kg'},
+            **{name: getattr(self, name) for name in FIELDS}}
 
 
 def joined_envelopes(parts: Sequence[Envelope]) -> Envelope:
     """Return the validity range of all recordings together: the widest of each."""
     low, high, rates, bands, mass = (
         np.array([getattr(part, name) for part in parts])
-        for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass')
-    )
+        for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'))
     return Envelope(
         low.min(axis=0),
         high.max(axis=0),
         rates.max(axis=0),
         np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
-        np.array([mass[:, 0].min(), mass[:, 1].max()]),
-    )
+        np.array([mass[:, 0].min(), mass[:, 1].max()]))
 
 
 @dataclass(frozen=True)
@@ -153,9 +143,7 @@ class Distance:
         return f'Outside the validity range: {"; ".join(self.outside)}.'
 
 
-def distance(
-    known: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float
-) -> Distance:
+def distance(known: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float) -> Distance:
     """
     Return the distance of a state from the validity range.
 
@@ -210,8 +198,7 @@ def _deflections(known: Envelope, value: Array) -> list[tuple[float, str]]:
     return [
         (part, f'{DIRECTIONS[i]} is {here[i]:.3g} {SHOWN_UNITS[i]}, seen {low[i]:.3g} to '
                f'{high[i]:.3g} {SHOWN_UNITS[i]}')
-        for i, part in enumerate((np.abs(value - middle) / half).tolist())
-    ]
+        for i, part in enumerate((np.abs(value - middle) / half).tolist())]
 
 
 def _rates(known: Envelope, value: Array) -> list[tuple[float, str]]:
@@ -220,8 +207,7 @@ def _rates(known: Envelope, value: Array) -> list[tuple[float, str]]:
     return [
         (part, f'the rate of {DIRECTIONS[i]} is {abs(value[i]):.3g} '
                f'{"m/s" if i < 3 else "rad/s"}, seen up to {known.rates[i]:.3g}')
-        for i, part in enumerate(parts.tolist())
-    ]
+        for i, part in enumerate(parts.tolist())]
 
 
 def _frequencies(known: Envelope, bands: Array) -> list[tuple[float, str]]:
@@ -236,8 +222,7 @@ def _frequencies(known: Envelope, bands: Array) -> list[tuple[float, str]]:
     return [
         (top / seen / FREQUENCY_MARGIN, f'the {name} goes up to {top:.3g} Hz, seen {seen:.3g} Hz')
         for name, top, seen in zip(
-            ('shift', 'rotation'), bands[:, 1].tolist(), tops.tolist(), strict=True)
-    ]
+            ('shift', 'rotation'), bands[:, 1].tolist(), tops.tolist(), strict=True)]
 
 
 def _mass(known: Envelope, mass: float) -> list[tuple[float, str]]:

@@ -114,8 +114,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
             raise BellowsError(
                 f'{body}.order is {order}, but a window of {2 * half_window + 1} samples '
                 f'({body}.half_window {half_window}) determines at most order {2 * half_window}. '
-                'Widen the window or lower the order.'
-            )
+                'Widen the window or lower the order.')
     holding = resolved['vacuum.holding']
     if isinstance(holding, float) and 0.0 < holding < LEAST_VACUUM:
         _, unit, pascals = next(of for of in VACUUM_UNITS if holding < of[0])
@@ -275,8 +274,7 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
     'cup.layout': lambda p, value: _require_layout(value),
     'gravity.direction': lambda p, value: require_direction(value),
     'release.correlation': lambda p, value: require_correlation(value),
-    'release.mass_range': lambda p, value: _require_mass_range(value),
-}
+    'release.mass_range': lambda p, value: _require_mass_range(value)}
 
 
 def _require_layout(numbers: Sequence[float]) -> None:
@@ -310,8 +308,7 @@ def require_direction(direction: ArrayLike) -> None:
     if not np.linalg.norm(direction) > 1e-6:
         raise BellowsError(
             'gravity.direction is zero, so that nothing is down. Give the direction in which '
-            'things fall, in axes of the world: [0.0, 0.0, -1.0] where z is up.'
-        )
+            'things fall, in axes of the world: [0.0, 0.0, -1.0] where z is up.')
 
 
 def gravity_of(values: Mapping[str, Any]) -> Array:

@@ -32,8 +32,7 @@ THESIS_LENGTH = 0.0481
 # Other names of some parameters, and the similarity at which a name is recognised.
 OTHER_WORDS = MappingProxyType({
     'weight': 'package.mass', 'payload': 'package.mass', 'center_of_mass': 'package.com',
-    'centre_of_mass': 'package.com', 'spring': 'cup.stiffness', 'nominal_length': 'cup.length',
-})
+    'centre_of_mass': 'package.com', 'spring': 'cup.stiffness', 'nominal_length': 'cup.length'})
 ALIKE, CERTAIN = 0.75, 0.9
 ANY = 0
 """Length of an array that may have any."""
@@ -161,8 +160,7 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
     'release.correlation': {'default': _diagonal((1.0,) * 8)},
     'fit.structure': {'choices': STRUCTURE_NAMES, 'description': 'Form of K and P: ' + '; '.join(
         f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
-        for s in map(structure_named, STRUCTURE_NAMES)) + '.'},
-}
+        for s in map(structure_named, STRUCTURE_NAMES)) + '.'}}
 """What the file leaves out."""
 
 

@@ -23,8 +23,7 @@ import numpy as np
 
 RATES = {
     'speed': 'm/s', 'acceleration': 'm/s^2', 'jerk': 'm/s^3',
-    'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3',
-}
+    'angular_speed': 'rad/s', 'angular_acceleration': 'rad/s^2', 'angular_jerk': 'rad/s^3'}
 """Limited quantities and their units."""
 
 SPACING_NS = 1_000_000

@@ -135,8 +135,7 @@ class PlanPrediction:
             'peak_moment': peak['moment'],
             'rigid_peak_moment': peak['rigid_moment'],
             'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
-            'settled_after': self.settled_after if self.ends_at_rest else math.nan,
-        }
+            'settled_after': self.settled_after if self.ends_at_rest else math.nan}
 
     def outside(self, known: Envelope | None, mass: float) -> tuple[str, ...]:
         """Return a phrase for each validity range (see `envelope`) that is exceeded."""
@@ -212,8 +211,7 @@ class PlanSimulation:
         if self._steady:
             other._start = simulation.steady_start(model, self.tool, self._start)
         if self._tail:
-            other._end = rest_after(
-                model, self._rows[0], other._start, self._rows[-1], self._end)
+            other._end = rest_after(model, self._rows[0], other._start, self._rows[-1], self._end)
         return other
 
     def load(self, duration_scale: float, ceiling: float = math.inf) -> float:
@@ -241,8 +239,7 @@ class PlanSimulation:
         states, wrench, loads, peaks, lip = self._out
         return PlanPrediction(
             self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
-            self._grip, self._tail > 0.0,
-        )
+            self._grip, self._tail > 0.0)
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
         """Fill in the arrays along the plan; return whether all loads were below the ceiling."""

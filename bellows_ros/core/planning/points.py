@@ -162,8 +162,7 @@ def _without_gaps(stamps_ns: Stamps) -> Stamps:
 def _near_quaternions(rotation: Array) -> Array:
     """Return quaternions (N, 4), of q and -q the one that is near to that before."""
     q = lie.rotation_to_quaternion(rotation)
-    q[1:] *= np.cumprod(
-        np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
+    q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
 
 
@@ -317,8 +316,7 @@ def _write_motion(
             moved, turned = tuples.dot(step, step), tuples.dot(turn, turn)
             sizes[k - 1, 1], sizes[k - 1, 2] = math.sqrt(moved), math.sqrt(turned)
             h = durations[k - 1]
-            miss = tuples.add_scaled(
-                tuples.scale(1.0 / h, step), -0.5, tuples.add(v, v_before))
+            miss = tuples.add_scaled(tuples.scale(1.0 / h, step), -0.5, tuples.add(v, v_before))
             miss_turn = tuples.add_scaled(
                 tuples.scale(1.0 / h, turn), -0.5, tuples.add(w, w_before))
             fit[0] += moved / (h * h)
@@ -417,8 +415,7 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
     slope = CubicSpline(seconds, position)(seconds, 1)
     missing = np.asarray(tool.twist) - apply(J, slope)
     velocity = np.asarray(slope + (np.linalg.pinv(J) @ missing[..., None])[..., 0])
-    return JointPath(
-        seconds, position, velocity, CubicSpline(seconds, velocity)(seconds, 1))
+    return JointPath(seconds, position, velocity, CubicSpline(seconds, velocity)(seconds, 1))
 
 
 def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float, str]:
@@ -459,8 +456,7 @@ def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float,
         asked = np.abs(curve(at, order)).max(axis=0) / limits
         worst = int(np.argmax(asked))
         if asked[worst] > 1.0:
-            found.append((
-                float(asked[worst]) ** (1.0 / order), f'{arm.moving[worst]} {name}'))
+            found.append((float(asked[worst]) ** (1.0 / order), f'{arm.moving[worst]} {name}'))
     return max(found)
 
 

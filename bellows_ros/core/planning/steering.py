@@ -105,9 +105,7 @@ def needed_wrench(model: ModelTuple, body: State, dv: Vector, dw: Vector) -> Wre
 
 
 @kernel
-def inverse_dynamics(
-    model: ModelTuple, tool: State, body: State, dv: Vector, dw: Vector
-) -> State:
+def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw: Vector) -> State:
     """
     Return the tool with the twist at which the cup causes these rates of the package.
 
@@ -305,8 +303,7 @@ def _invert(
     """Fill in the states of tool and package; return how many there are."""
     way, turn = arrived.tolist()
     try:
-        found = int(_invert_kernel(
-            model, tool, *as_inputs(reference), h, way, turn, out, package))
+        found = int(_invert_kernel(model, tool, *as_inputs(reference), h, way, turn, out, package))
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
         found = 0
     if not found or not np.isfinite(out[:found]).all():
@@ -372,8 +369,7 @@ def is_smooth(curve: Any) -> bool:
     duration = float(curve.x[-1])
     count = round(duration / max(SPACING, float(np.median(np.diff(curve.x)))))
     count = 2 * max(3, round(0.5 * count))
-    rows = np.pad(curve(np.linspace(0.0, duration, count + 1)), ((6, 6), (0, 0)),
-                  mode='edge')
+    rows = np.pad(curve(np.linspace(0.0, duration, count + 1)), ((6, 6), (0, 0)), mode='edge')
     fine, coarse = (np.diff(rows[::every], 4, axis=0) * (count / (every * duration)) ** 4
                     for every in (1, 2))
     change, before = (np.abs(np.diff(d, axis=0)).max() for d in (fine, coarse))
@@ -468,9 +464,7 @@ class Steered(NamedTuple):
     """Modes of the package that the plan excites and that are shaped."""
 
 
-def steer(
-    model: ModelTuple, plan: Trajectory, method: str, of_package: bool = False
-) -> Steered:
+def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = False) -> Steered:
     """
     Return a motion of the tool that leaves the package without swing.
 

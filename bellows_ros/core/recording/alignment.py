@@ -211,16 +211,13 @@ def aligned_at_rest(
             'At rest the lip should hang below the tool tip, but relative to the tip it is at '
             f'({at}) mm in world axes, z up: more aside than below. Check '
             'recording.world, recording.package_frame, package.com, and that the tool and '
-            'package topics are not exchanged.'
-        )
+            'package topics are not exchanged.')
     # (4.4) and (4.5) with A_R_E = A_R_S = I at rest (4.2), (4.3).
     aside = np.array([E_o_S[0], E_o_S[1], 0.0])
     return Alignment(tool.rotation.T, package.rotation.T, origin - aside + com, aside)  # (4.64)
 
 
-def standstill(
-    poses: Trajectory, start_ns: int, duration_s: float, body: str
-) -> MeanPose:
+def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -> MeanPose:
     """
     Return the pose of a body during a standstill, after checking that it stands still.
 
@@ -254,15 +251,13 @@ def standstill(
             f'Alignment needs the {body} at rest in the first {duration_s:g} s, but only '
             f'{len(rest)} of the {np.count_nonzero(inside)} poses there are usable; expected at '
             f'least {FEWEST_AT_REST} and half of them. Set recording.rest_duration to the actual '
-            'standstill, or recording.align_at_rest to false.'
-        )
+            'standstill, or recording.align_at_rest to false.')
     still_s = _beginning(rest)[1]
     if still_s < rest.seconds[-1]:
         raise BellowsError(
             f'Alignment needs the {body} at rest in the first {duration_s:g} s, but it stands '
             f'still only for the first {still_s:.1f} s or so. Set recording.rest_duration below '
-            'that, record a longer standstill, or set recording.align_at_rest to false.'
-        )
+            'that, record a longer standstill, or set recording.align_at_rest to false.')
     reference = _median_rotation(rest.rotation)
     near = _near(rest.position - np.median(rest.position, axis=0)) & _near(
         log_so3(reference.T @ rest.rotation))
@@ -528,8 +523,7 @@ def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Traje
     if count < 20:
         raise BellowsError(
             'The poses of tool and package overlap too little to estimate '
-            'recording.package_world. Record longer, or give its seven numbers.'
-        )
+            'recording.package_world. Record longer, or give its seven numbers.')
     stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to the ns
     hand, eye = (resample(body, stamps) for body in (tool, package))
     way = np.linalg.norm(np.gradient(hand.position, axis=0), axis=1)
@@ -551,6 +545,5 @@ def turn_of(R_tool: Array, R_package: Array) -> Array:
         raise BellowsError(
             'recording.package_world cannot be estimated: the tool hardly turns in this '
             'recording. Tilt and turn it, best with standstills in between, or give the seven '
-            'numbers.'
-        )
+            'numbers.')
     return lie.nearest_rotation(a.T @ b)

@@ -98,9 +98,7 @@ def _distance(
     return float(middle), float((high - low) / max(middle, 1e-12))
 
 
-def _motion(
-    bodies: list[Trajectory], given: tuple[Convention, Convention]
-) -> tuple[float, float]:
+def _motion(bodies: list[Trajectory], given: tuple[Convention, Convention]) -> tuple[float, float]:
     """
     Return how the package moves in the tool, and how far it is from hanging along its z axis.
 

@@ -73,8 +73,7 @@ def increments_of(poses: Trajectory | PoseStream) -> dict[str, Array]:
     """Return the differences of positions and the body rotation vectors between samples (M, 3)."""
     return {
         'position': np.diff(poses.position, axis=0),
-        'rotation': log_so3(np.swapaxes(poses.rotation[:-1], -1, -2) @ poses.rotation[1:]),
-    }
+        'rotation': log_so3(np.swapaxes(poses.rotation[:-1], -1, -2) @ poses.rotation[1:])}
 
 
 def short_window(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> Jumps:
@@ -167,8 +166,7 @@ def _jumps(start: Array, end: Array, unobserved: Mask, smallest: float) -> Jumps
     change = end - start
     squared = np.sum(change**2, axis=1)
     along = np.divide(
-        -np.sum(start * change, axis=1), squared, out=np.zeros_like(squared), where=squared > 0.0
-    )
+        -np.sum(start * change, axis=1), squared, out=np.zeros_like(squared), where=squared > 0.0)
     jump = start + np.clip(along, 0.0, 1.0)[:, None] * change
     jump[unobserved] = 0.0
     middle = 0.5 * (start + end)
@@ -290,9 +288,9 @@ def _lasting(poses: Trajectory, at: Indices) -> Array:
     middle = 0.5 * (poses.stamps_ns[i + 1] - poses.stamps_ns[i]) / NS_PER_S
     t = (poses.stamps_ns[around] - poses.stamps_ns[i, None]) / NS_PER_S - middle[:, None]
     back = np.swapaxes(poses.rotation[i], -1, -2)[:, None]
-    for q, path in enumerate((
-        poses.position[around] - poses.position[i, None], log_so3(back @ poses.rotation[around]),
-    )):
+    paths = poses.position[around] - poses.position[i, None], log_so3(
+        back @ poses.rotation[around])
+    for q, path in enumerate(paths):
         before, after = (_at_zero(t[:, s], path[:, s]) for s in (slice(m), slice(m, None)))
         result[inside, q] = after - before
     return result
@@ -453,8 +451,7 @@ def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[in
         other = edges[b]
         if b in used or edges[k].before - other.before > CANCELS_LATE_SAMPLES:
             return
-        if other.strength < 1.0 and _cancels(
-                edges[k], other, _sum(other.forms, edges[k].forms)):
+        if other.strength < 1.0 and _cancels(edges[k], other, _sum(other.forms, edges[k].forms)):
             yield b, k
             return
 

@@ -99,15 +99,13 @@ class FilteredStreams:
 
         """
         tool, package, tool_twist = self.recorded
-        common = _common(
-            self.filtered[0].stamps_ns, self.filtered[1].stamps_ns, (tool, package))
+        common = _common(self.filtered[0].stamps_ns, self.filtered[1].stamps_ns, (tool, package))
         longest_ns = self.report.tool.timing.longest_step_ns
         tool_there = resampling.resample(self.filtered[0], common, longest_ns)
         package_there = _at(self.filtered[1], common)
         measured_tool = resampling.resample(self.aligned[0], common, longest_ns)
         if tool_twist is not None:
-            measured_tool = _with_twist(
-                measured_tool, tool_twist, self.alignment, self.settings)
+            measured_tool = _with_twist(measured_tool, tool_twist, self.alignment, self.settings)
         if not (tool_there.valid & package_there.valid).any():
             found = '; '.join(
                 f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
@@ -180,8 +178,7 @@ def filter_streams(
     aligned = alignment.tool(tool_poses), alignment.package(package_poses)
     filtered = (
         _filtered(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
-        _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name),
-    )
+        _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name))
     of_tool, of_package = (
         replace(report, arrivals=arrivals, overlapping_gap=int(np.count_nonzero(
             _at(poses, kept.stamps_ns).valid & ~kept.valid)))
@@ -211,9 +208,7 @@ def _alignment(
     return aligned_at_rest(tool, package, *given)
 
 
-def _clean(
-    recorded: PoseStream, R_world_recorded: Array
-) -> tuple[StreamReport, Trajectory]:
+def _clean(recorded: PoseStream, R_world_recorded: Array) -> tuple[StreamReport, Trajectory]:
     """Return the faults of a topic, and its poses in the world at a uniform rate, all marked."""
     poses = in_world(recorded.trajectory(), R_world_recorded)
     with _named(recorded.name):
@@ -253,8 +248,7 @@ def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStrea
             for first, last in (stream.stamps_ns[[0, -1]] / NS_PER_S,))
         raise BellowsError(
             f'The two streams overlap by less than the filter windows: {covered}. Choose topics '
-            'of one recording, stamped by one clock, use smaller half windows, or record longer.'
-        )
+            'of one recording, stamped by one clock, use smaller half windows, or record longer.')
     return common
 
 
@@ -271,8 +265,7 @@ def _with_twist(
     if len(recorded) < 3:
         raise BellowsError(
             f"Topic '{recorded.name}' has {len(recorded)} usable twists, too few. Set "
-            "topics.tool_twist to '' to estimate the twist from the poses."
-        )
+            "topics.tool_twist to '' to estimate the twist from the poses.")
     R = (alignment.R_tool_markers_tool.T if settings.tool_twist_frame == 'tool'
          else np.swapaxes(tool.rotation, -1, -2) @ settings.R_world_recorded)
     known_ns, wanted_ns = recorded.stamps_ns, tool.stamps_ns
@@ -301,15 +294,13 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
     if aside > LATERAL_WARNED:
         found.append(
             f'The package was picked up {aside * 1e3:.1f} mm beside its middle. The alignment '
-            'corrects this, but not package.com and package.inertia: check them.'
-        )
+            'corrects this, but not package.com and package.inertia: check them.')
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
     if settings.align_at_rest and lateral_com > LATERAL_COM_WARNED:
         found.append(
             f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '
             'the cup is bent at rest, but the alignment takes this pose as unbent. Set '
-            'recording.align_at_rest to false if the poses are already those of E and S.'
-        )
+            'recording.align_at_rest to false if the poses are already those of E and S.')
     return found
 
 
@@ -325,8 +316,7 @@ def stream_warnings(
         'after its start and does not return, '
         'so all later poses are offset from the earlier ones. Use the recording up to there, or '
         'from there on.'
-        for step in outliers.steps if not _is_of_jitter(recorded, time, step)
-    ]
+        for step in outliers.steps if not _is_of_jitter(recorded, time, step)]
     good = recorded.position[outliers.good]
     way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
@@ -347,8 +337,7 @@ def stream_warnings(
         (time.jitter_s * time.rate_hz > resampling.JITTER_WARNED,
          f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
          f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
-         'stamp the poses when they are measured.'),
-    ) if noticed]
+         'stamp the poses when they are measured.')) if noticed]
 
 
 def burst_sentence(*streams: tuple[PoseStream, resampling.Timing]) -> str:
@@ -368,7 +357,6 @@ def _is_of_jitter(poses: PoseStream, time: resampling.Timing, step: LastingStep)
     turns = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
     way, angle = (
         float(np.linalg.norm(part, axis=1).sum())
-        for part in (np.diff(poses.position[near], axis=0), turns)
-    )
+        for part in (np.diff(poses.position[near], axis=0), turns))
     part = STEP_JITTERS * time.jitter_s / seconds
     return bool(step.position < part * way and step.rotation < part * angle)

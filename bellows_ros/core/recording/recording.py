@@ -317,8 +317,7 @@ class StreamReport:
             'arrival_stamps_replaced': self.arrivals.replaced if self.arrivals else 0,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
-            'filtered_samples_left_out': self.overlapping_gap,
-        }
+            'filtered_samples_left_out': self.overlapping_gap}
 
 
 class PackageWorld(NamedTuple):
@@ -338,8 +337,7 @@ class PackageWorld(NamedTuple):
             'position': self.pose[:3], 'quaternion_xyzw': self.pose[3:],
             'position_std': self.std[:3], 'rotation_std': self.std[3:],
             'units': {'position': 'm', 'quaternion_xyzw': '1', 'position_std': 'm',
-                      'rotation_std': 'rad'},
-        }
+                      'rotation_std': 'rad'}}
 
 
 class TimeOffset(NamedTuple):
@@ -487,19 +485,16 @@ class Recording:
         position, rotation = self.colours[1]
         return FilterNoise(
             *self._pose_noise,
-            resampled_weights(
-                self.aligned_tool.stamps_ns, self.tool.stamps_ns, self.tool_weights),
+            resampled_weights(self.aligned_tool.stamps_ns, self.tool.stamps_ns, self.tool_weights),
             self.package_weights,
             self.tool_weights.shape[1] // 2,
-            (position.correlation, rotation.correlation),
-        )
+            (position.correlation, rotation.correlation))
 
     @cached_property
     def colours(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
         """Time correlation of the noise of tool and package, in position and rotation."""
         tool, package = self._pose_noise
-        return (colours_of(self.aligned_tool, tool),
-                colours_of(self.aligned_package, package))
+        return (colours_of(self.aligned_tool, tool), colours_of(self.aligned_package, package))
 
     @cached_property
     def _pose_noise(self) -> tuple[Noise, Noise]:
@@ -534,15 +529,12 @@ class Recording:
             'package_world': self.report.package_world,
             'package': {
                 'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com,
-                'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'},
-            },
+                'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'}},
             'noise': {
                 body: {**own._asdict(), 'units': {'position': 'm', 'rotation': 'rad'}}
-                for body, own in (('tool', noise.tool), ('package', noise.package))
-            },
+                for body, own in (('tool', noise.tool), ('package', noise.package))},
             'lateral_offset': {'value': self.alignment.lateral_offset, 'unit': 'm'},
-            'warnings': self.report.warnings,
-        }
+            'warnings': self.report.warnings}
 
 
 def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
@@ -560,5 +552,4 @@ def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
             f"The poses of '{tool.name}' are in frame '{short(tool.frame_id)}', those of "
             f"'{package.name}' in '{short(package.frame_id)}', and the transform between the two "
             f'is unknown. Set recording.package_world: {ESTIMATE} to estimate it, or give its '
-            "seven numbers (x y z qx qy qz qw); '0 0 0 0 0 0 1' if both names mean one frame."
-        )
+            "seven numbers (x y z qx qy qz qw); '0 0 0 0 0 0 1' if both names mean one frame.")

@@ -105,13 +105,11 @@ def standstills_of(
         raise BellowsError(
             f'The recording contains no standstill of {shortest:g} s or more: the tool and the '
             'package must both come to rest. Hold each pose until the package has stopped '
-            'swinging, some 3 s.'
-        )
+            'swinging, some 3 s.')
     settled = np.array([span[0] for span in found], dtype=np.int64)
     failed = sum(
         not np.any((settled >= span[0] - len(spans[0])) & (settled <= span[-1]))
-        for span in _still(bodies[:1], noise[:1], spans, shortest)
-    )
+        for span in _still(bodies[:1], noise[:1], spans, shortest))
     tool, package = bodies
     return tuple(
         _standstill(tool.select(span), package.select(span), noise, recording.payload)
@@ -149,10 +147,7 @@ def _standstill(
 
 
 def _still(
-    bodies: Sequence[Trajectory],
-    noise: Sequence[Noise],
-    spans: list[Stamps],
-    shortest: float,
+    bodies: Sequence[Trajectory], noise: Sequence[Noise], spans: list[Stamps], shortest: float
 ) -> list[Stamps]:
     """Return the samples of every standstill of all bodies, in the order of time."""
     stamps = bodies[0].stamps_ns
@@ -190,8 +185,7 @@ def _means(body: Trajectory, spans: Sequence[Stamps]) -> Trajectory:
     return Trajectory(
         body.stamps_ns[[span[0] for span in spans]],
         np.array([body.position[span].mean(axis=0) for span in spans]),
-        np.array([mean_rotation(body.rotation[span]) for span in spans]),
-    )
+        np.array([mean_rotation(body.rotation[span]) for span in spans]))
 
 
 def _joins(
@@ -232,8 +226,7 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
         variances = np.zeros(6)
     return Noise(*(
         float(np.sqrt(max((a**2 + b**2) / len(relative), np.mean(variances[part]))))
-        for a, b, part in zip(*noise, (slice(0, 3), slice(3, 6)), strict=True)
-    ))
+        for a, b, part in zip(*noise, (slice(0, 3), slice(3, 6)), strict=True)))
 
 
 def with_standstills(
@@ -245,5 +238,4 @@ def with_standstills(
     return replace(
         known,
         deflection_low=np.minimum(known.deflection_low, deflections.min(axis=0)),
-        deflection_high=np.maximum(known.deflection_high, deflections.max(axis=0)),
-    )
+        deflection_high=np.maximum(known.deflection_high, deflections.max(axis=0)))

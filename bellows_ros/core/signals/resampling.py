@@ -130,8 +130,7 @@ def timing(stamps_ns: Stamps) -> Timing:
     if len(stamps_ns) < 3:
         raise BellowsError(
             f'A rate needs at least 3 samples, got {len(stamps_ns)}. Record longer, or choose '
-            'the topic with the poses.'
-        )
+            'the topic with the poses.')
     steps = np.diff(stamps_ns)
     period = _period(steps)
     jitter = MAD_TO_STD * float(np.median(np.abs(steps - period)))
@@ -338,8 +337,7 @@ def resample(
         span = f'{known[0]} to {known[-1]} ns' if len(known) else 'no time (it is empty)'
         raise BellowsError(
             f'The requested stamps cover {wanted[0]} to {wanted[-1]} ns, the trajectory only '
-            f'{span}. Poses are never extrapolated; request stamps inside the trajectory.'
-        )
+            f'{span}. Poses are never extrapolated; request stamps inside the trajectory.')
     before = np.searchsorted(trajectory.stamps_ns, wanted, side='right') - 1
     same = slice(before[0], before[-1] + 1) if len(before) else slice(0)
     if np.array_equal(trajectory.stamps_ns[same], wanted):  # nothing to interpolate, or to copy
@@ -355,14 +353,12 @@ def resample(
         position[between], rotation[between] = _geodesic(trajectory, start, end, fraction)
     else:
         position[between], rotation[between], twist[between] = _hermite(
-            trajectory, trajectory.twist, start, end, fraction, (interval / NS_PER_S)[:, None]
-        )
+            trajectory, trajectory.twist, start, end, fraction, (interval / NS_PER_S)[:, None])
     near = longest_gap_ns is None or interval <= longest_gap_ns
     valid[between] &= trajectory.valid[end] & near
     return Trajectory(
         frozen(wanted), frozen(position), frozen(rotation),
-        None if twist is None else frozen(twist), None, valid,
-    )
+        None if twist is None else frozen(twist), None, valid)
 
 
 def _geodesic(
@@ -391,8 +387,7 @@ def _hermite(
         s,
         lie.apply(R_start, start[:, :3]),
         trajectory.position[after] - origin,
-        lie.apply(R_end, end[:, :3]),
-    )
+        lie.apply(R_end, end[:, :3]))
     turn = lie.log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
     c, c_rate = _cubic(s, start[:, 3:], turn, lie.apply(lie.dexp_inverse(-turn), end[:, 3:]))
     rotation = R_start @ lie.exp_so3(c)
@@ -444,8 +439,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
         raise BellowsError(
             f'{len(trajectory)} poses at {timing.rate_hz:.6g} Hz should cover '
             f'{len(trajectory) / timing.rate_hz:.6g} s, but their stamps cover '
-            f'{span / NS_PER_S:.6g} s. Cut the recording to the part with poses.'
-        )
+            f'{span / NS_PER_S:.6g} s. Cut the recording to the part with poses.')
     if timing.uniform:
         slots = np.rint(np.diff(trajectory.stamps_ns) * (timing.rate_hz / NS_PER_S))
         stamps = subdivided(trajectory.stamps_ns, np.maximum(slots, 1.0).astype(np.int64))

@@ -108,8 +108,7 @@ def score(measured: Array, predicted: Array) -> Scores:
         rms=np.sqrt(np.mean(error**2, axis=0)),
         largest=np.abs(error).max(axis=0),
         motion=np.std(measured, axis=0),
-        samples=len(measured),
-    )
+        samples=len(measured))
 
 
 def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
@@ -269,8 +268,7 @@ class Whiteness:
         small = self.largest < SMALL
         return tuple(
             'white' if white else 'nearly white' if little else 'coloured'
-            for white, little in zip(self.white.tolist(), small.tolist(), strict=True)
-        )
+            for white, little in zip(self.white.tolist(), small.tolist(), strict=True))
 
     @property
     def white(self) -> Mask:
@@ -305,12 +303,10 @@ def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
     pairs = np.array([np.count_nonzero(there[k:] & there[:-k]) for k in range(1, lags + 1)])
     if count <= lags or len(residuals) <= lags or pairs.min() == 0:
         raise BellowsError(
-            f'{count} residuals are too few to test whether they are white over {lags} lags.'
-        )
+            f'{count} residuals are too few to test whether they are white over {lags} lags.')
     e = np.where(there[:, None], residuals, 0.0)
     power = np.sum(e**2, axis=0)
-    products = np.array([
-        np.einsum('nc,nc->c', e[k:], e[:-k]) for k in range(1, lags + 1)])
+    products = np.array([np.einsum('nc,nc->c', e[k:], e[:-k]) for k in range(1, lags + 1)])
     r = np.full_like(products, np.nan)
     np.divide(products, power, out=r, where=power > 0.0)
     Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)

@@ -62,15 +62,13 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     """
     if half_window < 1:
         raise BellowsError(
-            f'The half window of a filter must be at least 1 sample, not {half_window}.'
-        )
+            f'The half window of a filter must be at least 1 sample, not {half_window}.')
     if not LOWEST_ORDER <= order <= 2 * half_window:
         raise BellowsError(
             f'The order of a filter with half window {half_window} must be from '
             f'{LOWEST_ORDER} (accelerations need a second derivative) to {2 * half_window} '
             f'(a window has {2 * half_window + 1} samples), not {order}. '
-            'Change the order or the half window.'
-        )
+            'Change the order or the half window.')
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise BellowsError(f'The rate of a filter must be positive, in Hz, not {rate_hz}.')
     # Time in half windows keeps the powers within -1..1, so the least-squares problem is well
@@ -137,8 +135,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     if len(trajectory) < 2 * half_window + 1:
         raise BellowsError(
             f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
-            f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.'
-        )
+            f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.')
     W = weights(half_window, order, uniform_rate_hz(trajectory.stamps_ns))
     count = len(trajectory) - 2 * half_window
     position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
@@ -157,8 +154,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         frozen(twist),
         frozen(acceleration),
         trusted & ~any_within(~trajectory.valid, 2 * half_window + 1),
-        weights=frozen(W),
-    )
+        weights=frozen(W))
 
 
 def _filter_block(
@@ -184,8 +180,7 @@ def _filter_block(
         R,
         np.concatenate([v, w], axis=-1),
         np.concatenate([dv, dw], axis=-1),
-        largest < LARGEST_TURN,
-    )
+        largest < LARGEST_TURN)
 
 
 def _fit(
@@ -295,8 +290,7 @@ def displaced(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
         acceleration = np.hstack([linear, lie.apply(R_inverse, lie.apply(R, dw) + phi[2])])
     return Trajectory(
         motion.stamps_ns, motion.position + o[0], R_new, np.hstack([v_new, w_new]),
-        acceleration, motion.valid,
-    )
+        acceleration, motion.valid)
 
 
 def bridged(poses: Trajectory) -> Trajectory:

@@ -175,8 +175,7 @@ class Trajectory:
         if mask.shape != (len(self),) or mask.dtype != np.bool_:
             raise BellowsError(
                 f'Trajectory: valid must be booleans of shape ({len(self)},), not {mask.dtype} '
-                f'of shape {mask.shape}.'
-            )
+                f'of shape {mask.shape}.')
         _store(self, 'valid', mask)
 
     def __len__(self) -> int:
@@ -259,8 +258,7 @@ def uniform_rate_hz(stamps_ns: Stamps) -> float:
         raise BellowsError(
             f'A uniform rate is needed, but sample {worst + 1} comes {steps[worst]} ns after the '
             f'one before, and the mean step is {mean:.1f} ns. Resample the poses to a uniform '
-            'rate first.'
-        )
+            'rate first.')
     return NS_PER_S / mean
 
 
@@ -276,8 +274,7 @@ def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
     if stamps.ndim != 1 or not (stamps.size == 0 or np.issubdtype(stamps.dtype, np.integer)):
         raise BellowsError(
             f'{of}: stamps must be integers (ns) of shape (N,), not '
-            f'{stamps.dtype} of shape {stamps.shape}.'
-        )
+            f'{stamps.dtype} of shape {stamps.shape}.')
     if not (_is_frozen(stamps) and stamps.dtype == np.int64):
         stamps = stamps.astype(np.int64)
     backward = np.flatnonzero(np.diff(stamps) <= 0)
@@ -285,8 +282,7 @@ def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
         i = int(backward[0])
         raise BellowsError(
             f'{of}: stamps must increase strictly, but sample {i + 1} has {stamps[i + 1]} ns '
-            f'after {stamps[i]} ns. Sort the samples and leave repeated stamps out.'
-        )
+            f'after {stamps[i]} ns. Sort the samples and leave repeated stamps out.')
     return stamps
 
 
@@ -308,14 +304,12 @@ def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
         array = np.array(array, order='C')
     if array.shape != shape:
         raise BellowsError(
-            f'{of}: {name} must have shape {shape} for {shape[0]} stamps, not {array.shape}.'
-        )
+            f'{of}: {name} must have shape {shape} for {shape[0]} stamps, not {array.shape}.')
     if not np.all(np.isfinite(array)):
         finite = np.isfinite(array).reshape(shape[0], -1).all(axis=1)
         raise BellowsError(
             f'{of}: {name} of sample {int(np.argmin(finite))} is not finite. '
-            'Leave such samples out.'
-        )
+            'Leave such samples out.')
     _store(owner, name, array)
 
 
@@ -353,8 +347,7 @@ def _require_rotations(rotation: Array, of: str) -> None:
             raise BellowsError(
                 f'{of}: the rotation of sample {start + i} is not orthonormal and right-handed '
                 f'to {ORTHONORMAL_WITHIN:g} (off by {error[i]:.3g}). '
-                'Normalise the quaternions before converting them.'
-            )
+                'Normalise the quaternions before converting them.')
 
 
 def tip_of(values: Mapping[str, Any]) -> Array | None:

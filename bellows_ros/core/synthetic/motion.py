@@ -147,8 +147,7 @@ class Vibration(Motion):
             self.start.position + value[:, :3],
             rate[:, :3],
             self.start.rotation @ lie.exp_so3(phi),
-            lie.apply(lie.dexp(-phi), rate[:, 3:]),
-        )
+            lie.apply(lie.dexp(-phi), rate[:, 3:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,13 +329,11 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     motion = (
         _oscillation(settings, kind, start, rest, phases)
         if kind in ('multi_sine', 'chirp')
-        else Waypoints(start, rest, _segments(settings.block(kind), kind))
-    )
+        else Waypoints(start, rest, _segments(settings.block(kind), kind)))
     if motion.duration > LONGEST:
         raise BellowsError(
             f'The motion takes {motion.duration:g} s; at most {LONGEST:g} s are possible. '
-            'Split it into several recordings.'
-        )
+            'Split it into several recordings.')
     return motion
 
 
@@ -348,8 +345,7 @@ def pose_from(settings: Settings) -> Pose:
     if 'rpy' in settings and 'quaternion_xyzw' in settings:
         raise BellowsError(
             f"Settings '{settings.name('rpy')}' and '{settings.name('quaternion_xyzw')}' are both "
-            'given. Give one of them.'
-        )
+            'given. Give one of them.')
     if 'quaternion_xyzw' in settings:
         length = float(np.linalg.norm(quaternion))
         if abs(length - 1.0) > _UNIT_WITHIN:
@@ -370,8 +366,7 @@ def _oscillation(
     if not len(axis):
         raise BellowsError(
             f"Setting '{kind}' moves nothing. Give it an amplitude on one axis at least, of "
-            'position or of rotation.'
-        )
+            'position or of rotation.')
     phase = phases.uniform(0.0, 2.0 * np.pi, len(axis))
     hold, held = np.zeros(3), 0.0
     if 'hold' in settings:
@@ -380,8 +375,7 @@ def _oscillation(
         most = duration - rest - ramp - HOLD_MOVE
         held = block.number('duration', unit='s', above=0.0, maximum=most)
         block.done()
-    return Oscillation(
-        start, rest, ramp, duration, amplitude, axis, frequency, phase, hold, held)
+    return Oscillation(start, rest, ramp, duration, amplitude, axis, frequency, phase, hold, held)
 
 
 def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
@@ -397,8 +391,7 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
             if len(amplitude) != len(frequency):
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
-                    f'long, got {len(amplitude)} and {len(frequency)} numbers.'
-                )
+                    f'long, got {len(amplitude)} and {len(frequency)} numbers.')
             parts += [(offset + index, a, f) for a, f in zip(amplitude, frequency, strict=True)]
     axes = np.array([part[0] for part in parts], dtype=np.int64)
     amplitudes, frequencies = np.array([part[1:] for part in parts]).reshape(-1, 2).T
@@ -410,13 +403,10 @@ def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
     amplitude = np.concatenate(
         [
             settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
-            settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad'),
-        ]
-    )
+            settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])
     ends = [
         settings.number(name, unit='Hz', minimum=0.0, maximum=LARGEST_FREQUENCY)
-        for name in ('from', 'to')
-    ]
+        for name in ('from', 'to')]
     axes = np.flatnonzero(amplitude)
     return axes, amplitude[axes], np.tile(ends, (len(axes), 1))
 

@@ -167,8 +167,7 @@ def schedule(
         raise BellowsError(
             f"The outliers and dropouts of '{sensor.name}' need {needed} samples, but there are "
             f'only {max(len(sampled_ns) - first, 0)} after the rest. '
-            'Make them fewer or shorter, or the motion longer.'
-        )
+            'Make them fewer or shorter, or the motion longer.')
     order = draw.permutation(len(lengths))
     spread = np.sort(draw.integers(0, max(free, 0) + 1, len(lengths)))
     starts = first + spread + np.cumsum(lengths[order] + 1) - lengths[order] - 1
@@ -279,8 +278,7 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
         jumps=_faults(settings.block('outliers'), True),
         dropouts=_faults(settings.block('dropouts'), False),
         jitter=stamps.number('jitter', 0.0, 's', minimum=0.0),
-        latency=stamps.number('latency', 0.0, 's', minimum=0.0, maximum=60.0),
-    )
+        latency=stamps.number('latency', 0.0, 's', minimum=0.0, maximum=60.0))
 
 
 def _faults(settings: Settings, moved: bool) -> Faults:
@@ -289,8 +287,7 @@ def _faults(settings: Settings, moved: bool) -> Faults:
     needed = None if count else 0.0
     sizes = (
         settings.number('position', needed, 'm', minimum=0.0),
-        settings.number('rotation', needed, 'rad', minimum=0.0, maximum=3.0),
-    ) if moved else ()
+        settings.number('rotation', needed, 'rad', minimum=0.0, maximum=3.0)) if moved else ()
     return Faults(count, settings.number('duration', needed, 's', minimum=0.0), *sizes)
 
 
@@ -300,8 +297,7 @@ def twist_sensor_from(settings: Settings) -> TwistSensor | None:
     sensor = TwistSensor(
         settings.choice('frame', ('world', 'tool'), 'world'),
         noise.number('linear', 0.0, 'm/s', minimum=0.0),
-        noise.number('angular', 0.0, 'rad/s', minimum=0.0),
-    )
+        noise.number('angular', 0.0, 'rad/s', minimum=0.0))
     return sensor if settings.flag('publish', True) else None
 
 
@@ -309,8 +305,7 @@ TOPICS = {
     'tool_pose': '/tool_arm/pose',
     'tool_twist': '/tool_arm/twist',
     'package_pose': '/package/pose',
-    'valve': '/vacuum/valve',
-}
+    'valve': '/vacuum/valve'}
 FRAME_IDS = {'z_up': 'world', 'motive_y_up': 'motive'}
 START_NS = 1_700_000_000_000_000_000
 
@@ -407,8 +402,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         start_ns=settings.whole('start_time_ns', START_NS, minimum=10**9, maximum=2**62),
         truth=settings.flag('truth', False),
         releases=releases,
-        pickup=pickup,
-    )
+        pickup=pickup)
     settings.done()
     return recipe
 

@@ -41,8 +41,7 @@ def pushed_off(package: PackageTuple, body: State, impulse: float) -> State:
     f, m = kernels.wrench_at_com(package[1], (0.0, 0.0, -impulse), (0.0, 0.0, 0.0))
     return (
         body[0], body[1], t3.add_scaled(body[2], 1.0 / package[0], f),
-        t3.add(body[3], t3.apply(package[3], m)), *body[4:],
-    )
+        t3.add(body[3], t3.apply(package[3], m)), *body[4:])
 
 
 @kernel
@@ -72,8 +71,7 @@ def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: flo
         q_later,
         t3.apply_transposed(R_later, t3.add_scaled(velocity, h, gravity)),
         t3.apply(inverse, t3.apply_transposed(R_later, L)),
-        *body[4:],
-    )
+        *body[4:])
 
 
 @kernel

@@ -199,8 +199,7 @@ def ellipse(covariance: Array, count: int) -> Array:
     angle = np.linspace(0.0, 2.0 * math.pi, count)
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     circle = np.array([np.cos(angle), np.sin(angle)])
-    return np.asarray(
-        ((vectors * (ELLIPSE * np.sqrt(np.maximum(values, 0.0)))) @ circle).T)
+    return np.asarray(((vectors * (ELLIPSE * np.sqrt(np.maximum(values, 0.0)))) @ circle).T)
 
 
 def coverage(covariance: Array, landings: Array) -> float:

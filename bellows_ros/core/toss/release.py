@@ -232,8 +232,7 @@ def find_release(
             s = last if above > 0.0 or low >= last else low
             while True:  # until it lets go: the step in which it does is narrowed (Illinois)
                 since_valve = start + s * duration - switched
-                there, carried = _within(
-                    model, law, start - switched, segment, body, before, s)
+                there, carried = _within(model, law, start - switched, segment, body, before, s)
                 load = load_at(model, grip, law, since_valve, there, carried)
                 left = suction_margin(grip, law, since_valve, load) if s >= low else math.inf
                 if left <= 0.0:

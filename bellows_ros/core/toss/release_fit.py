@@ -259,8 +259,7 @@ class ReleaseFit:
         """Whether the law explains the drops."""
         latest = max(abs(drop.own_delay) for drop in self.drops)
         return latest <= 5.0 * SCATTER[0] and (self.position <= EXPLAINED or (
-            self.chi2 <= CHI2_EXPLAINED
-            and (self.lack <= LACKING or self.common <= EXPLAINED)))
+            self.chi2 <= CHI2_EXPLAINED and (self.lack <= LACKING or self.common <= EXPLAINED)))
 
 
 def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
@@ -279,9 +278,7 @@ def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
         'release.mass_range': (min(masses), max(masses))}
 
 
-def fit_release(
-    drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_LAW
-) -> ReleaseFit:
+def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_LAW) -> ReleaseFit:
     """
     Return the smallest law that explains drops.
 
@@ -485,9 +482,7 @@ def _fitted(
         tuple(one.explained(law) for one in problem), lack, common)
 
 
-def _of_held(
-    problem: Sequence[_DropFit], law: Array, inverse: Array, held: Array
-) -> Array:
+def _of_held(problem: Sequence[_DropFit], law: Array, inverse: Array, held: Array) -> Array:
     """Return the covariance (8, 8) from numbers that are known to `held`, and move the others."""
     free, known = problem[0].free, np.flatnonzero(held)
     H = np.zeros((len(free) + len(known),) * 2)
