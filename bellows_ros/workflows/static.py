@@ -156,7 +156,7 @@ class StaticResult:
 def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
     """Return a recording's standstills, and how often one of the tool failed."""
     try:
-        return recording.once('standstills', lambda: standstills_of(recording))
+        return recording.cached('standstills', lambda: standstills_of(recording))
     except BellowsError as error:
         raise BellowsError(f'{recording.name}: {error}') from None
 

@@ -98,7 +98,7 @@ SPECTRUM_SECONDS, LEAST_RATE_HZ = 1.0, 100.0
 NOISE_HZ, NYQUIST_PART = 25.0, 0.9
 """Frequency (Hz) above which poses have noise alone, and up to which part of the highest one."""
 
-STEEPEST = 3.0
+STEEPEST_NOISE = 3.0
 """Power of frequency with which the density of noise falls; behind a filter of second order, 4."""
 
 SMALLEST_DENSITY = 1e-18
@@ -169,7 +169,7 @@ def implausible_inputs(own: Recording) -> tuple[Finding, ...]:
 
 def corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
     """Return what is wrong with a recording without any fit, and the recording without that."""
-    return own.once('corrected', lambda: _corrected(own))
+    return own.cached('corrected', lambda: _corrected(own))
 
 
 def _corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
@@ -210,7 +210,7 @@ def misread(own: Recording) -> Finding | None:
         If that cannot be corrected without the user.
 
     """
-    return own.once('misread', lambda: _misread(own))
+    return own.cached('misread', lambda: _misread(own))
 
 
 def _misread(own: Recording) -> Finding | None:
@@ -397,7 +397,7 @@ def _smoothed(own: Recording) -> Finding | None:
     """Return that poses went through a low-pass: their noise falls too steeply."""
     steep = [topic for topic, poses in (('tool_pose', own.aligned_tool),
                                         ('package_pose', own.aligned_package))
-             if _noise_order(poses) > STEEPEST]
+             if _noise_order(poses) > STEEPEST_NOISE]
     return Finding('low-pass', ' and '.join(steep)) if steep else None
 
 

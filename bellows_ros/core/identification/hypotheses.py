@@ -213,7 +213,7 @@ def diagnose(
     wrong, right = zip(*map(corrected, recordings), strict=True)
     facts: tuple[Finding, ...] = next(filter(None, wrong), ())
     try:
-        rounds = right[0].once(
+        rounds = right[0].cached(
             ('trials', *(own.name for own in right), length, structure),
             lambda: _rounds(right, length, structure))
     except BellowsError:

@@ -307,13 +307,13 @@ def reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduce
     if isinstance(recording, Reduced):
         return recording
     length, structure = values['cup.length'], given_structure(values)
-    return recording.once(
+    return recording.cached(
         ('reduced', length, structure), lambda: _reduced(recording, length, structure))
 
 
 def envelope_of(recording: Recording, cup_length: float) -> Envelope:
     """Return the validity range of a recording."""
-    return recording.once(
+    return recording.cached(
         ('envelope', cup_length), lambda: envelope(filtered_samples(recording), cup_length))
 
 
@@ -322,7 +322,7 @@ def _reduced(recording: Recording, length: float, structure: Structure) -> Reduc
     samples, noise = samples_of(recording), recording.noise
     if len(samples.tool) > MOST_KEPT:  # a copy, with which the motion of the lip is dropped
         samples = replace(samples)
-    seen = recording.once(  # refuses a recording without valid samples
+    seen = recording.cached(  # refuses a recording without valid samples
         ('envelope', length), lambda: envelope(samples, length))
     return Reduced(
         recording.as_json(), recording.digest, recording.files, recording.payload,

@@ -154,12 +154,12 @@ def samples_of(recording: Recording) -> Samples:
         require_hanging(recording)
         return filtered_samples(recording)
 
-    return recording.once('samples', checked)
+    return recording.cached('samples', checked)
 
 
 def filtered_samples(recording: Recording) -> Samples:
     """Return the filtered motions of any recording."""
-    return recording.once('filtered samples', lambda: Samples(
+    return recording.cached('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns),
         recording.relaxation.strengths))

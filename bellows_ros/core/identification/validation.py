@@ -225,7 +225,7 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
 
     """
     key = (tuple(np.asarray(getattr(cup, own.name)).tobytes() for own in fields(cup)), most)
-    return recording.once(('validated', key), lambda: _validated(cup, recording, most))
+    return recording.cached(('validated', key), lambda: _validated(cup, recording, most))
 
 
 class _Run(NamedTuple):
@@ -252,7 +252,7 @@ def _run(cup: Cup, recording: Recording, most: int | None) -> _Run:
         end = int(np.argmax(recording.measured)) + most
         end = end if end < len(recording.measured) else None
     half_window = half_window_of(recording.measured_tool)
-    tool, gaps = recording.once(('smoothed', end), lambda: smoothed_tool(
+    tool, gaps = recording.cached(('smoothed', end), lambda: smoothed_tool(
         recording.measured_tool.select(slice(end)), half_window))
     state, first, start = _start(model_tuple(cup, recording.payload, gravity), tool, recording)
     tool = tool.select(slice(first, None))

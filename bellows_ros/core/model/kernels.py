@@ -496,9 +496,9 @@ def checked_wrench(
     model: ModelTuple, tool: State, body: State, reach: float
 ) -> tuple[Wrench, bool]:
     """
-    Return the cup's wrench on the package, and if both can be.
+    Return the cup's wrench on the package, and whether wrench and state are plausible.
 
-    They can where all numbers are finite, and the lip is within reach (m) of where it is without
+    They are where all numbers are finite, and the lip is within reach (m) of where it is without
     load.
     """
     cup, package, _ = model

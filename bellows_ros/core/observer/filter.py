@@ -192,7 +192,7 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
 
 
 @kernel
-def pushed(
+def advanced_with_wrench(
     model: ModelTuple, push: Wrench, body: State, start: State, end: State, seconds: float,
     substeps: int,
 ) -> State:
@@ -641,7 +641,8 @@ def _followed(
     """Return a state after a motion of the tool, from or into the row of a sample at its end."""
     if is_known and is_sample:
         return body_row(row, body)
-    body = pushed(model, push, body, start, end, seconds, substeps_for(seconds, longest))
+    substeps = substeps_for(seconds, longest)
+    body = advanced_with_wrench(model, push, body, start, end, seconds, substeps)
     if is_sample:
         write_row(row, body)
     return body
@@ -665,7 +666,7 @@ def followed(
         there = end
         if i < cuts - 1:
             there = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / cuts)
-        body = pushed(
+        body = advanced_with_wrench(
             model, wrench_of(theta), body, tool, there, part, substeps_for(part, longest))
         tool = there
     write_row(bodies[k], body)

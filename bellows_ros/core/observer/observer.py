@@ -26,6 +26,7 @@ from bellows_ros.core.observer.correction import (
     Track,
 )
 from bellows_ros.core.observer.filter import (
+    advanced_with_wrench,
     CAMERA,
     Estimate,
     followed,
@@ -33,7 +34,6 @@ from bellows_ros.core.observer.filter import (
     LATENCY,
     MASS,
     model_with,
-    pushed,
     STATE,
     wrench_of,
 )
@@ -246,7 +246,7 @@ class Observer:
 
     def drifted(self, body: State, start: State, end: State, seconds: float) -> State:
         """Return a package after a motion of the tool that is not kept."""
-        return pushed(
+        return advanced_with_wrench(
             self.model, wrench_of(self._theta), body, start, end, seconds,
             substeps_for(seconds, self._by.longest))
 

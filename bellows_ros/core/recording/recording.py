@@ -457,7 +457,7 @@ class Recording:
     relaxation: Relaxation = NO_RELAXATION
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
-    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+    def cached(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return a result computed from the recording, computed at the first request."""
         if key not in self._kept:
             self._kept[key] = make()
