@@ -23,7 +23,6 @@ from scipy.signal import butter, lfilter
 
 from ..simulated import GRAVITY, shake
 
-RATE_HZ = 480.0
 Y_UP = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 NOISES = ((2e-5, 5e-5), (1e-4, 3e-4), (1e-4, 5e-4), (3e-4, 1e-3))
 COLOUR = 0.026  # s
@@ -84,7 +83,7 @@ def dragged(row, o, turn, way):
 class Laboratory:
     """A cup and a package, how they are recorded, and what is said of them."""
 
-    def __init__(self, seed, soft=0.0, coloured=False, seconds=10.0):
+    def __init__(self, seed, soft=0.0, coloured=False, seconds=10.0, rate_hz=480.0):
         rng = self.rng = np.random.default_rng((11, seed))
         lateral, axial, turning = np.exp(rng.uniform(-0.4, 0.4, 3))
         self.K = np.array([6000.0 * lateral] * 2 + [11000.0 * axial] + [4.2 * turning] * 2
@@ -96,7 +95,8 @@ class Laboratory:
         inertia = mass / 12.0 * np.diag([b * b + h * h, a * a + h * h, a * a + b * b])
         self.package = self.said = Package(mass, inertia, (0.0, 0.0, -rng.uniform(0.02, 0.05)))
         self.noise = NOISES[rng.integers(4)], NOISES[rng.integers(3)]
-        self.coloured, self.frame = coloured, str(rng.choice(['com', 'lip']))
+        self.rate_hz, self.coloured = rate_hz, coloured
+        self.frame = str(rng.choice(['com', 'lip']))
         self.said_frame, self.said_world, self.world = self.frame, 'z_up', np.eye(3)
         self.late, self.turn, self.scale, self.swapped = 0.0, {}, {}, False
         self.apart, self.friction = np.zeros(6), 0.0
@@ -135,7 +135,7 @@ class Laboratory:
 
     def recording(self):
         """Return the recording, prepared by what is said."""
-        tool = self.motion.trajectory(sample_stamps(RATE_HZ, self.motion.duration, 0), 0)
+        tool = self.motion.trajectory(sample_stamps(self.rate_hz, self.motion.duration, 0), 0)
         cup = Cup(np.diag(self.K), self.P, self.length)
         tool = _turned(self.level, tool)
         body = moved(cup, self.package, tool, self.law, self.friction)
@@ -154,7 +154,7 @@ class Laboratory:
         """Return a body's poses as they are recorded."""
         p, R, drawn = body.position, body.rotation, self.rng.standard_normal((2, len(body), 3))
         if self.coloured:
-            decay = np.exp(-1.0 / (RATE_HZ * COLOUR))
+            decay = np.exp(-1.0 / (self.rate_hz * COLOUR))
             for i in range(1, len(body)):
                 drawn[:, i] = decay * drawn[:, i - 1] + np.sqrt(1 - decay**2) * drawn[:, i]
         if name == 'package':
@@ -166,7 +166,7 @@ class Laboratory:
         R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
         p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
         if self.low_pass_hz:
-            b, a = butter(2, self.low_pass_hz / (RATE_HZ / 2))
+            b, a = butter(2, self.low_pass_hz / (self.rate_hz / 2))
             turn = log_so3(R[0].T @ R)
             p, turn = (own[0] + lfilter(b, a, own - own[0], axis=0) for own in (p, turn))
             R = R[0] @ exp_so3(turn)
