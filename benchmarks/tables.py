@@ -22,8 +22,8 @@ def tables(found: Mapping[str, Any]) -> dict[str, Table]:
 def markdown(table: Table) -> str:
     """Return a table in Markdown."""
     head, *rows = table
-    lines = [head, ('---',) * len(head), *rows]
-    return '\n'.join('| ' + ' | '.join(cells) + ' |' for cells in lines)
+    head_line, *lines = ('| ' + ' | '.join(cells) + ' |' for cells in (head, *rows))
+    return '\n'.join((head_line, '|---' * len(head) + '|', *lines))
 
 
 def _step(section: Mapping[str, Any]) -> Table:
