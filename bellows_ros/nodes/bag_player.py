@@ -339,7 +339,7 @@ def _exchange(
     counts: Mapping[str, int], sent_ns: Mapping[bytes, int],
     heard: Mapping[bytes, tuple[int, bytes]],
 ) -> Exchange:
-    """Return what came back, from when (ns) poses were sent and answers came, by stamp."""
+    """Return the outcome, from when (ns) poses were sent and answers arrived, by stamp."""
     answered = [stamp for stamp in sent_ns if stamp in heard]
     if not answered:
         raise BellowsError('The predictor did not answer. See its log.')

@@ -86,7 +86,7 @@ class IdentifierNode(TableNode):
         """Take the next step, if there is one; an error ends the node."""
         try:
             next(self._steps, None)
-        except Exception as error:  # noqa: BLE001 (raised again by whoever waits for the end)
+        except Exception as error:  # noqa: BLE001 (raised again where the end is awaited)
             self.finished.set_exception(error)
 
     def _step_by_step(self) -> Iterator[None]:

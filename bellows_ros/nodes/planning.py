@@ -312,7 +312,7 @@ class Planning:
         seconds = float(found.tool.seconds[-1])
         values = {'left (s)': number(seconds)} | {
             name: number(value) for name, value in found.figures().items()}
-        return Status('plan', level, said or 'Nothing speaks against the plan.', values)
+        return Status('plan', level, said or 'The plan is within all known limits.', values)
 
     def _on_request(self, request: Header) -> None:
         """Answer a request for the package at a stamp beside the live prediction."""

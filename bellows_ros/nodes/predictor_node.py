@@ -101,7 +101,7 @@ class PredictorNode(ManagedNode):
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
             post_callback=self.guarded(lambda jump: self._start_afresh('clock_jump')))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # which nobody sets
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(TICK, self._tick, clock=steady)
         self.create_timer(REPORT_PERIOD, self._report_health, clock=steady)
         if self.values['autostart']:

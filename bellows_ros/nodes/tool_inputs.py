@@ -154,7 +154,7 @@ class TransformInput(SensorInput):
                 quaternion_xyzw(own.rotation)), static)
 
     def seen(self, refused: Mapping[str, int]) -> InputSeen:
-        """Return what came since the last call, with the poses that lacked a transform."""
+        """Return the arrivals since the last call, with the poses that lacked a transform."""
         return super().seen({**refused, 'no_transform': self._chain.dropped})
 
     def _mismatch(self, publishers: int) -> Mismatch | None:

@@ -236,7 +236,7 @@ def read_part(
     values : mapping
         All parameters.
     path : str
-        Where it lies for whoever reads it; the same where left out.
+        Its path for the reader; the same where left out.
     keep : container of str
         The recordings that are wanted themselves.
 

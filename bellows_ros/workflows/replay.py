@@ -291,7 +291,7 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
 
 
 OFF = (0.7, 1.4)
-"""Ratios of stretch that a wrong stiffness hardly makes are outside."""
+"""Ratios of stretch beyond these are no effect of a wrong stiffness."""
 
 
 def _causes(values: Mapping[str, Any], found: Validation) -> Iterator[str]:

@@ -40,7 +40,7 @@ class Guess:
     ----------
     topic : str
     why : tuple of str
-        What speaks for it.
+        The evidence for it.
     frame : str
         Of a twist the value of tool_twist.frame that agrees with the poses.
 

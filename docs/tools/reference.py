@@ -159,7 +159,7 @@ def _exit_codes() -> Iterator[str]:
     for entry in re.split(r'\n  (?=\d)', EXIT_CODES)[1:]:
         code, *meaning = entry.split()
         yield f'| {code} | {" ".join(meaning)} |'
-    yield '| 141 | whoever read the output has closed it |'
+    yield '| 141 | the reader of the output has closed it |'
 
 
 RESULTS = (

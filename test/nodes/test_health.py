@@ -167,7 +167,7 @@ def test_vacuum_signal_that_nobody_sends_is_named(make_predictor, listener):
     assert listener.sees('vacuum', ERROR, 'Nobody publishes /vacuum/held: the package counts as n')
     assert listener.sees('prediction', OK, 'Detached')
     writer = listener.node.create_publisher(Bool, 'vacuum/held', 10)
-    assert listener.sees('vacuum', WARN, 'No word from /vacuum/held so far')
+    assert listener.sees('vacuum', WARN, 'No message on /vacuum/held so far')
     writer.publish(Bool(data=True))
     assert listener.sees('vacuum', OK, 'Held.')
     listener.node.destroy_publisher(writer)

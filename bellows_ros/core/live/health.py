@@ -3,7 +3,7 @@ Diagnostics of the predictor: observations as levels (REP-107), messages and num
 
 Rates, jitter, age and computing times of messages are kept in constant memory.
 
-OK: works as meant. WARN: works, but somebody should look at it. ERROR: does not do its work.
+OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ def vacuum_status(name: str, seen: InputSeen, held: bool, latched: bool) -> Stat
     """
     Return the line on the signal of the vacuum.
 
-    One that speaks once, when it changes, may be silent from its first word on.
+    A latched one is sent when it changes, and may be silent after its first message.
     """
     values = _values(seen) | {'held': str(held).lower()}
     return Status(name, *_judge_vacuum(seen, held, latched), values)
@@ -320,7 +320,7 @@ def _judge_vacuum(seen: InputSeen, held: bool, latched: bool) -> tuple[Level, st
     if any(seen.refused.values()):
         return lost, f'{_refusals(seen)}; {counts}. Publish the absolute pressure, Pa.'
     if not math.isfinite(seen.silent):
-        return Level.WARN, f'No word from {seen.topic} so far: {counts}.'
+        return Level.WARN, f'No message on {seen.topic} so far: {counts}.'
     if not (seen.rhythm.messages or latched):
         return lost, f'{seen.topic} has been silent for {seen.silent:.1f} s: {counts}.'
     return Level.OK, 'Held.' if held else 'Not held.'

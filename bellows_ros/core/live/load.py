@@ -107,7 +107,7 @@ class Load:
     Attributes
     ----------
     required : float
-        Below this safety factor somebody should look.
+        Safety factor below which the grip is reported.
     pressure : float or None
         As last measured.
     grip : tuple or None

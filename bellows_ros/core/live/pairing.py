@@ -49,8 +49,8 @@ class Pairing:
     Attributes
     ----------
     expect : bool
-        Whether a pose waits for its twist. Set by whoever knows that somebody sends twists, and by
-        the pairs themselves.
+        Whether a pose waits for its twist. Set by callers that know of a publisher of twists, and
+        by the pairs themselves.
     unpaired : int
         Twists that served no pose.
     interpolated : int

@@ -2,7 +2,7 @@
 The live predictor without ROS: tool messages in, predicted package states out.
 
 The node and `bellows replay` run this very code. Nothing here reads a clock: the time of motion
-is in the stamps, and whoever calls says when a message came.
+is in the stamps, and the caller passes the arrival of each message.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class LivePredictor:
     flight : Flight or None
         Follows the package after the valve, where one is set.
     poses_in, twists_in, predictions, twists_estimated, coasted : int
-        Counts of what came, went out and was made up.
+        Counts of inputs, outputs, and estimated twists and tool poses.
 
     Examples
     --------
@@ -260,7 +260,7 @@ class LivePredictor:
         quaternion_xyzw : (x, y, z, w)
             Orientation; scaled to unit length where it is nearly so.
         arrival_ns : int, optional
-            When it came, on a clock that nobody sets; None where messages do not come in time.
+            Arrival on a monotonic clock; None where messages do not arrive in real time.
 
         """
         self.poses_in += 1

@@ -251,8 +251,8 @@ class Screen(StampScreen):
         quaternion_xyzw : (x, y, z, w)
             Orientation.
         arrival_ns : int, optional
-            When it came, on a clock that nobody sets. Tells a pause of the driver from a stamp
-            that lies in the future; without it a late stamp is taken for a pause.
+            Arrival on a monotonic clock. Tells a pause of the driver from a stamp that lies in the
+            future; without it a late stamp is taken for a pause.
 
         """
         verdict = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)

@@ -70,7 +70,7 @@ class Chain:
         if link is None:
             return
         if link and sample.stamp_ns == link[-1].stamp_ns:
-            return  # as who publishes joints repeats them
+            return  # repeated, as by publishers of joints
         if link and sample.stamp_ns < link[-1].stamp_ns:
             link.clear()
         link.append(sample)

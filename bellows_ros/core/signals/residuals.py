@@ -201,7 +201,7 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
     ----------
     values : ndarray (N, C)
         At a uniform rate; their mean is taken out. NaN where a sample is missing: it counts as
-        zero, and the density is made up for the power that is missing so. That is right for what
+        zero, and the density is scaled up for the missing power. That is right for what
         is white; see `interpolated` for the rest.
     rate_hz : float
         Samples per second.

@@ -104,7 +104,7 @@ class StampScreen:
         stamp_ns : int
             Header stamp, ns.
         arrival_ns : int or None
-            When the message came, on a clock that nobody sets. Tells a pause of the driver from a
+            Arrival on a monotonic clock. Tells a pause of the driver from a
             stamp that lies in the future; without it a late stamp is taken for a pause.
 
         """

@@ -168,7 +168,7 @@ def test_twists_that_serve_no_pose_are_said(messages, alone, level):
     ({'rhythm': SILENT}, True, True, Level.OK, 'Held.'),
     ({'rhythm': SILENT}, True, False, Level.WARN, 'silent for 3.0 s: the package counts as held'),
     ({'rhythm': SILENT}, False, False, Level.ERROR, 'the package counts as not held'),
-    ({'rhythm': SILENT, 'silent': math.inf}, False, True, Level.WARN, 'No word from /vacuum'),
+    ({'rhythm': SILENT, 'silent': math.inf}, False, True, Level.WARN, 'No message on /vacuum'),
     ({'mismatch': Mismatch('qos', 'durability')}, True, True, Level.WARN, 'durability'),
 ])
 def test_words_on_the_vacuum(seen, held, latched, level, words):
