@@ -262,7 +262,8 @@ def noise_information(search: Search, found: Minimum) -> Array:
             package, tool = (
                 _shaken(body, seen, size * (-1.0) ** len(more), draw)
                 for body, seen in zip((measured.package, measured.tool), noise, strict=True))
-            noisier.segments.append(Segment(replace(measured, tool=tool, package=package)))
+            noisier.segments.append(Segment(
+                replace(measured, tool=tool, package=package), own.reach))
             noisier.segments[-1].first, noisier.segments[-1].std = own.first, own.std
         parts, H, g = noisier.system(found.theta, 0.0)
         if np.all(np.isfinite(g)):

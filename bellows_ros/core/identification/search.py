@@ -52,8 +52,11 @@ from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
 
-SMOOTHED_OVER, SMOOTHED_ORDER, FEWEST = 1 / 12, 6, 4
-"""Half window (s) and order of the polynomials of the tool's path, and its fewest samples."""
+SMOOTHED_OVER, SMOOTHED_ORDER, FEWEST = (1 / 6, 1 / 8, 1 / 12), 6, 4
+"""Half windows (s) and order of the polynomials of the tool's path, and their fewest samples."""
+
+MOST_SMOOTHED = 1.5
+"""Most that a longer window takes of the tool's motion and noise, in what it takes of noise."""
 
 SMALLEST = np.repeat([2e-7, 2e-6], 3)
 """Smallest noise of a pose (m, rad): interpolation and rounding."""
@@ -242,11 +245,10 @@ class Nodes(NamedTuple):
 class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
-    def __init__(self, measured: Measured) -> None:
+    def __init__(self, measured: Measured, reach: int = 0) -> None:
         self.measured = measured
         self.tool = bridged(measured.tool)
-        rate = uniform_rate_hz(self.tool.stamps_ns)
-        self.reach = max(round(SMOOTHED_OVER * rate), FEWEST)
+        self.reach = reach or _reach_of(self.tool, measured.tool_noise.kept)
         self.inner = slice(self.reach, len(self.tool) - self.reach)
         self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
         self.held = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
@@ -270,10 +272,7 @@ class Segment:
         self.path = savgol(Trajectory(
             tool.stamps_ns, tool.position + apply(tool.rotation, shift[:, :3]),
             tool.rotation @ exp_so3(shift[:, 3:])), self.reach, SMOOTHED_ORDER)
-        inverse = np.swapaxes(self.path.rotation, 1, 2)
-        self.way = np.hstack([
-            apply(inverse, tool.position[self.inner] - self.path.position),
-            log_so3(inverse @ tool.rotation[self.inner])])
+        self.way = _between(self.path, tool.select(self.inner))
 
     def nodes(self, delay: float) -> Nodes:
         """Return the nodes, with the tool's stamps late by so many seconds."""
@@ -697,6 +696,38 @@ def _away(body: State, other: State) -> Array:
     rest = [np.ravel(np.array(there) - np.array(here))
             for here, there in zip(body[2:], other[2:], strict=True)]
     return np.concatenate([shift, turn, *rest])
+
+
+def _reach_of(tool: Trajectory, kept: float) -> int:
+    """
+    Return the half window of the tool's path: the longest that takes hardly any motion from it.
+
+    Noise in the path is noise in the derivatives, and costs more the more of it is slow.
+    """
+    rate = uniform_rate_hz(tool.stamps_ns)
+    *longer, short = (max(round(over * rate), FEWEST) for over in SMOOTHED_OVER)
+    near, part_near = _taken(tool, short, kept)
+    noise = np.mean(near**2, axis=0) / (1.0 - part_near)
+    for reach in longer:
+        far, part = _taken(tool, reach, kept)
+        more = np.mean((far - near[reach - short:][:len(far)]) ** 2, axis=0)
+        if np.all(more <= MOST_SMOOTHED * (part_near - part) * noise):
+            return reach
+    return short
+
+
+def _taken(tool: Trajectory, reach: int, kept: float) -> tuple[Array, float]:
+    """Return what is fresh (N, 6) in what a window takes from poses, and which part it leaves."""
+    path = savgol(tool, reach, SMOOTHED_ORDER)
+    taken = _between(path, tool.select(slice(reach, len(tool) - reach)))
+    return _fresh(taken, kept)[1:], float(path.weights[0, reach])
+
+
+def _between(path: Trajectory, poses: Trajectory) -> Array:
+    """Return shifts and turns (N, 6) from a path to poses, in axes of the path."""
+    back = np.swapaxes(path.rotation, 1, 2)
+    return np.hstack([
+        apply(back, poses.position - path.position), log_so3(back @ poses.rotation)])
 
 
 def _fresh(noise: Array, kept: float) -> Array:

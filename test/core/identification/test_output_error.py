@@ -116,20 +116,50 @@ def test_a_robot_and_a_camera_are_enough_from_a_start_far_off():
     assert 0.9 < far.chi2 < 1.1
 
 
-def test_noise_with_memory_is_whitened():
-    own, rng = measured(3, silent=True, package_hz=250.0), np.random.default_rng(3)
-    kept, poses = 0.9, []
-    for body, std in ((own.tool, CAPTURE), (own.package, CAPTURE)):
+def with_memory(own, kept, std, rng):
+    """Return a recording without noise with noise that is kept in part from pose to pose."""
+    poses = []
+    for body in (own.tool, own.package):
         e = rng.standard_normal((len(body), 6))
         for k in range(1, len(e)):
             e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
         e *= np.repeat(std, 3)
         poses.append(Trajectory(
             body.stamps_ns, body.position + e[:, :3], body.rotation @ exp_so3(e[:, 3:])))
-    noise = BodyNoise(np.repeat(CAPTURE, 3), kept)
-    own = Measured(*poses, PLATE, GRAVITY, noise, noise)
+    noise = BodyNoise(np.repeat(std, 3), kept)
+    return Measured(*poses, PLATE, GRAVITY, noise, noise)
+
+
+def test_noise_with_memory_is_whitened():
+    own = measured(3, silent=True, package_hz=250.0)
+    own = with_memory(own, 0.9, CAPTURE, np.random.default_rng(3))
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
     require_white(search.system(search.start, 0.0)[0])
+
+
+def test_noise_of_the_path_is_no_information():
+    """With twelfths of a second smoothed, there would be 1.37 times as much on P x."""
+    still = measured(3, silent=True, package_hz=250.0)
+    own = with_memory(still, 0.9, CAPTURE, np.random.default_rng(3))
+    information = []
+    for tool, package in ((own.tool, own.package), (still.tool, still.package)):
+        search = Search(
+            [Segment(replace(own, tool=tool, package=package))], AXISYMMETRIC, TRUTH, {})
+        for _ in range(2):
+            parts, _, _ = search.system(search.start, 0.0)
+            search.take(parts)
+        information.append(np.sum(parts[0].jacobian**2, axis=0))
+    more = np.delete(information[0] / information[1], 5)  # P z is not identifiable
+    assert_allclose(more, 1.0, atol=0.06)
+
+
+@pytest.mark.parametrize(('hz', 'seconds'), [(4.0, 1 / 6), (5.0, 1 / 8), (7.0, 1 / 12)])
+def test_the_path_is_smoothed_as_long_as_no_motion_is_lost(hz, seconds):
+    tool = Shake(3, lowest=hz - 0.5, highest=hz).trajectory(10.0, 250.0)
+    noise = BodyNoise(np.repeat([3e-4, 1.2e-3], 3))
+    own = replace(measured(3), tool_noise=noise,
+                  tool=noisy(tool, *noise.std[[0, 3]], np.random.default_rng(3)))
+    assert Segment(own).reach == round(250.0 * seconds)
 
 
 def test_noise_of_the_tool_does_not_shake_the_simulated_package():
