@@ -4,6 +4,7 @@ from threading import Event
 import time
 from typing import Any
 
+from bellows_ros.core.live import flight
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.errors import BellowsError
@@ -280,12 +281,13 @@ def ends(parameter):
 
 
 @pytest.mark.timeout(400)  # it compiles the kernels of a cup that relaxes, too
-def test_both_ends_of_each_range_work_or_are_refused(make_partner):
+def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     """
     Predict, plan, aim and report with each, or change nothing and name what is wrong.
 
     What a node would do for messages is called here, as nothing else runs.
     """
+    monkeypatch.setattr(flight, 'AIMED_AHEAD', 0.04)
     partner = make_partner({**VALUES, 'package.size': [0.1] * 3, 'landing.height': -1.0})
     node, tried = partner.predictor, 0
     assert node.set_parameters([Parameter('landing.aim', value=True)])[0].successful

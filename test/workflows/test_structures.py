@@ -52,7 +52,7 @@ def test_the_relaxation_is_that_of_the_output_error(root):
     known = read_parameters(root / 'bags/package.yaml')
     found = structures({
         **known, 'topics.tool_twist': '', 'bags': [str(root / 'bags/rubber')],
-        'recording.start': 8.0,
+        'recording.start': 14.0,
     }).recordings[0].relaxation
     truth = read_parameters(root / 'bags/rubber_cup.yaml')['cup.relaxation']
     off = np.subtract(found.strengths, truth) / found.std
