@@ -57,7 +57,7 @@ def measured(name: str, rate: int, seconds: float, folder: Path) -> dict[str, An
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
         'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
     }
-    with _process(NODES[name], environment, folder / f'{name}.log') as pid:
+    with process(NODES[name], environment, folder / f'{name}.log') as pid:
         probe = subprocess.run(
             [sys.executable, '-P', '-m', 'benchmarks.probe', str(rate), str(seconds), str(pid)],
             env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False,
@@ -70,24 +70,24 @@ def measured(name: str, rate: int, seconds: float, folder: Path) -> dict[str, An
 
 
 @contextmanager
-def _process(
+def process(
     module: tuple[str, ...], environment: Mapping[str, str], log: Path
 ) -> Iterator[int]:
     """Run a node and yield its process id."""
     with log.open('wb') as output:
-        process = subprocess.Popen(
+        running = subprocess.Popen(
             [sys.executable, '-P', '-m', *module], env=dict(environment),
             stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
         )
     try:
-        yield process.pid
+        yield running.pid
     finally:
-        process.send_signal(signal.SIGINT)
+        running.send_signal(signal.SIGINT)
         try:
-            process.wait(END_TIMEOUT)
+            running.wait(END_TIMEOUT)
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            running.kill()
+            running.wait()
 
 
 def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:

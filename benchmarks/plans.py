@@ -1,5 +1,6 @@
 """How long it takes to predict and to steer a plan."""
 
+from functools import partial
 import math
 from time import process_time
 from typing import Any
@@ -35,9 +36,9 @@ def run(short: bool) -> dict[str, Any]:
     tool = plan()
     along = PlanSimulation(MODEL, GRIP, tool, tail=0.0)
     subjects: dict[str, Work] = {
-        'predict': lambda: _once(along.predict, 1.0),
-        'shortest safe time': lambda: _once(fastest, KNOWN, MODEL, GRIP, tool, 1.5),
-        **{f'steer, {method}': _steering(tool, method) for method in METHODS},
+        'predict': partial(along.predict, 1.0),
+        'shortest safe time': partial(fastest, KNOWN, MODEL, GRIP, tool, 1.5),
+        **{f'steer, {method}': partial(steer, MODEL, tool, method) for method in METHODS},
     }
     return {'seconds': interleaved(subjects, 3 if short else 25, process_time)}
 
@@ -52,14 +53,3 @@ KNOWN = {
     'package.inertia_std': np.array([1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0]),
 }
 """What is known of cup and package, as an identification leaves it."""
-
-
-def _once(work: Any, *arguments: Any) -> int:
-    """Do something once."""
-    work(*arguments)
-    return 1
-
-
-def _steering(tool: Trajectory, method: str) -> Work:
-    """Return what steers a plan."""
-    return lambda: _once(steer, MODEL, tool, method)

@@ -68,8 +68,13 @@ class Probe(Node):
             self.executor_.spin_once(timeout_sec=0.05)
         return True
 
-    def play(self) -> None:
-        """Send everything at its time, and wait for the last answer."""
+    def play(self, after: float = 0.0) -> None:
+        """Send everything at its time, stamped from a time (s) on; wait for the last answer."""
+        self.sent, self.answered = {}, {}
+        for k, pair in enumerate(self._messages):
+            stamp_ns = FIRST_NS + round((after + k * self._period) * 1e9)
+            for message in pair:
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         start = time.perf_counter() + 0.2
         for k, (pose, twist) in enumerate(self._messages):
             self._wait_until(start + k * self._period)
@@ -86,11 +91,8 @@ class Probe(Node):
 
 def _messages(seconds: float) -> tuple[PoseStamped, TwistStamped]:
     """Return pose and twist of a tool that moves to and fro."""
-    stamp_ns = FIRST_NS + round(seconds * 1e9)
     pose, twist = PoseStamped(), TwistStamped()
-    for message in (pose, twist):
-        message.header.frame_id = 'world'
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    pose.header.frame_id = twist.header.frame_id = 'world'
     pose.pose.position.x = WAY * (1.0 - math.cos(TURNS * seconds))
     pose.pose.orientation.w = 1.0
     twist.twist.linear.x = WAY * TURNS * math.sin(TURNS * seconds)

@@ -8,6 +8,8 @@ from .live import BARE
 Table = list[tuple[str, ...]]
 """Rows of cells; the first is the head."""
 
+Make = Callable[[Mapping[str, Any]], Table]
+
 MEBI = 2**20
 
 
@@ -26,14 +28,10 @@ def markdown(table: Table) -> str:
     return '\n'.join((head_line, '|---' * len(head) + '|', *lines))
 
 
-def _step(section: Mapping[str, Any]) -> Table:
-    """Return the time of a step."""
-    return _times(('one step', 'median'), section['seconds_per_step'])
-
-
-def _times(head: tuple[str, str], measured: Mapping[str, Any]) -> Table:
-    """Return medians by name."""
-    return [head, *((name, _time(figures['median'])) for name, figures in measured.items())]
+def _times(subject: str, statistic: str = 'median') -> Make:
+    """Return what makes a table of medians by name."""
+    return lambda section: [(subject, statistic), *(
+        (name, _time(figures['median'])) for name, figures in section['seconds'].items())]
 
 
 def _node(section: Mapping[str, Any]) -> Table:
@@ -72,21 +70,6 @@ def _offline(section: Mapping[str, Any]) -> Table:
     ]
 
 
-def _startup(section: Mapping[str, Any]) -> Table:
-    """Return times to start."""
-    return [
-        ('start', 'median'),
-        ('numba, numpy and rclpy imported', _time(section['imports']['median'])),
-        ('predictor ready with ROS, compiled before', _time(section['predictor_warm']['median'])),
-        ('predictor ready with ROS, nothing compiled', _time(section['predictor_cold']['median'])),
-    ]
-
-
-def _plans(section: Mapping[str, Any]) -> Table:
-    """Return what a second of plan costs."""
-    return _times(('a plan of 1 s at 1 kHz', 'processor time, median'), section['seconds'])
-
-
 def _camera(section: Mapping[str, Any]) -> Table:
     """Return the errors of all ways to know where the package is, and below the camera's noise."""
     noise = section['noise']
@@ -97,19 +80,14 @@ def _camera(section: Mapping[str, Any]) -> Table:
         for name, row in section['errors'].items()]
 
 
-def _corrected(section: Mapping[str, Any]) -> Table:
-    """Return what corrections cost in the predictor."""
-    return _times(('500 Hz, a camera of 30 Hz', 'median'), section['seconds'])
-
-
-_TABLES: Mapping[str, Callable[[Mapping[str, Any]], Table]] = {
-    'step': _step,
+_TABLES: Mapping[str, Make] = {
+    'step': _times('one step'),
     'node': _node,
     'offline': _offline,
-    'startup': _startup,
-    'plans': _plans,
+    'startup': _times('start'),
+    'plans': _times('a plan of 1 s at 1 kHz', 'processor time, median'),
     'camera': _camera,
-    'camera.cost': _corrected,
+    'camera.cost': _times('500 Hz, a camera of 30 Hz'),
 }
 
 

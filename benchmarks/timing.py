@@ -12,15 +12,15 @@ from typing import Any
 
 from bellows_ros.errors import BellowsError
 
-Work = Callable[[], int]
-"""Does some work and returns how many units of it."""
+Work = Callable[[], Any]
 
 Figures = dict[str, float]
 TIMEOUT = 600.0
 
 
 def interleaved(
-    subjects: Mapping[str, Work], rounds: int, clock: Callable[[], float] = time.perf_counter
+    subjects: Mapping[str, Work], rounds: int, clock: Callable[[], float] = time.perf_counter,
+    units: int = 1,
 ) -> dict[str, Figures]:
     """
     Time subjects in turn, several rounds, and return seconds per unit of each.
@@ -33,6 +33,8 @@ def interleaved(
         How often each is timed.
     clock : callable
         Returns s; `time.process_time` for that of the processor.
+    units : int
+        How many each works off at once.
 
     Returns
     -------
@@ -46,7 +48,7 @@ def interleaved(
     for _ in range(rounds):
         for name, work in subjects.items():
             start = clock()
-            units = work()
+            work()
             seconds[name].append((clock() - start) / units)
     return {name: figures(values) for name, values in seconds.items()}
 
@@ -59,11 +61,6 @@ def figures(values: Sequence[float]) -> Figures:
         'highest': max(values),
         'runs': len(values),
     }
-
-
-def ratio(of: Figures, to: Figures) -> float:
-    """Return the ratio of two medians."""
-    return of['median'] / to['median']
 
 
 def in_process(

@@ -1,6 +1,7 @@
 """The short form of every measurement runs, and its figures come into the page."""
 
 import ast
+from functools import partial
 from importlib import import_module
 import json
 from pathlib import Path
@@ -60,12 +61,7 @@ def test_page_holds_the_figures_beside_it(root):
 
 def test_interleaved_takes_turns():
     order = []
-
-    def work(name):
-        order.append(name)
-        return 2
-
-    found = timing.interleaved({'a': lambda: work('a'), 'b': lambda: work('b')}, 2)
+    found = timing.interleaved({name: partial(order.append, name) for name in 'ab'}, 2)
     assert order == ['a', 'b', 'a', 'b', 'a', 'b']
     assert found['a']['runs'] == 2
 

@@ -17,11 +17,19 @@ LAB = Noise(1e-4, 5e-4)
 COARSE = Noise(1e-3, 1e-3)
 RATES = [100.0, 360.0, 1000.0]
 CALM, LIVELY, WILD = (0.5, 2.0), (2.0, 3.0), (10.0, 5.0)  # g, Hz
+LARGE, SMALL, SMALLEST = (  # m, rad: from, to
+    ((0.03, 2.0), (0.05, 2.0)), ((0.003, 0.01), (0.005, 0.02)), ((0.0015, 0.0018), (0.006, 0.007)))
 
 
 def found_in(poses):
     """Give the outliers of poses whose only gaps are those of their stamps."""
     return find_outliers(poses, timing(poses.stamps_ns).longest_step_ns)
+
+
+def recorded(seed, noise=LAB):
+    """Give the poses of a motion at 360 Hz."""
+    rng = np.random.default_rng(seed)
+    return noisy(rng, shaken(rng, Shake(360.0)), noise)
 
 
 def without(poses, *missing):
@@ -74,45 +82,30 @@ def test_a_long_rest_is_left_alone(noise):
     assert found_in(poses).good.all()
 
 
-@pytest.mark.parametrize(('rate_hz', 'motion', 'noise'), [
-    (100.0, WILD, COARSE), (360.0, CALM, NONE), (360.0, LIVELY, LAB), (1000.0, WILD, COARSE)])
-def test_large_excursions_are_marked_to_the_sample(rate_hz, motion, noise):
-    """From 3 cm and 3 degrees on: noise of 1 mm or 10 g make no difference."""
-    rng = np.random.default_rng(13)
+@pytest.mark.parametrize(('seed', 'rate_hz', 'motion', 'noise', 'excursion'), [
+    *((13, *of, (*LARGE, (1, 200))) for of in (
+        (100.0, WILD, COARSE), (360.0, CALM, NONE), (360.0, LIVELY, LAB), (1000.0, WILD, COARSE))),
+    (14, 100.0, CALM, LAB, (*SMALL, (2, 7))), (14, 360.0, LIVELY, LAB, (*SMALL, (2, 7))),
+    (14, 360.0, CALM, NONE, (*SMALL, (8, 200))), (14, 1000.0, LIVELY, LAB, (*SMALL, (8, 200))),
+    (32, 360.0, LIVELY, LAB, (*SMALLEST, (3, 7))),
+    (32, 360.0, LIVELY, LAB, (*SMALLEST, (8, 200)))])
+def test_excursions_are_marked_to_the_sample(seed, rate_hz, motion, noise, excursion):
+    """
+    Large ones with noise of 1 mm or 10 g too, small ones with noise of 0.1 mm and 0.5 mrad.
+
+    The smallest, which two samples on each side do not show, make K of least squares wrong by a
+    third.
+    """
     recall, precision = score(
-        rng, Shake(rate_hz, 20.0, *motion), noise, (0.03, 2.0), (0.05, 2.0), (1, 200)
-    )
-    assert recall > 0.99
-    assert precision > 0.97
-
-
-@pytest.mark.parametrize(('samples', 'rate_hz', 'motion', 'noise'), [
-    ((2, 7), 100.0, CALM, LAB), ((2, 7), 360.0, LIVELY, LAB), ((8, 200), 360.0, CALM, NONE),
-    ((8, 200), 1000.0, LIVELY, LAB)])
-def test_excursions_of_a_few_millimetres_are_marked(samples, rate_hz, motion, noise):
-    """From 3 mm or 5 mrad on, with noise of 0.1 mm and 0.5 mrad."""
-    rng = np.random.default_rng(14)
-    recall, precision = score(
-        rng, Shake(rate_hz, 20.0, *motion), noise, (0.003, 0.01), (0.005, 0.02), samples
-    )
-    assert recall > 0.95
-    assert precision > 0.9
-
-
-@pytest.mark.parametrize('samples', [(3, 7), (8, 200)])
-def test_excursions_that_two_samples_on_each_side_do_not_show_are_marked(samples):
-    """Unmarked, those of 1.5 mm make K of least squares wrong by a third."""
-    rng = np.random.default_rng(32)
-    recall, precision = score(
-        rng, Shake(360.0, 20.0, *LIVELY), LAB, (0.0015, 0.0018), (0.006, 0.007), samples)
-    assert recall > 0.95
-    assert precision > 0.9
+        np.random.default_rng(seed), Shake(rate_hz, 20.0, *motion), noise, *excursion)
+    is_large = excursion[:2] == LARGE
+    assert recall > (0.99 if is_large else 0.95)
+    assert precision > (0.97 if is_large else 0.9)
 
 
 @pytest.mark.parametrize('metres, radians', [(0.0, 0.02), (0.004, 0.0)])
 def test_jumps_of_position_or_rotation_alone_are_enough(metres, radians):
-    rng = np.random.default_rng(15)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(15)
     run = slice(4000, 4006)
     poses = displaced(poses, run, np.array([0, metres, 0]), np.array([0, 0, radians]), True)
     found = found_in(poses)
@@ -123,8 +116,7 @@ def test_jumps_of_position_or_rotation_alone_are_enough(metres, radians):
 
 @pytest.mark.parametrize('on_body', [False, True])
 def test_a_permanent_step_is_reported_and_only_its_sides_are_marked(on_body):
-    rng = np.random.default_rng(16)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(16)
     after = slice(3000, None)
     poses = displaced(poses, after, np.array([0.03, 0, 0]), np.array([0, 0.2, 0]), on_body)
     found = found_in(poses)
@@ -136,8 +128,7 @@ def test_a_permanent_step_is_reported_and_only_its_sides_are_marked(on_body):
 
 
 def test_an_excursion_within_an_excursion_is_marked_as_a_whole():
-    rng = np.random.default_rng(17)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(17)
     poses = displaced(poses, slice(3000, 3060), np.array([0.05, 0, 0]), np.zeros(3), False)
     poses = displaced(poses, slice(3020, 3040), np.array([0, 0.02, 0]), np.zeros(3), False)
     found = found_in(poses)
@@ -146,8 +137,7 @@ def test_an_excursion_within_an_excursion_is_marked_as_a_whole():
 
 
 def test_an_excursion_after_a_step_is_distinguished_from_it():
-    rng = np.random.default_rng(18)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(18)
     poses = displaced(poses, slice(3000, None), np.array([0.05, 0, 0]), np.zeros(3), False)
     poses = displaced(poses, slice(3100, 3110), np.array([0, 0.02, 0]), np.zeros(3), False)
     found = found_in(poses)
@@ -159,8 +149,7 @@ def test_an_excursion_after_a_step_is_distinguished_from_it():
 @pytest.mark.parametrize('length', [1, 2, 30, 150])
 @pytest.mark.parametrize('where', ['start', 'end'])
 def test_excursions_at_the_ends_are_marked(where, length, noise):
-    rng = np.random.default_rng(19)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), noise)
+    poses = recorded(19, noise)
     run = slice(0, length) if where == 'start' else slice(len(poses) - length, len(poses))
     poses = displaced(poses, run, np.array([0.03, 0, 0]), np.array([0, 0.2, 0]), True)
     found = found_in(poses)
@@ -173,8 +162,7 @@ def test_excursions_at_the_ends_are_marked(where, length, noise):
 @pytest.mark.parametrize('lost', [1, 5, 20])
 def test_excursions_that_end_in_a_gap_are_marked(lost, side, length):
     """Only one of their two jumps can be seen; the other one shows as a jump over the gap."""
-    rng = np.random.default_rng(20)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(20)
     gap = slice(4000, 4000 + lost)
     run = slice(4000 - length, 4000) if side == 'before' else slice(gap.stop, gap.stop + length)
     poses = displaced(poses, run, np.array([0.1, 0, 0]), np.array([0, 0.5, 0]), True)
@@ -187,8 +175,7 @@ def test_excursions_that_end_in_a_gap_are_marked(lost, side, length):
 
 
 def test_a_step_over_a_gap_is_reported():
-    rng = np.random.default_rng(21)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(21)
     poses = displaced(poses, slice(4010, None), np.array([0.3, 0, 0]), np.zeros(3), False)
     (step,) = found_in(without(poses, slice(4000, 4010))).steps
     assert step.before == 3999
@@ -196,8 +183,7 @@ def test_a_step_over_a_gap_is_reported():
 
 @pytest.mark.parametrize('lost', [1, 10, 40, 100])
 def test_gaps_alone_are_no_jumps(lost):
-    rng = np.random.default_rng(22)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(22)
     gaps = [slice(i, i + lost) for i in range(1000, 7000, 1000)]
     found = found_in(without(poses, *gaps))
     assert found.good.all()
@@ -249,8 +235,7 @@ def test_rounded_coordinates_are_neither_jumps_nor_frozen():
 
 
 def test_isolated_samples_are_marked():
-    rng = np.random.default_rng(27)
-    poses = noisy(rng, shaken(rng, Shake(360.0)), LAB)
+    poses = recorded(27)
     kept = without(poses, slice(3000, 3010), slice(3012, 3020))
     found = found_in(kept)
     assert [(run.first, run.last) for run in found.isolated] == [(3000, 3001)]
