@@ -154,10 +154,8 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
 
 
 def identify(
-    recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File,
-    package: Package,
-    cup_length: float,
-    settings: Mapping[str, object] | None = None,
+    recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File, package: Package,
+    cup_length: float, settings: Mapping[str, object] | None = None
 ) -> 'Fit':
     """
     Identify a cup's K and P from recordings, or from poses in arrays.
@@ -263,10 +261,8 @@ def simulate(
 
 
 def static_equilibrium(
-    cup: Cup,
-    package: Package,
-    T_world_tool: ArrayLike | None = None,
-    gravity: float | ArrayLike = STANDARD_GRAVITY,
+    cup: Cup, package: Package, T_world_tool: ArrayLike | None = None,
+    gravity: float | ArrayLike = STANDARD_GRAVITY
 ) -> Array:
     """
     Return where a package hangs from a tool at rest (3.9).

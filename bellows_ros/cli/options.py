@@ -319,9 +319,8 @@ def add_plan_options(
 def run_plan_command(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
-    print_result: Callable[[Any, Console], None],
-    write: Callable[[Any], None] | None = None, film: Callable[[Any], None] | None = None,
-    good: Callable[[Any], bool] = lambda result: True,
+    print_result: Callable[[Any, Console], None], write: Callable[[Any], None] | None = None,
+    film: Callable[[Any], None] | None = None, good: Callable[[Any], bool] = lambda result: True
 ) -> int:
     """
     Read, work, write, report.

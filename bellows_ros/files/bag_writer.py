@@ -108,11 +108,8 @@ class Encoded:
 
 
 def write_bag(
-    path: File,
-    recorded: Sequence[Recorded | Encoded],
-    storage: str = 'mcap',
-    zstd: bool = False,
-    replace: bool = False,
+    path: File, recorded: Sequence[Recorded | Encoded], storage: str = 'mcap', zstd: bool = False,
+    replace: bool = False
 ) -> None:
     """
     Write a recording.

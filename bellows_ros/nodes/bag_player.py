@@ -77,12 +77,8 @@ class Played:
 
 
 def play(
-    messages: Sequence[Message],
-    names: Mapping[str, str],
-    rate: float = 1.0,
-    stamps_now: bool = False,
-    loop: bool = False,
-    say: Say = lambda stage, fraction: None,
+    messages: Sequence[Message], names: Mapping[str, str], rate: float = 1.0,
+    stamps_now: bool = False, loop: bool = False, say: Say = lambda stage, fraction: None
 ) -> Played:
     """
     Send recorded messages, byte by byte as they were recorded, in their time.

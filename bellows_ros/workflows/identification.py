@@ -300,10 +300,8 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
 
 
 def save(
-    result: Identification,
-    parameters_path: str | os.PathLike[str] | None,
-    json_path: str | os.PathLike[str] | None,
-    force: bool = False,
+    result: Identification, parameters_path: str | os.PathLike[str] | None,
+    json_path: str | os.PathLike[str] | None, force: bool = False
 ) -> None:
     """
     Write the cup file and the JSON file, unless None or ''.

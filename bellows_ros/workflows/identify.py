@@ -84,12 +84,9 @@ ONLY_QUICK = (
 
 
 def identify(
-    settings: Mapping[str, object],
-    progress: Progress | None = None,
-    parameter_files: Sequence[str | os.PathLike[str]] = (),
-    jobs: int | None = None,
-    dask: str = '',
-    force: bool = False,
+    settings: Mapping[str, object], progress: Progress | None = None,
+    parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
+    dask: str = '', force: bool = False
 ) -> Identification:
     """
     Identify a cup from the recordings that the parameter `bags` names.

@@ -224,9 +224,8 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
 
 
 def _assigned(
-    path: File, described: tuple[TopicInfo, ...],
-    poses: Mapping[str, PoseStream], twists: Mapping[str, TwistStream], span: Mapping[str, Any],
-    notes: list[str],
+    path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
+    twists: Mapping[str, TwistStream], span: Mapping[str, Any], notes: list[str]
 ) -> Info:
     """Return the recording with roles, settings and notes."""
     pair = roles.likely_pair(poses)

@@ -99,12 +99,8 @@ class SimulationReport:
 
 
 def simulate_recording(
-    parameters: Mapping[str, object],
-    motion: Mapping[str, object],
-    out: File,
-    progress: Progress | None = None,
-    replace: bool = False,
-    plan: File = '',
+    parameters: Mapping[str, object], motion: Mapping[str, object], out: File,
+    progress: Progress | None = None, replace: bool = False, plan: File = ''
 ) -> SimulationReport:
     """
     Simulate a held package, and write the recording of a tracking system.

@@ -204,15 +204,10 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
 
 
 def toss_plan(
-    path: MotionSource,
-    parameters: Mapping[str, object],
-    switched: float | None,
-    target: tuple[float, float] | None = None,
-    target_rotation: Array | None = None,
-    monte_carlo: int = 0,
-    progress: Callable[[str], None] = lambda sentence: None,
-    urdf: str = '',
-    topic: str = '',
+    path: MotionSource, parameters: Mapping[str, object], switched: float | None,
+    target: tuple[float, float] | None = None, target_rotation: Array | None = None,
+    monte_carlo: int = 0, progress: Callable[[str], None] = lambda sentence: None, urdf: str = '',
+    topic: str = ''
 ) -> TossResult:
     """
     Predict a toss along a plan.

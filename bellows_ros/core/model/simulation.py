@@ -166,12 +166,8 @@ def tool_rows(tool: Trajectory | ToolRows) -> Array:
 
 
 def simulate(
-    cup: Cup,
-    package: Package,
-    tool: Trajectory,
-    start: State | None = None,
-    gravity: float | ArrayLike = STANDARD_GRAVITY,
-    substeps: int | None = None,
+    cup: Cup, package: Package, tool: Trajectory, start: State | None = None,
+    gravity: float | ArrayLike = STANDARD_GRAVITY, substeps: int | None = None
 ) -> Trajectory:
     """
     Simulate the package under a whole tool motion.

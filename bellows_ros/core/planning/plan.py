@@ -382,10 +382,9 @@ def record_sample(
 
 @kernel
 def _simulate_plan(
-    model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any,
-    duration_scale: float, longest: float, ceiling: float,
-    states: Array, wrench: Array, loads: Array, peaks: Array, lip: Array, past: Array,
-    stop: Mask,
+    model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any, duration_scale: float,
+    longest: float, ceiling: float, states: Array, wrench: Array, loads: Array, peaks: Array,
+    lip: Array, past: Array, stop: Mask
 ) -> tuple[State, float, bool]:
     """
     Advance along the plan until a load is above the ceiling.

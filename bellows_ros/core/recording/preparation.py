@@ -124,22 +124,16 @@ class FilteredStreams:
 
 
 def prepare(
-    tool: PoseStream,
-    package: PoseStream,
-    settings: PrepareSettings,
-    tool_twist: TwistStream | None = None,
-    alignment: Alignment | None = None,
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings,
+    tool_twist: TwistStream | None = None, alignment: Alignment | None = None
 ) -> Recording:
     """Prepare recorded streams: `filter_streams`, then `FilteredStreams.joined`."""
     return filter_streams(tool, package, settings, tool_twist, alignment).joined()
 
 
 def filter_streams(
-    tool: PoseStream,
-    package: PoseStream,
-    settings: PrepareSettings,
-    tool_twist: TwistStream | None = None,
-    alignment: Alignment | None = None,
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings,
+    tool_twist: TwistStream | None = None, alignment: Alignment | None = None
 ) -> FilteredStreams:
     """
     Clean, align and filter recorded streams.

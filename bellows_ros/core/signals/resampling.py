@@ -372,12 +372,8 @@ def _geodesic(
 
 
 def _hermite(
-    trajectory: Trajectory,
-    twist: Array,
-    before: Stamps,
-    after: Stamps,
-    s: Array,
-    interval_s: Array,
+    trajectory: Trajectory, twist: Array, before: Stamps, after: Stamps, s: Array,
+    interval_s: Array
 ) -> tuple[Array, Array, Array]:
     """Return positions, rotations and body twists of the cubic Hermite interpolant at s (M, 1)."""
     R_start, R_end = trajectory.rotation[before], trajectory.rotation[after]

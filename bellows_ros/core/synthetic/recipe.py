@@ -222,12 +222,8 @@ def measure_poses(
 
 
 def measure_twists(
-    truth: Trajectory,
-    sensor: TwistSensor,
-    marker: Array,
-    plan: Schedule,
-    world: Array,
-    draw: Generator,
+    truth: Trajectory, sensor: TwistSensor, marker: Array, plan: Schedule, world: Array,
+    draw: Generator
 ) -> Array:
     """
     Return the recorded twists (M, 6) of the tool tip, m/s and rad/s.
