@@ -46,21 +46,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the model, and list what the format cannot express."""
     from bellows_ros.core.model.cup_package import cup_of, package_of
     from bellows_ros.core.model.grip import grip_of
-    from bellows_ros.core.parameters.checks import (
-        gravity_of,
-        implausible,
-        PACKAGE_PARAMETERS,
-        resolve,
-    )
+    from bellows_ros.core.parameters import checks
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import Exported, limits, TARGETS
 
-    settings = resolve(options.cup_parameters(arguments, console), PACKAGE_PARAMETERS)
-    console.remarks += implausible(settings)
+    values = options.cup_parameters(arguments, console)
+    settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
+    console.remarks += checks.implausible(settings)
     cup, package = cup_of(settings), package_of(settings)
     target = TARGETS[arguments.to]
     lost = limits(target, cup)
-    gravity = tuple(gravity_of(settings).tolist())
+    gravity = tuple(checks.gravity_of(settings).tolist())
     write_text(arguments.out, target.write(
         Exported(cup, package, gravity, grip_of(settings), arguments.name)))
     options.put_json(arguments.json, {

@@ -19,15 +19,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Bool, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from .conversions import (
-    write_header,
-    write_odometry,
-    write_pose,
-    write_quaternion,
-    write_twist,
-    write_vector,
-    write_wrench,
-)
+from . import conversions
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import Prediction
 from ..core.live.load import deflection, deflection_rotation, equivalent_box, lip_position
@@ -187,7 +179,7 @@ class Outputs:
         self._is_due = not (self._is_late if self._values['coast.poses'] else prediction.coasting)
         if self._is_due:
             pose = self._messages[0]
-            write_pose(pose, frame_id, prediction)
+            conversions.write_pose(pose, frame_id, prediction)
             self.pose.publish(pose)
 
     def publish_more(
@@ -199,15 +191,15 @@ class Outputs:
         if self._is_due:
             _, twist, wrench = self._messages
             if self._twist.wanted:
-                write_twist(twist, values['frames.package'], prediction)
+                conversions.write_twist(twist, values['frames.package'], prediction)
                 self._twist.publish(twist)
             if self._wrench.wanted:
-                write_wrench(wrench, values['frames.lip'], prediction)
+                conversions.write_wrench(wrench, values['frames.lip'], prediction)
                 self._wrench.publish(wrench)
             if factors and self._safety.wanted:
                 peel, slip = (min(factor, LARGEST_FACTOR) for factor in factors)
-                write_header(self._factors, prediction.stamp_ns, values['frames.lip'])
-                write_vector(self._factors.vector, (peel, slip, min(peel, slip)))
+                conversions.write_header(self._factors, prediction.stamp_ns, values['frames.lip'])
+                conversions.write_vector(self._factors.vector, (peel, slip, min(peel, slip)))
                 self._safety.publish(self._factors)
         if not self._is_late:
             self._publish_continuing(prediction, model, frame_id)
@@ -221,22 +213,23 @@ class Outputs:
             odometry = Odometry()
             known = self._odometry.is_ready and not prediction.flies
             root = self.uncertainty.root(prediction) if known else UNKNOWN_ROOT
-            write_odometry(odometry, frame_id, values['frames.package'], prediction, root)
+            conversions.write_odometry(
+                odometry, frame_id, values['frames.package'], prediction, root)
             self._odometry.publish(odometry)
         if self._deflection.wanted and not prediction.flies:
             lip = geometry.PoseStamped()
-            write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
-            write_vector(lip.pose.position, deflection(model, prediction).shift)
-            write_quaternion(lip.pose.orientation, deflection_rotation(prediction))
+            conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
+            conversions.write_vector(lip.pose.position, deflection(model, prediction).shift)
+            conversions.write_quaternion(lip.pose.orientation, deflection_rotation(prediction))
             self._deflection.publish(lip)
         if self._markers.wanted and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, model, prediction))
         if self._tf and self._tf.wanted:
             (package,) = self._tf_message.transforms
-            write_header(package, stamp_ns, frame_id)
+            conversions.write_header(package, stamp_ns, frame_id)
             package.child_frame_id = values['frames.package']
-            write_vector(package.transform.translation, prediction.position)
-            write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
+            conversions.write_vector(package.transform.translation, prediction.position)
+            conversions.write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
             self._tf.publish(self._tf_message)
 
     def note_unsafe(self) -> None:
@@ -295,8 +288,8 @@ class Picture:
         lip = lip_position(model, prediction)
         R_world_package = rotation_matrix(prediction.quaternion_xyzw)
         tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
-        write_vector(self._box.pose.position, prediction.position)
-        write_quaternion(self._box.pose.orientation, prediction.quaternion_xyzw)
+        conversions.write_vector(self._box.pose.position, prediction.position)
+        conversions.write_quaternion(self._box.pose.orientation, prediction.quaternion_xyzw)
         tool, R_world_tool = prediction.tool[0], rotation_matrix(prediction.tool[1])
         self._cup.points = []
         for place in self._places:
@@ -305,7 +298,7 @@ class Picture:
             self._cup.points += [_point(root), _point(end)]
         self._force.points = [_point(lip), _point(tip)]
         for marker, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
-            write_header(marker, prediction.stamp_ns, frame_id)
+            conversions.write_header(marker, prediction.stamp_ns, frame_id)
             rgba = COASTING if prediction.coasting else colour
             marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
         return self._array
@@ -319,7 +312,7 @@ def gone() -> MarkerArray:
 def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) -> Marker:
     """Return a marker of a kind and size (m)."""
     made = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD)
-    write_vector(made.scale, scale)
+    conversions.write_vector(made.scale, scale)
     made.lifetime.nanosec = 500_000_000
     return made
 

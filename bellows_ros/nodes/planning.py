@@ -36,16 +36,7 @@ from ..core.planning.points import joint_excess, JointPath, Joints, plan_of_join
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
 from ..errors import BellowsError
-from ..files.plan_messages import (
-    decode_multi_dof,
-    encode_multi_dof,
-    encode_path,
-    joint_plan,
-    JointPlan,
-    plan_message,
-    PlanMessage,
-    require_frame,
-)
+from ..files import plan_messages
 
 LONGEST_REQUEST = 10.0
 """How far ahead (s) package/predict_at may ask."""
@@ -189,9 +180,9 @@ class Planning:
 
     # --------------------------------------------------------------- messages
 
-    def _read(self, data: bytes) -> tuple[PlanMessage, ToolRows]:
+    def _read(self, data: bytes) -> tuple[plan_messages.PlanMessage, ToolRows]:
         """Return a plan as received, and checked."""
-        message = decode_multi_dof(data)
+        message = plan_messages.decode_multi_dof(data)
         self.require_frame(message.frame_id)
         plan, tip = rows_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
@@ -203,7 +194,7 @@ class Planning:
 
     def require_frame(self, frame_id: str) -> None:
         """Refuse a plan in another frame than that of the tool's poses."""
-        require_frame(frame_id, self._values)
+        plan_messages.require_frame(frame_id, self._values)
         frame = self._live.frame_id
         if frame and frame_id not in ('', frame):
             raise BellowsError(
@@ -286,11 +277,12 @@ class Planning:
                          self._values['tool_twist.frame'] == 'world')
         times, states = times[:count], states[:count]
         if self._plan_out.wanted:
-            self._plan_out.publish(encode_multi_dof(PlanMessage(
+            self._plan_out.publish(plan_messages.encode_multi_dof(plan_messages.PlanMessage(
                 stamp_ns, frame, (self._values['frames.package'],), times, states[:, :7],
                 states[:, 7:])))
         if self._path_out.wanted:
-            self._path_out.publish(encode_path(stamp_ns, frame, times, states[:, :7]))
+            self._path_out.publish(
+                plan_messages.encode_path(stamp_ns, frame, times, states[:, :7]))
         self._found = run.prediction()
 
     @property
@@ -368,7 +360,7 @@ class Planning:
         except BellowsError as error:
             self.refuse('motion to be steered', error)
             return
-        self._steered.publish(encode_multi_dof(plan_message(
+        self._steered.publish(plan_messages.encode_multi_dof(plan_messages.plan_message(
             from_tip(tool, tip_of(self._values)), message.stamp_ns, message.frame_id, 'tool',
             self._values['tool_twist.frame'])))
 
@@ -415,7 +407,9 @@ class JointPlanning:
         """Keep the arm, which is read when a plan needs it."""
         self._urdf = message.data
 
-    def _read(self, message: JointTrajectory) -> tuple[JointPlan, Joints, Trajectory]:
+    def _read(
+        self, message: JointTrajectory
+    ) -> tuple[plan_messages.JointPlan, Joints, Trajectory]:
         """Return a plan as received, its joints, and the motion of the tool."""
         if not (self._urdf and self._values['tool_link']):
             what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
@@ -424,7 +418,7 @@ class JointPlanning:
                 'and set tool_link to the link at the tool tip.')
         arm: Arm = read_arm(self._urdf, self._values['tool_link']).with_tip(tip_of(self._values))
         self._planning.require_frame(arm.root)
-        plan = joint_plan(message)
+        plan = plan_messages.joint_plan(message)
         columns = arm.columns(plan.names, 'The plan')
         parts = [None if part is None else part[:, columns] for part in plan[4:]]
         tool = plan_of_joints(arm, plan.times_ns, *parts)  # type: ignore[arg-type]

@@ -14,17 +14,10 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File
+from bellows_ros.files import File, trajectory_files
 from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
 from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
-from bellows_ros.files.trajectory_files import (
-    FEWEST_MARKERS,
-    is_motive,
-    read_motive,
-    read_trajectory,
-    write_tum,
-)
 from bellows_ros.workflows.recordings import FULL_RANGE, inside, part_of
 import numpy as np
 
@@ -107,7 +100,8 @@ class Conversion:
 
 
 def bodies_in_files(
-    sources: Sequence[File], names: Sequence[str] = (), fewest_markers: int = FEWEST_MARKERS
+    sources: Sequence[File], names: Sequence[str] = (),
+    fewest_markers: int = trajectory_files.FEWEST_MARKERS,
 ) -> list[Body]:
     """
     Return the bodies in trajectory files.
@@ -317,12 +311,13 @@ def _read(source: Path, fewest_markers: int) -> list[Body]:
     if not os.path.isfile(source):
         raise BellowsError(
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file.")
-    if source.suffix.lower() == '.csv' and is_motive(source):
+    if source.suffix.lower() == '.csv' and trajectory_files.is_motive(source):
         return [Body(
             Recorded(_topic_of(own.name), POSE, own.stamps_ns, own.values, MOTIVE_FRAME),
             f'{source} ({own.name})', {'not tracked': own.missing, 'too few markers': own.unseen})
-            for own in read_motive(source, fewest_markers)]
-    return [Body(Recorded(_topic_of(source.stem), POSE, *read_trajectory(source)), str(source))]
+            for own in trajectory_files.read_motive(source, fewest_markers)]
+    poses = Recorded(_topic_of(source.stem), POSE, *trajectory_files.read_trajectory(source))
+    return [Body(poses, str(source))]
 
 
 def _topic_of(name: str) -> str:
@@ -366,7 +361,7 @@ def to_tum(
     if not isinstance(stream, PoseStream):
         raise BellowsError(f"Topic '{topic}' has no poses.")
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
-    write_tum(out, stream.stamps_ns, values)
+    trajectory_files.write_tum(out, stream.stamps_ns, values)
     left_out = {reason: len(where) for reason, where in stream.refused.items()}
     read = Recorded(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)
     return Conversion(os.fspath(out), (Body(read, os.fspath(bag), left_out),))

@@ -13,36 +13,22 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
+from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.causes import misread
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import with_relaxation
-from bellows_ros.core.identification.methods import (
-    are_differentiable,
-    fit,
-    fitted,
-    with_freed,
-)
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import cup_of, is_gripper
-from bellows_ros.core.model.structure import (
-    fitted_structure,
-    given_structure,
-    structure_of_gripper,
-)
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.identification import (
-    excitation_json,
-    Identification,
-    names_of,
-    selection_json,
-)
+from bellows_ros.workflows import identification
 from bellows_ros.workflows.recordings import (
     Failed,
     FULL_RANGE,
@@ -87,7 +73,7 @@ def identify(
     settings: Mapping[str, object], progress: Progress | None = None,
     parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
     dask: str = '', force: bool = False
-) -> Identification:
+) -> identification.Identification:
     """
     Identify a cup from the recordings that the parameter `bags` names.
 
@@ -119,7 +105,7 @@ def identify(
     """
     tell = progress or (lambda what, part: None)
     values = resolved(settings)
-    fitted_structure(values)
+    structure.fitted_structure(values)
     of_files = tuple({'path': os.fspath(path), 'files': digests(path)} for path in parameter_files)
     static = _static(values, tell)
     effective = {**values, 'cup.length': static.cup_length} if static else values
@@ -128,7 +114,7 @@ def identify(
 
     def read(own: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
         parts, failed = read_all(own, keep=keep, tell=tell, jobs=jobs, dask=dask)
-        differentiable = are_differentiable(parts, own)
+        differentiable = methods.are_differentiable(parts, own)
         return with_relaxation(parts, own) if differentiable else parts, failed
 
     parts, failed = read(effective)
@@ -136,7 +122,7 @@ def identify(
     notes = assumed(settings)
     of_model = set(values['fit.free']) - {'time_offset', 'package_world'}
     if values['fit.method'] == 'output_error' and not (force or static or of_model) and (
-            are_differentiable(parts, values)):
+            methods.are_differentiable(parts, values)):
         tell(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole, effective['cup.length'], effective)
         if early and early.refusals:
@@ -151,7 +137,7 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     values: dict[str, Any] = resolve(settings, required)
     if values['fit.free']:
         values = _with_free(values)
-    given_structure(values)
+    structure.given_structure(values)
     if values['output.report']:
         from bellows_ros.errors import require_pictures
 
@@ -295,7 +281,7 @@ def read_all(
 def _identified(
     values: Mapping[str, Any], effective: Mapping[str, Any], parts: Sequence[Part],
     static: 'StaticResult | None', tell: Progress, read: Read, **more: Any,
-) -> Identification:
+) -> identification.Identification:
     """
     Fit the recordings; return the result.
 
@@ -305,12 +291,13 @@ def _identified(
     """
     tell('fitting', FIT_BEGINS)
     uncertain = static.length if static and values['static.length'] else None
-    result = fit(
+    result = methods.fit(
         parts, effective,
         lambda what, part: tell(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
         static.standstills if static else (), uncertain.length_std if uncertain else 0.0)
     if result.fit.freed and result.fit.converged:
-        values, effective = (with_freed(own, result.fit.freed) for own in (values, effective))
+        values, effective = (
+            methods.with_freed(own, result.fit.freed) for own in (values, effective))
         parts, _ = read(effective)
     whole = tuple(part for part in parts if isinstance(part, Recording))
     tell(CAUSES, FIT_ENDS)
@@ -318,7 +305,7 @@ def _identified(
     verdict = verdict_of(
         result.fit, whole, length, effective,
         [own.label for own in result.excitation.parameters if own.identifiable])
-    found = Identification(
+    found = identification.Identification(
         result.fit, result.excitation, values,
         tuple(reduced(part, effective) for part in parts),
         whole, _consistency(parts, effective, tell),
@@ -343,10 +330,12 @@ def _consistency(
         return None
     from bellows_ros.core.identification.comparison import same_cup
 
-    names = names_of([part.name for part in parts], [part.payload for part in parts])
+    names = identification.names_of(
+        [part.name for part in parts], [part.payload for part in parts])
 
     def alone(part: Part, name: str) -> Fit:
-        return fitted([part], values, lambda what, _: tell(f'{name} alone, {what}', FIT_ENDS))
+        return methods.fitted(
+            [part], values, lambda what, _: tell(f'{name} alone, {what}', FIT_ENDS))
 
     return same_cup([*map(alone, parts, names)], names)
 
@@ -362,7 +351,7 @@ def selection(
     found = select_structure(
         [samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings],
-        structure_of_gripper(values) if is_gripper(values) else None)
+        structure.structure_of_gripper(values) if is_gripper(values) else None)
     if verdict and values['fit.structure'] == found.advised:
         return found.judged(verdict.diagnosis, ())
     own = verdict_of(None, recordings, values['cup.length'],
@@ -370,7 +359,7 @@ def selection(
     return found.judged(own.diagnosis, own.cause) if own else found
 
 
-def _validated(result: Identification, tell: Progress) -> 'list[Replay]':
+def _validated(result: identification.Identification, tell: Progress) -> 'list[Replay]':
     """Return the free simulations of the validation recordings, if the cup is usable."""
     if not (result.fit.usable and result.values['validation.bags']):
         return []
@@ -416,8 +405,8 @@ class StructureAdvice:
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, in SI units."""
         return with_units({
-            'excitation': excitation_json(self.excitation),
-            'structures': selection_json(self.selection),
+            'excitation': identification.excitation_json(self.excitation),
+            'structures': identification.selection_json(self.selection),
             'recordings': self.recordings,
             'warnings': self.warnings,
             'settings': dict(self.values),
@@ -448,7 +437,7 @@ def structures(
     recordings = with_relaxation(read, values)
     relaxation = recordings[0].relaxation
     if any(relaxation.strengths):  # least squares alone is biased by noise
-        better = fit(recordings, {
+        better = methods.fit(recordings, {
             **values, 'fit.method': 'output_error',
             'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}, tell).fit
         if better.converged:

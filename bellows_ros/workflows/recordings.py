@@ -9,12 +9,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.model.cup_package import one_cup_of, package_of
 from bellows_ros.core.model.structure import given_structure
-from bellows_ros.core.parameters.checks import (
-    ESTIMATE,
-    PACKAGE_PARAMETERS,
-    RECORDING_PARAMETERS,
-    require,
-)
+from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.alignment import (
     Alignment,
     closed_form,
@@ -176,7 +171,7 @@ def _prepared(
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
     world, late = values['recording.package_world'], values['fit.time_offset']
-    estimate, marked = world == ESTIMATE, 'package_marker' in values['fit.free']
+    estimate, marked = world == checks.ESTIMATE, 'package_marker' in values['fit.free']
     simulated = values['fit.method'] == 'output_error' and (estimate or late or marked)
     if world == '':
         require_one_frame(tool, package)
@@ -224,14 +219,14 @@ def _first_guess(
 ) -> tuple[Array | None, Alignment | None]:
     """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
     world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
-    pose = pose_of(world) if world not in ('', ESTIMATE) else None
+    pose = pose_of(world) if world not in ('', checks.ESTIMATE) else None
     poses, length = (tool.trajectory(), package.trajectory()), values['cup.length']
-    if simulated and (world == ESTIMATE or marked):
+    if simulated and (world == checks.ESTIMATE or marked):
         from bellows_ros.core.identification.registration import hand_eye  # late: rare
 
         guess, grip = hand_eye(*poses, length, settings.payload.com)
-        return guess if world == ESTIMATE else pose, grip if marked else None
-    if world == ESTIMATE:
+        return guess if world == checks.ESTIMATE else pose, grip if marked else None
+    if world == checks.ESTIMATE:
         origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
         pose = closed_form(*poses, length, origin, settings.align_at_rest)
     return pose, None
@@ -309,10 +304,10 @@ def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Map
         values = {'package.inertia': NO_INERTIA, **values}
     each: list[Mapping[str, Any]] = [
         {**values, **{name: value for name, value in read_parameters(file).items()
-                      if name in PACKAGE_PARAMETERS or name.startswith(OF_A_RECORDING)}}
+                      if name in checks.PACKAGE_PARAMETERS or name.startswith(OF_A_RECORDING)}}
         for file in files] or [values for _ in bags]
     for bag, own in zip(bags, each, strict=True):
-        missing = [name for name in RECORDING_PARAMETERS if name not in own]
+        missing = [name for name in checks.RECORDING_PARAMETERS if name not in own]
         if missing:
             raise BellowsError(
                 f"For '{bag}' these are not set: {', '.join(missing)}. Set them, or name a "
@@ -322,7 +317,7 @@ def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Map
 
 def prepare_settings(values: Mapping[str, Any]) -> PrepareSettings:
     """Return the settings of the preparation, from parameters."""
-    require(values, RECORDING_PARAMETERS)
+    checks.require(values, checks.RECORDING_PARAMETERS)
     return PrepareSettings(
         world=values['recording.world'],
         gravity_direction=values['gravity.direction'],

@@ -7,12 +7,7 @@ import os
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.statics import (
-    check_spring,
-    nominal_length,
-    NominalLength,
-    SpringCheck,
-)
+from bellows_ros.core.identification import statics
 from bellows_ros.core.model.cup_package import Cup, cup_of
 from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
@@ -56,10 +51,10 @@ class StaticResult:
     """
 
     recordings: tuple[Recording, ...]
-    length: NominalLength | None
+    length: statics.NominalLength | None
     no_length: str
     cup_length: float
-    spring: SpringCheck | None = None
+    spring: statics.SpringCheck | None = None
     repeated: int = 0
     instant: float = 1.0
 
@@ -240,7 +235,7 @@ def static_check(
 def with_spring(found: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     """Return the result with a cup's spring checked in every pose, at the length found."""
     cup = Cup(cup.stiffness, cup.damping, found.cup_length)
-    return replace(found, spring=check_spring(cup, found.standstills, gravity))
+    return replace(found, spring=statics.check_spring(cup, found.standstills, gravity))
 
 
 def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) -> StaticResult:
@@ -250,16 +245,15 @@ def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) 
         tell(f'reading {bag}', number / len(each))
         if own['recording.package_world'] == ESTIMATE:
             raise BellowsError(
-                f"'{bag}' has only standstills, which do not give "
-                'recording.package_world. Set its seven numbers: they are in the cup file of an '
-                'identification with a motion.')
+                f"'{bag}' has only standstills, which do not give recording.package_world. Set "
+                'its seven numbers: they are in the cup file of an identification with a motion.')
         found = load(bag, {**own, 'topics.tool_twist': '', 'fit.time_offset': False})
         if not any(_same(found, other) for other in recordings):
             recordings.append(found)
     stills = [still for recording in recordings for still in standstills_in(recording)[0]]
     length, no_length = None, ''
     try:
-        length = nominal_length(stills, values['gravity.magnitude'])
+        length = statics.nominal_length(stills, values['gravity.magnitude'])
     except UndeterminedError as error:
         no_length = str(error)
     return StaticResult(

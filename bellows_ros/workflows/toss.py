@@ -17,13 +17,7 @@ from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of,
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.plan import (
-    bending,
-    MotionSource,
-    plan_with_cup,
-    Source,
-    write_prediction,
-)
+from bellows_ros.workflows import plan
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
@@ -52,7 +46,7 @@ class Share(NamedTuple):
 class TossResult(CommandResult):
     """A toss of a plan, with all that was asked of it."""
 
-    source: Source
+    source: plan.Source
     case: landing.TossProblem
     held: HeldMotion
     toss: Toss
@@ -154,7 +148,7 @@ class TossResult(CommandResult):
                 f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched '
                 f'at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
         held = self.held.times <= self.toss.release_time
-        angle = float(np.max(bending(*(
+        angle = float(np.max(plan.bending(*(
             quaternion_to_rotation(rows[held, 3:7]) for rows in (self.held.tools, self.held.states)
         ))))
         if angle > PEAK_MOMENT_BENDING:
@@ -168,8 +162,7 @@ class TossResult(CommandResult):
             found.append(
                 f'package.mass is {self.case.values["package.mass"]:.3g} kg, but release.* was '
                 f'identified with packages of {lightest:.3g} to {heaviest:.3g} kg: the release is '
-                'extrapolated, and its uncertainty enlarged. Identify it with drops of this '
-                'mass.')
+                'extrapolated, and its uncertainty enlarged. Identify it with drops of this mass.')
         if self.aim is not None and not self.reached:
             turned = ' in this orientation' if self.aim.angle else ''
             found.append(
@@ -199,12 +192,12 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
     stamps_ns = sample_stamps(RATE, result.toss.landing_time, int(result.source.tool.stamps_ns[0]))
     rows, states = result.held.along(
         result.case.release, result.case.switched, (stamps_ns - stamps_ns[0]) / NS_PER_S)
-    write_prediction(
+    plan.write_prediction(
         path, result.source, ToolRows(stamps_ns, rows).trajectory(), states, replace_bag)
 
 
 def toss_plan(
-    path: MotionSource, parameters: Mapping[str, object], switched: float | None,
+    path: plan.MotionSource, parameters: Mapping[str, object], switched: float | None,
     target: tuple[float, float] | None = None, target_rotation: Array | None = None,
     monte_carlo: int = 0, progress: Callable[[str], None] = lambda sentence: None, urdf: str = '',
     topic: str = ''
@@ -244,7 +237,7 @@ def toss_plan(
     if target is None and switched is None:
         raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
     progress('reading the plan')
-    source = plan_with_cup(path, parameters, urdf, topic)
+    source = plan.plan_with_cup(path, parameters, urdf, topic)
     release, gravity = release_of(source.values), source.gravity
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(

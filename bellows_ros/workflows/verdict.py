@@ -5,13 +5,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.causes import (
-    corrected,
-    DOUBTED,
-    finding_sentence,
-    KNOWN_CAUSES,
-    setting_of,
-)
+from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
 from bellows_ros.core.identification.methods import are_differentiable
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
@@ -107,21 +101,21 @@ class FitVerdict(NamedTuple):
         first, *others = self.diagnosis.findings
         others = [*(others if first.is_fact else ()), *self.diagnosis.besides]
         besides = [f'Besides{"" if own.certain else ", likely"}: '
-                   f'{finding_sentence(own, self.given)}' for own in others]
+                   f'{causes.finding_sentence(own, self.given)}' for own in others]
         if self.diagnosis.is_open:
             besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
-            return (finding_sentence(first, self.given), *besides)
+            return (causes.finding_sentence(first, self.given), *besides)
         if self.simulated and all(
                 (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
             return ()
         if first.likely:
-            more = () if besides or first.rest < DOUBTED else (
+            more = () if besides or first.rest < causes.DOUBTED else (
                 f'It leaves {np.sqrt(first.rest):.2g} times what noise and rubber explain: more '
                 'may be wrong.',)
-            return (f'Likely, but not certain: {finding_sentence(first, self.given)}', *besides,
-                    *more)
-        if self.diagnosis.excess < DOUBTED:
+            return (f'Likely, but not certain: {causes.finding_sentence(first, self.given)}',
+                    *besides, *more)
+        if self.diagnosis.excess < causes.DOUBTED:
             return ()
         return ('Noise does not explain the residuals, and no tested cause explains most of '
                 'them: check the list in the JSON file, and the given values.' + (
@@ -143,8 +137,7 @@ class FitVerdict(NamedTuple):
                     f'{own.bag}: the free simulation is off by up to '
                     f'{np.max(own.rms / own.noise):.1f} times the noise, more than the standard '
                     'errors of K and P allow, so model or data are wrong. Check package.mass, '
-                    'package.com, package.inertia and the frames, or '
-                    'use a richer fit.structure.')
+                    'package.com, package.inertia and the frames, or use a richer fit.structure.')
         if self.simulated and not found and self.chi2 is not None and self.chi2 > MISFIT**2:
             found.append(
                 f'What the fit leaves of each pose is {np.sqrt(self.chi2):.1f} times the noise '
@@ -153,7 +146,8 @@ class FitVerdict(NamedTuple):
                 'use a simpler fit.structure.')
         first = self.diagnosis.findings[:1]
         if first and first[0].material:
-            found.append(f'Correct {setting_of(first[0])} as the first line says, and fit again.')
+            found.append(
+                f'Correct {causes.setting_of(first[0])} as the first line says, and fit again.')
         return tuple(found)
 
     def as_json(self) -> dict[str, Any]:
@@ -162,9 +156,10 @@ class FitVerdict(NamedTuple):
             'free_simulations': self.simulated,
             'excess': self.diagnosis.excess,
             'hypotheses': [
-                {**found._asdict(), 'material': found.material, 'setting': setting_of(found),
-                 'sentence': finding_sentence(found, self.given),
-                 'units': dict.fromkeys(('theta', 'std'), KNOWN_CAUSES[found.name].units)}
+                {**found._asdict(), 'material': found.material,
+                 'setting': causes.setting_of(found),
+                 'sentence': causes.finding_sentence(found, self.given),
+                 'units': dict.fromkeys(('theta', 'std'), causes.KNOWN_CAUSES[found.name].units)}
                 for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides)}
 
@@ -200,7 +195,7 @@ def verdict_of(
         not are_differentiable(some, values))
     if fit is not None and slow:
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
-            *(wrong for own in some for wrong in corrected(own)[0]), *fit.causes[:1]),
+            *(wrong for own in some for wrong in causes.corrected(own)[0]), *fit.causes[:1]),
             fit.causes[1:])
     else:
         diagnosis = diagnose(some, length, given_structure(values), known)
