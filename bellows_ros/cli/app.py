@@ -43,8 +43,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         'simulate': 'simulate a recording of a known cup',
         'plot': 'draw recordings, fits and predictions',
         'play': 'play the poses and twists of a recording to ROS',
-        'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or '
-                   'tf',
+        'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or tf',
         'export': 'write a cup for MuJoCo, as SDF, or as C',
         'parameters': 'list all parameters, or write a parameter file to fill in'})
 

@@ -77,12 +77,6 @@ def _numbers(values: Array | tuple[float, ...]) -> str:
     return ' '.join(repr(float(x)) for x in values)
 
 
-def _com(cup: Cup, package: Package) -> Array:
-    """Return the centre of mass seen from the middle of the cup, m."""
-    com: Array = package.com + np.array([0.0, 0.0, -cup.length / 2.0])
-    return com
-
-
 def _inertia(package: Package) -> tuple[float, ...]:
     """Return ixx, iyy, izz, ixy, ixz, iyz."""
     tensor = package.inertia
@@ -134,7 +128,8 @@ def _filled(name: str, exported: Exported, **parts: str) -> str:
     """Return a template with cup, package and other parts in it."""
     cup, package, *_ = exported
     return Path(__file__).with_name(name).read_text().format(
-        middle=repr(-cup.length / 2.0), com=_numbers(_com(cup, package)),
+        middle=repr(-cup.length / 2.0), com=_numbers(
+            package.com + [0.0, 0.0, -cup.length / 2.0]),
         mass=repr(package.mass), **parts)
 
 

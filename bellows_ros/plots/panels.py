@@ -202,8 +202,7 @@ def six_pairs(
 def broken(values: Array, valid: Mask) -> Array:
     """Return values with NaN where invalid, so that lines are interrupted."""
     shape = (len(values),) + (1,) * (values.ndim - 1)
-    result: Array = np.where(valid.reshape(shape), values, np.nan)
-    return result
+    return np.asarray(np.where(valid.reshape(shape), values, np.nan))
 
 
 RINGS, SIDES = 25, 13  # of the drawn cup; the last point of a ring is its first one again
@@ -219,8 +218,7 @@ BOX_FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4
 def box_corners(centre: Array, R: Array, size: Array) -> Array:
     """Return the corners (8, 3) of a box in the world, m, counted in binary: x, y, z."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    corners: Array = centre + (0.5 * signs * size) @ R.T
-    return corners
+    return np.asarray(centre + (0.5 * signs * size) @ R.T)
 
 
 def bellows_rings(top_o: Array, top_R: Array, lip_o: Array, lip_R: Array) -> Array:

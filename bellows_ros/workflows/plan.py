@@ -325,8 +325,7 @@ def _deviations(
     _, parts = contributions(values, model, compute)
     if not len(parts):
         return 0.0 * compute(model)
-    std: Array = np.sqrt(np.sum(parts ** 2, axis=0))
-    return std
+    return np.asarray(np.sqrt(np.sum(parts ** 2, axis=0)))
 
 
 def bending(R_world_tool: Array, R_world_lip: Array) -> Array:

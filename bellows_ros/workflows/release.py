@@ -156,7 +156,6 @@ def _valves(bag: str, values: Mapping[str, Any]) -> list[int]:
         if (on := decode_bool(data)) is not None) if topic else []
     if not said:
         raise NoTopicError(
-            f"'{bag}' has no std_msgs/Bool on '{topic}', so that nothing is "
-            'known of when the valve was switched. Record it (false for off), or name its topic '
-            'with topics.valve.')
+            f"'{bag}' has no std_msgs/Bool on '{topic}', so that nothing is known of when the "
+            'valve was switched. Record it (false for off), or name its topic with topics.valve.')
     return [log_ns for k, (log_ns, on) in enumerate(said) if not on and (not k or said[k - 1][1])]

@@ -152,8 +152,7 @@ def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None
     stamps = np.unique(np.linspace(first, last, SAMPLES).astype(np.int64))
     stamps = stamps[(stamps >= first) & (stamps <= last)]
     ends = [resample(stream.trajectory(), stamps).position for stream in (package, tool)]
-    result: Array = ends[0] - ends[1]
-    return result
+    return np.asarray(ends[0] - ends[1])
 
 
 def _hanging(apart: Array) -> tuple[str, bool]:

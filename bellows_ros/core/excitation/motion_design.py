@@ -259,15 +259,11 @@ class MotionObjective:
         flat = y.transpose(1, 2, 0, 3).reshape(self._models, y.shape[2], -1)
         M = self._constant + 0.5 * self._poses * np.real(flat.conj() @ np.swapaxes(flat, 1, 2))
         M = M + PRIOR * np.eye(M.shape[1])
-        value, by_M = self._criterion(M)
+        value, by_M = float(np.mean(np.linalg.slogdet(M)[1])), np.linalg.inv(M) / len(M)
         weighted = (by_M @ flat).reshape(self._models, -1, len(lines), 6)
         weighted_gradient = weighted.transpose(2, 0, 1, 3).reshape(len(lines), -1, 1)
         slope = (np.swapaxes(self._changes, 1, 2) @ weighted_gradient.conj())[:, :, 0].conj()
         return value, self._poses * slope
-
-    def _criterion(self, M: Array) -> tuple[float, Array]:
-        """Return the mean log determinant of information matrices, and its slope."""
-        return float(np.mean(np.linalg.slogdet(M)[1])), np.linalg.inv(M) / len(M)
 
 
 class Design(NamedTuple):

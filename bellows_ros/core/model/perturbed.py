@@ -59,8 +59,7 @@ def capped_std(std: Array, diagonal: ArrayLike) -> Array:
     more than entries as large as the roots of their two diagonal ones.
     """
     root = np.sqrt(diagonal)
-    smaller: Array = np.minimum(std, np.outer(root, root))
-    return smaller
+    return np.asarray(np.minimum(std, np.outer(root, root)))
 
 
 def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> ModelTuple:

@@ -271,16 +271,10 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
     'package.inertia': lambda p, value: structure.check_inertia(structure.inertia_matrix(value)),
     'cup.stiffness': lambda p, value: structure.require_stiffness(structure.matrix(value), p.name),
     'cup.damping': lambda p, value: structure.require_damping(structure.matrix(value), p.name),
-    'cup.layout': lambda p, value: _require_layout(value),
+    'cup.layout': lambda p, value: structure.positions_of(value),
     'gravity.direction': lambda p, value: require_direction(value),
     'release.correlation': lambda p, value: require_correlation(value),
     'release.mass_range': lambda p, value: _require_mass_range(value)}
-
-
-def _require_layout(numbers: Sequence[float]) -> None:
-    """Raise BellowsError for numbers that are not the places of the cups of a gripper."""
-    if numbers != (0.0, 0.0, 0.0):  # those of a single cup
-        structure.positions_of(numbers)
 
 
 def require_correlation(numbers: Sequence[float]) -> None:
@@ -323,11 +317,6 @@ LARGEST = 1e15
 """Bound of all numbers, which few come near: no square or product of some overflows."""
 
 
-def _nowhere(_: Sequence[str]) -> str:
-    """Return that nothing is known of where a setting stands."""
-    return ''
-
-
 class Settings:
     """
     One block of settings.
@@ -352,7 +341,7 @@ class Settings:
     def __init__(self, values: object, path: str = '', where: Where | None = None) -> None:
         """Check that it is a block."""
         self.path = path
-        self._where: Where = getattr(values, 'where', where or _nowhere)
+        self._where: Where = getattr(values, 'where', where or (lambda names: ''))
         values = {} if values is None else values
         if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
             what = f"Setting '{path}'" if path else 'The file'

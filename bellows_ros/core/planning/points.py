@@ -271,9 +271,8 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
         i = int(np.argmax(steps <= 0))
         t = (stamps_ns[i:i + 2] - stamps_ns[0]) / NS_PER_S
         raise BellowsError(
-            f'{name}: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one at '
-            f'{t[0]:.6f} s; expected times that increase. Sort the points, and leave repeated '
-            'ones out.')
+            f'{name}: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one at {t[0]:.6f} '
+            's; expected times that increase. Sort the points, and leave repeated ones out.')
     seconds = float(stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
     if seconds > LONGEST:
         raise BellowsError(

@@ -305,11 +305,10 @@ def stream_warnings(
     """Return what the user should know about the poses of one topic, before or after a fit."""
     name = recorded.name
     found = [
-        f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} "
-        f'mrad {(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s '
-        'after its start and does not return, '
-        'so all later poses are offset from the earlier ones. Use the recording up to there, or '
-        'from there on.'
+        f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
+        f'{(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s after its '
+        'start and does not return, so all later poses are offset from the earlier ones. Use the '
+        'recording up to there, or from there on.'
         for step in outliers.steps if not _is_of_jitter(recorded, time, step)]
     good = recorded.position[outliers.good]
     way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0

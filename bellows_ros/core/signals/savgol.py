@@ -65,10 +65,9 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
             f'The half window of a filter must be at least 1 sample, not {half_window}.')
     if not LOWEST_ORDER <= order <= 2 * half_window:
         raise BellowsError(
-            f'The order of a filter with half window {half_window} must be from '
-            f'{LOWEST_ORDER} (accelerations need a second derivative) to {2 * half_window} '
-            f'(a window has {2 * half_window + 1} samples), not {order}. '
-            'Change the order or the half window.')
+            f'The order of a filter with half window {half_window} must be from {LOWEST_ORDER} '
+            f'(accelerations need a second derivative) to {2 * half_window} (a window has '
+            f'{2 * half_window + 1} samples), not {order}. Change the order or the half window.')
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise BellowsError(f'The rate of a filter must be positive, in Hz, not {rate_hz}.')
     # Time in half windows keeps the powers within -1..1, so the least-squares problem is well
