@@ -28,24 +28,23 @@ from bellows_ros.core import configure_process
 from . import options
 from .console import Console, EXIT_CODES, run_guarded, USER_ERROR
 
-COMMANDS: Mapping[str, str] = MappingProxyType(
-    {
-        'info': 'list the topics of a recording, and guess which is the tool',
-        'identify': "identify a cup's stiffness and damping from recordings",
-        'structures': 'report what is identifiable from recordings, and recommend a structure',
-        'static': "find the cup's nominal length from standstills, and check its spring alone",
-        'replay': 'predict a recording with a cup, and report how well it does',
-        'compare': 'report what differs between two fits, and whether it matters',
-        'plan': 'predict what a planned motion does to the package, and if it holds',
-        'steer': 'change a planned motion so that the package does not swing',
-        'toss': 'predict where a tossed package lands, and what limits the accuracy',
-        'excite': 'design a motion that identifies a cup best',
-        'simulate': 'simulate a recording of a known cup',
-        'plot': 'draw recordings, fits and predictions',
-        'play': 'play the poses and twists of a recording to ROS',
-        'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or tf',
-        'export': 'write a cup for MuJoCo, as SDF, or as C',
-        'parameters': 'list all parameters, or write a parameter file to fill in'})
+COMMANDS: Mapping[str, str] = MappingProxyType({
+    'info': 'list the topics of a recording, and guess which is the tool',
+    'identify': "identify a cup's stiffness and damping from recordings",
+    'structures': 'report what is identifiable from recordings, and recommend a structure',
+    'static': "find the cup's nominal length from standstills, and check its spring alone",
+    'replay': 'predict a recording with a cup, and report how well it does',
+    'compare': 'report what differs between two fits, and whether it matters',
+    'plan': 'predict what a planned motion does to the package, and if it holds',
+    'steer': 'change a planned motion so that the package does not swing',
+    'toss': 'predict where a tossed package lands, and what limits the accuracy',
+    'excite': 'design a motion that identifies a cup best',
+    'simulate': 'simulate a recording of a known cup',
+    'plot': 'draw recordings, fits and predictions',
+    'play': 'play the poses and twists of a recording to ROS',
+    'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or tf',
+    'export': 'write a cup for MuJoCo, as SDF, or as C',
+    'parameters': 'list all parameters, or write a parameter file to fill in'})
 
 DESCRIPTION = (
     'Identify bellows suction cups from recordings (rosbag2), and predict the motion of the '

@@ -128,8 +128,7 @@ def _filled(name: str, exported: Exported, **parts: str) -> str:
     """Return a template with cup, package and other parts in it."""
     cup, package, *_ = exported
     return Path(__file__).with_name(name).read_text().format(
-        middle=repr(-cup.length / 2.0), com=_numbers(
-            package.com + [0.0, 0.0, -cup.length / 2.0]),
+        middle=repr(-cup.length / 2.0), com=_numbers(package.com + [0.0, 0.0, -cup.length / 2.0]),
         mass=repr(package.mass), **parts)
 
 

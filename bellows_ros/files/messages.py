@@ -261,12 +261,11 @@ def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
     doubles_at = _doubles_at(head)
     if not 0 <= size - doubles_at - 8 * layout.doubles <= _LARGEST_PADDING:
         return None
-    return np.dtype(
-        {
-            'names': ['sec', 'nanosec', 'doubles'],
-            'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
-            'offsets': [_STAMP_AT, _STAMP_AT + 4, doubles_at],
-            'itemsize': size})
+    return np.dtype({
+        'names': ['sec', 'nanosec', 'doubles'],
+        'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
+        'offsets': [_STAMP_AT, _STAMP_AT + 4, doubles_at],
+        'itemsize': size})
 
 
 def _doubles_at(head: bytes) -> int:
@@ -334,18 +333,17 @@ NOT_UNIT_ABOVE = 0.01
 # No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
 LARGEST_VALUE = 1e6
 
-REASONS: Mapping[str, str] = MappingProxyType(
-    {
-        'malformed': 'could not be decoded',
-        'zero_stamp': 'have no stamp',
-        'nan': 'hold NaN or infinity',
-        'out_of_range': f'hold a number above {LARGEST_VALUE:g}',
-        'zero_quaternion': 'have a quaternion of zero',
-        'not_unit': f'have a quaternion whose norm is off by more than {NOT_UNIT_ABOVE:.0%}',
-        'frame_id': 'name another frame than most',
-        'duplicate_stamp': 'repeat the stamp before',
-        'backward_stamp': 'have a stamp before an earlier one',
-        'future_stamp': 'have a stamp ahead of its time'})
+REASONS: Mapping[str, str] = MappingProxyType({
+    'malformed': 'could not be decoded',
+    'zero_stamp': 'have no stamp',
+    'nan': 'hold NaN or infinity',
+    'out_of_range': f'hold a number above {LARGEST_VALUE:g}',
+    'zero_quaternion': 'have a quaternion of zero',
+    'not_unit': f'have a quaternion whose norm is off by more than {NOT_UNIT_ABOVE:.0%}',
+    'frame_id': 'name another frame than most',
+    'duplicate_stamp': 'repeat the stamp before',
+    'backward_stamp': 'have a stamp before an earlier one',
+    'future_stamp': 'have a stamp ahead of its time'})
 
 _ROTATIONS_AT_ONCE = 65536
 

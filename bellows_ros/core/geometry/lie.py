@@ -342,12 +342,11 @@ def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
     p, q = _array(p, 4), _array(q, 4)
     px, py, pz, pw = (p[..., i] for i in range(4))
     qx, qy, qz, qw = (q[..., i] for i in range(4))
-    product = np.stack(
-        [
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy + py * qw + pz * qx - px * qz,
-            pw * qz + pz * qw + px * qy - py * qx,
-            pw * qw - px * qx - py * qy - pz * qz])
+    product = np.stack([
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy + py * qw + pz * qx - px * qz,
+        pw * qz + pz * qw + px * qy - py * qx,
+        pw * qw - px * qx - py * qy - pz * qz])
     return np.moveaxis(product, 0, -1)
 
 

@@ -251,11 +251,10 @@ class Structure:
 
     def parameters(self, stiffness: Array, damping: Array) -> Array:
         """Return the parameters x (2 n,) nearest to K and P: the mean of tied entries."""
-        return np.array(
-            [
-                np.mean([sign * matrix[row, column] for row, column, sign in entries])
-                for matrix in (stiffness, damping)
-                for entries in self.entries])
+        return np.array([
+            np.mean([sign * matrix[row, column] for row, column, sign in entries])
+            for matrix in (stiffness, damping)
+            for entries in self.entries])
 
     def within(self, other: 'Structure') -> Array:
         """Return T (2 m, 2 n) with which the model of x is that of parameters T x of another."""

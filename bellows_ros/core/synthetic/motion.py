@@ -400,10 +400,9 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
 
 def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
     """Return axis, amplitude and first and last frequency of the components of a chirp."""
-    amplitude = np.concatenate(
-        [
-            settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
-            settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])
+    amplitude = np.concatenate([
+        settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
+        settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])
     ends = [
         settings.number(name, unit='Hz', minimum=0.0, maximum=LARGEST_FREQUENCY)
         for name in ('from', 'to')]
