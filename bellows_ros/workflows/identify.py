@@ -23,7 +23,6 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import cup_of, is_gripper
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
-from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import digests
@@ -192,9 +191,9 @@ def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
     if 'cup.length' in settings or settings.get('static.length'):
         return ()
     return (
-        f"cup.length is not set: using the thesis's {THESIS_LENGTH:g} m, on which K and P "
-        'depend. Measure yours from the tool tip to the lip, under vacuum and without load.',
-    )
+        f"cup.length is not set: using the thesis's {structure.THESIS_LENGTH:g} m, on which K "
+        'and P depend. Measure yours from the tool tip to the lip, under vacuum and without '
+        'load.',)
 
 
 def _static(values: Mapping[str, Any], tell: Progress) -> 'StaticResult | None':

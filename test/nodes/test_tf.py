@@ -3,7 +3,7 @@
 import importlib.util
 import sys
 
-from bellows_ros.core.parameters.table import THESIS_LENGTH
+from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.errors import BellowsError
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose

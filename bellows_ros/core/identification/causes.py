@@ -19,6 +19,7 @@ from bellows_ros.core.geometry.lie import (
 )
 from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters.checks import (
     ESTIMATE,
     GYRATION,
@@ -26,7 +27,6 @@ from bellows_ros.core.parameters.checks import (
     LARGEST_MASS,
     unit_of_inertia,
 )
-from bellows_ros.core.parameters.table import THESIS_LENGTH
 from bellows_ros.core.recording.alignment import (
     ALIKE,
     closed_form,

@@ -18,8 +18,7 @@ from bellows_ros.core.identification.equations import IN_NULL_SPACE, LipMotion, 
 from bellows_ros.core.identification.reduction import draws
 from bellows_ros.core.identification.samples import lip_relative, Samples, samples_of
 from bellows_ros.core.identification.variations import Block, Given, time_offset
-from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.parameters.table import THESIS_DAMPING, THESIS_STIFFNESS
+from bellows_ros.core.model.structure import Structure, THESIS_DAMPING, THESIS_STIFFNESS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import displaced, filtered, weights
 from bellows_ros.core.signals.trajectory import NS_PER_S

@@ -9,17 +9,8 @@ from typing import Any
 
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model import kernels
+from bellows_ros.core.model import kernels, structure
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple, Strains
-from bellows_ros.core.model.structure import (
-    check_inertia,
-    composed,
-    inertia_matrix,
-    matrix,
-    places_of,
-    RELAXATION_TIMES,
-    require_symmetric,
-)
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,13 +69,13 @@ class Cup:
     damping: Array
     length: float
     relaxation: tuple[float, float] = (0.0, 0.0)
-    relaxation_times: tuple[float, float] = RELAXATION_TIMES
+    relaxation_times: tuple[float, float] = structure.RELAXATION_TIMES
 
     def __post_init__(self) -> None:
         """Check and freeze."""
         for name in ('stiffness', 'damping'):
             matrix = _frozen(getattr(self, name), (6, 6), name)
-            require_symmetric(matrix, f'The {name}')
+            structure.require_symmetric(matrix, f'The {name}')
             object.__setattr__(self, name, matrix)
         if not (np.isfinite(self.length) and self.length > 0.0):
             raise BellowsError(f'The cup length must be above 0 m, got {self.length}.')
@@ -96,16 +87,14 @@ class Cup:
         if len(tau) != 2 or not 0.0 < tau[0] < tau[1] < np.inf:
             raise BellowsError(
                 'cup.relaxation_times must be two times above 0 s, the shorter one first, got '
-                f'{list(tau)}. Leave them at {list(RELAXATION_TIMES)}: cup.relaxation is '
-                'identified with these.')
+                f'{list(tau)}. Leave them at {list(structure.RELAXATION_TIMES)}: cup.relaxation '
+                'is identified with these.')
 
     @classmethod
     def thesis(cls) -> Cup:
         """Return the cup identified in the thesis: K (4.78), P (4.79), l0 of section 4.2."""
-        return cls(
-            stiffness=np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123]),
-            damping=np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]),
-            length=0.0481)
+        return cls(np.diag(structure.THESIS_STIFFNESS), np.diag(structure.THESIS_DAMPING),
+                   structure.THESIS_LENGTH)
 
     @cached_property
     def as_tuple(self) -> CupTuple:
@@ -155,7 +144,7 @@ class Package:
         object.__setattr__(self, 'com', _frozen(self.com, (3,), 'package centre of mass'))
         if not (np.isfinite(self.mass) and self.mass > 0.0):
             raise BellowsError(f'The package mass must be above 0 kg, got {self.mass}.')
-        check_inertia(self.inertia)
+        structure.check_inertia(self.inertia)
 
     @cached_property
     def as_tuple(self) -> PackageTuple:
@@ -177,24 +166,24 @@ def cup_of(values: Mapping[str, Any]) -> Cup:
     """Return the cup that parameter values describe (see `parameters`), composed of several."""
     if not is_gripper(values):
         return one_cup_of(values)
-    return gripper_of(one_cup_of(values), places_of(values))
+    return gripper_of(one_cup_of(values), structure.places_of(values))
 
 
 def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     """Return the cup that moves a package as equal ones at places (n, 4) do; without, the one."""
     if not len(places):
         return one
-    K, P = (composed(each, np.asarray(places)) for each in (one.stiffness, one.damping))
+    K, P = (structure.composed(each, np.asarray(places)) for each in (one.stiffness, one.damping))
     return replace(one, stiffness=K, damping=P)
 
 
 def one_cup_of(values: Mapping[str, Any]) -> Cup:
     """Return the cup that parameter values describe, whatever cup.layout is."""
     return Cup(
-        matrix(values['cup.stiffness']), matrix(values['cup.damping']),
+        structure.matrix(values['cup.stiffness']), structure.matrix(values['cup.damping']),
         length=values['cup.length'],
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
-        relaxation_times=values.get('cup.relaxation_times', RELAXATION_TIMES))
+        relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES))
 
 
 def varied(
@@ -219,7 +208,7 @@ def package_of(values: Mapping[str, Any]) -> Package:
     """Return the package that parameter values describe (see `parameters`)."""
     return Package(
         mass=values['package.mass'],
-        inertia=inertia_matrix(values['package.inertia']),
+        inertia=structure.inertia_matrix(values['package.inertia']),
         com=values['package.com'])
 
 

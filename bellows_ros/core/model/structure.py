@@ -24,6 +24,11 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
+THESIS_STIFFNESS = (6417.0, 6417.0, 1.153e4, 3.868, 3.868, 1.123)
+THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
+THESIS_LENGTH = 0.0481
+"""Diagonals of (4.78), N/m and N m/rad, and (4.79), N s/m and N m s/rad; l0 of chapter 3, m."""
+
 CENTRE = (0.0, 0.0, 0.0)
 """The layout of a single cup."""
 

@@ -14,20 +14,11 @@ import tomllib
 from types import MappingProxyType
 from typing import Any, Literal
 
-from bellows_ros.core.model.structure import (
-    RELAXATION_TIMES,
-    structure_named,
-    STRUCTURE_NAMES,
-)
+from bellows_ros.core.model import structure
 from bellows_ros.errors import BellowsError
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
-
-# Diagonals of (4.78), N/m and N m/rad, and (4.79), N s/m and N m s/rad; l0 of chapter 3, m.
-THESIS_STIFFNESS = (6417.0, 6417.0, 1.153e4, 3.868, 3.868, 1.123)
-THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
-THESIS_LENGTH = 0.0481
 
 # Other names of some parameters, and the similarity at which a name is recognised.
 OTHER_WORDS = MappingProxyType({
@@ -153,14 +144,16 @@ def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:
 FILE = Path(__file__).with_name('table.toml')
 
 _COMPUTED: Mapping[str, Mapping[str, Any]] = {
-    'cup.length': {'default': THESIS_LENGTH},
-    'cup.stiffness': {'default': _diagonal(THESIS_STIFFNESS)},
-    'cup.damping': {'default': _diagonal(THESIS_DAMPING)},
-    'cup.relaxation_times': {'default': RELAXATION_TIMES},
+    'cup.length': {'default': structure.THESIS_LENGTH},
+    'cup.stiffness': {'default': _diagonal(structure.THESIS_STIFFNESS)},
+    'cup.damping': {'default': _diagonal(structure.THESIS_DAMPING)},
+    'cup.relaxation_times': {'default': structure.RELAXATION_TIMES},
     'release.correlation': {'default': _diagonal((1.0,) * 8)},
-    'fit.structure': {'choices': STRUCTURE_NAMES, 'description': 'Form of K and P: ' + '; '.join(
-        f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
-        for s in map(structure_named, STRUCTURE_NAMES)) + '.'}}
+    'fit.structure': {
+        'choices': structure.STRUCTURE_NAMES,
+        'description': 'Form of K and P: ' + '; '.join(
+            f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
+            for s in map(structure.structure_named, structure.STRUCTURE_NAMES)) + '.'}}
 """What the file leaves out."""
 
 
