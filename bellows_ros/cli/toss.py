@@ -118,9 +118,9 @@ def _print_result(result: 'TossResult', console: Console) -> None:
         counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
         from bellows_ros.core.toss.landing import coverage
 
-        inside = 100.0 * coverage(result.covariance, result.drawn.figures)
+        inside = 100.0 * coverage(result.covariance, result.drawn.errors)
         console.line(
-            f'  drawn     {len(result.drawn.figures)} tosses: x {counted[0]:.1f} mm, y '
+            f'  drawn     {len(result.drawn.errors)} tosses: x {counted[0]:.1f} mm, y '
             f'{counted[1]:.1f} mm; {inside:.1f} % in the 95 % ellipse; {result.drawn.failed} '
             'failed')
     console.line()

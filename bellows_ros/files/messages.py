@@ -132,7 +132,7 @@ def decode(
     values = np.zeros((count, part.stop - part.start))
     frame = np.full(count, -1, dtype=np.int64)
     numbers = {} if numbers is None else numbers
-    for head, names, index, raw in _alike(batch, layout.strings):
+    for head, names, index, raw in _by_layout(batch, layout.strings):
         dtype = _dtype(head, raw.shape[1], layout)
         if dtype is None:
             continue
@@ -144,7 +144,7 @@ def decode(
     return Decoded(stamps_ns, values, frame, list(numbers), np.maximum(batch.log_times_ns, 0))
 
 
-def _alike(
+def _by_layout(
     batch: Batch, strings: int
 ) -> Iterator[tuple[bytes, tuple[str, ...], Indices, np.ndarray]]:
     """

@@ -352,7 +352,7 @@ def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:
         panel.plot(*(scale * ring + about).T, color=colours.error, linewidth=1.4,
                    label='95 % ellipse')
         if result.drawn is not None:
-            panel.plot(*(scale * result.drawn.figures[:, :2] + about).T, '.', markersize=2.0,
+            panel.plot(*(scale * result.drawn.errors[:, :2] + about).T, '.', markersize=2.0,
                        color=colours.error, alpha=0.5, label='drawn tosses')
     if result.target is not None:
         for panel, about, scale in ((above, np.zeros(2), 1.0), (close, centre, 1e3)):

@@ -277,7 +277,7 @@ def prediction_figure(
             ('predicted minus measured', colours.error, 1.0)))
         scores = comparison.scores
         titles = [
-            f'error RMS {figures(rms)} {unit}, largest {figures(largest)} {unit}, '
+            f'error RMS {two_figures(rms)} {unit}, largest {two_figures(largest)} {unit}, '
             f'{percent(nrmse)} of the motion' for rms, largest, nrmse, unit in zip(
                 panels.MILLI * scores.rms, panels.MILLI * scores.largest, scores.nrmse,
                 MILLI_UNITS, strict=True)]
@@ -351,14 +351,14 @@ def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
     ), 'lag (samples)', ('1',) * 6)
 
 
-def figures(value: float) -> str:
+def two_figures(value: float) -> str:
     """Return a number with two figures."""
     return f'{value:#.2g}'.removesuffix('.')
 
 
 def percent(ratio: float) -> str:
     """Return a ratio in percent with two figures, or a dash if nothing moved."""
-    return f'{figures(100.0 * ratio)} %' if np.isfinite(ratio) else '-'
+    return f'{two_figures(100.0 * ratio)} %' if np.isfinite(ratio) else '-'
 
 
 def with_gaps(seconds: Array, values: Array) -> Array:

@@ -57,7 +57,7 @@ FREED = {
     'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
 """Parameter and unit of each name in fit.free."""
 
-SHOWN = 6
+MOST_NAMED = 6
 """Most parameters named in a sentence."""
 
 
@@ -286,7 +286,7 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
     found, static = result.fit.standstills, result.static
     if found is None or static is None:
         return
-    best = sorted(zip(found.narrowed.tolist(), result.fit.labels, strict=True))[:SHOWN]
+    best = sorted(zip(found.narrowed.tolist(), result.fit.labels, strict=True))[:MOST_NAMED]
     parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in best if ratio < NARROWED]
     narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}' if parts
                 else 'they change no standard error')

@@ -119,9 +119,9 @@ class TossResult(CommandResult):
                           'distance_as_asked': 'm'}}
         if self.drawn is not None:
             content['monte_carlo'] = {
-                'count': len(self.drawn.figures), 'failed': self.drawn.failed,
+                'count': len(self.drawn.errors), 'failed': self.drawn.failed,
                 'covariance': self.drawn.covariance.tolist(),
-                'part_in_ellipse': landing.coverage(self.covariance, self.drawn.figures)}
+                'part_in_ellipse': landing.coverage(self.covariance, self.drawn.errors)}
         return with_units(content)
 
     @property

@@ -22,8 +22,8 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.release import (
     changed_law,
     Factor,
-    figures,
     HeldMotion,
+    landing_error,
     Law,
     LAW_STEP,
     Release,
@@ -64,7 +64,7 @@ class Contributions(NamedTuple):
 
     @property
     def covariance(self) -> Array:
-        """Of the six figures (6, 6)."""
+        """Of `landing_error` (6, 6)."""
         return np.asarray(self.parts.T @ self.correlation @ self.parts)
 
     def of(self, prefix: str) -> tuple[Array, Array]:
@@ -89,9 +89,9 @@ class TossProblem(NamedTuple):
         """Return the toss with another model and release, up to a time (s)."""
         return toss(HeldMotion(model, self.grip, self.tool, until=until), release, self.switched)
 
-    def figures(self, found: Toss, nominal: Toss) -> Array:
-        """Return the six figures of a landing, from a nominal one."""
-        return np.concatenate(figures(found.landing, nominal.landing, self.model[2]))
+    def error(self, found: Toss, nominal: Toss) -> Array:
+        """Return by how much a landing differs from a nominal one (6,), m and rad."""
+        return np.concatenate(landing_error(found.landing, nominal.landing, self.model[2]))
 
 
 def changed(release: Release, by: Array) -> Release:
@@ -139,7 +139,7 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
 def contributions_to(case: TossProblem, held: HeldMotion, nominal: Toss) -> Contributions:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
     until = nominal.release_time + MARGIN
-    names, parts = perturbed.contributions(case.values, case.model, lambda model: case.figures(
+    names, parts = perturbed.contributions(case.values, case.model, lambda model: case.error(
         case.with_numbers(model, case.release, until), nominal))
     std, rows = [perturbed.deviations_of(case.values)[perturbed.NAMES.index(n)] for n in names], []
     factor, of_cup = release_factor(case.values), len(names)
@@ -147,7 +147,7 @@ def contributions_to(case: TossProblem, held: HeldMotion, nominal: Toss) -> Cont
             RELEASE_NAMES, np.linalg.norm(factor, axis=1), np.eye(8), strict=True):
         if sigma > 0.0:
             up, down = (
-                case.figures(
+                case.error(
                     toss(held, changed(case.release, side * sigma * unit), case.switched), nominal)
                 for side in (LAW_STEP, -LAW_STEP))
             names.append(name)
@@ -164,15 +164,15 @@ def contributions_to(case: TossProblem, held: HeldMotion, nominal: Toss) -> Cont
 class MonteCarlo(NamedTuple):
     """Landings with all uncertain numbers drawn."""
 
-    figures: Array
+    errors: Array
     """(N, 6), of the tosses that succeed."""
     failed: int
     """Number of tosses in which the cup does not hold, or does not let go."""
 
     @property
     def covariance(self) -> Array:
-        """Of the six figures (6, 6)."""
-        return np.cov(self.figures.T)
+        """Of `landing_error` (6, 6)."""
+        return np.cov(self.errors.T)
 
 
 def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
@@ -190,7 +190,7 @@ def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCa
         except (NoLandingError, UnstableError):
             failed += 1
         else:
-            rows.append(case.figures(found, nominal))
+            rows.append(case.error(found, nominal))
     return MonteCarlo(np.array(rows).reshape(-1, 6), failed)
 
 

@@ -323,7 +323,7 @@ def toss_along(
 
 
 @kernel
-def figures(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vector]:
+def landing_error(landed: State, nominal: State, gravity: Vector) -> tuple[Vector, Vector]:
     """
     Return by how much a landing differs from a nominal one.
 
@@ -373,10 +373,10 @@ def toss_with_covariance(
     """
     Write the covariance (6, 6) of a landing; return if it is known, and `toss_along` from 0.
 
-    It is that of the `figures`: with their derivatives `by` (6, 20) from the covariance `of_state`
-    (12, 12) of the package's shift, turn and twist, in its own axes, and from the law of release,
-    changed by each column of the factor of its covariance. The derivatives from the first to
-    before the last are renewed.
+    It is that of the `landing_error`: with its derivatives `by` (6, 20) from the covariance
+    `of_state` (12, 12) of the package's shift, turn and twist, in its own axes, and from the law
+    of release, changed by each column of the factor of its covariance. The derivatives from the
+    first to before the last are renewed.
     """
     nominal = -1.0, body, -1.0, body
     for i in range(first - 1, last):
@@ -397,7 +397,7 @@ def toss_with_covariance(
         if j < 0:
             nominal = found
         else:
-            shift, turn = figures(found[3], nominal[3], model[2])
+            shift, turn = landing_error(found[3], nominal[3], model[2])
             for k in range(3):
                 by[k, j], by[k + 3, j] = shift[k] / size, turn[k] / size
     return write_covariance(of_state, by, covariance), nominal

@@ -11,8 +11,8 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.landing import changed, release_factor
 from bellows_ros.core.toss.release import (
     DIFFERENCE_STEPS,
-    figures,
     HeldMotion,
+    landing_error,
     release_of,
     toss,
     toss_along,
@@ -89,7 +89,7 @@ def worked_out(flight, now, std):
         by_state = (tuple(part.tolist()) for part in np.split(size * push[:12], 4))
         found = landing(moved(now.body, *by_state),
                         changed(release, release_factor(VALUES) @ (size * push[12:])))
-        by.append(np.concatenate(figures(found, nominal, MODEL[2])) / size)
+        by.append(np.concatenate(landing_error(found, nominal, MODEL[2])) / size)
     J = np.transpose(by) * np.append(std, np.ones(8))
     return np.concatenate(nominal), J @ J.T
 

@@ -43,7 +43,7 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, i
     covariance = landing.contributions_to(case, held, nominal).covariance
     drawn = landing.draw(case, nominal, count)
     assert drawn.failed == 0
-    assert abs(landing.coverage(covariance, drawn.figures) - 0.95) <= inside
+    assert abs(landing.coverage(covariance, drawn.errors) - 0.95) <= inside
     linear, counted = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(drawn.covariance))
     assert linear[2] < 1e-12  # on the floor
     np.testing.assert_allclose(linear[[0, 1, 3, 4, 5]], counted[[0, 1, 3, 4, 5]], rtol=within)
@@ -105,7 +105,7 @@ def test_what_cannot_be_tossed_is_counted(case):
     loose = case._replace(values={**case.values, 'release.delay_std': 0.4})
     drawn = landing.draw(loose, nominal, 12, seed=1)
     assert 0 < drawn.failed < 12
-    assert len(drawn.figures) == 12 - drawn.failed
+    assert len(drawn.errors) == 12 - drawn.failed
 
 
 def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
