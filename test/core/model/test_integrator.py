@@ -1,5 +1,7 @@
 """The integrator: order, energy, agreement with an independent one, and staying on SO(3)."""
 
+from dataclasses import replace
+
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.lie import (
     log_so3,
@@ -8,7 +10,7 @@ from bellows_ros.core.geometry.lie import (
     transform,
 )
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.kernels import advance, tool_at, tool_segment
+from bellows_ros.core.model.kernels import advance, tool_at, tool_segment, with_strains
 from bellows_ros.core.model.simulation import simulate, state_row
 import numpy as np
 from numpy.testing import assert_allclose
@@ -76,18 +78,35 @@ def test_energy_never_grows_with_damping():
     assert total[-1] < total[0] - 1.0
 
 
-@pytest.fixture(scope='module')
-def shaken():
-    """Return a model, an analytic tool motion, a start, and DOP853's solution of 0.5 s at 1 ms."""
+def pair(h):
+    """Return six numbers as a strain of the kernels."""
+    return tuple(h[:3].tolist()), tuple(h[3:].tolist())
+
+
+def random_strains(rng, size=0.01):
+    """Return internal strains (2, 6) of two branches."""
+    return size * rng.standard_normal((2, 6)) * [1.0, 1.0, 1.0, 10.0, 10.0, 10.0]
+
+
+@pytest.fixture(scope='module', params=[(0.0, 0.0), (0.3, 0.2)])
+def shaken(request):
+    """
+    Return a model, an analytic tool motion, a start, and DOP853's solution of 0.5 s at 1 ms.
+
+    Once of a cup that relaxes.
+    """
     rng = np.random.default_rng(7)
     cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
+    z = random_strains(rng)[:2 * any(request.param)]
+    cup = replace(cup, relaxation=request.param)
     T = np.eye(4)
     T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
     times = np.arange(0, 501) * 1e-3
     gravity = np.array([0.0, 0.0, -GRAVITY])
-    twist = np.zeros(6)
-    solution = oracle.solve(cup, package, gravity, motion.at, T, twist, times)
-    return cup, package, motion, start_of(T, twist), solution
+    solution = oracle.solve(cup, package, gravity, motion.at, T, np.zeros(6), times, z.ravel())
+    start = start_of(T)
+    return cup, package, motion, with_strains(start, tuple(map(pair, z))) if len(z) else start, (
+        solution)
 
 
 def test_agrees_with_dop853_on_the_plain_equations(shaken):
