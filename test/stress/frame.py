@@ -144,3 +144,21 @@ def scrambled(rng, text):
         other = cells[rng.integers(len(cells))]
         cells[at] = str(rng.choice(TEXTS)) if rng.random() < 0.7 else other
     return ' '.join(cells)
+
+
+VALUES = (
+    None, True, -1, 0, 10**30, 1e308, -1e-320, '', [], {}, [[1.0]], {'a': None}, [1] * 500,
+    'a' * 5000, 'sqlite3', 'zstd', 'FILE', '../..', '/etc/passwd', ['../bag.mcap'], *TEXTS[:3])
+
+
+def replaced(rng, content):
+    """Replace some value in nested content, or leave it out; return the content."""
+    if not isinstance(content, dict | list) or not content or rng.random() < 0.1:
+        return VALUES[rng.integers(len(VALUES))]
+    keys = list(content) if isinstance(content, dict) else range(len(content))
+    key = keys[rng.integers(len(keys))]
+    if rng.random() < 0.1:
+        del content[key]
+    else:
+        content[key] = replaced(rng, content[key])
+    return content

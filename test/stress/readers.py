@@ -19,7 +19,8 @@ from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 import yaml
 
-from .frame import CLEAN, COUNTED, damaged, Failed, REFUSED, scrambled, SILENT
+from .frame import CLEAN, COUNTED, damaged, Failed, REFUSED, replaced, scrambled, SILENT
+from ..core.planning.test_arm import URDF
 from ..files.yaml_plans import BAD, damaged_at, places_in, plan_messages
 
 ROOT = Path(__file__).parents[2]
@@ -108,13 +109,14 @@ def same(one, other):
 
 
 def metadata(rng, folder):
-    """Scramble metadata.yaml: an error, a note, or no harm."""
+    """Scramble metadata.yaml, or replace values in it: an error, a note, or no harm."""
     bag = folder / 'bag'
     write_bag(bag, motion(rng, 60), 'mcap')
     file, good = bag / 'metadata.yaml', read_contents(bag, ROLES)
     text = file.read_text()
     for _ in range(ATTEMPTS):
-        file.write_text(scrambled(rng, text))
+        file.write_text(scrambled(rng, text) if rng.random() < 0.5 else yaml.safe_dump(
+            replaced(rng, yaml.safe_load(text))))
         yield judged(bag, good, True)
 
 
@@ -271,8 +273,9 @@ def motions(rng, folder):
 
 def plans(rng, folder):
     """Scramble plans as YAML, and put bad values in every place of them."""
-    file, messages = folder / 'plan.yaml', plan_messages()
-    values = resolve({})
+    file, messages, urdf = folder / 'plan.yaml', plan_messages(), folder / 'arm.urdf'
+    urdf.write_text(URDF)
+    values = resolve({'tool_link': 'tool'})
     for _ in range(ATTEMPTS):
         content = messages[str(rng.choice(list(messages)))]
         if rng.random() < 0.5:
@@ -283,7 +286,7 @@ def plans(rng, folder):
             text = scrambled(rng, yaml.safe_dump(content))
         file.write_text(text, errors='replace')
         try:
-            require_finite(read_plan(file, values).tool.position.tolist())
+            require_finite(read_plan(file, values, str(urdf)).tool.position.tolist())
         except BellowsError as error:
             yield refused_well(error)
             continue

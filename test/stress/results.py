@@ -11,11 +11,8 @@ from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 
-from .frame import CLEAN, Failed, scrambled, SILENT, TEXTS
+from .frame import CLEAN, Failed, replaced, scrambled, SILENT
 from .readers import ATTEMPTS, refused_well, ROOT
-
-VALUES = (
-    None, True, -1, 0, 10**30, 1e308, -1e-320, '', [], {}, [[1.0]], {'a': None}, *TEXTS[:3])
 
 
 @functools.cache
@@ -28,19 +25,6 @@ def sound():
         result = Path(folder) / 'fit.json'
         save(identify(settings), None, result)
         return result.read_text()
-
-
-def replaced(rng, content):
-    """Replace some value in nested content, or leave it out; return the content."""
-    if not isinstance(content, dict | list) or not content or rng.random() < 0.1:
-        return VALUES[rng.integers(len(VALUES))]
-    keys = list(content) if isinstance(content, dict) else range(len(content))
-    key = keys[rng.integers(len(keys))]
-    if rng.random() < 0.1:
-        del content[key]
-    else:
-        content[key] = replaced(rng, content[key])
-    return content
 
 
 def fits(rng, folder):

@@ -9,12 +9,12 @@ from .writers import disks, kills
 
 ROUNDS = {
     'bags': Round(bags),
-    'metadata': Round(metadata),
+    'metadata': Round(metadata, short=60),
     'recordings': Round(recordings, short=20),
     'tables': Round(tables),
     'parameters': Round(parameters, short=20),
     'motions': Round(motions, patience=60.0, short=3),
-    'plans': Round(plans, patience=60.0, short=20),
+    'plans': Round(plans, patience=60.0, short=60),
     'kills': Round(kills, patience=120.0, short=0),  # test/files/test_killed.py does it
     'disks': Round(disks, short=20),
     'fits': Round(fits, patience=120.0, short=10),
