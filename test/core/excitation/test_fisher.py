@@ -78,7 +78,7 @@ def estimates(mover, duration, draws):
     (25, 0.15), pytest.param(100, 0.1, marks=pytest.mark.stress)])
 def test_estimates_scatter_as_expected(draws, within):
     """Estimates from the truth on, of recordings with noise on both bodies."""
-    scatter = np.array(list(estimates(motion(6.0), 6.0, draws)))
+    scatter = np.array(list(estimates(motion(4.0), 4.0, draws)))
     # of 8 parameters together a root mean square of 25 draws is known to 5 %, of 100 to 2.5 %
     assert abs(np.sqrt(np.mean(scatter**2)) - 1.0) < within
 

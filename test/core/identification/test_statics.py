@@ -1,6 +1,7 @@
 """Recordings at rest: standstills, nominal length, the spring alone."""
 
 from dataclasses import replace
+import functools
 
 from bellows_ros.core.identification.equations import covariance_of
 from bellows_ros.core.identification.samples import samples_of
@@ -252,9 +253,10 @@ OF_POSES = {'tool': (5e-5, 2e-4), 'package': (1e-4, 5e-4)}
 TRUTH = ROUND.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
 
 
-def resting(seed, noise=OF_POSES, hold=3.5):
+@functools.cache
+def resting(seed):
     """Return standstills in several poses."""
-    recording = simulated.record(simulated.standstills(TILTS, hold=hold), seed=seed, **noise)
+    recording = simulated.record(simulated.standstills(TILTS, hold=3.5), seed=seed, **OF_POSES)
     return standstills_of(recording)[0]
 
 
@@ -288,7 +290,7 @@ def test_errors_of_the_equations_have_unit_variance():
 
 @pytest.mark.parametrize('wrong', [0.7, 1.5])
 def test_a_wrong_guess_leads_to_the_truth_in_a_few_rounds(wrong):
-    standstills = resting(1, {}, hold=6.0)
+    standstills = standstills_of(simulated.record(simulated.standstills(TILTS, hold=6.0)))[0]
     K = wrong * simulated.CUP.stiffness
     for _ in range(6):
         A, b = whitened(standstills, stiffness=K)
@@ -321,9 +323,9 @@ def test_standstills_narrow_the_errors_and_do_not_shift_the_result():
     """See the stiffness of which static poses tell most come nearer, within its errors."""
     off = {'alone': [], 'joined': []}
     for seed in range(6):
-        fit = moving(seed)
+        fit = moving(10 + seed)
         joined = joined_with_standstills(
-            fit, resting(10 + seed), exact(), G, simulated.CUP.stiffness)
+            fit, resting(seed), exact(), G, simulated.CUP.stiffness)
         for name, found in (('alone', fit), ('joined', joined)):
             x = ROUND.parameters(found.stiffness, found.damping)
             off[name].append((x - TRUTH) / TRUTH)
@@ -352,7 +354,7 @@ def test_what_no_motion_tells_standstills_do():
 def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     """Say the load was 20 % more than it was."""
     heavy = replace(simulated.HELD, mass=1.2 * simulated.HELD.mass)
-    fit, heavier = moving(7), [replace(still, payload=heavy) for still in resting(8)]
+    fit, heavier = moving(7), [replace(still, payload=heavy) for still in resting(0)]
     joined = joined_with_standstills(fit, heavier, exact(), G, simulated.CUP.stiffness)
     assert joined.standstills.chi2 > 100.0
     assert 'static recordings and the motion disagree' in joined.warnings[-1]
@@ -361,7 +363,7 @@ def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
 
 
 def test_a_better_mean_counts_more():
-    found = resting(9)
+    found = resting(1)
     better = [replace(still, error=Noise(*(0.5 * e for e in still.error))) for still in found]
     first, second = (whitened(part)[0] for part in (found, better))
     assert_allclose(second[:, :3], 2.0 * first[:, :3], rtol=1e-9)
