@@ -127,8 +127,7 @@ class Observed:
                 for seconds, alarm in self.alarms],
             'payload': self.payload and attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
-            'calibration': self.calibration and attributes(
-                self.calibration, *self.calibration._fields),
+            'calibration': self.calibration,
             'alarm_calibration': self.alarm_calibration,
             **{f'rms {name}': found.scores.rms for name, found in self.ways.items()}}
 

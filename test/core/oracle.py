@@ -1,10 +1,15 @@
 """A second, slow implementation of the model: 6x6 matrices as the thesis prints them."""
 
-from bellows_ros.core.geometry.lie import adjoint, hat, inverse_transform, transform, vee
+from bellows_ros.core.geometry.lie import adjoint, hat, inverse_transform, transform
 import numpy as np
 from scipy.integrate import solve_ivp
 
 Z = np.array([0.0, 0.0, 1.0])
+
+
+def vee(S):
+    """Return v of v^, of skew-symmetric matrices (..., 3, 3)."""
+    return S[..., [2, 0, 1], [1, 2, 0]]
 
 
 def spring_frames(length, T_E_S):

@@ -5,6 +5,8 @@ from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.planning.points import plan_of
 import numpy as np
 
+from .oracle import vee
+
 CUP = Cup(
     np.diag([5400, 5400, 9200, 4.2, 4.2, 1.35]), np.diag([55, 55, 24, 0.06, 0.06, 0.1]), 0.046)
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
@@ -80,7 +82,7 @@ class Batch:
         H = self.half @ T_E_S @ self.half
         R, o = H[:, :3, :3], H[:, :3, 3]
         R_T = np.swapaxes(R, -1, -2)
-        h = np.concatenate([_apply(np.eye(3) + R_T, o), lie.vee(R - R_T)], axis=-1)
+        h = np.concatenate([_apply(np.eye(3) + R_T, o), vee(R - R_T)], axis=-1)
         J = np.zeros((len(R), 6, 6))
         J[:, :3, :3] = R + np.eye(3)
         J[:, :3, 3:] = lie.hat(_apply(R_T, o))

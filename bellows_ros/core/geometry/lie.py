@@ -111,26 +111,6 @@ def hat(v: ArrayLike) -> Array:
     return S - np.swapaxes(S, -1, -2)
 
 
-def vee(S: ArrayLike) -> Array:
-    """
-    Return the vectors of skew-symmetric matrices, the inverse of `hat`.
-
-    The lower triangle's entries are read as they stand; a symmetric part is not averaged out.
-
-    Parameters
-    ----------
-    S : array (..., 3, 3)
-        Skew-symmetric matrices.
-
-    Returns
-    -------
-    array (..., 3)
-
-    """
-    S = _array(S, 3, 3)
-    return np.stack([S[..., 2, 1], -S[..., 2, 0], S[..., 1, 0]], axis=-1)
-
-
 @_in_parts
 def exp_so3(phi: ArrayLike) -> Array:
     """

@@ -2,7 +2,7 @@
 
 import functools
 
-from bellows_ros.core.geometry.lie import adjoint, exp_so3, hat, inverse_transform, transform, vee
+from bellows_ros.core.geometry.lie import adjoint, exp_so3, hat, inverse_transform, transform
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.reduction import statistics
@@ -38,7 +38,7 @@ def cups_wrench(T_E_S, v_ES):
     """Return the wrench of all cups at S, by (3.18), (3.27), (3.33) and (3.35) of each."""
     R, half = T_E_S[:3, :3], 0.5 * ONE.length * oracle.Z
     o = half + R @ half + T_E_S[:3, 3] + PLACES @ (R - np.eye(3)).T
-    h = np.hstack([o @ (np.eye(3) + R), np.tile(vee(R - R.T), (len(o), 1))])
+    h = np.hstack([o @ (np.eye(3) + R), np.tile(oracle.vee(R - R.T), (len(o), 1))])
     q = h * np.diag(ONE.stiffness)
     f = -0.25 * q[:, :3] @ (R + np.eye(3))
     m = -0.25 * (np.cross(q[:, :3], o @ R) + q[:, 3:] @ (np.trace(R) * np.eye(3) - R.T))
