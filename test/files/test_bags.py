@@ -338,6 +338,13 @@ def test_files_outside_the_folder_are_not_read(tmp_path, name, version):
     assert 'files outside the folder are not read' in error_of(folder)
 
 
+@pytest.mark.parametrize('names', [None, 'b.mcap', [None], ['']])
+def test_what_is_no_list_of_files_is_refused(tmp_path, names):
+    folder = one_topic(tmp_path / 'b', made.poses(4))
+    change_metadata(folder, relative_file_paths=names)
+    assert 'list of file names' in error_of(folder)
+
+
 def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
     other = one_topic(tmp_path / 'other', made.poses(4))
     folder = one_topic(tmp_path / 'b', made.poses(4))
