@@ -1,4 +1,4 @@
-"""The short form of every measurement runs, and its figures come into the page."""
+"""Every measurement runs in its short form, its figures come into the page, and they are right."""
 
 import ast
 from functools import partial
@@ -11,7 +11,10 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
 from benchmarks import offline, startup, step, timing
+from benchmarks.alarms import delays, least_delays, passages
+from benchmarks.sensors import CELLS, JUDGED, trial
 from benchmarks.tables import markdown, tables
+import numpy as np
 import pytest
 
 NEEDED = {'node': 'rclpy', 'camera': 'rclpy', 'startup': 'rclpy'}
@@ -82,3 +85,38 @@ def test_node_is_shown_against_the_bare_one():
     _, *rows = tables({'node': {'runs': runs}})['node']
     assert [row[-2:] for row in rows] == [
         ('0 of 10', ''), ('3 of 10', '0.50, 0.50'), ('0 of 10', ''), ('0 of 10', '1.10, 1.10')]
+
+
+def test_passage_takes_as_long_as_wald_says():
+    """Pass on average after the threshold, and 0.583 std beyond it (Siegmund), by the drift."""
+    for d2, threshold in ((0.3, 12.0), (1.0, 8.0)):
+        taken = np.concatenate([
+            1 + passages(np.full(1000, d2), threshold, seed) for seed in range(20)])
+        expected = (threshold + 0.583 * np.sqrt(d2)) / (0.5 * d2)
+        assert taken.mean() == pytest.approx(expected, rel=0.03)
+    assert (passages(np.zeros(10), 1.0, 0) == -1).all()
+
+
+def test_test_that_knows_a_slip_is_the_sooner_one():
+    """Name a slip no sooner than the test that knows its time and size finds it."""
+    least = least_delays('slip', 2, 'white', 2.0)
+    right, named = delays('slip', 2, 'white', 2.0)
+    assert right == 1.0
+    assert 0.1 < least[len(least) // 2] < np.mean(named)
+
+
+def test_all_that_the_recording_determines_is_told_with_its_error():
+    found = trial(CELLS['robot, 30 Hz camera, 1 mm, apart'], 2, 30.0, 'axisymmetric')
+    judged = found.bound < JUDGED
+    assert judged[1]  # K z, by which the world's height is confounded
+    assert found.converged and np.isfinite(found.std[judged]).all()
+    assert np.all(np.abs(found.error[judged]) < 3.5 * found.std[judged])
+    assert np.all(found.std[judged] < 2.0 * found.bound[judged])
+
+
+def test_all_entries_of_a_full_cup_are_found_from_a_start_twice_too_large():
+    found = trial(CELLS['motion capture, 0.3 mm'], 0, 8.0, 'full')
+    judged = found.bound < JUDGED
+    assert found.converged and np.count_nonzero(judged) > 21
+    assert np.isfinite(found.std[judged]).all()
+    assert np.all(np.abs(found.error[judged]) < 3.5 * found.std[judged])

@@ -199,15 +199,6 @@ def test_damping_must_be_positive_semidefinite():
     assert 'eigenvalue is -0.001,' in refused('cup.damping', changed(IDENTITY, 7, -1e-3))
 
 
-@pytest.mark.parametrize(('inertia', 'reason'), [
-    ([1.0, 1.0, 2.1, 0.0, 0.0, 0.0], 'at most the sum'),
-    ([0.0, 1.0, 1.0, 0.0, 0.0, 0.0], 'above zero'),
-    ([1.0, 1.0, 1.0, 2.0, 0.0, 0.0], 'above zero'),
-])
-def test_inertia_that_no_body_can_have_is_refused(inertia, reason):
-    assert reason in refused('package.inertia', inertia)
-
-
 @given(
     strategies.lists(
         strategies.lists(strategies.floats(-1.0, 1.0), min_size=3, max_size=3),

@@ -5,13 +5,14 @@ from math import factorial, pi
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.signals import savgol as module
-from bellows_ros.core.signals.savgol import savgol, weights, with_filtered_noise
+from bellows_ros.core.signals.savgol import first_order, savgol, weights, with_filtered_noise
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 RATE_HZ = 360.0
@@ -197,3 +198,10 @@ def test_impossible_fits_are_refused(half_window, order, message):
 def test_a_rate_that_is_not_uniform_is_refused():
     with pytest.raises(BellowsError, match='Resample'):
         savgol(noisy_motion().select(np.delete(np.arange(120), 60)), 10, 2)
+
+
+@pytest.mark.parametrize('kept', [0.0, 0.3, 0.999, -0.5])
+def test_it_is_the_filter_of_scipy(kept):
+    inputs = np.random.default_rng(1).standard_normal((500, 3))
+    expected = lfilter([1.0], [1.0, -kept], inputs, axis=0)
+    assert_allclose(first_order(inputs, kept), expected, atol=1e-9)
