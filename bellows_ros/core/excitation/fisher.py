@@ -61,8 +61,7 @@ def motion_information(
     measured = Measured(tool, body, package, gravity, of_tool, of_package)
     search = Search([Segment(measured)], structure, cup, {})
     (part,), _, _ = search.system(search.start, 0.0)
-    information: Array = part.jacobian.T @ part.jacobian / np.outer(search.units, search.units)
-    return information
+    return np.asarray(part.jacobian.T @ part.jacobian / np.outer(search.units, search.units))
 
 
 def standard_errors(information: Array) -> Array:

@@ -220,11 +220,10 @@ def d2exp(phi: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
     along = np.sum(phi * b, axis=-1, keepdims=True)
     phi_a, b_a = np.cross(phi, a), np.cross(b, a)
     twice = np.cross(phi, phi_a)
-    result: Array = (
+    return np.asarray(
         _half_beta(t2) * b_a
         + _gamma(t2) * (np.cross(b, phi_a) + np.cross(phi, b_a))
         + along * (_delta(t2) * phi_a + _eps(t2) * twice))
-    return result
 
 
 @_in_parts
@@ -299,8 +298,7 @@ def mean_rotation(R: Array) -> Array:
 def rpy_rotation(rpy: Array) -> Array:
     """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw in rad, as URDF has it."""
     roll, pitch, yaw = exp_so3(np.diag(rpy))
-    R: Array = yaw @ pitch @ roll
-    return R
+    return np.asarray(yaw @ pitch @ roll)
 
 
 def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
@@ -519,9 +517,8 @@ def _rotation_polynomial(v: Array, linear: Array, quadratic: Array) -> Array:
     """Return I + linear v^ + quadratic (v^)^2, with (v^)^2 = v v^T - |v|^2 I."""
     square = v[..., :, None] * v[..., None, :]
     np.einsum('...ii->...i', square)[...] -= _squared(v)[..., None]
-    result: Array = (
+    return np.asarray(
         np.eye(3) + linear[..., None, None] * hat(v) + quadratic[..., None, None] * square)
-    return result
 
 
 def _quaternion_outer_product(R: Array) -> tuple[Array, Array]:

@@ -123,8 +123,7 @@ class Alignment:
 
 def _turned(rotation: Array, R: Array) -> Array:
     """Return rotations (N, 3, 3) times R, the same array where R is the identity."""
-    found: Array = rotation if np.array_equal(R, np.eye(3)) else frozen(rotation @ R)
-    return found
+    return rotation if np.array_equal(R, np.eye(3)) else np.asarray(frozen(rotation @ R))
 
 
 class MeanPose(NamedTuple):
