@@ -18,7 +18,7 @@ from bellows_ros.core.recording.alignment import (
     rough_offset,
     shifted_pose,
 )
-from bellows_ros.core.recording.preparation import filter_streams, FilteredStreams
+from bellows_ros.core.recording.preparation import align_streams, AlignedStreams
 from bellows_ros.core.recording.recording import (
     PackageWorld,
     PrepareSettings,
@@ -181,10 +181,10 @@ def _prepared(
         tool, twist = _earlier(tool, rough_s), twist and _earlier(twist, rough_s)
     pose, alignment = _first_guess(tool, package, settings, values, simulated)
 
-    def filtered(alignment: Alignment | None) -> FilteredStreams:
+    def filtered(alignment: Alignment | None) -> AlignedStreams:
         """Return the streams in the world of the tool, filtered."""
         there = package if pose is None else in_tool_world(package, pose, tool.frame_id)
-        return filter_streams(tool, there, settings, twist, alignment)
+        return align_streams(tool, there, settings, twist, alignment)
 
     streams = filtered(alignment)
     if not (estimate or late or simulated):

@@ -44,7 +44,8 @@ from bellows_ros.core.recording.conventions import (
     FARTHEST,
 )
 from bellows_ros.core.recording.preparation import prepare
-from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.recording.recording import ENOUGH, Recording
+from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -218,7 +219,7 @@ def _misread(own: Recording) -> Finding | None:
     def because(name: str, sentence: str) -> Finding:
         return Finding(name, '', is_fact=True, sentence=sentence)
 
-    some = np.flatnonzero(own.valid)[::LOOKED_AT_EVERY]
+    some = np.flatnonzero(own.whole)[::LOOKED_AT_EVERY]
     if not len(some):
         return None
     tool, package = own.measured_tool.select(some), own.measured_package.select(some)
@@ -358,15 +359,19 @@ def _clocks(own: Recording) -> Finding | None:
 
 def wrong_twists(own: Recording) -> Finding | None:
     """Return in which axes or unit the tool's recorded twists are, None where it is as given."""
-    tool, measured = own.tool, own.measured_tool
-    if measured.twist is None or tool.twist is None:
+    measured, half_window = own.measured_tool, own.filters[1].half_window
+    if measured.twist is None or len(measured) <= 2 * half_window:
         return None
-    _, i, j = np.intersect1d(measured.stamps_ns, tool.stamps_ns, return_indices=True)
-    known = measured.valid[i] & tool.valid[j]
-    given, true = measured.twist[i][known], tool.twist[j][known]
+    if len(measured) > ENOUGH:  # those in which it moves most
+        way = np.cumsum(np.sum(measured.twist**2, axis=1))
+        first = int(np.argmax(way[ENOUGH:] - way[:-ENOUGH]))
+        measured = measured.select(slice(first, first + ENOUGH))
+    tool = savgol(measured, half_window, own.filters[1].order)
+    measured = measured.between(*tool.stamps_ns[[0, -1]])
+    given, true = measured.twist[tool.valid], tool.twist[tool.valid]  # type: ignore[index]
     if not len(given):
         return None
-    R_E_A = np.swapaxes(measured.rotation[i][known], 1, 2)
+    R_E_A = np.swapaxes(measured.rotation[tool.valid], 1, 2)
     turn = own.settings.R_world_recorded.T @ np.swapaxes(R_E_A, 1, 2)  # from E to as recorded
     other = 'tool'
     if own.settings.tool_twist_frame == 'tool':

@@ -126,16 +126,16 @@ def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> 
         np.hstack([colour.drawn(len(body), draw) for colour in colours])
         for body, colours in zip(
             (recording.aligned_tool, recording.aligned_package), recording.colours, strict=True))
-    package = filtered(package_noise, recording.package_weights,
+    package = filtered(package_noise, recording.filters[1].weights,
                        np.searchsorted(recording.aligned_package.stamps_ns, stamps))
     # As the tool itself, on the cubic polynomial between two filtered samples.
-    half = recording.tool_weights.shape[1] // 2
+    half = recording.filters[0].half_window
     before = np.clip(np.searchsorted(of_tool, stamps, side='right') - 1,
                      half, len(of_tool) - half - 2)
     step_ns = (of_tool[before + 1] - of_tool[before])[:, None]
     s, h = (stamps - of_tool[before])[:, None] / step_ns, step_ns / NS_PER_S
     (a, a_rate, _), (b, b_rate, _) = (
-        filtered(tool_noise, recording.tool_weights, before + k) for k in (0, 1))
+        filtered(tool_noise, recording.filters[0].weights, before + k) for k in (0, 1))
     value = (a + s**2 * (3.0 - 2.0 * s) * (b - a)
              + h * s * (1.0 - s) * ((1.0 - s) * a_rate - s * b_rate))
     rate = (6.0 * s * (1.0 - s) * (b - a) / h

@@ -161,7 +161,7 @@ def filtered_samples(recording: Recording) -> Samples:
     """Return the filtered motions of any recording."""
     return recording.cached('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
-        recording.package_weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns),
+        recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns),
         recording.relaxation.strengths))
 
 

@@ -326,15 +326,16 @@ def _start(
     model: ModelTuple, tool: Trajectory, recording: Recording
 ) -> tuple[State, int, str]:
     """Return the package's first state, the tool's sample of it, and its origin."""
-    package = recording.package
-    usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
-    first = int(np.argmax(usable))
-    at_rest = rest_of(recording.measured_tool, recording.measured_package).seconds >= REST_S
-    if at_rest or package.twist is None or not usable[first]:
-        return rest(model, tool_rows(tool.select(slice(0, 1)))[0]), 0, 'equilibrium'
-    quaternion = rotation_to_quaternion(package.rotation[first])
-    state = state_row(package.position[first], quaternion, package.twist[first])
-    return state, int(np.searchsorted(tool.stamps_ns, package.stamps_ns[first])), 'measured'
+    if rest_of(recording.measured_tool, recording.measured_package).seconds < REST_S:
+        package = recording.package
+        usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
+        first = int(np.argmax(usable))
+        if package.twist is not None and usable[first]:
+            quaternion = rotation_to_quaternion(package.rotation[first])
+            at = int(np.searchsorted(tool.stamps_ns, package.stamps_ns[first]))
+            state = state_row(package.position[first], quaternion, package.twist[first])
+            return state, at, 'measured'
+    return rest(model, tool_rows(tool.select(slice(0, 1)))[0]), 0, 'equilibrium'
 
 
 def _noises(recording: Recording) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

@@ -28,6 +28,7 @@ from bellows_ros.core.recording.outliers import (
     repeats_in_motion,
 )
 from bellows_ros.core.recording.recording import (
+    Filter,
     PrepareSettings,
     Recording,
     Report,
@@ -35,9 +36,8 @@ from bellows_ros.core.recording.recording import (
     TimeOffset,
 )
 from bellows_ros.core.signals import resampling
-from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.savgol import weights_for
 from bellows_ros.core.signals.trajectory import (
-    Filtered,
     frozen,
     NS_PER_S,
     PoseStream,
@@ -65,17 +65,16 @@ STEP_JITTERS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class FilteredStreams:
-    """Cleaned, aligned and filtered streams, each at its own stamps."""
+class AlignedStreams:
+    """Cleaned and aligned streams, each at its own stamps, and their filters."""
 
     recorded: tuple[PoseStream, PoseStream, TwistStream | None]
     settings: PrepareSettings
     report: Report
     alignment: Alignment
-    aligned: tuple[Trajectory, Trajectory]
-    filtered: tuple[Filtered, Filtered]
+    filters: tuple[Filter, Filter]
 
-    def earlier(self, offset: TimeOffset) -> 'FilteredStreams':
+    def earlier(self, offset: TimeOffset) -> 'AlignedStreams':
         """Return them with the stamps of the tool earlier by an offset."""
         (tool, package, twist), shift = self.recorded, round(offset.value * NS_PER_S)
 
@@ -83,10 +82,10 @@ class FilteredStreams:
             """Return the stream shifted to earlier stamps."""
             return stamped and replace(stamped, stamps_ns=stamped.stamps_ns - shift)
 
+        of_tool, of_package = self.filters
         return replace(
             self, recorded=(earlier(tool), package, earlier(twist)),
-            aligned=(earlier(self.aligned[0]), self.aligned[1]),
-            filtered=(earlier(self.filtered[0]), self.filtered[1]))
+            filters=(replace(of_tool, poses=earlier(of_tool.poses)), of_package))
 
     def joined(self) -> Recording:
         """
@@ -99,14 +98,16 @@ class FilteredStreams:
 
         """
         tool, package, tool_twist = self.recorded
-        common = _common(self.filtered[0].stamps_ns, self.filtered[1].stamps_ns, (tool, package))
+        of_tool, of_package = self.filters
+        common = _common(of_tool.stamps_ns, of_package.stamps_ns, (tool, package))
         longest_ns = self.report.tool.timing.longest_step_ns
-        tool_there = resampling.resample(self.filtered[0], common, longest_ns)
-        package_there = _at(self.filtered[1], common)
-        measured_tool = resampling.resample(self.aligned[0], common, longest_ns)
+        measured_tool = resampling.resample(of_tool.poses, common, longest_ns)
         if tool_twist is not None:
             measured_tool = _with_twist(measured_tool, tool_twist, self.alignment, self.settings)
-        if not (tool_there.valid & package_there.valid).any():
+        recording = Recording(
+            self.settings, tool, package, tool_twist, self.filters, measured_tool,
+            of_package.poses.between(*common[[0, -1]]), self.alignment, self.report)
+        if not recording.whole.any():
             found = '; '.join(
                 f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
                 f'{len(r.timing.gaps)} gaps, '
@@ -117,26 +118,23 @@ class FilteredStreams:
                 'Use smaller half windows, or a recording with fewer gaps and outliers.')
             raise BellowsError(
                 f'None of the {len(common)} common samples is left: {found}. {remedy}')
-        return Recording(
-            self.settings, tool, package, tool_twist, tool_there, package_there, measured_tool,
-            _at(self.aligned[1], common), self.aligned[0], self.aligned[1],
-            self.filtered[0].weights, self.filtered[1].weights, self.alignment, self.report)
+        return recording
 
 
 def prepare(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings,
     tool_twist: TwistStream | None = None, alignment: Alignment | None = None
 ) -> Recording:
-    """Prepare recorded streams: `filter_streams`, then `FilteredStreams.joined`."""
-    return filter_streams(tool, package, settings, tool_twist, alignment).joined()
+    """Prepare recorded streams: `align_streams`, then `AlignedStreams.joined`."""
+    return align_streams(tool, package, settings, tool_twist, alignment).joined()
 
 
-def filter_streams(
+def align_streams(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings,
     tool_twist: TwistStream | None = None, alignment: Alignment | None = None
-) -> FilteredStreams:
+) -> AlignedStreams:
     """
-    Clean, align and filter recorded streams.
+    Clean and align recorded streams, and choose their filters.
 
     Parameters
     ----------
@@ -170,22 +168,20 @@ def filter_streams(
     as_they_are = not settings.align_at_rest and alignment is None
     alignment = alignment or _alignment(tool_poses, package_poses, settings)
     aligned = alignment.tool(tool_poses), alignment.package(package_poses)
-    filtered = (
-        _filtered(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
-        _filtered(aligned[1], settings.package_half_window, settings.package_order, package.name))
+    filters = (
+        _filter(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
+        _filter(aligned[1], settings.package_half_window, settings.package_order, package.name))
     of_tool, of_package = (
         replace(report, arrivals=arrivals, overlapping_gap=int(np.count_nonzero(
-            _at(poses, kept.stamps_ns).valid & ~kept.valid)))
-        for report, poses, kept, arrivals in zip(
-            (of_tool, of_package), (tool_poses, package_poses), filtered,
-            (tool_arrivals, package_arrivals), strict=True))
+            own.poses.between(*own.stamps_ns[[0, -1]]).valid & ~own.whole)))
+        for report, own, arrivals in zip(
+            (of_tool, of_package), filters, (tool_arrivals, package_arrivals), strict=True))
     warnings = [warning for own in (of_tool, of_package) for warning in stream_warnings(
         own.recorded, own.timing, own.outliers, own.arrivals)]
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
-    return FilteredStreams(
-        (tool, package, tool_twist), settings, report, alignment, aligned, filtered)
+    return AlignedStreams((tool, package, tool_twist), settings, report, alignment, filters)
 
 
 def _alignment(
@@ -224,13 +220,13 @@ def _named(topic: str) -> Iterator[None]:
         raise BellowsError(f"Topic '{topic}': {error}") from None
 
 
-def _filtered(poses: Trajectory, half_window: int, order: int, name: str) -> Filtered:
-    """Return the filtered poses of a topic (4.15-4.63)."""
+def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filter:
+    """Return the filter of the poses of a topic."""
     if half_window == 0:
         rate_hz = uniform_rate_hz(poses.stamps_ns)
         half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
     with _named(name):
-        return savgol(poses, half_window, order)
+        return Filter(poses, half_window, order, weights_for(poses, half_window, order))
 
 
 def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStream]) -> Stamps:
@@ -244,12 +240,6 @@ def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStrea
             f'The two streams overlap by less than the filter windows: {covered}. Choose topics '
             'of one recording, stamped by one clock, use smaller half windows, or record longer.')
     return common
-
-
-def _at(trajectory: Trajectory, stamps_ns: Stamps) -> Trajectory:
-    """Return the samples of a trajectory from the first to the last of some of its stamps."""
-    first, last = np.searchsorted(trajectory.stamps_ns, stamps_ns[[0, -1]])
-    return trajectory.select(slice(int(first), int(last) + 1))
 
 
 def _with_twist(

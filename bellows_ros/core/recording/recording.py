@@ -18,9 +18,9 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.resampling import ArrivalStamps, MAD_TO_STD, Timing
-from bellows_ros.core.signals.savgol import first_order, weights
-from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
+from bellows_ros.core.signals.resampling import ArrivalStamps, MAD_TO_STD, resample, Timing
+from bellows_ros.core.signals.savgol import first_order, savgol, weights, whole_windows
+from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
@@ -399,6 +399,37 @@ NO_RELAXATION = Relaxation((0.0, 0.0), np.zeros((2, 2)), np.zeros((8, 2)))
 
 
 @dataclass(frozen=True, eq=False)
+class Filter:
+    """Aligned poses at a uniform rate and the filter (4.15-4.63) that they go through."""
+
+    poses: Trajectory
+    half_window: int
+    order: int
+    weights: Array
+    """See `trajectory.Filtered`."""
+
+    @property
+    def stamps_ns(self) -> Stamps:
+        """Of the filtered poses, ns."""
+        return self.poses.stamps_ns[self.half_window:-self.half_window]
+
+    @property
+    def whole(self) -> Mask:
+        """Which filtered poses have windows without gaps and outliers."""
+        return whole_windows(self.poses, self.half_window)
+
+    def is_whole_at(self, stamps_ns: Stamps) -> Mask:
+        """Return whether the poses beside some stamps have such windows."""
+        before = np.searchsorted(self.stamps_ns, stamps_ns, side='right') - 1
+        return np.asarray(
+            self.whole[before] & self.whole[np.searchsorted(self.stamps_ns, stamps_ns)])
+
+    def filtered(self) -> Filtered:
+        """Return the filtered poses."""
+        return savgol(self.poses, self.half_window, self.order)
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """
     Motion of tool and package at common stamps, at the package's rate.
@@ -411,17 +442,11 @@ class Recording:
         As recorded, but for a time offset that was taken from the tool's stamps.
     tool_twist : TwistStream or None
         The same of the tool's twists, where there are any.
-    tool : Trajectory
-        Tool tip E in the world, filtered, with body twists of the filter.
-    package : Trajectory
-        Centre of mass B in the world, filtered, with body twists and their derivatives.
+    filters : (Filter, Filter)
+        Of tool and package, each at its own uniform rate, from start to end.
     measured_tool, measured_package : Trajectory
         E and B aligned but not filtered. The tool has the recorded body twists where there are
         any; where poses or twists are missing or wrong, samples are not valid.
-    aligned_tool, aligned_package : Trajectory
-        E and B aligned but not filtered, each at its own uniform rate, from start to end.
-    tool_weights, package_weights : array (3, 2n+1)
-        Weights of the filters (see `Filtered`).
     alignment : Alignment
         From the recorded frames to E and B.
     report : Report
@@ -441,20 +466,16 @@ class Recording:
     tool_pose: PoseStream
     package_pose: PoseStream
     tool_twist: TwistStream | None
-    tool: Trajectory
-    package: Trajectory
+    filters: tuple[Filter, Filter]
     measured_tool: Trajectory
     measured_package: Trajectory
-    aligned_tool: Trajectory
-    aligned_package: Trajectory
-    tool_weights: Array
-    package_weights: Array
     alignment: Alignment
     report: Report
     name: str = ''
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
     relaxation: Relaxation = NO_RELAXATION
+    _filtered: dict[Filter, Trajectory] = field(default_factory=dict, repr=False)
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
@@ -463,6 +484,34 @@ class Recording:
             self._kept[key] = make()
         found: T = self._kept[key]
         return found
+
+    @property
+    def tool(self) -> Trajectory:
+        """Tool tip E in the world, filtered, with body twists of the filter."""
+        own = self.filters[0]
+        if own not in self._filtered:
+            self._filtered[own] = resample(
+                own.filtered(), self.measured_tool.stamps_ns,
+                self.report.tool.timing.longest_step_ns)
+        return self._filtered[own]
+
+    @property
+    def package(self) -> Trajectory:
+        """Centre of mass B in the world, filtered, with body twists and their derivatives."""
+        own = self.filters[1]
+        if own not in self._filtered:
+            self._filtered[own] = own.filtered().between(*self.measured_tool.stamps_ns[[0, -1]])
+        return self._filtered[own]
+
+    @property
+    def aligned_tool(self) -> Trajectory:
+        """E aligned but not filtered, at its own uniform rate, from start to end."""
+        return self.filters[0].poses
+
+    @property
+    def aligned_package(self) -> Trajectory:
+        """B aligned but not filtered, at its own uniform rate, from start to end."""
+        return self.filters[1].poses
 
     @property
     def payload(self) -> Package:
@@ -475,6 +524,13 @@ class Recording:
         return self.tool.valid & self.package.valid
 
     @property
+    def whole(self) -> Mask:
+        """Where both filters have windows without gaps and outliers (N,)."""
+        of_tool, of_package = (
+            own.is_whole_at(self.measured_tool.stamps_ns) for own in self.filters)
+        return of_tool & of_package
+
+    @property
     def measured(self) -> Mask:
         """Which unfiltered samples of both bodies are valid (N,)."""
         return self.measured_tool.valid & self.measured_package.valid
@@ -485,9 +541,11 @@ class Recording:
         position, rotation = self.colours[1]
         return FilterNoise(
             *self._pose_noise,
-            resampled_weights(self.aligned_tool.stamps_ns, self.tool.stamps_ns, self.tool_weights),
-            self.package_weights,
-            self.tool_weights.shape[1] // 2,
+            resampled_weights(
+                self.aligned_tool.stamps_ns, self.measured_tool.stamps_ns,
+                self.filters[0].weights),
+            self.filters[1].weights,
+            self.filters[0].half_window,
             (position.correlation, rotation.correlation))
 
     @cached_property

@@ -131,11 +131,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     (34, [4.0, 0.0, 0.0])
 
     """
-    if len(trajectory) < 2 * half_window + 1:
-        raise BellowsError(
-            f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
-            f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.')
-    W = weights(half_window, order, uniform_rate_hz(trajectory.stamps_ns))
+    W = weights_for(trajectory, half_window, order)
     count = len(trajectory) - 2 * half_window
     position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
     twist, acceleration = np.empty((count, 6)), np.empty((count, 6))
@@ -152,8 +148,22 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         frozen(rotation),
         frozen(twist),
         frozen(acceleration),
-        trusted & ~any_within(~trajectory.valid, 2 * half_window + 1),
+        trusted & whole_windows(trajectory, half_window),
         weights=frozen(W))
+
+
+def weights_for(trajectory: Trajectory, half_window: int, order: int) -> Array:
+    """Return the weights of a filter of a trajectory, or raise what `savgol` does."""
+    if len(trajectory) < 2 * half_window + 1:
+        raise BellowsError(
+            f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
+            f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.')
+    return weights(half_window, order, uniform_rate_hz(trajectory.stamps_ns))
+
+
+def whole_windows(trajectory: Trajectory, half_window: int) -> Mask:
+    """Return which samples with a full window have only valid ones in it (N - 2n,)."""
+    return ~any_within(~trajectory.valid, 2 * half_window + 1)
 
 
 def _filter_block(

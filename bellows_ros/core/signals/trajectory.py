@@ -203,6 +203,11 @@ class Trajectory:
                 _store(picked, name, array[index])
         return picked
 
+    def between(self, first_ns: int, last_ns: int) -> 'Trajectory':
+        """Return the samples from the first to the last of two stamps."""
+        first, last = np.searchsorted(self.stamps_ns, [first_ns, last_ns])
+        return self.select(slice(int(first), int(last) + 1))
+
 
 @dataclass(frozen=True, eq=False)
 class Filtered(Trajectory):

@@ -91,9 +91,10 @@ def test_standstills_do_not_tell_it():
 @pytest.mark.parametrize('used', [0, 3, 240])
 def test_few_samples_do_not_tell_it(used):
     recording = simulated.record(simulated.shake(seed=3))
-    valid = np.arange(len(recording.package)) < used
-    package = replace(recording.package, valid=recording.package.valid & valid)
-    assert found(replace(recording, package=package)) is None
+    of_tool, of_package = recording.filters
+    few = np.arange(len(of_package.poses)) < used + 2 * of_package.half_window
+    of_package = replace(of_package, poses=replace(of_package.poses, valid=few))
+    assert found(replace(recording, filters=(of_tool, of_package))) is None
 
 
 def test_a_larger_offset_is_refused():

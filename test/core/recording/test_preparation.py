@@ -86,8 +86,8 @@ def test_filters_have_their_own_windows_and_the_common_time_is_theirs():
     tool, package = held(61)
     settings = replace(PLAIN, tool_half_window=10, tool_order=3, package_half_window=40)
     found = prepare(stream(tool), stream(package, '/package', slice(5, -300)), settings)
-    assert found.tool_weights.shape == (3, 21)
-    assert found.package_weights.shape == (3, 81)
+    assert found.filters[0].weights.shape == (3, 21)
+    assert found.filters[1].weights.shape == (3, 81)
     assert_array_equal(found.tool.stamps_ns, package.stamps_ns[45:-340])
     expected = at(savgol(tool, 10, 3), found.tool.stamps_ns)
     assert_allclose(found.tool.twist, expected.twist, atol=1e-12)
@@ -98,7 +98,7 @@ def test_windows_that_are_not_given_last_equally_long_at_every_rate(rate_hz):
     tool, package = held(71, rate_hz, 6.0)
     settings = replace(PLAIN, tool_half_window=0, package_half_window=0)
     found = prepare(stream(tool), stream(package, '/package'), settings)
-    for weights in (found.tool_weights, found.package_weights):
+    for weights in (found.filters[0].weights, found.filters[1].weights):
         assert_allclose(weights.shape[1] / rate_hz, 1 / 6, atol=2 / rate_hz)
 
 
