@@ -371,7 +371,8 @@ def refine(
     """
     Return the numbers of blocks with which noise explains most.
 
-    They are looked for from a start, or from 0 and the starts of blocks where none is given.
+    They are looked for from a start, or from 0 and the best of the blocks' starts where none is
+    given.
     """
     count = len(ensemble.given)
     steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
@@ -381,8 +382,12 @@ def refine(
         """Return the residuals at given unknowns."""
         return objective.solved(ensemble.varied(varied(blocks, theta)))
 
-    theta = _first(objective, ensemble, blocks, len(steps)) if start is None else start
-    here = at(theta)
+    if start is None:
+        near = _first(objective, ensemble, blocks, len(steps))
+        return min((refine(objective, ensemble, blocks, own, rounds)
+                    for own in ([near, 0.0 * near] if near.any() else [near])),
+                   key=lambda found: found.solved.excess)
+    theta, here = start, at(start)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
         step = -inverse_of(D.T @ D)[0] @ gradient

@@ -66,6 +66,14 @@ def test_the_fault_is_named_first(fault):
     assert named(laboratory, cause) == 'right'
 
 
+def test_a_centre_of_mass_aside_is_found_also_where_another_along_the_axis_is_the_better_start():
+    laboratory = Laboratory(502)
+    FAULTS['centre of mass aside'][0](laboratory)
+    first, *_ = diagnosed(laboratory)
+    away = laboratory.package.com - laboratory.said.com
+    assert first.name == 'com' and np.all(np.abs(first.theta - away) < 6.0 * first.std)
+
+
 def test_poses_of_the_lip_that_put_it_above_the_tool_are_no_exchanged_topics():
     laboratory = Laboratory(20271)
     FAULTS['package frame'][0](laboratory)
