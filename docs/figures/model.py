@@ -7,7 +7,6 @@ from typing import Any
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.core.parameters.table import THESIS_STIFFNESS
 from bellows_ros.plots.style import drawing, Theme, THEMES, write_figure
 import numpy as np
 
@@ -89,7 +88,7 @@ def bending(theme: Theme) -> Any:
     with drawing(theme) as figures:
         figure = figures.Figure(figsize=(6.4, 3.0), layout='constrained')
         axes = figure.add_subplot()
-        linear = THESIS_STIFFNESS[3] * angles
+        linear = Cup.thesis().stiffness[3, 3] * angles
         axes.plot(np.rad2deg(angles), linear, color=theme.measured, linewidth=3.0)
         axes.plot(np.rad2deg(angles), moments, color=theme.predicted, linewidth=1.6)
         axes.axvspan(0.0, 20.0, color=theme.grid, alpha=0.6, linewidth=0)
