@@ -196,21 +196,13 @@ def _fit(
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
     size, x = search.count, search.units * found.theta
-    covariance, shares = covariance_of(
-        search, found, noise_information(search, found) if found.converged else None)
-    std = np.sqrt(np.diag(covariance))
-    cup, largest = search.cup(found.theta), np.full(len(x), np.inf)
-    largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
-    for name in named:
-        largest[search.places[name]] = KINDS[name].known
-    known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
-    notes = [*_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size])]
+    covariance, known, notes = _identifiable(search, found, named)
     strengths, of_strengths = _strengths(search, found, covariance)
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
     ratio = np.array([-DEFAULT_RATIO, 1.0])
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
         notes.append(R2_ASSUMED)
-    std = np.where(known, std, np.inf)
+    std = np.where(known, np.sqrt(np.diag(covariance)), np.inf)
     r = np.concatenate([own.innovations for own in found.parts])
     left = np.concatenate([own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
                            for own in found.parts])
@@ -244,6 +236,23 @@ def _fit(
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
     )
+
+
+def _identifiable(
+    search: Search, found: Minimum, named: Sequence[str]
+) -> tuple[Array, Mask, list[str]]:
+    """Return the covariance (m, m), SI units, what is identifiable, and a word about the rest."""
+    size = search.count
+    covariance, shares = covariance_of(
+        search, found, noise_information(search, found) if found.converged else None)
+    cup, std = search.cup(found.theta), np.sqrt(np.diag(covariance))
+    largest = np.full(len(std), np.inf)
+    largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
+    for name in named:
+        largest[search.places[name]] = KINDS[name].known
+    known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
+    return covariance, known, [
+        *_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size])]
 
 
 def noise_information(search: Search, found: Minimum) -> Array:
