@@ -17,6 +17,7 @@ what lies further back than a moment.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
@@ -700,12 +701,15 @@ def _away(body: State, other: State) -> Array:
 
 def _reach_of(tool: Trajectory, kept: float) -> int:
     """
-    Return the half window of the tool's path: the longest that takes hardly any motion from it.
+    Return the half window of the tool's path: for slow noise the longest that spares the motion.
 
-    Noise in the path is noise in the derivatives, and costs more the more of it is slow.
+    Noise in the path is noise in the derivatives, and costs more the more of it is slow; of noise
+    that lasts for less than a sample a short window leaves little.
     """
     rate = uniform_rate_hz(tool.stamps_ns)
     *longer, short = (max(round(over * rate), FEWEST) for over in SMOOTHED_OVER)
+    if kept < math.exp(-1.0):
+        return short
     near, part_near = _taken(tool, short, kept)
     noise = np.mean(near**2, axis=0) / (1.0 - part_near)
     for reach in longer:
