@@ -301,8 +301,8 @@ def plan(
         found['settled_after'] = min(found['settled_after'], LONGEST_TAIL)  # it jumps there
         return np.array(list(found.values()))
 
-    std = dict(zip(
-        prediction.figures(), _deviations(values, model, figures).tolist(), strict=True))
+    std = {name: own if math.isfinite(value) else math.nan for (name, value), own in zip(
+        prediction.figures().items(), _deviations(values, model, figures).tolist(), strict=True)}
     found = None
     if seek_fastest:
         if grip is None:

@@ -402,3 +402,11 @@ def test_the_settling_time_has_a_deviation_where_it_may_be_longer_than_is_watche
     found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': weak})
     assert 20.0 < found['settled_after'] < 30.0
     assert 5.0 < found['settled_after_std'] < 30.0
+
+
+def test_a_settling_time_that_is_not_known_has_no_deviation(tmp_path):
+    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
+    weak = 0.01 * CUP.damping.ravel()
+    found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': 0.1 * weak})
+    assert found['settled_after'] is None and found['settled_after_std'] is None
+    assert found['swing_left_std'] > 0.0
