@@ -93,6 +93,9 @@ STORED = ('.mcap', '.db3', '.zstd')  # last suffixes of storage files
 
 MAX_LISTED = 5
 
+LONGEST_NAME = 1000
+"""Letters in the name of a storage file, with its folders; any more are damage."""
+
 
 class Listing(NamedTuple):
     """
@@ -186,7 +189,8 @@ def _listed_files(folder: Path) -> Listing:
             f"Recording '{folder}' is compressed with '{str(form)[:40]}'; zstd is supported. "
             "Decompress it with 'ros2 bag convert'.")
     names = information.get('relative_file_paths')
-    if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
+    if not isinstance(names, list) or not all(
+            isinstance(name, str) and 0 < len(name) <= LONGEST_NAME for name in names):
         raise _damaged(folder, 'relative_file_paths must be a list of file names')
     if not names:
         raise BellowsError(f"Recording '{folder}' is empty: its {METADATA} lists no files.")

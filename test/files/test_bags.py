@@ -338,7 +338,7 @@ def test_files_outside_the_folder_are_not_read(tmp_path, name, version):
     assert 'files outside the folder are not read' in error_of(folder)
 
 
-@pytest.mark.parametrize('names', [None, 'b.mcap', [None], ['']])
+@pytest.mark.parametrize('names', [None, 'b.mcap', [None], [''], ['b' * 5000]])
 def test_what_is_no_list_of_files_is_refused(tmp_path, names):
     folder = one_topic(tmp_path / 'b', made.poses(4))
     change_metadata(folder, relative_file_paths=names)
