@@ -371,8 +371,8 @@ def refine(
     """
     Return the numbers of blocks with which noise explains most.
 
-    They are looked for from a start, or from 0 and the best of the blocks' starts where none is
-    given.
+    The search begins at a start. Without one it begins at 0 and at the best of the blocks' starts,
+    and the better minimum is returned.
     """
     count = len(ensemble.given)
     steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
@@ -384,8 +384,8 @@ def refine(
 
     if start is None:
         near = _first(objective, ensemble, blocks, len(steps))
-        return min((refine(objective, ensemble, blocks, own, rounds)
-                    for own in ([near, 0.0 * near] if near.any() else [near])),
+        starts = [near, np.zeros_like(near)] if near.any() else [near]
+        return min((refine(objective, ensemble, blocks, begin, rounds) for begin in starts),
                    key=lambda found: found.solved.excess)
     theta, here = start, at(start)
     for _ in range(rounds):

@@ -241,7 +241,7 @@ def _fit(
 def _identifiable(
     search: Search, found: Minimum, named: Sequence[str]
 ) -> tuple[Array, Mask, list[str]]:
-    """Return the covariance (m, m), SI units, what is identifiable, and a word about the rest."""
+    """Return the covariance (m, m), SI units, what is identifiable, and notes on the rest."""
     size = search.count
     covariance, shares = covariance_of(
         search, found, noise_information(search, found) if found.converged else None)
@@ -251,8 +251,8 @@ def _identifiable(
     for name in named:
         largest[search.places[name]] = KINDS[name].known
     known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
-    return covariance, known, [
-        *_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size])]
+    notes = list(_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size]))
+    return covariance, known, notes
 
 
 def noise_information(search: Search, found: Minimum) -> Array:
@@ -267,12 +267,12 @@ def noise_information(search: Search, found: Minimum) -> Array:
         noisier.segments, draw = [], np.random.default_rng(SEED)
         for own in search.segments:
             measured = own.measured
-            noise = BodyNoise(own.std, measured.package_noise.kept), measured.tool_noise
+            noise = BodyNoise(own.std, measured.package_noise.correlation), measured.tool_noise
             package, tool = (
                 _shaken(body, seen, size * (-1.0) ** len(more), draw)
                 for body, seen in zip((measured.package, measured.tool), noise, strict=True))
             noisier.segments.append(Segment(
-                replace(measured, tool=tool, package=package), own.reach))
+                replace(measured, tool=tool, package=package), own.half_window))
             noisier.segments[-1].first, noisier.segments[-1].std = own.first, own.std
         parts, H, g = noisier.system(found.theta, 0.0)
         if np.all(np.isfinite(g)):
@@ -291,8 +291,9 @@ def _shaken(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
     """Return poses with noise of a size in their own."""
+    white = draw.standard_normal((len(body), 6))
     e = size * noise.std * first_order(
-        np.sqrt(1.0 - noise.kept**2) * draw.standard_normal((len(body), 6)), noise.kept)
+        np.sqrt(1.0 - noise.correlation**2) * white, noise.correlation)
     return replace(body, position=body.position + e[:, :3],
                    rotation=body.rotation @ exp_so3(e[:, 3:]))
 

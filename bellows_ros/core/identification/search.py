@@ -57,7 +57,7 @@ SMOOTHED_OVER, SMOOTHED_ORDER, FEWEST = (1 / 6, 1 / 8, 1 / 12), 6, 4
 """Half windows (s) and order of the polynomials of the tool's path, and their fewest samples."""
 
 MOST_SMOOTHED = 1.5
-"""Most that a longer window takes of the tool's motion and noise, in what it takes of noise."""
+"""Largest power that a longer window removes beyond a shorter one, over that of noise in it."""
 
 SMALLEST = np.repeat([2e-7, 2e-6], 3)
 """Smallest noise of a pose (m, rad): interpolation and rounding."""
@@ -136,10 +136,10 @@ slower ones is what the fit leaves of them."""
 
 
 class BodyNoise(NamedTuple):
-    """Noise of a body's poses: standard deviations (6,), and what is kept from pose to pose."""
+    """Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose."""
 
     std: Array
-    kept: float = 0.0
+    correlation: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,11 +246,12 @@ class Nodes(NamedTuple):
 class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
-    def __init__(self, measured: Measured, reach: int = 0) -> None:
+    def __init__(self, measured: Measured, half_window: int = 0) -> None:
         self.measured = measured
         self.tool = bridged(measured.tool)
-        self.reach = reach or _reach_of(self.tool, measured.tool_noise.kept)
-        self.inner = slice(self.reach, len(self.tool) - self.reach)
+        self.half_window = half_window or _half_window_of(
+            self.tool, measured.tool_noise.correlation)
+        self.inner = slice(self.half_window, len(self.tool) - self.half_window)
         self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
         self.held = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
         known = measured.tool.valid[:, None]
@@ -272,7 +273,7 @@ class Segment:
         shift[self.inner] = change
         self.path = savgol(Trajectory(
             tool.stamps_ns, tool.position + apply(tool.rotation, shift[:, :3]),
-            tool.rotation @ exp_so3(shift[:, 3:])), self.reach, SMOOTHED_ORDER)
+            tool.rotation @ exp_so3(shift[:, 3:])), self.half_window, SMOOTHED_ORDER)
         self.way = _between(self.path, tool.select(self.inner))
 
     def nodes(self, delay: float) -> Nodes:
@@ -603,17 +604,17 @@ class Search:
         first = _shrunk(model, tool[0], first, segment.std)
         numbers, moves, delay = self._columns(segment, free, raw)
         count, size, inner = len(nodes.stamps), len(raw), inner_states(first)
-        coloured, kept = noise.kept > 0.0, segment.measured.tool_noise.kept
+        coloured, correlation = noise.correlation > 0.0, segment.measured.tool_noise.correlation
         states = inner + (12 if coloured else 6)
         lengths = np.diff(nodes.stamps) / NS_PER_S
-        fades = np.exp(np.log(noise.kept) / segment.period * lengths) if coloured else lengths
+        fades = noise.correlation ** (lengths / segment.period) if coloured else lengths
         held, keeps = np.zeros(count), np.ones(count)
         held[nodes.samples], keeps[nodes.samples] = (
-            segment.held[segment.inner][nodes.sampled], kept)
+            segment.held[segment.inner][nodes.sampled], correlation)
         way, fresh = np.zeros((count, 6)), np.zeros((count, 6))
-        way[nodes.samples] = _fresh(segment.way[nodes.sampled], kept)
-        fresh[nodes.samples] = segment.variance[nodes.sampled] * (1.0 - kept**2)
-        fresh[nodes.samples[0]] /= 1.0 - kept**2
+        way[nodes.samples] = _innovations(segment.way[nodes.sampled], correlation)
+        fresh[nodes.samples] = segment.variance[nodes.sampled] * (1.0 - correlation**2)
+        fresh[nodes.samples[0]] /= 1.0 - correlation**2
         own = np.tile((SMALLEST if coloured else segment.std) ** 2, (size, 1))
         S, P = np.zeros((states, len(theta) + 1)), np.zeros((states, states))
         known = np.concatenate([START[:inner], np.zeros(6), segment.std])[:states]
@@ -640,7 +641,7 @@ class Search:
             variances = K[:, :, -1] ** -2
         return Part(
             out.ravel(), slopes.reshape(6 * size, -1), variances, own,
-            first_order(change, kept), with_mean(first, nearer[:, None]))
+            first_order(change, correlation), with_mean(first, nearer[:, None]))
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
@@ -699,32 +700,32 @@ def _away(body: State, other: State) -> Array:
     return np.concatenate([shift, turn, *rest])
 
 
-def _reach_of(tool: Trajectory, kept: float) -> int:
+def _half_window_of(tool: Trajectory, correlation: float) -> int:
     """
-    Return the half window of the tool's path: for slow noise the longest that spares the motion.
+    Return the half window (samples) of the tool's path: the longest that spares the motion.
 
-    Noise in the path is noise in the derivatives, and costs more the more of it is slow; of noise
-    that lasts for less than a sample a short window leaves little.
+    Noise in the path is noise in the derivatives, so slow noise needs a long window. Of noise with
+    a memory below one sample the shortest leaves little.
     """
     rate = uniform_rate_hz(tool.stamps_ns)
     *longer, short = (max(round(over * rate), FEWEST) for over in SMOOTHED_OVER)
-    if kept < math.exp(-1.0):
+    if correlation < math.exp(-1.0):
         return short
-    near, part_near = _taken(tool, short, kept)
+    near, part_near = _taken(tool, short, correlation)
     noise = np.mean(near**2, axis=0) / (1.0 - part_near)
-    for reach in longer:
-        far, part = _taken(tool, reach, kept)
-        more = np.mean((far - near[reach - short:][:len(far)]) ** 2, axis=0)
+    for half_window in longer:
+        far, part = _taken(tool, half_window, correlation)
+        more = np.mean((far - near[half_window - short:][:len(far)]) ** 2, axis=0)
         if np.all(more <= MOST_SMOOTHED * (part_near - part) * noise):
-            return reach
+            return half_window
     return short
 
 
-def _taken(tool: Trajectory, reach: int, kept: float) -> tuple[Array, float]:
-    """Return what is fresh (N, 6) in what a window takes from poses, and which part it leaves."""
-    path = savgol(tool, reach, SMOOTHED_ORDER)
-    taken = _between(path, tool.select(slice(reach, len(tool) - reach)))
-    return _fresh(taken, kept)[1:], float(path.weights[0, reach])
+def _taken(tool: Trajectory, half_window: int, correlation: float) -> tuple[Array, float]:
+    """Return the innovations (N, 6) of what a window removes, and the part of noise it leaves."""
+    path = savgol(tool, half_window, SMOOTHED_ORDER)
+    taken = _between(path, tool.select(slice(half_window, len(tool) - half_window)))
+    return _innovations(taken, correlation)[1:], float(path.weights[0, half_window])
 
 
 def _between(path: Trajectory, poses: Trajectory) -> Array:
@@ -734,6 +735,6 @@ def _between(path: Trajectory, poses: Trajectory) -> Array:
         apply(back, poses.position - path.position), log_so3(back @ poses.rotation)])
 
 
-def _fresh(noise: Array, kept: float) -> Array:
-    """Return what is fresh in noise (S, 6)."""
-    return np.vstack([noise[:1], noise[1:] - kept * noise[:-1]])
+def _innovations(noise: Array, correlation: float) -> Array:
+    """Return the innovations of noise (S, 6) that is correlated from sample to sample."""
+    return np.vstack([noise[:1], noise[1:] - correlation * noise[:-1]])

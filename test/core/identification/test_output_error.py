@@ -158,9 +158,9 @@ def test_the_path_is_smoothed_as_long_as_no_motion_is_lost(hz, seconds):
     tool = Shake(3, lowest=hz - 0.5, highest=hz).trajectory(10.0, 250.0)
     own = replace(measured(3), tool=tool)
     own = with_memory(own, 0.9, (3e-4, 1.2e-3), np.random.default_rng(3))
-    assert Segment(own).reach == round(250.0 * seconds)
+    assert Segment(own).half_window == round(250.0 * seconds)
     white = replace(own, tool_noise=BodyNoise(own.tool_noise.std, 0.3))
-    assert Segment(white).reach == round(250.0 / 12)
+    assert Segment(white).half_window == round(250.0 / 12)
 
 
 def test_noise_of_the_tool_does_not_shake_the_simulated_package():
