@@ -184,8 +184,11 @@ A cause is named when its log-likelihood ratio leads that of the next by so much
 so long (ns) after half-way to the threshold.
 """
 
-CONFIRMED = 2
-"""Measurements required after half the threshold is passed: one jump proves nothing."""
+CONFIRMED, CONFIRMED_NS = 2, 80_000_000
+"""
+Measurements and time (ns) required after half the threshold is passed: a marker may be confused
+with another one, or the pose of a tag flip, for some frames.
+"""
 
 UNEXPLAINED = 0.2
 """Largest fraction of the misfit that a named cause may leave unexplained."""
@@ -288,8 +291,8 @@ class Alarms:
         Those cups of a gripper that are opened have been found to be lost before.
         """
         total, lead, best, second, runner_up = outcome
-        if total < self._threshold or (
-                lead < SURE and stamp_ns - known.half_way[0] < DECIDE_NS):
+        if total < self._threshold or len(known.half_way) <= CONFIRMED or (
+                stamp_ns - known.half_way[0] < (DECIDE_NS if lead < SURE else CONFIRMED_NS)):
             return None
         holding = [k for k in range(len(self._places)) if k not in opened]
         names = [*(cause.name for cause in CAUSES), *(self._cup(k) for k in holding)]

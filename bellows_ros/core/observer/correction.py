@@ -12,7 +12,7 @@ from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import Blocks, model_row, ModelTuple, State
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
-from bellows_ros.core.observer.alarms import Alarm, Alarms, CONFIRMED, processed
+from bellows_ros.core.observer.alarms import Alarm, Alarms, processed
 from bellows_ros.core.observer.filter import (
     ALL_ROWS,
     body_ahead,
@@ -47,8 +47,9 @@ import numpy as np
 GATE = 27.86
 """Squared Mahalanobis distance that 1 in 10,000 good measurements exceeds (chi^2 of 6)."""
 
-WRONG_GATE = 8
-"""Consecutive measurements outside the gate after which the filter restarts from them."""
+WRONG_GATE, WRONG_NS = 8, 100_000_000
+"""Consecutive measurements outside the gate, and their time (ns), after which the filter restarts
+from them."""
 
 NOTHING_SEEN = Measurement(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), np.zeros((6, 6)))
 """Stands for a measurement where there is none."""
@@ -309,20 +310,22 @@ class Correction:
             before, track, stamp_ns, is_known, seen, GATE)
         if verdict == OUT_OF_REACH:
             return Outcome(before, 'out_of_reach')
-        refused = before.refused + 1 if verdict == OUTSIDE else 0
-        name = 'used' if not refused else 'recovered' if refused >= WRONG_GATE else 'gate'
-        if self.alarms is not None:
-            half_way = self.alarms.half_way(half_way, stamp_ns, outcome[0])
+        refused = (*before.refused, stamp_ns) if verdict == OUTSIDE else ()
+        name = 'used' if not refused else 'recovered' if (
+            len(refused) >= WRONG_GATE and stamp_ns - refused[0] >= WRONG_NS) else 'gate'
+        if self.alarms is not None:  # what came back within the gate confirms nothing before
+            is_back = before.refused and not refused
+            half_way = self.alarms.half_way(() if is_back else half_way, stamp_ns, outcome[0])
         after = Estimate(
             stamp_ns, tool, body, theta, P, memory,
             Evidence(E, numbers, onsets, half_way, is_first), opened, refused,
-            before.away if refused else 0)
-        if self.alarms is not None and len(half_way) > CONFIRMED and (
+            before.away_ns if refused else 0)
+        if self.alarms is not None and (
                 fault := self.alarms.found(after.evidence, stamp_ns, outcome, opened)):
             opened += (fault.cup,) if fault.cup >= 0 else ()
             body, theta = changed_by(body, theta, fault.error)
             return Outcome(after._replace(  # the fault was taken for noise, too
-                body=body, theta=theta, memory=self.first_memory, refused=0, opened=opened,
+                body=body, theta=theta, memory=self.first_memory, refused=(), opened=opened,
                 evidence=self._evidence(stamp_ns, opened, False),
                 covariance=P + fault.spread @ fault.spread.T), name, fault.alarm)
         if name == 'recovered':
@@ -341,4 +344,4 @@ class Correction:
             restarted, track, seen.stamp_ns, True, seen, math.inf)
         return known._replace(
             tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            evidence=self._evidence(seen.stamp_ns, known.opened, False), refused=0, away=0)
+            evidence=self._evidence(seen.stamp_ns, known.opened, False), refused=(), away_ns=0)

@@ -104,10 +104,11 @@ class Estimate(NamedTuple):
     """Of faults."""
     opened: tuple[int, ...] = ()
     """Cups of a gripper that are lost, by their place among those that held."""
-    refused: int = 0
-    """Consecutive measurements outside the gate."""
-    away: int = 0
-    """Consecutive measurements out of reach, after one within it."""
+    refused: tuple[int, ...] = ()
+    """Stamps (ns) of consecutive measurements outside the gate."""
+    away_ns: int = 0
+    """Stamp of the first of consecutive measurements out of reach, after one within it; 0 for none,
+    -1 once they have been judged."""
 
 
 @kernel

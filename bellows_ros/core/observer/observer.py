@@ -43,8 +43,12 @@ import numpy as np
 LATEST_NS = 500_000_000
 """Largest delay (ns) of a measurement, and largest lead over the tool's newest pose."""
 
-SILENT = 2.5
-"""After a pose out of reach the camera is silent if this many of its periods pass."""
+AWAY_NS = 25_000_000
+"""A package out of reach for so long (ns) is lost: trackers confuse bodies for some frames."""
+
+SILENT, SILENT_NS = 2.5, 50_000_000
+"""After a pose out of reach the camera is silent if this many of its periods pass, and this time
+(ns)."""
 
 KEPT_NS = 100_000_000
 """
@@ -226,7 +230,7 @@ class Observer:
             self._reprocess(len(self._seen) - 1)
         if stamp_ns - self._known[0].stamp_ns > LATEST_NS + KEPT_NS:
             self._drop_old(stamp_ns - LATEST_NS)
-        if self._known[-1].away == 1:
+        if self._known[-1].away_ns > 0:
             self._look_for_silence(stamp_ns)
         return found
 
@@ -300,13 +304,16 @@ class Observer:
     # ------------------------------------------------------- a package that is lost
 
     def _away(self, known: Estimate, stamp_ns: int) -> Estimate:
-        """Count a pose out of reach; a package that was within reach is lost after two."""
-        if known.away == 1 and self._by.alarms is not None:
-            first_ns = self._seen[bisect_left(self._seen, (stamp_ns,)) - 1].stamp_ns
+        """Note a pose out of reach; a package that was within reach is lost after some time."""
+        if known.away_ns == 0:
+            was_near = (known.memory != self._by.first_memory).any()
+            return known._replace(away_ns=stamp_ns) if was_near else known
+        if known.away_ns < 0 or stamp_ns - known.away_ns < AWAY_NS:
+            return known
+        if self._by.alarms is not None:
             self._raise(self._by.alarms.lost(
-                stamp_ns, self._is_held_since(first_ns), reach=self._by.reach))
-        was_near = known.away > 0 or (known.memory != self._by.first_memory).any()
-        return known._replace(away=known.away + was_near)
+                stamp_ns, self._is_held_since(known.away_ns), reach=self._by.reach))
+        return known._replace(away_ns=-1)
 
     def _look_for_silence(self, stamp_ns: int) -> None:
         """Raise an alarm if a camera sees nothing after a package has left its reach."""
@@ -315,8 +322,8 @@ class Observer:
             return
         last_ns = seen[-1].stamp_ns
         usual_ns = last_ns - seen[-2].stamp_ns
-        if stamp_ns - last_ns > SILENT * usual_ns + self._lag_ns:
-            self._known[-1] = known._replace(away=2)
+        if stamp_ns - last_ns > max(SILENT * usual_ns, SILENT_NS) + self._lag_ns:
+            self._known[-1] = known._replace(away_ns=-1)
             if not (is_held := self._is_held_since(last_ns)):  # else one wrong pose, then none
                 self._raise(self._by.alarms.lost(stamp_ns, is_held))
 
@@ -333,7 +340,7 @@ class Observer:
             return
         self._vacuum = self._track.newest_ns, is_held
         if breaks and self._known and self._by.alarms:
-            is_seen = self._known[-1].away > 0
+            is_seen = self._known[-1].away_ns != 0
             if moves or is_seen:
                 self._raise(self._by.alarms.lost(self._track.newest_ns, False, is_seen))
 

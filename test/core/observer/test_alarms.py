@@ -3,6 +3,7 @@
 from collections import Counter
 import re
 
+from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.kernels import model_of
 from bellows_ros.core.model.structure import SINGLE
 from bellows_ros.core.observer import correction as module
@@ -123,6 +124,23 @@ def test_ordinary_cell_raises_no_alarm(name):
         assert cell.made.counts['gate'] <= 2
 
 
+@pytest.mark.parametrize(('rate_hz', 'frames', 'shift'), [
+    (125 / 4, 3, 0.02), (125.0, 8, 0.02), (125.0, 3, 0.5)])
+def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shift):
+    """Wait until a flipped tag or a confused marker is over: neither slip nor loss, nor a start."""
+    cell = Cell(2, 8.0, CONDITIONS['all, small'], rate_hz=rate_hz)
+    keys = sorted(cell.seen)
+    for first in range(len(keys) // 4, len(keys) - frames, len(keys) // 4):
+        for k in keys[first:first + frames]:
+            (stamp_ns, (position, quaternion)), = cell.seen[k]
+            flip = quaternion_product(quaternion, (0.2, 0.0, 0.0, 0.96**0.5))
+            cell.seen[k] = [(stamp_ns, ((position[0] + shift, *position[1:]), flip))]
+    assert cell.run() == []
+    assert not cell.made.counts['recovered']
+    wrong = cell.made.counts['gate'] + cell.made.counts['out_of_reach']
+    assert 3 * frames <= wrong <= 3 * frames + 3
+
+
 @pytest.mark.parametrize(('rate_hz', 'within'), [(125 / 4, 0.3), (125 / 12, 0.6)])
 @pytest.mark.parametrize('kind', ['drop', 'peel'])
 def test_drop_is_always_noticed(kind, rate_hz, within):
@@ -213,7 +231,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
         return result
 
     monkeypatch.setattr(module, 'processed', processing)
-    monkeypatch.setattr(module, 'CONFIRMED', 1000)  # no alarm
+    monkeypatch.setattr('bellows_ros.core.observer.alarms.CONFIRMED', 1000)  # no alarm
     Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.28, size=1.5).run()
     assert len(totals) > 12
     assert totals[-1] == pytest.approx(_dense_total(given), rel=1e-5)
