@@ -107,8 +107,8 @@ class Estimate(NamedTuple):
     refused: tuple[int, ...] = ()
     """Stamps (ns) of consecutive measurements outside the gate."""
     away_ns: int = 0
-    """Stamp of the first of consecutive measurements out of reach, after one within it; 0 for none,
-    -1 once they have been judged."""
+    """Stamp of the first of consecutive measurements out of reach, after one within it; 0 for
+    none, -1 once they have been judged."""
 
 
 @kernel

@@ -127,7 +127,7 @@ def test_ordinary_cell_raises_no_alarm(name):
 @pytest.mark.parametrize(('rate_hz', 'frames', 'shift'), [
     (125 / 4, 3, 0.02), (125.0, 8, 0.02), (125.0, 3, 0.5)])
 def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shift):
-    """Wait until a flipped tag or a confused marker is over: neither slip nor loss, nor a start."""
+    """Wait until a flipped tag or a confused marker is over: no slip, no loss, no start."""
     cell = Cell(2, 8.0, CONDITIONS['all, small'], rate_hz=rate_hz)
     keys = sorted(cell.seen)
     for first in range(len(keys) // 4, len(keys) - frames, len(keys) // 4):
