@@ -226,6 +226,7 @@ def without(name):
         (PARAMETERS, motion(**{'package.twist': {}}), "Unknown setting 'package.twist'"),
         (PARAMETERS, motion(**{'topics.package_pose': 'tool_arm/pose'}), 'no other stream has'),
         (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
+        (PARAMETERS, motion(**{'tool.outliers': {'count': 2}}), "'tool.outliers.position'"),
         (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
         (PARAMETERS, motion(**{'multi_sine.position.x.amplitude': [30.0]}), 'as no arm is'),
     ],

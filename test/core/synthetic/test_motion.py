@@ -164,18 +164,13 @@ LINE = ('multi_sine', 'rotation', 'x')
 @pytest.mark.parametrize(
     ('content', 'path', 'value', 'message'),
     [
-        (MULTI_SINE, ('kind',), 'multisine', "'kind' must be one of multi_sine, chirp, waypoints"),
-        (MULTI_SINE, ('duration',), None, "'duration' is missing; it must be a number, above 1"),
         (MULTI_SINE, ('start', 'quaternion_xyzw'), [0, 0, 0, 1], 'are both given'),
         (MULTI_SINE, ('multi_sine',), {}, "'multi_sine' moves nothing"),
-        (MULTI_SINE, ('multi_sine', 'rotatoin'), {}, "Did you mean 'multi_sine.rotation'?"),
         (MULTI_SINE, (*LINE, 'amplitude'), [1.0], 'must be equally long, got 1 and 2'),
         (MULTI_SINE, (*LINE, 'frequency'), [1.0, -1.0], 'at most 100 (Hz), got -1.0'),
-        (CHIRP, ('chirp', 'to'), 'fast', "'chirp.to' must be a number, at least 0 and at most 1"),
         (WAYPOINTS, ('waypoints', 'poses'), [], 'a list of one or more blocks'),
         (WAYPOINTS, (*POSES, 'quaternion_xyzw'), [0, 0, 0, 2], 'must be of length 1'),
         (WAYPOINTS, (*POSES, 'move'), 3600.0, 'at most 3600 s are possible'),
-        (STATIC, ('static', 'hold'), -1.0, "'static.hold' must be a number, at least 0"),
     ],
 )
 def test_a_wrong_setting_is_refused_by_name(content, path, value, message):

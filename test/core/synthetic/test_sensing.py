@@ -1,7 +1,6 @@
 """What tracking makes of a motion: noise, jumps, gaps, frames, worlds and stamps."""
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
-from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.recipe import Faults, Sensor, TwistSensor
@@ -151,24 +150,3 @@ def test_twist_noise_and_gaps():
     within = 5.0 / np.sqrt(2.0 * count)
     assert_allclose((noisy - exact)[:, :3].std(0), 2e-3, rtol=within)
     assert_allclose((noisy - exact)[:, 3:].std(0), 5e-3, rtol=within)
-
-
-SENSOR = {'rate_hz': 100.0}
-
-
-@pytest.mark.parametrize(
-    ('content', 'message'),
-    [
-        ({}, "'tool.rate_hz' is missing; it must be a number, above 0 and at most 10000 (Hz)"),
-        ({**SENSOR, 'noise': {'postion': 1.0}}, "Did you mean 'tool.noise.position'?"),
-        ({**SENSOR, 'outliers': {'count': 2}}, "'tool.outliers.position' is missing"),
-        ({**SENSOR, 'outliers': {'count': 0.5}}, "'tool.outliers.count' must be an integer"),
-        ({**SENSOR, 'dropouts': 3}, "Setting 'tool.dropouts' must hold names and values, got 3."),
-    ],
-)
-def test_a_wrong_setting_is_refused_by_name(content, message):
-    with pytest.raises(BellowsError) as caught:
-        settings = Settings(content, 'tool')
-        sensing.sensor_from(settings)
-        settings.done()
-    assert message in str(caught.value)
