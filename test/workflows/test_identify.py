@@ -132,20 +132,6 @@ def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
         assert steps == []
 
 
-@pytest.mark.parametrize(('change', 'word'), [
-    ({'bags': []}, 'bags is empty'),
-    ({'package.mass': None}, 'package.mass'),
-    ({'fit.structur': 'full'}, 'fit.structure'),
-    ({'bags': ['nowhere']}, 'nowhere'),
-    ({'topics.tool_pose': '/tool'}, '/tool_arm/pose'),
-])
-def test_mistakes_are_named(shipped, change, word):
-    values = {**shipped[0].values, **change}
-    values = {name: value for name, value in values.items() if value is not None}
-    with pytest.raises(BellowsError, match=word):
-        identify(values)
-
-
 @pytest.fixture(scope='module')
 def two_packages(tmp_path_factory, root):
     """Return recordings of one cup with two packages, and a parameter file of each package."""

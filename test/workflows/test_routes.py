@@ -98,22 +98,6 @@ def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, root, st
     assert said[0] == 0.0 and said[-1] == 1.0 and said == sorted(said)
 
 
-def test_bad_recording_is_reported_and_not_fatal(settings, one_result, tmp_path):
-    pytest.importorskip('joblib', reason='extra parallel')
-    broken = tmp_path / 'broken'
-    shutil.copytree(settings['bags'][0], broken)
-    file = next(broken.glob('*.mcap'))
-    file.write_bytes(file.read_bytes()[:5000])
-    first, second = settings['bags']
-    result = identify({**settings, 'bags': [first, str(broken), 'nowhere', second]}, jobs=2)
-    assert_same(result.fit, one_result.fit)
-    assert [failed.bag for failed in result.failed] == [str(broken), 'nowhere']
-    content = result.as_json()
-    assert [failure['bag'] for failure in content['failed']] == [str(broken), 'nowhere']
-    assert [recording['bag'] for recording in content['recordings']] == settings['bags']
-    assert sum('was left out' in warning for warning in result.warnings) == 2
-
-
 def test_nothing_usable(settings):
     with pytest.raises(BellowsError, match="2.*'a'"):
         identify({**settings, 'bags': ['a', 'b']}, jobs=1)

@@ -1,11 +1,9 @@
 """Static recordings of a known cup: its length and its spring, from bags on disk."""
 
-import json
 
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.results import format_json
 from bellows_ros.workflows.simulate import simulate_recording
 from bellows_ros.workflows.static import (
     save_length,
@@ -81,16 +79,6 @@ def test_poses_of_the_shipped_recording(root, truth):
     wrong = static_check([(str(root / 'bags/static'), {})], {
         **truth, 'cup.stiffness': softer})
     assert not wrong.spring.passed
-
-
-def test_files(weights, truth, tmp_path):
-    result = static_check(weights, known(truth))
-    save_length(result, tmp_path / 'found.yaml')
-    assert read_parameters(tmp_path / 'found.yaml') == {'cup.length': result.length.length}
-    content = json.loads(format_json(result.as_json()))
-    assert content['nominal_length']['length'] == result.length.length
-    assert [r['package']['mass'] for r in content['recordings']] == list(MASSES)
-    assert len(content['recordings'][0]['standstills']) == 2
 
 
 def test_a_list_with_centres_needs_no_package(weights, truth):
