@@ -1,6 +1,7 @@
 """Imports point one way: nodes and commands, workflows, files, core; ROS only in the nodes."""
 
 import ast
+from functools import cache
 import subprocess
 import sys
 
@@ -52,16 +53,18 @@ def room_of(file, root):
     return '' if first == '__init__' else first
 
 
+@cache
 def imports(file, root):
-    """Yield the absolute names of all that a file imports, at its top or inside functions."""
-    package = file.relative_to(root).parent.parts
+    """Return the absolute names of all that a file imports, at its top or inside functions."""
+    package, found = file.relative_to(root).parent.parts, []
     for node in ast.walk(ast.parse(file.read_text(), str(file))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = package[:len(package) + 1 - node.level] if node.level else ()
             module = '.'.join([*base, *filter(None, [node.module])])
-            yield from (f'{module}.{alias.name}' for alias in node.names)
+            found += [f'{module}.{alias.name}' for alias in node.names]
+    return found
 
 
 def run(code, environment):

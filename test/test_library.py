@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import bellows_ros
+from bellows_ros.core.excitation import motion_design
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -15,6 +16,14 @@ from scipy.spatial.transform import Rotation
 WITHOUT_EXAMPLE = {'BellowsError', 'Prediction'}  # what others raise and return
 
 
+@pytest.fixture
+def soon(monkeypatch):
+    """Let the search for a motion end soon; how good it is, is tested with it."""
+    monkeypatch.setattr(motion_design, 'STAGES', ((8, 60), (16, 20)))
+    monkeypatch.setattr(motion_design, 'STARTS', 1)
+
+
+@pytest.mark.usefixtures('soon')
 @pytest.mark.parametrize('name', bellows_ros.__all__)
 def test_examples_print_what_they_show(root, tmp_path, monkeypatch, name):
     """Run the examples of every public name, as a user at the top of a checkout would."""
@@ -112,6 +121,7 @@ def test_a_cup_is_identified_from_arrays():
 TOSSING = 'bags/tossing.yaml'
 
 
+@pytest.mark.usefixtures('soon')
 @pytest.mark.parametrize('make', [
     lambda: bellows_ros.plan('bags/transport.yaml', TOSSING),
     lambda: bellows_ros.steer('bags/transport.yaml', TOSSING, 'zvd'),
