@@ -64,15 +64,6 @@ def test_what_was_written_before_a_full_disk_is_named(
     assert topics(out) and not (tmp_path / 'plan.json').exists()
 
 
-def test_a_recording_is_a_plan(bellows, workshop):
-    """Take the tool's motion in a recording; the summary goes aside where JSON goes out."""
-    done = bellows(
-        'plan', workshop / 'recording', '--params', workshop / 'cup.yaml', '--json', '-')
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)['smallest_safety_factor'] is None
-    assert 'set cup.lip_radius and vacuum.holding' in ' '.join(done.stderr.split())
-
-
 def test_a_cup_that_lets_go_is_a_no(bellows, workshop, transport):
     """End with 1; never say that the grip holds where the data are doubtful."""
     line = ('plan', transport, '--params', workshop / 'cup.yaml', '--set', 'cup.lip_radius=0.03')

@@ -81,18 +81,6 @@ def shipped(root):
                      'fit.method': 'least_squares'}), truth
 
 
-def test_without_a_word_it_is_the_output_error(root):
-    known = read_parameters(root / 'bags/package.yaml')
-    fit = identify({**known, 'bags': [str(root / 'bags/validation')]}).fit
-    assert fit.method == 'output_error'
-    truth = read_parameters(root / 'bags/cup.yaml')
-    for name in ('stiffness', 'damping'):
-        true = np.diag(np.reshape(truth[f'cup.{name}'], (6, 6)))
-        error = np.diag(getattr(fit, f'{name}_std'))
-        assert np.all(np.abs(np.diag(getattr(fit, name)) - true) < 3.0 * error)
-        assert np.all(error[[0, 3, 5]] < 0.05 * true[[0, 3, 5]])
-
-
 def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_path):
     result, _ = shipped
     save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')

@@ -321,7 +321,7 @@ def test_damaged_yaml_is_refused_or_a_plan(tmp_path, kind):
 
 
 def test_a_plan_of_very_many_points_is_read_from_yaml(tmp_path):
-    count = 30_000
+    count = 10_000
     head, point = yaml.safe_dump(plan_messages(1)['multi']).split('points:\n')
     point = point.replace('nanosec: 0', 'nanosec: {at}').replace('z: 1.0e-05', 'z: {z!r}')
     assert point.count('{') == 2 and 'velocities' in point

@@ -94,24 +94,6 @@ def test_equals_the_simulation_whatever_comes_first(messages, predictor, order):
     assert turn < 1e-11
 
 
-def test_an_arm_on_a_wall_is_one_on_the_floor_turned(messages, predictor):
-    turn = quaternion_to_rotation(np.array([0.5, 0.5, -0.5, 0.5]))  # -z becomes y
-    wall = LivePredictor(Cup.thesis(), PLATE, turn @ [0.0, 0.0, -9.81])
-    q = rotation_to_quaternion(turn @ messages.tool.rotation)
-    for live in (predictor, wall):
-        live.pairing.expect = True
-    for k in range(len(messages)):
-        messages.pose(predictor, k)
-        (expected,) = messages.twist(predictor, k)
-        wall.on_pose(messages.stamps[k], 'base', tuple((turn @ messages.positions[k]).tolist()),
-                     tuple(q[k].tolist()))
-        (out,) = wall.on_twist(messages.stamps[k], tuple((turn @ messages.linear[k]).tolist()),
-                               tuple((turn @ messages.angular[k]).tolist()))
-        assert_allclose(out.position, turn @ expected.position, atol=1e-11)
-        assert_allclose([out.linear, out.angular, out.force],
-                        [expected.linear, expected.angular, expected.force], atol=1e-7)
-
-
 def test_twists_are_waited_for_once_they_are_seen_to_come(messages, predictor):
     for k in range(10):
         messages.pose(predictor, k)
@@ -133,12 +115,6 @@ def test_twists_that_stop_are_not_waited_for_longer_than_the_limit(messages, pre
     assert not predictor.pairing.expect
     assert predictor.pairing.waiting == 0
     assert predictor.predictions == 60
-
-
-def test_flush_predicts_for_what_waits(messages, predictor):
-    predictor.pairing.expect = True
-    assert messages.pose(predictor, 0) == []
-    assert [p.stamp_ns for p in predictor.flush()] == messages.stamps[:1]
 
 
 def test_poses_alone_come_close(messages, predictor):

@@ -1,9 +1,8 @@
 """Which way is down."""
 
-from bellows_ros.core.geometry.lie import exp_so3, log_so3
-from bellows_ros.core.parameters.checks import gravity_of, require_direction
+from bellows_ros.core.geometry.lie import log_so3
+from bellows_ros.core.parameters.checks import gravity_of
 from bellows_ros.core.recording.alignment import levelling
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -35,9 +34,3 @@ def test_levelling_is_the_smallest_rotation_that_makes_a_direction_down(size):
 
 def test_a_world_upside_down_is_turned_about_x():
     assert_array_equal(levelling((0.0, 0.0, 2.0)), np.diag([1.0, -1.0, -1.0]))
-
-
-def test_no_direction_is_refused():
-    with pytest.raises(BellowsError):
-        require_direction((0.0, 0.0, 0.0))
-    require_direction(exp_so3(np.ones(3))[0])

@@ -3,7 +3,6 @@
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.recording import alignment
-from bellows_ros.core.recording.recording import require_one_frame
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -62,14 +61,6 @@ def test_a_small_motion_of_the_world_moves_what_is_seen_in_it():
         for p in (pose, alignment.shifted_pose(pose, level, middle, theta)))
     assert_allclose(
         after, middle + theta[:3] + lie.apply(lie.exp_so3(theta[3:]), before - middle), atol=1e-12)
-
-
-def test_two_frames_are_refused_with_the_remedy():
-    tool, package = rigid(np.zeros(3), np.zeros(3))
-    with pytest.raises(BellowsError):
-        require_one_frame(tool, package)
-    pose = alignment.pose_of('0 0 0 0 0 0 1')
-    require_one_frame(tool, alignment.in_tool_world(package, pose, 'base'))
 
 
 def test_the_parameter_takes_numbers_in_any_form_and_nothing_else():
