@@ -214,6 +214,7 @@ def _dense_total(given):
 def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
     processed, given, totals = module.processed, [], []
+    interpreted = getattr(predicted, 'py_func', predicted)  # compiling it takes some 7 s
 
     def processing(row, branches, theta, tool, body, P, memory, *more):
         result = processed(row, branches, theta, tool, body, P, memory, *more)
@@ -221,8 +222,8 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
             model, k = model_of(row, branches), first_after(more[0], more[6], more[5])
             track, seen = (*more[:5], k, *more[6:10]), more[18:]
             F, end = _dense_transition(model, theta, tool, body, P, memory, *track)
-            after = predicted(model, theta, tool, body, P, memory, *track, more[10],
-                              np.zeros((0, 0), np.float32), NO_CUPS)
+            after = interpreted(model, theta, tool, body, P, memory, *track, more[10],
+                                np.zeros((0, 0), np.float32), NO_CUPS)
             verdict, found, *_ = updated(
                 model, end, *after[1:4], memory, (more[7] - more[6]) * 1e-9, *seen)
             if verdict != OUT_OF_REACH:
