@@ -682,7 +682,8 @@ def body_ahead(
 ) -> State:
     """Return the package of an estimate at a later stamp, and write it into the samples."""
     none = np.zeros((0, 0))
+    is_known = len(none) > 0  # for the constant False another one would be compiled
     return propagated(
         kernels.model_of(row, branches), theta, tool, body, none, none, stamps, starts, ends,
-        bodies, False, first_after(stamps, now_ns, count), now_ns, until_ns, longest, none,
+        bodies, is_known, first_after(stamps, now_ns, count), now_ns, until_ns, longest, none,
         np.zeros((0, 54)), np.zeros((0, 12, 13)))[1]
