@@ -21,10 +21,14 @@ class Move:
         self.way, self.turn = np.asarray(way, dtype=float), np.asarray(turn, dtype=float)
         self.duration = np.asarray(duration, dtype=float)
 
+    def steps(self, s):
+        """Return the step and its slope over the part of the time that has passed."""
+        return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s)**2
+
     def at(self, t):
         """Return position, rotation and body twist at times (N,)."""
         s = np.clip(np.asarray(t) / self.duration, 0.0, 1.0)[..., None]
-        step, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s)**2
+        step, rate = self.steps(s)
         rate = rate / self.duration[..., None]
         phi = step * self.turn
         R = lie.exp_so3(phi)

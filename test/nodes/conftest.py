@@ -2,6 +2,8 @@
 
 import importlib.util
 from pathlib import Path
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -21,6 +23,7 @@ PACKAGE = {
     'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
     'package.com': [0.0, 0.0, -0.03],
 }
+GIVEN = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
 MS = 1_000_000
@@ -188,3 +191,17 @@ def make_partner(ros, make_predictor):
         return Partner(ros, make_predictor(given, **options), inputs, outputs, with_twists)
 
     return make
+
+
+@pytest.fixture
+def running(root, user_environment):
+    """Give a predictor in a process of its own."""
+    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *GIVEN],
+        env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()

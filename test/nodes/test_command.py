@@ -12,10 +12,9 @@ from bellows_ros.nodes import identifier, predictor
 from bellows_ros.nodes.command import help_text, origin_of
 import pytest
 
-from .conftest import MS, PACKAGE, Peer, pose_at, START
+from .conftest import GIVEN, MS, Peer, pose_at, START
 
 MODULES = {'predictor': predictor, 'identifier': identifier}
-GIVEN = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
 WITHOUT_ROS = """
 import sys
 
@@ -103,20 +102,6 @@ def test_a_file_that_ros_would_read_for_minutes_is_refused(tmp_path, capfd):
     assert predictor.main(['--ros-args', '--params-file', str(file)]) == 2
     said = capfd.readouterr().err
     assert 'is too large' in said and 'Traceback' not in said
-
-
-@pytest.fixture
-def running(root, user_environment):
-    """Give a predictor in a process of its own."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *GIVEN],
-        env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

@@ -3,15 +3,12 @@
 import math
 import os
 from pathlib import Path
-import subprocess
-import sys
 import time
 
 from geometry_msgs.msg import PoseStamped
-import pytest
 from rclpy.serialization import serialize_message
 
-from .conftest import MS, PACKAGE, Peer, pose_at, stamp_ns, START
+from .conftest import MS, Peer, pose_at, stamp_ns, START
 
 RATE, COUNT = 20_000, 12_000
 LARGEST_GROWTH = 1_000_000  # bytes
@@ -76,24 +73,9 @@ class Victim(Peer):
         return pages * os.sysconf('SC_PAGE_SIZE')
 
 
-@pytest.fixture
-def victim(ros, root, user_environment):
-    """Give a predictor that runs."""
-    parameters = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *parameters],
-        env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True)
-    try:
-        yield Victim(ros, process)
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def test_a_flood_neither_kills_nor_grows_nor_leaves_a_trace(victim):
+def test_a_flood_neither_kills_nor_grows_nor_leaves_a_trace(ros, running):
     """Survive each flood with the memory it had, and answer each pose afterwards."""
-    memory, rates = [], []
+    victim, memory, rates = Victim(ros, running), [], []
     for kind in KINDS:
         rates.append(victim.flood(kind))
         assert victim.process.poll() is None, kind
@@ -102,5 +84,5 @@ def test_a_flood_neither_kills_nor_grows_nor_leaves_a_trace(victim):
     assert max(memory) - memory[0] < LARGEST_GROWTH, memory
     print('messages a second:', [round(rate) for rate in rates], 'memory:', memory)
     victim.process.terminate()
-    log, _ = victim.process.communicate(timeout=20)
+    _, log = victim.process.communicate(timeout=20)
     assert victim.process.returncode == 0 and 'Traceback' not in log, log

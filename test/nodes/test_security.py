@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from .conftest import PACKAGE
+from .conftest import GIVEN, PACKAGE
 
 ROS_OPTIONAL = {'/tf', '/tf_static', '/clock', '/parameter_events', '/vacuum/held',
                 '/vacuum/pressure', '/rosout'}
@@ -84,10 +84,9 @@ def test_what_is_to_be_secured_and_cannot_be_does_not_start(
         folder.mkdir(parents=True)
         for file in ENCLAVE:
             (folder / file).write_text('neither key nor signature')
-    parameters = [word for key, value in PACKAGE.items() for word in ('-p', f'{key}:={value}')]
     done = subprocess.run(
         [sys.executable, '-m', f'bellows_ros.nodes.{name}', '--ros-args', '--enclave',
-         f'/bellows_ros/{name}', *parameters],
+         f'/bellows_ros/{name}', *GIVEN],
         env={**user_environment, 'ROS_SECURITY_ENABLE': 'true',
              'ROS_SECURITY_STRATEGY': 'Enforce', 'ROS_SECURITY_KEYSTORE': str(tmp_path)},
         cwd=root, capture_output=True, text=True, timeout=60)

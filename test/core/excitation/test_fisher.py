@@ -2,16 +2,16 @@
 
 from bellows_ros.core.excitation import fisher
 from bellows_ros.core.excitation.fisher import Tracking
-from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
 import numpy as np
 import pytest
+
+from ..recording.tracking import noisy
 
 STRUCTURE = STRUCTURES['axisymmetric']
 TRUTH = np.array([5400.0, 9200.0, 4.2, 1.35, 55.0, 24.0, 0.06, 0.1])
@@ -53,13 +53,6 @@ def recorded(mover, duration):
     return tool, at, simulate(cup_of(TRUTH), PACKAGE, at)
 
 
-def noisy(poses, noise, rng):
-    n = len(poses)
-    return Trajectory(
-        poses.stamps_ns, poses.position + noise.position * rng.standard_normal((n, 3)),
-        poses.rotation @ exp_so3(noise.rotation * rng.standard_normal((n, 3))))
-
-
 def estimates(mover, duration, draws):
     """Yield errors of estimates over their expected standard errors, one row per recording."""
     rng = np.random.default_rng(11)
@@ -67,7 +60,7 @@ def estimates(mover, duration, draws):
     usual, cup = expected(at), cup_of(TRUTH)
     for _ in range(draws):
         measured = Measured(
-            noisy(tool, TRACKING.tool, rng), noisy(body, TRACKING.package, rng), PACKAGE, 9.81,
+            noisy(rng, tool, TRACKING.tool), noisy(rng, body, TRACKING.package), PACKAGE, 9.81,
             *(BodyNoise(np.repeat(noise, 3)) for noise in (TRACKING.tool, TRACKING.package)))
         search = Search([Segment(measured)], STRUCTURE, cup, {})
         found = search.found(lambda cup, chi2: None, search.start)

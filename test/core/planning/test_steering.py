@@ -38,17 +38,6 @@ class Smooth(Move):
         step = slope.integ()
         return step(s) / step(1.0), slope(s) / step(1.0)
 
-    def at(self, t):
-        """Return position, rotation and body twist at times (N,)."""
-        from bellows_ros.core.geometry.lie import dexp, exp_so3
-
-        s = np.clip(np.asarray(t) / self.duration, 0.0, 1.0)[..., None]
-        step, rate = self.steps(s)
-        R, rate = exp_so3(step * self.turn), rate / self.duration[..., None]
-        v = np.einsum('...ji,...j->...i', R, rate * self.way)
-        w = np.einsum('...ij,...j->...i', dexp(-step * self.turn), rate * self.turn)
-        return step * self.way, R, np.concatenate([v, w], axis=-1)
-
 
 def followed(tool, cup=CUP, after=0.1, rate=1000):
     """Return poses (N, 4, 4) of the package along a motion, and later, by plain RK4."""
