@@ -38,6 +38,7 @@ def test_json_has_the_cup_and_what_it_rests_on(identified):
     np.testing.assert_allclose(fit['damping'], np.diag(DAMPING), rtol=DAMPING_WITHIN, atol=1e-9)
     assert np.all(np.diag(fit['stiffness_std']) > 0.0)
     assert fit['samples_used'] > 1000 and fit['samples_rejected'] > 0
+    assert len(fit['recordings'][0]['package_pose']['gaps']) == 1
 
 
 def test_the_cup_file_has_what_was_found_and_nothing_else(identified):

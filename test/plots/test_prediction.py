@@ -4,7 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 
 from bellows_ros.core.signals.residuals import Comparison, score
-from bellows_ros.plots.recording import prediction_figure, spans, two_figures, with_gaps
+from bellows_ros.plots.recording import prediction_figure, spans, two_figures
 from bellows_ros.plots.style import drawing, inline_svg, THEMES
 import numpy as np
 import pytest
@@ -77,13 +77,6 @@ def test_text_stays_inside_and_apart(figure):
     for number, box in enumerate(boxes):
         assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height
         assert not any(box.overlaps(other) for other in boxes[:number])
-
-
-def test_gaps_are_found_by_time():
-    """Put one NaN into each gap."""
-    seconds = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.1])
-    broken = with_gaps(seconds, np.arange(6.0))
-    np.testing.assert_array_equal(broken, [0.0, 1.0, 2.0, np.nan, 3.0, 4.0, 5.0])
 
 
 def inlined(x, y):

@@ -81,25 +81,6 @@ def shipped(root):
                      'fit.method': 'least_squares'}), truth
 
 
-def test_files_hold_the_result_and_the_cup_file_serves_both_nodes(shipped, tmp_path):
-    result, _ = shipped
-    save(result, tmp_path / 'cup.yaml', tmp_path / 'fit.json')
-    written = read_result(tmp_path / 'fit.json')
-    fit = result.fit
-    for name in ('stiffness', 'damping', 'stiffness_std', 'damping_std'):
-        assert_allclose(written[name], getattr(fit, name), rtol=0, atol=0)
-    for name in ('method', 'structure', 'samples_used', 'samples_rejected', 'condition_number'):
-        assert written[name] == getattr(fit, name)
-    (recording,) = written['recordings']
-    assert recording['package_pose']['outliers'] > 0
-    assert len(recording['package_pose']['gaps']) == 3
-    kept = read_parameters(tmp_path / 'cup.yaml')
-    values = resolve(kept)
-    assert_allclose(values['cup.stiffness'], fit.stiffness.ravel(), rtol=0, atol=0)
-    assert_allclose(values['cup.damping'], fit.damping.ravel(), rtol=0, atol=0)
-    assert all(name.startswith(('cup.', 'envelope.')) for name in kept)  # only what was found
-
-
 @pytest.mark.parametrize('method', ['least_squares', pytest.param(
     'output_error', marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])

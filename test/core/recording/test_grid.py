@@ -118,8 +118,3 @@ def test_stamps_far_apart_are_refused_and_not_filled():
     poses = moving(stamps)
     with pytest.raises(BellowsError):
         on_grid(poses, timing(stamps))
-
-
-def test_two_stamps_are_too_few():
-    with pytest.raises(BellowsError, match='at least 3 samples'):
-        timing(rounded_stamps(360, 2))

@@ -1,6 +1,6 @@
 """Motions of the tool: derivatives by finite differences, smoothness, errors of settings."""
 
-from bellows_ros.core.geometry.lie import log_so3, rpy_rotation
+from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.synthetic.motion import motion_from
 from bellows_ros.errors import BellowsError
@@ -141,11 +141,6 @@ def test_a_multi_sine_has_the_lines_that_were_asked_for():
     lines = 2.0 * np.abs(np.fft.rfft(x)) / len(t)
     assert_allclose(lines[[16, 124]], [0.05, 0.01], rtol=1e-9)
     assert_allclose(np.delete(lines, [16, 124]), 0.0, atol=1e-12)
-
-
-def test_roll_pitch_yaw_are_about_fixed_axes():
-    rpy = np.array([0.3, -0.5, 2.0])
-    assert_allclose(rpy_rotation(rpy), Rotation.from_euler('xyz', rpy).as_matrix(), atol=1e-15)
 
 
 def changed(content, path, value):
