@@ -210,6 +210,7 @@ def _dense_total(given):
     return logsumexp(ratios)
 
 
+@pytest.mark.xdist_group('kernels called from Python')
 @pytest.mark.parametrize('kind', ['slip', 'wear', 'camera', 'drop'])
 def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""

@@ -40,6 +40,8 @@ SIZES = np.repeat(
 OF_MOTION = [*range(MARKER), *range(DAMPING, ALL_ROWS)]
 MEMORY = first_memory(0.03 / np.log(2.0))
 
+pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled by one worker alone
+
 
 def difference(one, other):
     """Give the change (12,) that leads from one state to another."""
