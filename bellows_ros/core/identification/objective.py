@@ -372,7 +372,8 @@ def refine(
     Return the numbers of blocks with which noise explains most.
 
     The search begins at a start. Without one it begins at 0 and at the best of the blocks' starts,
-    and the better minimum is returned.
+    and the better minimum is returned. Where K is far too small, steps are too long: they are
+    halved as long as less is left.
     """
     count = len(ensemble.given)
     steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
@@ -392,14 +393,16 @@ def refine(
         gradient, D = _derivatives(at, theta, here, steps)
         step = -inverse_of(D.T @ D)[0] @ gradient
         step *= min(1.0, float(np.min(far / np.maximum(np.abs(step), 1e-300))))
-        for _ in range(HALVINGS):
-            further = at(theta + step)
-            if further.excess < here.excess:
+        best, taken = here, step
+        for shorter in np.outer(0.5 ** np.arange(HALVINGS), step):
+            further = at(theta + shorter)
+            if further.excess < best.excess:
+                best, taken = further, shorter
+            elif best is not here:
                 break
-            step = 0.5 * step
-        else:
+        if best is here:
             return Refined(theta, covariance_of(here, D), here)
-        theta, here = theta + step, further
+        theta, here, step = theta + taken, best, taken
         covariance = covariance_of(here, D)
         if np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
             break

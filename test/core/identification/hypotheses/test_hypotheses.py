@@ -66,8 +66,10 @@ def test_the_fault_is_named_first(fault):
     assert named(laboratory, cause) == 'right'
 
 
-def test_a_centre_of_mass_aside_is_found_also_where_another_along_the_axis_is_the_better_start():
-    laboratory = Laboratory(502)
+@pytest.mark.parametrize(('seed', 'rate_hz'), [(502, 240.0), (703, 480.0)])
+def test_a_centre_of_mass_aside_is_found_wherever_the_search_begins(seed, rate_hz):
+    """Another along the axis is the better start, or steps from none are far too long."""
+    laboratory = Laboratory(seed, rate_hz=rate_hz)
     FAULTS['centre of mass aside'][0](laboratory)
     first, *_ = diagnosed(laboratory)
     away = laboratory.package.com - laboratory.said.com
@@ -109,7 +111,7 @@ def test_a_replay_names_clocks_that_are_apart():
 
 
 def test_what_is_left_is_said_where_a_second_fault_is_not_found():
-    laboratory = Laboratory(319)
+    laboratory = Laboratory(319, rate_hz=480.0)
     for fault in ('gravity tilted', 'marker frame turned'):
         FAULTS[fault][0](laboratory)
     found = verdict_of(None, laboratory.recordings(), laboratory.said_length,
