@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
-from bellows_ros.core.identification.methods import are_differentiable
+from bellows_ros.core.identification.methods import are_differentiable, MISFIT
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import given_structure, Structure
@@ -28,9 +28,6 @@ UNEXPLAINED = 0.2
 
 DRAWN, SIGMAS = 5, 3.0
 """Cups drawn from the standard errors, and how many of the spreads they make are allowed."""
-
-MISFIT = 2.0
-"""Times the noise by which output error may be off: a free simulation, and what it leaves."""
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may

@@ -33,6 +33,9 @@ LEAST_NOISE = Noise(1e-5, 5e-5)
 SURE = 0.25
 """Standard error of the best known damping, in its size, with which a cup counts as moved."""
 
+MISFIT = 2.0
+"""Times the noise by which output error may be off: a free simulation, and what it leaves."""
+
 LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
 
@@ -89,7 +92,8 @@ def fit(
             'centre of mass), or record a richer motion.')
     std = dict(zip(found.labels, np.sqrt(np.diag(found.covariance)), strict=True))
     largest = SURE if found.method == 'output_error' else math.inf
-    if found.converged and not any(
+    explained = (found.robust_chi2 or 0.0) <= MISFIT**2  # else errors are of the misfit
+    if found.converged and explained and not any(
             own.identifiable and std[own.label] <= largest * abs(own.value)
             for own in excitation.parameters if own.label.startswith('P')):
         raise BellowsError(

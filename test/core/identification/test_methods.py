@@ -1,5 +1,9 @@
 """What the methods of fitting make of prepared recordings."""
 
+from contextlib import nullcontext
+from dataclasses import replace
+
+from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.methods import (
     are_differentiable,
     fit,
@@ -9,6 +13,7 @@ from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -47,3 +52,17 @@ def test_least_squares_says_where_the_noise_is_not_white(kept):
 def test_slow_poses_and_a_marker_anywhere_are_not_differentiated(rate, free, differentiable):
     recording = simulated.record(simulated.shake(seed=3), rate_hz=rate)
     assert are_differentiable([recording], {'fit.free': free}) is differentiable
+
+
+@pytest.mark.parametrize(('chi2', 'ends'), [
+    (1.0, pytest.raises(BellowsError, match='too little motion')), (5.0, nullcontext())])
+def test_a_misfit_that_hides_the_damping_is_not_called_too_little_motion(chi2, ends, monkeypatch):
+    recording = simulated.record(simulated.shake(seed=3))
+    values = resolve({'fit.method': 'least_squares', 'cup.length': simulated.CUP.length,
+                      'package.mass': simulated.HELD.mass})
+    found = methods.fitted([recording], values)
+    unknown = replace(found, method='output_error', robust_chi2=chi2,
+                      covariance=np.diag(np.full(len(found.parameters), np.inf)))
+    monkeypatch.setattr(methods, 'fitted', lambda *own: unknown)
+    with ends:
+        assert not any(own.identifiable for own in fit([recording], values).excitation.parameters)
