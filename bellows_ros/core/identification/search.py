@@ -449,9 +449,11 @@ class Search:
         for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
             if number >= MOST_OF_MISFIT and squares(parts) > MISFIT * expected:
                 break
-            D = directions[:, ~np.any(directions[~self.unbounded(theta, g)], axis=0)]
-            step = D @ np.linalg.solve(
-                D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
+            step = g
+            for _ in range(3):  # as each strength of relaxation may be held by the step, too
+                D = directions[:, ~np.any(directions[~self.unbounded(theta, step)], axis=0)]
+                step = D @ np.linalg.solve(
+                    D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
             size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
             along = float(step @ H @ last) / max(size, 1e-99)
             if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
@@ -473,13 +475,13 @@ class Search:
         self.take_noise(parts)
         return Minimum(theta, parts, H, way < STILL_ENOUGH and settled)
 
-    def unbounded(self, theta: Array, slope: Array) -> Mask:
-        """Return which unknowns may move: no strength of relaxation from zero to below."""
+    def unbounded(self, theta: Array, way: Array) -> Mask:
+        """Return which unknowns may move so: no strength of relaxation from zero to below."""
         free = np.ones(len(theta), dtype=bool)
         if 'relaxation' in self.places:
             (own,) = self.places['relaxation']
             r = np.array(self.given.relaxation) + (self.units * theta)[own]
-            free[own] = (r > LEAST_STRENGTH) | (slope[own] > 0.0)
+            free[own] = (r > LEAST_STRENGTH) | (way[own] > 0.0)
         return free
 
     def length_of(self, step: Array, H: Array) -> float:

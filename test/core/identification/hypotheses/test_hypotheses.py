@@ -142,6 +142,13 @@ def test_a_mass_that_wrenches_do_not_show_is_named_by_the_fit():
     assert verdict.refusals and verdict.diagnosis.findings[0].name == 'inertia'
 
 
+def test_a_mass_is_named_where_the_rubber_seemed_to_relax_without_it():
+    laboratory = Laboratory(706, rate_hz=480.0, seconds=12.0)
+    FAULTS['mass 10 %'][0](laboratory)
+    cause, = fit(laboratory.recordings(), parameters(laboratory)).fit.causes
+    assert cause.certain and cause.name == 'inertia'
+
+
 def test_no_spring_explains_a_wrong_centre_of_mass_that_is_negative_at_rest():
     laboratory = Laboratory(245)
     FAULTS['centre of mass along z'][0](laboratory)
