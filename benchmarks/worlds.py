@@ -132,7 +132,7 @@ def line(seed: int, duration: float) -> tuple[str, Array]:
         return f'{about} refused: {str(error)[:60]} | | | | |', np.empty((3, 0))
     error = np.diag(found.stiffness - cup.stiffness)[SHOWN]
     z, ratio = error / np.diag(found.stiffness_std)[SHOWN], error / bound_of(cup, true)
-    of_flexibility = ratio * np.diag(cup.stiffness / found.stiffness)[SHOWN]
+    of_flexibility = ratio * (np.diag(cup.stiffness) / np.diag(found.stiffness))[SHOWN]
     verdict = verdict_of(both, [recording], values['cup.length'], values)
     refused = verdict is not None and bool(verdict.refusals)
     sizes, with_given = (
