@@ -52,6 +52,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     require_ros()
     from bellows_ros.files.bags import read_messages
+    from bellows_ros.files.results import with_units
     from bellows_ros.nodes.bag_player import play
     from bellows_ros.workflows.recordings import inside
     import numpy as np
@@ -70,7 +71,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         console.warn(*notes)
         played = play(messages, names, arguments.rate, arguments.stamps == 'now', arguments.loop,
                       progress)
-    options.put_json(arguments.json, {'bag': str(arguments.bag), **vars(played)})
+    options.put_json(arguments.json, with_units({'bag': str(arguments.bag), **vars(played)}))
     _print_result(played, console)
     return OK
 

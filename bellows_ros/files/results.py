@@ -40,19 +40,26 @@ UNIT_OF: Mapping[str, Any] = {
     **{name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)]
               for row in range(6)] for name, matrix in (('stiffness', 'K'), ('damping', 'P'))},
     **dict.fromkeys(
-        'rms largest motion noise_rms lip creep measured predicted'.split(), POSE_UNITS),
+        ('rms largest motion noise_rms lip creep measured predicted shake_rms '
+         'deflection').split(), POSE_UNITS),
     **{name: unit for unit, names in {
         '1': 'relaxation chi2 robust_chi2 condition_number narrowed noise_share signal_to_noise '
              'bias pairs aic bic held_out simulated effective_samples probability '
              'probability_stiffness probability_damping deviations excess left moved nrmse '
              'model_error limit p_value portmanteau largest_autocorrelation real_time_factor '
              'smallest_safety_factor least_safety_factor fastest_scale time_scale '
-             'landing_rotation stiffness_after_moves stiffness_of_a_step',
-        'm': 'cup_length length lengths peak_deflection path_error landing_position',
+             'landing_rotation stiffness_after_moves stiffness_of_a_step factor odds '
+             'part_in_ellipse standard_errors parts_of_limits limited_by',
+        '%': 'percent', '1/h': 'per_hour at_most allowed',
+        'm': 'cup_length length lengths peak_deflection path_error landing_position com shift '
+             'position',
         's': 'time_offsets duration own_delay took smallest_safety_time settled_after '
-             'added_time smoothed valve_time release_time landing_time',
+             'added_time smoothed valve_time release_time landing_time time seconds latency '
+             'latest',
         'N': 'load loads linear_load peak_force', 'N m': 'peak_moment rigid_peak_moment',
-        'rad': 'tilt peak_bending swing_left largest_tilt expected_swing', 'N s': 'impulse',
+        'rad': 'tilt peak_bending swing_left largest_tilt expected_swing hold_tilt turn '
+               'rotation',
+        'N s': 'impulse', 'kg': 'mass',
         'm/s': 'speed', 'm/s^2': 'acceleration', 'm/s^3': 'jerk', 'rad/s^3': 'angular_jerk',
         'rad/s': 'angular_speed tumbling', 'rad/s^2': 'angular_acceleration',
     }.items() for name in names.split()},

@@ -11,7 +11,7 @@ from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
-from bellows_ros.files.results import attributes, content_of, read_result
+from bellows_ros.files.results import attributes, content_of, read_result, with_units
 import numpy as np
 
 NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
@@ -53,7 +53,7 @@ class ResultComparison:
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         derived = ('percent', 'standard_errors', 'p_value', 'significant')
-        return {
+        return with_units({
             'before': self.paths[0],
             'after': self.paths[1],
             **attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
@@ -61,7 +61,7 @@ class ResultComparison:
                for name, changes in (
                    ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
             'settings': self.settings,
-            'shared_recordings': self.shared}
+            'shared_recordings': self.shared})
 
 
 def compare_files(before: File, after: File) -> ResultComparison:

@@ -27,6 +27,7 @@ from bellows_ros.files.atomic import new_folder
 from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag
 from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_message, PlanMessage
 from bellows_ros.files.plans import arm_of
+from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
 from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.result import CommandResult
@@ -109,9 +110,9 @@ class DesignedMotion(CommandResult):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, SI units."""
-        rows = zip(self.structure.labels, parameter_units(self.structure), self.guess,
-                   self.errors, strict=True)
-        return {
+        units = parameter_units(self.structure)
+        rows = zip(self.structure.labels, units, self.guess, self.errors, strict=True)
+        return with_units({
             'duration_s': self.design.motion.duration,
             'hold_s': self.design.motion.hold,
             'hold_tilt': np.asarray(self.design.motion.tilt).tolist(),
@@ -121,10 +122,11 @@ class DesignedMotion(CommandResult):
                  'beside': {other: float(errors[i]) for other, errors in self.beside.items()}}
                 for i, (name, unit, value, std) in enumerate(rows)],
             'parts_of_limits': self.design.ratios,
-            'series': {name: {'duration_s': motion.duration, 'expected_std': errors.tolist()}
+            'series': {name: {'duration_s': motion.duration, 'expected_std': errors.tolist(),
+                              'units': {'expected_std': units}}
                        for name, (motion, errors) in self.series.items()},
             'limited_by': self.design.shares,
-            'warnings': self.warnings}
+            'warnings': self.warnings})
 
 
 def _rounded_up(factor: float) -> str:

@@ -31,6 +31,7 @@ from bellows_ros.files import File
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.files.messages import BOOL
 from bellows_ros.files.plans import read_transforms, TF
+from bellows_ros.files.results import with_units
 from bellows_ros.workflows.recordings import part_of
 import numpy as np
 
@@ -202,7 +203,7 @@ class Info:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return {**vars(self), 'valve': self.valve, 'version': __version__}
+        return with_units({**vars(self), 'valve': self.valve, 'version': __version__})
 
 
 def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:

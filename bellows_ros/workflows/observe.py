@@ -8,6 +8,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
@@ -123,13 +124,15 @@ class Observed:
             'topic': self.topic, 'counts': dict(self.counts),
             'alarms': [
                 {'time': seconds, **attributes(
-                    alarm, 'cause', 'size', 'size_std', 'second', 'odds', 'message')}
+                    alarm, 'cause', 'size', 'size_std', 'second', 'odds', 'message'),
+                 'units': {'size': 'm, m/s or 1'}}
                 for seconds, alarm in self.alarms],
             'payload': self.payload and attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             'calibration': self.calibration,
             'alarm_calibration': self.alarm_calibration,
-            **{f'rms {name}': found.scores.rms for name, found in self.ways.items()}}
+            **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
+            'units': {f'rms {name}': POSE_UNITS for name in self.ways}}
 
 
 def observed(

@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, wrench_transform
+from bellows_ros.core.identification.result import POSE_UNITS, WRENCH_UNITS
 from bellows_ros.core.identification.samples import lip_relative, needed_wrench
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.core.model.cup_package import cup_of, package_of, regressor
@@ -16,6 +17,7 @@ from bellows_ros.core.signals.residuals import interpolated, relative_coordinate
 from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
+from bellows_ros.files.results import with_units
 from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress
 from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
 import numpy as np
@@ -143,6 +145,17 @@ class Replayed:
     com: Array
     box: Array
 
+
+DRAWN_UNITS: Mapping[type, Mapping[str, Any]] = {
+    MeasuredMotion: {
+        'tool_position': 'm', 'tool_rotation': '1', 'package_position': 'm',
+        'package_rotation': '1', 'relative': POSE_UNITS},
+    Spectra: dict.fromkeys(('measured', 'error'), [f'{unit}/sqrt(Hz)' for unit in POSE_UNITS]),
+    Loads: {
+        'deflection': POSE_UNITS, 'load': WRENCH_UNITS, 'residual': WRENCH_UNITS,
+        'stiffness': [*3 * ['N/m'], *3 * ['N m/rad']]},
+    Margins: {'factors': '1', 'std': '1', 'least': '1'}}
+"""Units of what is drawn, beside those that the keys of all results have."""
 
 Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 Group = TypeVar('Group', MeasuredMotion, Loads, Margins, Replayed, Live)
@@ -305,13 +318,13 @@ def _picked(group: Group, index: Stamps | Mask) -> Group:
 def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:
     """Return the numbers that a picture is drawn from, for a JSON file; SI units."""
     if not isinstance(shown, Replayed):
-        smallest = {'smallest': [*shown.smallest]} if isinstance(shown, Margins) else {}
-        return {**vars(shown), **smallest}
-    return {
+        return with_units({**vars(shown), 'units': DRAWN_UNITS[type(shown)]})
+    return with_units({
         'seconds': shown.seconds,
         'measured': shown.live.measured,
         'predicted': shown.live.predicted,
         'deflection': shown.deflection,
         'position': shown.position,
         'rotation': shown.rotation,
-        'scores': shown.live}
+        'scores': shown.live,
+        'units': {'position': 'm', 'rotation': '1'}})

@@ -16,7 +16,7 @@ from bellows_ros.core.toss import landing
 from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
-from bellows_ros.files.results import with_units
+from bellows_ros.files.results import UNIT_OF, with_units
 from bellows_ros.workflows import plan
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
@@ -121,6 +121,7 @@ class TossResult(CommandResult):
             content['monte_carlo'] = {
                 'count': len(self.drawn.errors), 'failed': self.drawn.failed,
                 'covariance': self.drawn.covariance.tolist(),
+                'units': {'covariance': UNIT_OF['landing_covariance']},
                 'part_in_ellipse': landing.coverage(self.covariance, self.drawn.errors)}
         return with_units(content)
 

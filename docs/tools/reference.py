@@ -9,6 +9,7 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 import importlib
 import json
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -164,15 +165,38 @@ def _exit_codes() -> Iterator[str]:
 
 RESULTS = (
     'identify bags/identification --params bags/package.yaml --set fit.method=least_squares',
-    'replay bags/validation --params bags/cup.yaml',
+    'compare {folder}/identify.json {folder}/identify.json',
+    'replay bags/validation --params bags/tossing.yaml --observe /package/pose '
+    '--calibrate-alarms --set measured.calibrate=true',
+    'replay bags/validation --params bags/tossing.yaml --observe /package/pose '
+    '--set package.mass=2.2',
     'structures bags/identification --params bags/package.yaml',
     'static bags/static --params bags/cup.yaml',
     'plan bags/transport.yaml --params bags/tossing.yaml --fastest',
     'steer bags/transport.yaml --method inverse --params bags/tossing.yaml',
-    'toss bags/throw.yaml --params bags/tossing.yaml --release 3.0',
+    'steer bags/transport.yaml --method zv --params bags/tossing.yaml',
+    'toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --monte-carlo 200',
     'info bags/validation',
+    'excite --params bags/cup.yaml --limits config/limits_example.yaml --time 6 '
+    '--out {folder}/excite',
+    'simulate --params bags/cup.yaml --motion bags/static.yaml --out {folder}/simulate',
+    *(f'plot {what} bags/validation --params bags/tossing.yaml --out {{folder}}/{what}.svg'
+      for what in ('motion', 'spectra', 'deflection', 'margin', 'prediction')),
+    'play bags/static --rate 50',
+    'convert bags/validation --topic /package/pose --out {folder}/package.tum',
+    'export bags/cup.yaml --to c --out {folder}/cup.h',
+    'parameters cup.length',
 )
-"""Commands that write every kind of result."""
+"""Commands that write every kind of result; files are made in one folder."""
+
+
+ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '86'}
+"""What is played stays on this machine."""
+
+IN_UNIT = 'value', 'before', 'after', 'guess', 'expected', 'beside'
+"""Numbers that have the unit beside them."""
+
+NO_NUMBER = 'text', 'true or false'
 
 
 def results() -> Iterator[str]:
@@ -184,38 +208,49 @@ def results() -> Iterator[str]:
         'coordinates of six axes (`rms`, `motion`) are those of the package relative to the tool, '
         'in tool axes; releases and landings are in the world, of the centre of mass B. `null` is '
         'a number that is not known, `X_std` the standard error of `X`. In a file every mapping '
-        'has the units of its numbers beside them, in `units` or `unit`; stamps (`_ns`), rates '
-        '(`_hz`) and counts say so in their names. `settings` are [parameters](parameters.md); '
-        '`provenance` has files, digests and versions.', '',
+        'has the units of its numbers beside them, in `units` or `unit`; stamps (`_ns`), times '
+        '(`_s`), rates (`_hz`) and counts say so in their names. `settings` are '
+        '[parameters](parameters.md); `provenance` has files, digests and versions.', '',
     )
-    for command in RESULTS:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / 'result.json'
+    before = ''
+    with tempfile.TemporaryDirectory() as folder:
+        for command in RESULTS:
+            verb = command.partition(' ')[0]
+            file = Path(folder) / f'{verb}.json'
             subprocess.run(
-                [sys.executable, '-m', 'bellows_ros.cli', *command.split(), '--json', str(file)],
-                cwd=FOLDER.parents[1], check=True, capture_output=True)
-            content = json.loads(file.read_text())
-        yield f'## {command.partition(" ")[0]}'
-        yield from ('', f'Of `bellows {command}`:', '', '| key | unit | shape |', '|---|---|---|')
-        yield from dict.fromkeys(_result_rows(content, ''))
-        yield ''
+                [sys.executable, '-m', 'bellows_ros.cli',
+                 *command.format(folder=folder).split(), '--json', str(file)],
+                cwd=FOLDER.parents[1], env={**os.environ, **ALONE}, capture_output=True)
+            rows = dict.fromkeys(result_rows(json.loads(file.read_text()), ''))
+            yield from (f'## {verb}', '') if verb != before else ()
+            yield from (of_command(command), '', '| key | unit | shape |', '|---|---|---|')
+            yield from rows
+            yield ''
+            before = verb
 
 
-def _result_rows(content: Mapping[str, Any], inside: str) -> Iterator[str]:
+def of_command(command: str) -> str:
+    """Return the line above the rows of a command."""
+    return f'Of `bellows {command.replace("{folder}/", "")}`:'
+
+
+def result_rows(content: Mapping[str, Any], inside: str, unit_inside: Any = '') -> Iterator[str]:
     """Yield a row for each number or text in a result, mappings in lists once."""
-    units = {**content.get('units', {}), 'value': content.get('unit', '')}
+    unit_of_all = dict.fromkeys(IN_UNIT, content['unit']) if 'unit' in content else {}
+    units = {**unit_of_all, **content.get('units', {})}
     for key, value in content.items():
+        unit = units.get(key, units.get(key.removesuffix('_std'), unit_inside))
         if key in WITHOUT or key == 'unit':
             continue
         if isinstance(value, dict):
-            yield from _result_rows(value, f'{inside}{key}.')
+            yield from result_rows(value, f'{inside}{key}.', unit)
         elif isinstance(value, list) and value and isinstance(value[0], dict):
             for item in value:
-                yield from _result_rows(item, f'{inside}{key}[].')
+                yield from result_rows(item, f'{inside}{key}[].', unit)
         else:
-            unit = units.get(key, units.get(key.removesuffix('_std'), ''))
             listed = unit if isinstance(unit, str) else ', '.join(
                 dict.fromkeys(np.ravel(np.array(unit, dtype=object)).tolist()))
+            listed = '' if _shape(value).endswith(NO_NUMBER) else listed
             yield f'| `{inside}{key}` | {listed} | {_shape(value)} |'
 
 

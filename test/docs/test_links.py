@@ -60,10 +60,14 @@ def test_results_are_documented_with_their_units(root):
     reference = load('tools', 'reference')
     page = (root / 'docs' / 'reference' / 'results.md').read_text()
     for command in reference.RESULTS:
-        assert f'Of `bellows {command}`:' in page, 'run: make reference'
+        assert reference.of_command(command) in page, 'run: make reference'
+    commands = (root / 'docs' / 'reference' / 'commands.md').read_text()
+    verbs = {f'## {part.split()[0]}' for part in commands.split('\n## bellows ')[1:]
+             if '--json FILE' in part}
+    assert verbs == set(re.findall(r'^## \w+$', page, re.M))
     settings = read_parameters(root / 'bags' / 'tossing.yaml')
     found = plain(plan(root / 'bags' / 'transport.yaml', settings, seek_fastest=True))
-    rows = set(reference._result_rows(found, ''))
+    rows = set(reference.result_rows(found, ''))
     section = page.partition('## plan')[2].partition('\n## ')[0]
     assert rows <= set(section.splitlines()), 'run: make reference'
     numbers = {key for key, value in found.items() if isinstance(value, float)}
