@@ -577,7 +577,7 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
     --------
     >>> found = bellows_ros.observe(
     ...     'bags/validation', 'bags/tossing.yaml', 'package/pose')
-    >>> sorted(found.observed.ways)[0]
+    >>> sorted(found.observed.estimates)[0]
     'both'
 
     """

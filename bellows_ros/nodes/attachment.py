@@ -65,7 +65,7 @@ class Attachment:
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
             node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
-        self._said: bool | None = None  # by the vacuum signal, the last time
+        self._last_reading: bool | None = None  # by the vacuum signal, the last time
         self._refused = {'nan': 0, 'negative': 0, 'no_such_cup': 0}
         self.signal: SensorInput | None = None
         if signal != 'none':
@@ -109,7 +109,7 @@ class Attachment:
 
     def _follow(self, held: bool) -> None:
         """Follow the vacuum when it changes; a node that is not active yet does so once it is."""
-        changed, self._said = held != self._said, held
+        changed, self._last_reading = held != self._last_reading, held
         if changed and held != self.held:
             self.held = held
             self._change(held, 'vacuum')

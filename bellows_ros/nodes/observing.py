@@ -49,7 +49,7 @@ class Observing:
         """Subscribe; nothing changes before the first message."""
         self._with_covariance = kind != 'pose'
         self._live: LivePredictor | None = None
-        self._node, self._is_warm, self._said = node, False, 0
+        self._node, self._is_warm, self._reported = node, False, 0
         self.lost_cups: set[int] = set()
         self._measured_in = SensorInput(
             node, KINDS[kind], 'package/measured', self._on_measured, self._on_publishers)
@@ -112,7 +112,7 @@ class Observing:
     def log_alarms(self) -> None:
         """Log the alarms since the last call, and go on without the cups that are lost."""
         alarms = self._observer.alarms if self._observer else []
-        fresh, self._said = alarms[self._said:], len(alarms)
+        fresh, self._reported = alarms[self._reported:], len(alarms)
         for alarm in fresh:
             self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
         if lost := {alarm.cup for alarm in fresh if alarm.cup >= 0}:

@@ -149,7 +149,7 @@ class Outputs:
             self._tf = Topic(node, TFMessage, '/tf')
         self._messages = geometry.PoseStamped(), geometry.TwistStamped(), geometry.WrenchStamped()
         self._factors = geometry.Vector3Stamped()
-        self._said = ''
+        self._last_state = ''
         self._was_ok: bool | None = None
         self._safe_from_ns = 0
         self._extrapolated_ns = -1
@@ -245,8 +245,8 @@ class Outputs:
 
     def publish_state(self, state: str) -> None:
         """Publish the state, and if all is well, when they change; late subscribers get both."""
-        if state != self._said:
-            self._said = state
+        if state != self._last_state:
+            self._last_state = state
             self._state.publish(String(data=state))
             if state in ('detached', 'lost', 'inactive') and self._markers.wanted:
                 self._markers.publish(gone())

@@ -298,13 +298,13 @@ def prediction_figure(
     return figure
 
 
-def errors_figure(ways: Mapping[str, Comparison], note: str, theme: str = 'light') -> Any:
+def errors_figure(estimates: Mapping[str, Comparison], note: str, theme: str = 'light') -> Any:
     """
     Draw the errors of up to three estimates over time, each from the first stamp of all.
 
     Parameters
     ----------
-    ways : mapping of str to Comparison
+    estimates : mapping of str to Comparison
         By name.
     note : str
         Of which recording.
@@ -316,12 +316,13 @@ def errors_figure(ways: Mapping[str, Comparison], note: str, theme: str = 'light
     matplotlib.figure.Figure
 
     """
-    start_ns = min(way.stamps_ns[0] for way in ways.values())
+    start_ns = min(own.stamps_ns[0] for own in estimates.values())
     styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
     return panels.six_lines('Predicted minus measured', note, theme, [
         panels.Line(
-            name, colour, width, (way.stamps_ns - start_ns) * 1e-9, panels.MILLI * way.error)
-        for (name, way), (colour, width) in zip(ways.items(), styles, strict=False)], 'time (s)')
+            name, colour, width, (own.stamps_ns - start_ns) * 1e-9, panels.MILLI * own.error)
+        for (name, own), (colour, width) in zip(estimates.items(), styles, strict=False)],
+        'time (s)')
 
 
 def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:

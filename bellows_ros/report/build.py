@@ -144,7 +144,7 @@ def replay_report(found: Replay, parameter_files: Sequence[File] = ()) -> str:
     section = _motion('Free simulation', found)
     if found.observed:
         section.add(figure(pictures.errors_figure(
-            found.observed.ways, f'relative to the tool, with {found.observed.topic}')))
+            found.observed.estimates, f'relative to the tool, with {found.observed.topic}')))
     origin = provenance([found.bag], parameter_files)
     return page(f'Replay of {found.bag}', 'free simulation from start to end',
                 [section.html(), _origin(origin, found.values)])

@@ -161,8 +161,8 @@ def print_replay(result: 'Replay', out: Writer, limit: float = LIMIT) -> None:
 
 def _print_observed(found: 'Observed', out: Writer) -> None:
     """Print the gain by measured poses, and alarms."""
-    errors = [column([MILLI * x for x in way.scores.rms]) for way in found.ways.values()]
-    out.table([('axis', *found.ways), *(
+    errors = [column([MILLI * x for x in own.scores.rms]) for own in found.estimates.values()]
+    out.table([('axis', *found.estimates), *(
         (f'{name:2} {MILLI_UNITS[i]}', *(rms[i] for rms in errors))
         for i, name in enumerate(AXES))], right=True, title=f'With {found.topic}, RMS error')
     out.paragraph(found.sentence)

@@ -113,8 +113,8 @@ class Observed:
                     if times[cause][1:] else '') for cause, line in lines.items()]
 
     @property
-    def ways(self) -> dict[str, Comparison]:
-        """Each way by its name."""
+    def estimates(self) -> dict[str, Comparison]:
+        """Each estimate by its name."""
         return {
             'prediction alone': self.prediction, 'camera alone': self.camera, 'both': self.both}
 
@@ -131,8 +131,8 @@ class Observed:
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             'calibration': self.calibration,
             'alarm_calibration': self.alarm_calibration,
-            **{f'rms {name}': found.scores.rms for name, found in self.ways.items()},
-            'units': {f'rms {name}': POSE_UNITS for name in self.ways}}
+            **{f'rms {name}': found.scores.rms for name, found in self.estimates.items()},
+            'units': {f'rms {name}': POSE_UNITS for name in self.estimates}}
 
 
 def observed(

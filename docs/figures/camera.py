@@ -52,19 +52,19 @@ def main() -> None:
         figure = figures.Figure(figsize=(9.0, 5.0))
         for row, (axis, unit) in enumerate(((0, 'x (mm)'), (4, 'ry (mrad)'))):
             panel = figure.add_subplot(2, 1, row + 1)
-            for (name, way), colour in zip(found.ways.items(), shown, strict=True):
-                seconds = (way.stamps_ns - found.both.stamps_ns[0]) * 1e-9
-                panel.plot(seconds, 1e3 * way.error[:, axis], color=colour, label=name)
+            for (name, estimate), colour in zip(found.estimates.items(), shown, strict=True):
+                seconds = (estimate.stamps_ns - found.both.stamps_ns[0]) * 1e-9
+                panel.plot(seconds, 1e3 * estimate.error[:, axis], color=colour, label=name)
             panel.set_ylabel(f'error of {unit}')
-            reach = 1.05e3 * max(np.nanmax(np.abs(way.error[:, axis]))
-                                 for way in found.ways.values())
+            reach = 1.05e3 * max(np.nanmax(np.abs(estimate.error[:, axis]))
+                                 for estimate in found.estimates.values())
             panel.set_ylim(-reach, reach)
         figure.align_ylabels()
         figure.axes[0].legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=3)
         figure.axes[1].set_xlabel('time (s)')
         write_figure(ROOT / 'docs' / 'images' / 'camera.png', figure)
-    for name, way in found.ways.items():
-        position, rotation = (np.linalg.norm(part) for part in np.split(way.scores.rms, 2))
+    for name, estimate in found.estimates.items():
+        position, rotation = (np.linalg.norm(part) for part in np.split(estimate.scores.rms, 2))
         print(f'| {name} | {1e3 * position:.3g} | {1e3 * rotation:.3g} |')
 
 

@@ -74,7 +74,7 @@ def send(count):
         partner.wait_for_poses(sent)
 
 def pause():
-    partner.wait(lambda: predictor._outputs._said == 'lost')
+    partner.wait(lambda: predictor._outputs._last_state == 'lost')
 
 def signatures():
     kernels = {}

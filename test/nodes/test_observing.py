@@ -147,7 +147,7 @@ def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves)
     assert partner.ros.spin_until(lambda: not live.attached)
     predictor._observing._on_measured(message)
     assert [alarm.cause for alarm in live.package.observer.alarms] == ['lost'] * moves
-    assert predictor._outputs._said == ('alarm: lost' if moves else 'detached')
+    assert predictor._outputs._last_state == ('alarm: lost' if moves else 'detached')
     said = capfd.readouterr().err
     assert said.count('Alarm, lost: The package is lost') == moves
     assert said.count('Second likeliest: leak, odds 1000 to 1') == moves

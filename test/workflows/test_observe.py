@@ -77,7 +77,7 @@ def test_both_are_better_than_either(filmed):
     bag, values = filmed
     wrong = {**values, 'package.com': (0.01, 0.0, -0.03), 'payload.estimate': True}
     found = replay(bag, wrong, observe=CAMERA).observed
-    alone, camera, both = (way.scores.rms for way in found.ways.values())
+    alone, camera, both = (name.scores.rms for name in found.estimates.values())
     size = [np.linalg.norm(rms[:3]) for rms in (alone, camera, both)]
     turn = [np.linalg.norm(rms[3:]) for rms in (alone, camera, both)]
     assert size[2] < 0.1 * min(size[:2])
@@ -112,8 +112,9 @@ def test_two_worlds_are_brought_into_one(filmed, tmp_path):
     apart = {**part, 'recording.package_world': text_of(T_WORLD_CAMERA)}
     two = replay(tmp_path / 'two', apart, observe=CAMERA).observed
     assert two.counts == one.counts and one.counts['used'] < 130  # of 4 s
-    for way in one.ways:
-        np.testing.assert_allclose(two.ways[way].scores.rms, one.ways[way].scores.rms, rtol=1e-3)
+    for name in one.estimates:
+        first, second = (found.estimates[name].scores.rms for found in (one, two))
+        np.testing.assert_allclose(second, first, rtol=1e-3)
 
 
 def test_calibration_leads_to_where_the_camera_is(filmed):

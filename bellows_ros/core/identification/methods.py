@@ -127,8 +127,8 @@ def _of_colour(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
     """Yield a sentence if correlated noise biases least squares."""
     coloured = [
         own.name for own in recordings if isinstance(own, Recording) and any(
-            colour.correlation > 0.0 and colour.size > least
-            for body in own.colours for colour, least in zip(body, LEAST_NOISE, strict=True))]
+            noise.correlation > 0.0 and noise.size > least
+            for body in own.ar1_noise for noise, least in zip(body, LEAST_NOISE, strict=True))]
     if coloured:
         yield (
             f'The noise of {", ".join(coloured)} is correlated in time: motion capture smoothing? '

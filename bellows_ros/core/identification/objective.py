@@ -123,9 +123,9 @@ def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> 
     """Return samples of a recording with as much noise once more, through the same filters."""
     stamps, of_tool = some.package.stamps_ns, recording.aligned_tool.stamps_ns
     tool_noise, package_noise = (
-        np.hstack([colour.drawn(len(body), draw) for colour in colours])
-        for body, colours in zip(
-            (recording.aligned_tool, recording.aligned_package), recording.colours, strict=True))
+        np.hstack([part.drawn(len(body), draw) for part in noise])
+        for body, noise in zip((recording.aligned_tool, recording.aligned_package),
+                               recording.ar1_noise, strict=True))
     package = filtered(package_noise, recording.filters[1].weights,
                        np.searchsorted(recording.aligned_package.stamps_ns, stamps))
     # As the tool itself, on the cubic polynomial between two filtered samples.

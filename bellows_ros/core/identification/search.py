@@ -193,10 +193,10 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
     lip = recording.settings.package_frame == 'lip'
     sideways = lip or recording.settings.align_at_rest
     tool, package = recording.aligned_tool, recording.aligned_package
-    kept = [max(colour.correlation for colour in own) for own in recording.colours]
+    correlations = [max(part.correlation for part in own) for own in recording.ar1_noise]
     tool_noise, package_noise = [
         BodyNoise(np.maximum(pose_noise(poses, own), SMALLEST), own)
-        for poses, own in zip((tool, package), kept, strict=True)]
+        for poses, own in zip((tool, package), correlations, strict=True)]
     middle = package.position[package.valid].mean(axis=0)
     known = tool.stamps_ns[tool.valid]
     cuts = np.flatnonzero(np.diff(known) > LONGEST_GAP * NS_PER_S)
@@ -274,7 +274,7 @@ class Segment:
         self.path = savgol(Trajectory(
             tool.stamps_ns, tool.position + apply(tool.rotation, shift[:, :3]),
             tool.rotation @ exp_so3(shift[:, 3:])), self.half_window, SMOOTHED_ORDER)
-        self.way = _between(self.path, tool.select(self.inner))
+        self.deviation = _between(self.path, tool.select(self.inner))
 
     def nodes(self, delay: float) -> Nodes:
         """Return the nodes, with the tool's stamps late by so many seconds."""
@@ -460,7 +460,7 @@ class Search:
                 share = max(0.5 * share, LEAST_SHARE)
             elif along > 0.5 or share < 1.0:
                 share = min(1.5 * share, LONGEST_SHARE)
-            there, way = self.moved(theta, step, share), self.length_of(step, H)
+            there, length = self.moved(theta, step, share), self.length_of(step, H)
             new = self.system(there, forgets)
             if not squares(new[0]) < RISES * max(squares(parts), expected):  # or nan
                 damping = max(10.0 * damping, 1e-2)
@@ -470,18 +470,18 @@ class Search:
             settled = forgets > 0.0 or self.take_noise(parts)
             damping = max(0.1 * damping, least) if damping > 1e-5 else 0.0
             note(self.cup(theta), squares(parts) / expected)
-            if way < end and settled:
+            if length < end and settled:
                 break
         self.take_noise(parts)
-        return Minimum(theta, parts, H, way < STILL_ENOUGH and settled)
+        return Minimum(theta, parts, H, length < STILL_ENOUGH and settled)
 
-    def unbounded(self, theta: Array, way: Array) -> Mask:
-        """Return which unknowns may move so: no strength of relaxation from zero to below."""
+    def unbounded(self, theta: Array, step: Array) -> Mask:
+        """Return which unknowns may take a step: no strength of relaxation from zero to below."""
         free = np.ones(len(theta), dtype=bool)
         if 'relaxation' in self.places:
             (own,) = self.places['relaxation']
             r = np.array(self.given.relaxation) + (self.units * theta)[own]
-            free[own] = (r > LEAST_STRENGTH) | (way[own] > 0.0)
+            free[own] = (r > LEAST_STRENGTH) | (step[own] > 0.0)
         return free
 
     def length_of(self, step: Array, H: Array) -> float:
@@ -503,8 +503,8 @@ class Search:
         for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
             root, inverse = _roots(M)
             values, vectors = np.linalg.eigh(inverse @ change @ inverse)
-            way = share * np.clip(values, -LONGEST_WAY, LONGEST_WAY)
-            half = root @ vectors * np.exp(0.5 * way)
+            logarithms = share * np.clip(values, -LONGEST_WAY, LONGEST_WAY)
+            half = root @ vectors * np.exp(0.5 * logarithms)
             moved.append(half @ half.T)
         there[:2 * size] = self.structure.parameters(*moved) / self.units[:2 * size]
         if 'relaxation' in self.places:
@@ -606,18 +606,20 @@ class Search:
         first = _shrunk(model, tool[0], first, segment.std)
         numbers, moves, delay = self._columns(segment, free, raw)
         count, size, inner = len(nodes.stamps), len(raw), inner_states(first)
-        coloured, correlation = noise.correlation > 0.0, segment.measured.tool_noise.correlation
-        states = inner + (12 if coloured else 6)
+        correlation, is_correlated = (
+            segment.measured.tool_noise.correlation, noise.correlation > 0.0)
+        states = inner + (12 if is_correlated else 6)
         lengths = np.diff(nodes.stamps) / NS_PER_S
-        fades = noise.correlation ** (lengths / segment.period) if coloured else lengths
-        held, keeps = np.zeros(count), np.ones(count)
-        held[nodes.samples], keeps[nodes.samples] = (
+        noise_correlations = (
+            noise.correlation ** (lengths / segment.period) if is_correlated else lengths)
+        held, correlations = np.zeros(count), np.ones(count)
+        held[nodes.samples], correlations[nodes.samples] = (
             segment.held[segment.inner][nodes.sampled], correlation)
-        way, fresh = np.zeros((count, 6)), np.zeros((count, 6))
-        way[nodes.samples] = _innovations(segment.way[nodes.sampled], correlation)
-        fresh[nodes.samples] = segment.variance[nodes.sampled] * (1.0 - correlation**2)
-        fresh[nodes.samples[0]] /= 1.0 - correlation**2
-        own = np.tile((SMALLEST if coloured else segment.std) ** 2, (size, 1))
+        innovations, tool_variances = np.zeros((count, 6)), np.zeros((count, 6))
+        innovations[nodes.samples] = _innovations(segment.deviation[nodes.sampled], correlation)
+        tool_variances[nodes.samples] = segment.variance[nodes.sampled] * (1.0 - correlation**2)
+        tool_variances[nodes.samples[0]] /= 1.0 - correlation**2
+        own = np.tile((SMALLEST if is_correlated else segment.std) ** 2, (size, 1))
         S, P = np.zeros((states, len(theta) + 1)), np.zeros((states, states))
         known = np.concatenate([START[:inner], np.zeros(6), segment.std])[:states]
         P[range(states), range(states)] = known**2
@@ -628,15 +630,16 @@ class Search:
         K = np.zeros((size, 6, states + 1))
         whiten(
             model, first, S, P, tool, lengths,
-            substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION)), held, way, fresh,
-            keeps, forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
+            substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION)), held,
+            innovations, tool_variances, correlations,
+            forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
             np.hstack([package.position, rotation_to_quaternion(package.rotation)]), own,
-            segment.std**2, fades, last, numbers, delay, moves, out, slopes, T, B, K)
+            segment.std**2, noise_correlations, last, numbers, delay, moves, out, slopes, T, B, K)
         if delay >= 0:
             slopes[:, :, delay] *= self.units[delay]  # the kernel has it per second
         found, slope = np.zeros((count, 6)), np.zeros(states)
-        likeliest(out, nodes.place, fresh, inner + 6, T, B, K, found, slope)
-        change = np.zeros_like(segment.way)
+        likeliest(out, nodes.place, tool_variances, inner + 6, T, B, K, found, slope)
+        change = np.zeros_like(segment.deviation)
         change[nodes.sampled] = found[nodes.samples]
         nearer = ahead - START[:inner] ** 2 * slope[:inner]
         with np.errstate(divide='ignore'):  # a simulation that diverges has no weights

@@ -59,8 +59,8 @@ SEED = 0
 ONE_STEP = 3_000
 """Samples whose innovations are looked at; each takes 27 kB of memory."""
 
-LEAST_KEPT = 0.01
-"""Part of the noise kept from sample to sample below which it counts as white."""
+LEAST_CORRELATION = 0.01
+"""Correlation from sample to sample below which noise counts as white."""
 
 MOTION_ROUNDS = 2
 """Rounds in which the path of the tool comes near to the likeliest."""
@@ -342,18 +342,19 @@ def _noises(recording: Recording) -> tuple[tuple[Array, Array], tuple[Array, Arr
     """
     Return the noise of tool and package at the common stamps, in position and rotation.
 
-    Standard deviations (2,), m and rad, and the parts (2,) kept from sample to sample.
+    Standard deviations (2,), m and rad, and the correlations (2,) from sample to sample.
     """
     period_s = 1.0 / uniform_rate_hz(recording.measured_tool.stamps_ns)
     found = []
-    for body, white, colours in zip(
+    for body, white, noise in zip(
             (recording.aligned_tool, recording.aligned_package), recording.measured_noise,
-            recording.colours, strict=True):
+            recording.ar1_noise, strict=True):
         steps = period_s * uniform_rate_hz(body.stamps_ns)
-        kept = np.array([own.correlation for own in colours]) ** steps
-        coloured = kept > LEAST_KEPT
-        sizes = [own.size for own in colours]
-        found.append((np.where(coloured, sizes, white), np.where(coloured, kept, 0.0)))
+        correlations = np.array([own.correlation for own in noise]) ** steps
+        is_correlated = correlations > LEAST_CORRELATION
+        sizes = [own.size for own in noise]
+        found.append((np.where(is_correlated, sizes, white),
+                      np.where(is_correlated, correlations, 0.0)))
     return found[0], found[1]
 
 

@@ -138,9 +138,10 @@ def inner_states(body: State) -> int:
 @array_kernel
 def whiten(
     model: ModelTuple, body: State, S: Any, P: Any, tool: Any, lengths: Any, steps: Any,
-    held: Any, way: Any, fresh: Any, keeps: Any, walk: Any, follows: bool, place: Any,
-    poses: Any, variance: Any, colour: Any, fades: Any, last: int, numbers: Any, delay: int,
-    moves: Any, out: Any, slopes: Any, T: Any, B: Any, K: Any,
+    held: Any, innovations: Any, tool_variances: Any, tool_correlations: Any, walk: Any,
+    follows: bool, place: Any, poses: Any, variance: Any, noise_variance: Any,
+    noise_correlations: Any, last: int, numbers: Any, delay: int, moves: Any, out: Any,
+    slopes: Any, T: Any, B: Any, K: Any,
 ) -> None:
     """
     Write whitened differences and their derivatives, and what `likeliest` needs.
@@ -159,9 +160,9 @@ def whiten(
         The tool's path at M nodes, the time between them (s), and the steps of the integrator.
     held : ndarray (M,)
         Time (s) that a measured pose of the tool at a node stands for, 0 where there is none.
-    way, fresh, keeps : ndarray (M, 6), (M, 6), (M,)
-        What is added to the tool's shift and turn from the path there (m, rad), the variance of
-        what is fresh in its noise, and which part is kept from the node before.
+    innovations, tool_variances, tool_correlations : ndarray (M, 6), (M, 6), (M,)
+        Of the noise of the tool's poses, its shift and turn from the path (m, rad): those there,
+        their variances, and the correlation of the noise with that at the node before.
     walk : ndarray (6,)
         Variance that a white acceleration gives to the twist in x, per second.
     follows : bool
@@ -170,8 +171,8 @@ def whiten(
         Number of the package's pose at a node, or -1.
     poses, variance : ndarray (N, 7), (N, 6)
         Measured poses of B, and the variances (m^2, rad^2) of white noise in its own axes.
-    colour, fades : ndarray (6,), (M - 1,)
-        The variance of its correlated noise, and what is kept of it from node to node.
+    noise_variance, noise_correlations : ndarray (6,), (M - 1,)
+        The variance of its correlated noise, and its correlation from node to node.
     last, numbers : int, ndarray (64, p + 1)
         How many of `jacobians.PARAMETERS` are used, and `NUMBERS` by parameters.
     delay : int
@@ -196,9 +197,9 @@ def whiten(
         _derivatives(model, here, body, last, A[own], C[own], B0)
         _enter(0.5 * held[k], B0, B[k])  # half of a sample acts behind the package's pose
         if k > 0:
-            _pass(lengths[k - 1], A, C, numbers, keeps[k], fades[k - 1], walk, colour, later,
-                  B[k], S, P, T[k])
-        _push(way[k], fresh[k], B[k], S, P)
+            _pass(lengths[k - 1], A, C, numbers, tool_correlations[k], noise_correlations[k - 1],
+                  walk, noise_variance, later, B[k], S, P, T[k])
+        _push(innovations[k], tool_variances[k], B[k], S, P)
         _enter(0.5 * held[k], B0, later)
         n = place[k]
         if n >= 0:
@@ -243,8 +244,9 @@ def _enter(factor: float, effect: Any, out: Any) -> None:
 
 @array_kernel
 def _pass(
-    length: float, A: Any, C: Any, numbers: Any, keep: float, fade: float, walk: Any,
-    colour: Any, later: Any, B: Any, S: Any, P: Any, T: Any,
+    length: float, A: Any, C: Any, numbers: Any, tool_correlation: float,
+    noise_correlation: float, walk: Any, noise_variance: Any, later: Any, B: Any, S: Any, P: Any,
+    T: Any,
 ) -> None:
     """Carry states, derivatives and covariance over a step; write its transition T."""
     n, m = P.shape[0], A.shape[1]
@@ -255,16 +257,16 @@ def _pass(
         for j in range(m):
             T[i, j] = F[i, j]
         for j in range(6):
-            T[i, m + j] = pushed[i, j] + keep * B[i, j]
+            T[i, m + j] = pushed[i, j] + tool_correlation * B[i, j]
     for i in range(m, n):
-        T[i, i] = keep if i < m + 6 else fade
+        T[i, i] = tool_correlation if i < m + 6 else noise_correlation
     product(_mean(length, C), numbers, effect)
     _copy(add_product(mean, effect, product(T, S, np.empty(S.shape))), S)
     product(T, _transposed(product(T, P, np.empty((n, n)))), P)
     for i in range(6):
         P[6 + i, 6 + i] += walk[i] * length
     for i in range(m + 6, n):
-        P[i, i] += (1.0 - fade * fade) * colour[i - m - 6]
+        P[i, i] += (1.0 - noise_correlation * noise_correlation) * noise_variance[i - m - 6]
 
 
 @array_kernel
@@ -315,20 +317,20 @@ def _exponential(M: Any, mean: Any) -> Any:
 
 
 @array_kernel
-def _push(way: Any, fresh: Any, B: Any, S: Any, P: Any) -> None:
-    """Let a sample of the tool act: what is added to its way, and what is fresh in its noise."""
+def _push(innovation: Any, variances: Any, B: Any, S: Any, P: Any) -> None:
+    """Add the innovation of a sample of the tool's noise, and its variances, to the states."""
     n, last = P.shape[0], S.shape[1] - 1
     noise = np.empty((6, n))
     for i in range(n):
         for j in range(6):
-            noise[j, i] = fresh[j] * B[i, j]
-            S[i, last] += B[i, j] * way[j]
+            noise[j, i] = variances[j] * B[i, j]
+            S[i, last] += B[i, j] * innovation[j]
     add_product(B, noise, P)
 
 
 @array_kernel
 def _measure(
-    variance: Any, moves: Any, twist: Any, delay: int, colour: int, S: Any, P: Any, out: Any,
+    variance: Any, moves: Any, twist: Any, delay: int, noise_state: int, S: Any, P: Any, out: Any,
     slopes: Any, K: Any,
 ) -> None:
     """Correct the states by the difference (6,) of a pose, number by number; whiten it."""
@@ -336,15 +338,15 @@ def _measure(
     gain, p_row, s_row = np.empty((n, 1)), np.empty((1, n)), np.empty((1, p + 1))
     for j in range(6):
         for i in range(n):
-            p_row[0, i] = P[j, i] + (P[colour + j, i] if n > colour else 0.0)
+            p_row[0, i] = P[j, i] + (P[noise_state + j, i] if n > noise_state else 0.0)
         for i in range(p + 1):
-            s_row[0, i] = S[j, i] + (S[colour + j, i] if n > colour else 0.0)
+            s_row[0, i] = S[j, i] + (S[noise_state + j, i] if n > noise_state else 0.0)
         for i in range(p):
             s_row[0, i] += moves[j, i]
         if delay >= 0:
             s_row[0, delay] += twist[j]
         e = out[j] - s_row[0, p]
-        s = p_row[0, j] + (p_row[0, colour + j] if n > colour else 0.0) + variance[j]
+        s = p_row[0, j] + (p_row[0, noise_state + j] if n > noise_state else 0.0) + variance[j]
         s = max(s, s * abs(e) / (CLIPPED * np.sqrt(s)))  # Huber's weight: a larger variance
         scale = 1.0 / np.sqrt(s)
         out[j] = e * scale
@@ -361,21 +363,23 @@ def _measure(
 
 @array_kernel
 def likeliest(
-    out: Any, place: Any, fresh: Any, colour: int, T: Any, B: Any, K: Any, way: Any, slope: Any,
+    out: Any, place: Any, variances: Any, noise_state: int, T: Any, B: Any, K: Any,
+    innovations: Any, slope: Any,
 ) -> None:
     """
-    Write what is fresh in the likeliest noise (M, 6) of the tool's poses, going backwards.
+    Write the innovations (M, 6) of the likeliest noise of the tool's poses, going backwards.
 
-    Of the innovations `out`; colour is the first state of the package's noise. Slope (n,) becomes
-    that of the first states: their likeliest change is minus their covariance times that.
+    Of the whitened differences `out`; `noise_state` is the first state of the package's noise.
+    Slope (n,) becomes that of the first states: their likeliest change is minus their covariance
+    times that.
     """
     n = len(slope)
     for k in range(len(place) - 1, -1, -1):
         if place[k] >= 0:
-            _pull(out[place[k]], K[place[k]], colour, slope)
+            _pull(out[place[k]], K[place[k]], noise_state, slope)
         for j in range(6):
             for i in range(n):
-                way[k, j] -= fresh[k, j] * B[k, i, j] * slope[i]
+                innovations[k, j] -= variances[k, j] * B[k, i, j] * slope[i]
         if k > 0:
             later = slope.copy()
             for i in range(n):
@@ -385,7 +389,7 @@ def likeliest(
 
 
 @array_kernel
-def _pull(out: Any, K: Any, colour: int, slope: Any) -> None:
+def _pull(out: Any, K: Any, noise_state: int, slope: Any) -> None:
     """Take the slope by the states back before a pose."""
     n = len(slope)
     for j in range(5, -1, -1):
@@ -393,5 +397,5 @@ def _pull(out: Any, K: Any, colour: int, slope: Any) -> None:
         for i in range(n):
             total += K[j, i] * slope[i]
         slope[j] -= total
-        if n > colour:
-            slope[colour + j] -= total
+        if n > noise_state:
+            slope[noise_state + j] -= total

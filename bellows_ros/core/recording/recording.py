@@ -46,7 +46,7 @@ CUT_AT = 5.0
 """Residuals are clipped at this many typical deviations, so that outliers do not count."""
 
 WIDE_WINDOW, COLOURED = 0.06, 1.15
-"""Time (s) over which poses are compared for the colour of noise, and by how much more is seen."""
+"""Time (s) over which poses are compared for correlated noise, and by how much more is seen."""
 
 
 class Noise(NamedTuple):
@@ -144,7 +144,7 @@ class AR1Noise(NamedTuple):
         return first_order(white, self.correlation)
 
 
-def colours_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
+def ar1_noise_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
     """
     Return the noise of positions (m) and of rotations (rad) of poses at a uniform rate.
 
@@ -476,13 +476,13 @@ class Recording:
     files: tuple[Mapping[str, Any], ...] = ()
     relaxation: Relaxation = NO_RELAXATION
     _filtered: dict[Filter, Trajectory] = field(default_factory=dict, repr=False)
-    _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+    _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return a result computed from the recording, computed at the first request."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        found: T = self._kept[key]
+        if key not in self._cache:
+            self._cache[key] = make()
+        found: T = self._cache[key]
         return found
 
     @property
@@ -538,7 +538,7 @@ class Recording:
     @cached_property
     def noise(self) -> FilterNoise:
         """White noise of the poses as they were measured, and the filters that it went through."""
-        position, rotation = self.colours[1]
+        position, rotation = self.ar1_noise[1]
         return FilterNoise(
             *self._pose_noise,
             resampled_weights(
@@ -549,10 +549,10 @@ class Recording:
             (position.correlation, rotation.correlation))
 
     @cached_property
-    def colours(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
+    def ar1_noise(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
         """Time correlation of the noise of tool and package, in position and rotation."""
         tool, package = self._pose_noise
-        return (colours_of(self.aligned_tool, tool), colours_of(self.aligned_package, package))
+        return (ar1_noise_of(self.aligned_tool, tool), ar1_noise_of(self.aligned_package, package))
 
     @cached_property
     def _pose_noise(self) -> tuple[Noise, Noise]:
