@@ -42,7 +42,7 @@ BESIDE = {'package.com': (0.01, 0.0, -0.03), 'payload.estimate': True}
 
 
 def run(short: bool) -> dict[str, Any]:
-    """Return RMS errors (m, rad) by way, times of one update and of a pose (s)."""
+    """Return RMS errors (m, rad) by estimate, times of one update and of a pose (s)."""
     parameters = read_parameters(BAGS / 'cup.yaml') | read_parameters(BAGS / 'package.yaml')
     errors: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -53,8 +53,8 @@ def run(short: bool) -> dict[str, Any]:
             known = np.isfinite(found.both.error).all(axis=1)
             known &= found.both.stamps_ns > found.both.stamps_ns[0] + SETTLED * 1e9
             errors |= {
-                name + (grip if name != 'camera alone' else ''): _rms(way.error[known])
-                for name, way in found.ways.items()}
+                name + (grip if name != 'camera alone' else ''): _rms(own.error[known])
+                for name, own in found.estimates.items()}
     truth, camera = poses['package'].trajectory(), poses['camera'].trajectory()
     true = truth.select(np.isin(truth.stamps_ns, found.both.stamps_ns[known]))
     louder = LOUDER[3:4] if short else LOUDER
