@@ -212,7 +212,8 @@ def _plain_mapping(content: Mapping[str, Any], units: bool) -> dict[str, Any]:
     found = {key: plain(item, units and key not in WITHOUT and UNIT_OF.get(key) != '1')
              for key, item in content.items()}  # in a mapping of ratios all are ratios
     known = {key: UNIT_OF[name] for key, item in content.items() if units and item is not None
-             and (name := key.removesuffix('_std')) in UNIT_OF}
+             and (name := key.removesuffix('_std')) in UNIT_OF
+             and not (isinstance(found[key], dict) and 'units' in found[key])}
     return {**found, 'units': {**known, **content.get('units', {})}} if known else found
 
 

@@ -327,4 +327,4 @@ def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> d
         'position': shown.position,
         'rotation': shown.rotation,
         'scores': shown.live,
-        'units': {'position': 'm', 'rotation': '1'}})
+        'units': {'rotation': '1'}})

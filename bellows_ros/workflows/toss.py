@@ -115,8 +115,7 @@ class TossResult(CommandResult):
                 'position': list(self.target), 'valve_time': self.aim.switched,
                 'distance': self.aim.distance, 'angle': self.aim.angle,
                 'distance_as_asked': self.distance_as_asked,
-                'units': {'position': 'm', 'valve_time': 's', 'distance': 'm', 'angle': 'rad',
-                          'distance_as_asked': 'm'}}
+                'units': {'distance': 'm', 'angle': 'rad', 'distance_as_asked': 'm'}}
         if self.drawn is not None:
             content['monte_carlo'] = {
                 'count': len(self.drawn.errors), 'failed': self.drawn.failed,

@@ -104,7 +104,7 @@ def fit(
         )
     if found.method == 'least_squares':
         found = _with_relaxation(
-            replace(found, notes=(*found.notes, *_of_colour(recordings))), recordings)
+            replace(found, notes=(*found.notes, *_noise_warning(recordings))), recordings)
     if values['fit.time_offset']:
         found = _with_offsets(found, [part.time_offset for part in parts])
     if standstills:
@@ -123,15 +123,15 @@ def fit(
     return Result(found, excitation)
 
 
-def _of_colour(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
+def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
     """Yield a sentence if correlated noise biases least squares."""
-    coloured = [
+    names = [
         own.name for own in recordings if isinstance(own, Recording) and any(
             noise.correlation > 0.0 and noise.size > least
             for body in own.ar1_noise for noise, least in zip(body, LEAST_NOISE, strict=True))]
-    if coloured:
+    if names:
         yield (
-            f'The noise of {", ".join(coloured)} is correlated in time: motion capture smoothing? '
+            f'The noise of {", ".join(names)} is correlated in time: motion capture smoothing? '
             'Least squares removes the bias of white noise only, so K and P may be too small by '
             'more than the standard errors say. Use fit.method: output_error.')
 

@@ -291,6 +291,23 @@ class Segment:
         place[np.searchsorted(nodes, stamps[seen])] = np.arange(np.count_nonzero(seen))
         return Nodes(nodes, np.searchsorted(nodes, own[sampled]), place, sampled, seen)
 
+    def tool_noise(self, nodes: Nodes) -> tuple[Array, Array, Array, Array]:
+        """
+        Return what `whiten` takes of the tool's samples at the nodes.
+
+        The time that each stands for (M,), the innovations (M, 6) of its noise, their variances
+        (M, 6), and its correlation (M,) with the node before.
+        """
+        correlation, count = self.measured.tool_noise.correlation, len(nodes.stamps)
+        held, correlations = np.zeros(count), np.ones(count)
+        held[nodes.samples] = self.held[self.inner][nodes.sampled]
+        correlations[nodes.samples] = correlation
+        innovations, variances = np.zeros((count, 6)), np.zeros((count, 6))
+        innovations[nodes.samples] = _innovations(self.deviation[nodes.sampled], correlation)
+        variances[nodes.samples] = self.variance[nodes.sampled] * (1.0 - correlation**2)
+        variances[nodes.samples[0]] /= 1.0 - correlation**2
+        return held, innovations, variances, correlations
+
 
 class Part(NamedTuple):
     """
@@ -606,19 +623,12 @@ class Search:
         first = _shrunk(model, tool[0], first, segment.std)
         numbers, moves, delay = self._columns(segment, free, raw)
         count, size, inner = len(nodes.stamps), len(raw), inner_states(first)
-        correlation, is_correlated = (
-            segment.measured.tool_noise.correlation, noise.correlation > 0.0)
+        is_correlated = noise.correlation > 0.0
         states = inner + (12 if is_correlated else 6)
         lengths = np.diff(nodes.stamps) / NS_PER_S
         noise_correlations = (
             noise.correlation ** (lengths / segment.period) if is_correlated else lengths)
-        held, correlations = np.zeros(count), np.ones(count)
-        held[nodes.samples], correlations[nodes.samples] = (
-            segment.held[segment.inner][nodes.sampled], correlation)
-        innovations, tool_variances = np.zeros((count, 6)), np.zeros((count, 6))
-        innovations[nodes.samples] = _innovations(segment.deviation[nodes.sampled], correlation)
-        tool_variances[nodes.samples] = segment.variance[nodes.sampled] * (1.0 - correlation**2)
-        tool_variances[nodes.samples[0]] /= 1.0 - correlation**2
+        held, innovations, tool_variances, correlations = segment.tool_noise(nodes)
         own = np.tile((SMALLEST if is_correlated else segment.std) ** 2, (size, 1))
         S, P = np.zeros((states, len(theta) + 1)), np.zeros((states, states))
         known = np.concatenate([START[:inner], np.zeros(6), segment.std])[:states]
@@ -646,7 +656,8 @@ class Search:
             variances = K[:, :, -1] ** -2
         return Part(
             out.ravel(), slopes.reshape(6 * size, -1), variances, own,
-            first_order(change, correlation), with_mean(first, nearer[:, None]))
+            first_order(change, segment.measured.tool_noise.correlation),
+            with_mean(first, nearer[:, None]))
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
