@@ -141,9 +141,11 @@ def listing(path: File) -> Listing:
         if bag.is_file():
             return Listing((bag,), {})
     except (OSError, ValueError, RuntimeError) as error:  # the last for links in a circle
-        raise BellowsError(f"Recording '{bag}' cannot be read: {error}") from None
+        reason = getattr(error, 'strerror', None) or error
+        raise BellowsError(f"Recording '{str(bag):.200}' cannot be read: {reason}") from None
+    wrong = 'is neither a file nor a folder' if bag.exists() else 'does not exist'
     raise BellowsError(
-        f"Recording '{bag}' does not exist. Give a rosbag2 folder, or a single .mcap or .db3 file."
+        f"Recording '{bag}' {wrong}. Give a rosbag2 folder, or a single .mcap or .db3 file."
     )
 
 
