@@ -98,15 +98,17 @@ class Cell:
         The cup of `LAYOUT` that is lost in a fault 'cup'; a gripper holds the package if not None.
     lasts : float
         How long a package slips, s.
+    numbers : ndarray
+        Of a slip or a payload (m), or a camera (m, rad); drawn if None.
     more : parameters of the observer
 
     """
 
     def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0,
-                 lost=None, lasts=0.0, **more):
+                 lost=None, lasts=0.0, numbers=None, **more):
         """Simulate the package and its measured poses."""
         self.rng = rng = np.random.default_rng(seed)
-        self.at, self.fault, self.size, self.lost = at, fault, size, lost
+        self.at, self.fault, self.size, self.lost, self.numbers = at, fault, size, lost, numbers
         self.steps = max(round(lasts * 1e9 / PERIOD_NS), 1)
         self.nominal = PACKAGE if lost is None else HEAVY
         self.wrong = wrong = {'memory': 0.0, 'late': 0.0, 'offset': (0.0, 0.0), **wrong}
@@ -135,13 +137,19 @@ class Cell:
         direction = self.rng.normal(size=3)
         return length * direction / np.linalg.norm(direction)
 
+    def _sized(self, kind, drawn):
+        """Give the numbers of a fault: as drawn, if it is not this one with numbers given."""
+        if kind == self.fault:
+            self.numbers = drawn = drawn if self.numbers is None else self.numbers
+        return self.size * drawn
+
     def _true(self):
         """Give package and cup as they are."""
         off = {name: self._sign() * self.wrong.get(name, 0.0)
                for name in ('mass', 'inertia', 'stiffness', 'damping')}
         com = self._direction(self.wrong.get('com', 0.0))
         if self.fault == 'payload':
-            com = com + self._across(0.01 * self.size)
+            com = com + self._sized('payload', self._across(0.01))
         if self.fault == 'wear':
             off['stiffness'] -= 0.2 * self.size
         if self.fault == 'mass':
@@ -154,7 +162,7 @@ class Cell:
 
     def _change(self):
         """Give the change of state and model at each sample of the tool."""
-        self.by = by = self._across(3e-3 * self.size)
+        self.by = by = self._sized('slip', self._across(3e-3))
         turn, rate = 0.1 * self.size, 5e-3 * self.size
 
         def model(com=None, part=1.0, longer=0.0):
@@ -186,7 +194,8 @@ class Cell:
         wrong, rng, n = self.wrong, self.rng, np.zeros(6)
         kept = np.exp(-every * PERIOD_NS * 1e-9 / wrong['memory']) if wrong['memory'] else 0.0
         offset = [self._direction(size) for size in wrong['offset']]
-        moved = [self._direction(5e-3 * self.size), self._direction(5e-3 * self.size)]
+        moved = np.split(self._sized(
+            'camera', np.r_[self._direction(5e-3), self._direction(5e-3)]), 2)
         out, n = {}, rng.normal(size=6) * NOISE
         for k in range(every, len(self.tool), every):
             n = kept * n + np.sqrt(1.0 - kept**2) * rng.normal(size=6) * NOISE
