@@ -49,20 +49,6 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
-    path = tmp_path / 'a'
-    path.write_text('old')
-
-    def full(descriptor):
-        raise OSError(28, 'No space left on device')
-
-    monkeypatch.setattr(os, 'fsync', full)
-    with pytest.raises(BellowsError):
-        write_text(path, 'new')
-    assert path.read_text() == 'old'
-    assert os.listdir(tmp_path) == ['a']
-
-
 def test_a_folder_appears_when_it_is_complete(tmp_path):
     with new_folder(tmp_path / 'bag') as folder:
         assert folder.name == 'bag'

@@ -1,8 +1,5 @@
 """Recordings that are written: read back by this package and by rosbags, whole or not at all."""
 
-import resource
-import signal
-
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer
 from bellows_ros.files import messages as cdr
@@ -45,24 +42,6 @@ def test_every_form_is_read_by_this_package_and_by_rosbags(tmp_path, storage, zs
         [[m.pose.position.x, m.pose.orientation.w] for _, m in messages],
         made.pose_values(COUNT)[:, [0, 6]])
     assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.fixture
-def no_room():
-    """Let no file grow beyond some bytes, as on a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    signal.signal(signal.SIGXFSZ, handler)
-
-
-@pytest.mark.parametrize('storage, zstd', FORMS)
-def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, no_room, storage, zstd):
-    with pytest.raises(BellowsError):
-        write_bag(tmp_path / 'bag', [recorded()], storage, zstd)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):

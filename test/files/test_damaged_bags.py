@@ -4,7 +4,6 @@ Damaged and hostile recordings: each is an error that can be named, or a loss th
 Nothing here may end in another exception, take long, or fill the memory.
 """
 
-from collections import Counter
 import io
 import re
 import struct
@@ -33,7 +32,6 @@ else:
 COUNT = 60
 WANTED = {'p': '/a'}
 PATIENCE = 5.0  # s of this process, for what takes milliseconds
-read = Counter()  # damaged recordings by how they ended
 
 
 @pytest.fixture(params=made.FORMS, ids='-'.join)
@@ -55,11 +53,9 @@ def outcome(path):
     except BellowsError as error:
         assert len(str(error)) < 2000
         assert str(path) in str(error)
-        read['refused'] += 1
         return None
     finally:
         assert time.process_time() - begin < PATIENCE
-    read['read'] += 1
     assert np.all(np.isfinite(stream.position)) and np.all(np.diff(stream.stamps_ns) > 0)
     lost = [i for indices in stream.refused.values() for i in indices]
     assert len(set(lost)) == len(lost)
@@ -79,23 +75,6 @@ def test_a_file_truncated_anywhere_is_refused_or_read_to_the_break_with_a_note(b
         assert found is None or found.notes, f'truncated to {size} of {len(whole)} bytes'
     file.write_bytes(whole)
     assert len(outcome(bag).streams['p']) == COUNT
-
-
-def test_flipped_bits_are_an_error_or_counted(bag):
-    file = made.storage_file(bag)
-    whole = np.frombuffer(file.read_bytes(), np.uint8)
-    rng = np.random.default_rng(2)
-    refused = 0
-    for _ in range(30):
-        damaged = whole.copy()
-        for at in rng.integers(0, len(whole), size=rng.integers(1, 20)):
-            damaged[at] ^= 1 << rng.integers(8)
-        file.write_bytes(damaged.tobytes())
-        found = outcome(bag)
-        refused += found is None
-        if found is not None and not found.notes:  # no message may go missing without a word
-            assert sum(t.messages for t in topics(bag)) == COUNT + 3
-    assert refused  # some of them hit what holds the file together
 
 
 def test_a_message_cut_short_in_its_recording_is_counted(tmp_path):

@@ -14,9 +14,8 @@ from std_msgs.msg import Bool, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .frame import CLEAN, COUNTED, damaged, Failed
-from .messages import connected
+from .messages import connected, numbers, ODD
 from .readers import ATTEMPTS
-from ..nodes.test_hostile import numbers, ODD
 from ..nodes.test_parameters import ends
 
 EACH = 20  # messages of an attempt
