@@ -14,6 +14,7 @@ if importlib.util.find_spec('rclpy') is None:  # the report's header says so
                       if path.name not in WITHOUT_ROS]
 else:
     from bellows_ros.nodes.conversions import stamp_to_ns
+    from diagnostic_msgs.msg import DiagnosticArray
     from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
     from rclpy.node import Node
     from rclpy.parameter import Parameter
@@ -30,6 +31,7 @@ MS = 1_000_000
 START = 1_700_000_000_000_000_000
 QUEUE = 10_000  # messages; nothing is lost while a node is busy sending
 INPUTS = {'pose': 'tool_arm/pose', 'twist': 'tool_arm/twist'}
+OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'  # levels of diagnostics
 OUTPUTS = {'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wrench'}
 
 
@@ -163,10 +165,45 @@ def topics_of(predictor):
             if isinstance(part, Topic) and name not in ('_state', '_ok')]
 
 
+class Listener(Peer):
+    """Knows the newest diagnostics."""
+
+    def __init__(self, ros):
+        """Subscribe."""
+        super().__init__(ros, 'monitor')
+        self.reports = self.hears(DiagnosticArray, '/diagnostics')
+
+    def line(self, name):
+        """Return the newest line of a name, or nothing."""
+        lines = (line for report in reversed(self.reports) for line in report.status)
+        return next((line for line in lines if line.name == f'predictor: {name}'), None)
+
+    def sees(self, name, level, words):
+        """Wait until a line has this level and words."""
+        def there():
+            line = self.line(name)
+            return line is not None and line.level == level and words in line.message
+
+        return bool(self.ros.spin_until(there))
+
+    def value(self, name, key):
+        """Return a value of a line."""
+        return {v.key: v.value for v in self.line(name).values}[key]
+
+
 @pytest.fixture
 def peer(ros):
     """Give another node of the graph."""
     return Peer(ros)
+
+
+@pytest.fixture
+def listener(ros, monkeypatch):
+    """Give a monitor, of nodes that report five times a second."""
+    from bellows_ros.nodes import predictor_node
+
+    monkeypatch.setattr(predictor_node, 'REPORT_PERIOD', 0.2)
+    return Listener(ros)
 
 
 @pytest.fixture

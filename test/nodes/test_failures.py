@@ -13,14 +13,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from .conftest import MS, PACKAGE, START
-from .test_health import ERROR, Listener
-
-
-@pytest.fixture
-def listener(ros):
-    """Give a monitor."""
-    return Listener(ros)
+from .conftest import ERROR, MS, PACKAGE, START
 
 
 def break_once(thing, name):

@@ -5,14 +5,12 @@ import math
 from threading import Event, Thread
 import time
 
-from bellows_ros.nodes import diagnostics, predictor_node
+from bellows_ros.nodes import diagnostics
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from numpy.testing import assert_allclose
-import pytest
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -21,43 +19,9 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
-from .conftest import MS, PACKAGE, Peer, stamp_ns, START, topics_of
+from .conftest import ERROR, MS, OK, PACKAGE, stamp_ns, START, topics_of, WARN
 
-OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 BURSTS = 50  # at most, until this machine has not paused for longer than is bridged
-
-
-class Listener(Peer):
-    """Knows the newest diagnostics."""
-
-    def __init__(self, ros):
-        """Subscribe."""
-        super().__init__(ros, 'monitor')
-        self.reports = self.hears(DiagnosticArray, '/diagnostics')
-
-    def line(self, name):
-        """Return the newest line of a name, or nothing."""
-        lines = (line for report in reversed(self.reports) for line in report.status)
-        return next((line for line in lines if line.name == f'predictor: {name}'), None)
-
-    def sees(self, name, level, words):
-        """Wait until a line has this level and words."""
-        def there():
-            line = self.line(name)
-            return line is not None and line.level == level and words in line.message
-
-        return bool(self.ros.spin_until(there))
-
-    def value(self, name, key):
-        """Return a value of a line."""
-        return {v.key: v.value for v in self.line(name).values}[key]
-
-
-@pytest.fixture
-def listener(ros, monkeypatch):
-    """Give a monitor, of nodes that report five times a second."""
-    monkeypatch.setattr(predictor_node, 'REPORT_PERIOD', 0.2)
-    return Listener(ros)
 
 
 @contextmanager

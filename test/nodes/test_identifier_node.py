@@ -1,14 +1,10 @@
 """The identifier node: finds the cup beside the executor and shows it as parameters."""
 
-from pathlib import Path
-
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import read_result
-from bellows_ros.files.safe_yaml import load
 from bellows_ros.nodes.predictor_node import PredictorNode
-from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -19,14 +15,6 @@ pytestmark = pytest.mark.timeout(400)
 
 LONGEST = 300.0  # s
 
-RESTING = {
-    'kind': 'static', 'rest_duration': 1.5,
-    'static': {'move': 0.5, 'hold': 2.0, 'poses': [
-        {'rpy': [0.3, 0.0, 0.0]}, {'rpy': [0.0, 0.3, 0.0]}]},
-    'tool': {'rate_hz': 100.0, 'noise': {'position': 2e-5, 'rotation': 5e-5},
-             'twist': {'publish': False}},
-    'package': {'rate_hz': 100.0, 'noise': {'position': 5e-5, 'rotation': 2e-4}},
-}
 PACKAGE = {
     'package.mass': 2.17,
     'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
@@ -35,12 +23,12 @@ PACKAGE = {
 }
 
 
-def make(ros, **given):
+def make(ros, package=PACKAGE, **given):
     """Return a spinning identifier; `__` in the names of parameters stands for a dot."""
     from bellows_ros.nodes.identifier_node import IdentifierNode
 
     named = {name.replace('__', '.'): value for name, value in given.items()}
-    values = {**PACKAGE, 'fit.method': 'least_squares', **named}
+    values = {**package, 'fit.method': 'least_squares', **named}
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     node = IdentifierNode(context=ros.context, parameter_overrides=overrides)
     ros.executor.add_node(node)
@@ -76,44 +64,21 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path)
     assert ros.spin_until(node.finished.done, LONGEST)
     assert node.finished.result() is None
 
+    values = read_parameters(written)
     with np.load(rig / 'clean_truth.npz') as truth:
         K = truth['K']
-    found = np.reshape(node.get_parameter('cup.stiffness').value, (6, 6))
+    shown = {name: node.get_parameter(name).value for name in ('cup.stiffness', 'cup.damping')}
+    found = np.reshape(shown['cup.stiffness'], (6, 6))
     assert_allclose(np.diag(found), np.diag(K), rtol=0.01)  # what is promised for this recording
-    for name in ('cup.stiffness', 'cup.damping'):
-        value = list(node.get_parameter(name).value)
-        assert value == list(predictor.get_parameter(name).value)
-        assert tuple(value) == read_parameters(written)[name]
-    for name in ('cup.length', 'cup.stiffness_std', 'envelope.rates', 'envelope.mass'):
-        assert_allclose(predictor.values[name], read_parameters(written)[name])
-        assert np.any(predictor.values[name])
+    assert {name: tuple(value) for name, value in shown.items()}.items() <= values.items()
+    assert {'cup.length', 'cup.stiffness_std', 'envelope.rates', 'envelope.mass'} <= set(values)
+    for name, value in values.items():  # to the digits of a file
+        assert_allclose(predictor.values[name], value, err_msg=name)
     assert (tmp_path / 'fit.json').is_file()
     assert {name: predictor.values[name] for name in own} == own
-    assert not [name for name, value in read_parameters(written).items()
+    assert not [name for name, value in values.items()
                 if name not in ('cup.stiffness', 'cup.damping', 'cup.length')
                 and value == PARAMETERS[name].default]
-
-
-def test_one_cup_of_a_gripper_is_found_and_set_with_its_layout(ros, root, tmp_path):
-    """The predictor composes it: what it has of one cup is what was found."""
-    layout = [0.06, 0.05, 0.0, -0.06, 0.03, 0.0, 0.01, -0.07, 0.0]
-    cup = read_parameters(root / 'bags/cup.yaml')
-    motion = {**load(root / 'bags/validation.yaml'), 'package': {
-        'rate_hz': 360.0, 'frame': 'com', 'noise': {'position': 2e-5, 'rotation': 1e-4}}}
-    simulate_recording({**cup, 'cup.layout': layout}, motion, str(tmp_path / 'bag'))
-    predictor = PredictorNode(context=ros.context, parameter_overrides=[
-        Parameter(name, value=value) for name, value in PACKAGE.items()])
-    ros.executor.add_node(predictor)
-    node = make(
-        ros, bags=[str(tmp_path / 'bag')], cup__layout=layout, fit__structure='layout',
-        topics__tool_pose='/tool_arm/pose', topics__package_pose='/package/pose',
-        package__mass=1.8, package__inertia=list(cup['package.inertia']),
-        cup__length=cup['cup.length'], predictor='/predictor', exit_when_done=True)
-    assert ros.spin_until(node.finished.done, LONGEST)
-    assert node.finished.result() is None
-    assert list(predictor.values['cup.layout']) == layout
-    found = np.diag(np.reshape(predictor.values['cup.stiffness'], (6, 6)))
-    assert_allclose(found[:3], np.diag(np.reshape(cup['cup.stiffness'], (6, 6)))[:3], rtol=0.05)
 
 
 def test_absent_predictor_is_said(ros, rig, monkeypatch):
@@ -127,45 +92,31 @@ def test_absent_predictor_is_said(ros, rig, monkeypatch):
 
 
 def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
-    """Give packages in files, standstills, structures, validation and a page as parameters."""
-    cup = read_parameters(root / 'bags/cup.yaml')
-    bags, files = [], []
-    for number, mass in enumerate((0.8, 1.2, 1.6)):
-        bags.append(str(tmp_path / f'm{number}'))
-        simulate_recording({**cup, 'package.mass': mass}, RESTING, bags[-1])
-        files.append(str(tmp_path / f'm{number}.yaml'))
-        Path(files[-1]).write_text(f'package:\n  mass: {mass}\n')
+    """Give packages in files, standstills, structures, validation and a page."""
+    package = [str(root / 'bags/package.yaml')]
     node = make(
-        ros, bags=[str(root / 'bags/identification')], cup__length=0.045,
-        package__files=[str(root / 'bags/package.yaml')],
+        ros, PACKAGE | read_parameters(package[0]), bags=[str(root / 'bags/identification')],
         topics__tool_pose='/tool_arm/pose', topics__package_pose='/package/pose',
-        static__bags=bags, static__files=files, static__length=True,
+        package__files=package, static__bags=[str(root / 'bags/static')], static__files=package,
         fit__compare_structures=True, validation__bags=[str(root / 'bags/validation')],
-        package__mass=1.8, package__inertia=list(cup['package.inertia']),
         output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
         exit_when_done=True)
     assert ros.spin_until(node.finished.done, LONGEST)
     assert node.finished.result() is None
-    assert abs(node.get_parameter('cup.length').value - cup['cup.length']) < 1e-4
     content = read_result(tmp_path / 'fit.json')
-    assert content['with_standstills']['standstills'] == 9
+    assert content['with_standstills']['standstills'] == 7
     assert content['structures']['advised'] == 'axisymmetric'
     assert content['validations'][0]['above_limit'] == []
     assert content['recordings'][0]['package']['mass'] == 1.8
-    assert '9 standstills are part of the fit' in (tmp_path / 'page.html').read_text()
+    assert '7 standstills are part of the fit' in (tmp_path / 'page.html').read_text()
 
 
 def test_packages_in_files_are_enough(ros, root):
     """Start without package.* where each recording has a file of its own."""
-    from bellows_ros.nodes.identifier_node import IdentifierNode
-
-    given = {'bags': [str(root / 'bags/validation')],
-             'package.files': [str(root / 'bags/package.yaml')],
-             'topics.tool_pose': '/tool_arm/pose', 'topics.package_pose': '/package/pose',
-             'cup.length': 0.046, 'fit.method': 'least_squares'}
-    node = IdentifierNode(context=ros.context, parameter_overrides=[
-        Parameter(name, value=value) for name, value in given.items()])
-    ros.executor.add_node(node)
+    node = make(
+        ros, {}, bags=[str(root / 'bags/validation')], cup__length=0.046,
+        package__files=[str(root / 'bags/package.yaml')], topics__tool_pose='/tool_arm/pose',
+        topics__package_pose='/package/pose')
     assert not node.has_parameter('package.mass')
     assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), LONGEST)
 

@@ -36,8 +36,9 @@ class Manager(Peer):
         self._stamp = START
 
     def change(self, transition):
-        """Ask for a transition."""
-        request = ChangeState.Request(transition=Transition(id=transition))
+        """Ask for a transition by its number, or by its label."""
+        named = {'label' if isinstance(transition, str) else 'id': transition}
+        request = ChangeState.Request(transition=Transition(**named))
         return bool(self.call('/predictor/change_state', ChangeState, request).success)
 
     def state(self):
@@ -89,7 +90,7 @@ def test_every_transition(make_predictor, manager):
         assert manager.heard == [] and node._live.poses_in == 0
         assert manager.change(Transition.TRANSITION_ACTIVATE)
         assert manager.hears_all()
-        assert manager.change(Transition.TRANSITION_DEACTIVATE)
+        assert manager.change('deactivate')
         assert manager.ros.spin_until(lambda: manager.states[-1:] == ['inactive'])
         manager.take_what_is_under_way()
         manager.send()
@@ -117,18 +118,9 @@ def test_a_transition_that_is_not_allowed_is_refused(state, make_predictor, mana
     for transition in sorted({*range(9), 60, 99} - ALLOWED[state]):
         assert not manager.change(transition), transition
         assert manager.state() == state
-    label = ChangeState.Request(transition=Transition(label='configured'))
-    assert not manager.call('/predictor/change_state', ChangeState, label).success
+    assert not manager.change('configured')
     if state == 'active':
         assert manager.hears_all()
-
-
-def test_a_transition_by_its_label(make_predictor, manager):
-    """Take the name instead of the number."""
-    make_predictor()
-    label = ChangeState.Request(transition=Transition(label='deactivate'))
-    assert manager.call('/predictor/change_state', ChangeState, label).success
-    assert manager.state() == 'inactive'
 
 
 def test_what_cannot_be_configured_leaves_nothing_behind(make_predictor, manager):

@@ -9,7 +9,6 @@ from types import FrameType
 from bellows_ros.nodes.guarding import executor_for, GuardedNode, spin
 from bellows_ros.nodes.predictor_node import PredictorNode
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry
@@ -23,7 +22,7 @@ from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from .conftest import MS, PACKAGE, Peer, pose_at, stamp_ns, stamped, START
+from .conftest import MS, PACKAGE, Partner, stamp_ns, START
 
 HAVE_EVENTS = False
 try:
@@ -61,37 +60,32 @@ def spun(ros, way):
         assert not thread.is_alive()
 
 
-class Cell(Peer):
+class Cell(Partner):
     """A predictor that is spun by itself, and another node that talks with it."""
 
     def __init__(self, ros, spun):
         """Start both."""
-        super().__init__(ros, 'partner')
         given = {**PACKAGE, 'coast.limit': 0.4}
-        self.predictor = PredictorNode(context=ros.context, parameter_overrides=[
+        predictor = PredictorNode(context=ros.context, parameter_overrides=[
             Parameter(name, value=value) for name, value in given.items()])
-        self.thread = spun(self.predictor)
+        self.thread = spun(predictor)
+        super().__init__(ros, predictor)
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.poses = self.hears(PoseStamped, 'package/pose')
         self.odometry = self.hears(Odometry, 'package/odometry', decode=stamp_ns)
         self.states = self.hears(String, 'package/state', latched, lambda message: message.data)
         self.diagnostics = self.hears(DiagnosticArray, '/diagnostics')
-        self.pose_writer = self.writes(PoseStamped, 'tool_arm/pose')
-        self.twist_writer = self.writes(TwistStamped, 'tool_arm/twist')
         self.connect()
         outputs, live = self.predictor._outputs, self.predictor._live
         self.wait(lambda: outputs._odometry.wanted and live.pairing.expect)
         self._last_ns = START
 
-    def send(self, count):
+    def go_on(self, count):
         """Send poses with twists, and wait for the last answer."""
         before = len(self.poses)
         for _ in range(count):
             self._last_ns += 2 * MS
-            self.twist_writer.publish(stamped(TwistStamped(), self._last_ns))
-            self.pose_writer.publish(pose_at(self._last_ns))
-        assert self.ros.spin_until(lambda: len(self.poses) == before + count), (
-            f'{len(self.poses) - before} of {count} answers')
+            self.send(self._last_ns)
+        self.wait_for_poses(before + count)
 
     def is_ahead(self):
         """Tell whether the odometry goes on behind the last pose."""
@@ -111,7 +105,7 @@ def cell(ros, spun):
 def test_everything_works(cell):
     """Predict, coast, fall silent, report, change parameters, change state, and end."""
     for _ in range(50):  # until this machine has not paused for longer than is bridged
-        cell.send(100)
+        cell.go_on(100)
         assert cell.ros.spin_until(lambda: cell.is_ahead() or cell.is_lost())
         if cell.is_ahead():
             break
@@ -125,7 +119,7 @@ def test_everything_works(cell):
     assert cell.ros.spin_until(future.done)
     assert future.result().results[0].successful and cell.predictor._live.model[1][0] == 1.5
     assert cell.call('/predictor/reset', Trigger).success
-    cell.send(10)
+    cell.go_on(10)
     for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
         request = ChangeState.Request(transition=Transition(id=transition))
         assert cell.call('/predictor/change_state', ChangeState, request).success
@@ -149,9 +143,9 @@ def test_collector_strikes_between_callbacks_only(cell, monkeypatch):
     gc.set_threshold(1, 1, 1)
     gc.callbacks.append(note)
     try:
-        cell.send(100)
+        cell.go_on(100)
         assert cell.ros.spin_until(lambda: bool(struck))  # the one that is meant
-        cell.send(100)
+        cell.go_on(100)
     finally:
         gc.callbacks.remove(note)
         gc.set_threshold(*usual)

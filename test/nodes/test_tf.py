@@ -11,8 +11,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from . import tf2_interface
-from .conftest import MS, PACKAGE, stamped, START
-from .test_health import ERROR, Listener
+from .conftest import ERROR, MS, PACKAGE, stamped, START
 
 pytestmark = pytest.mark.timeout(600)  # tf2_msgs may have to be built
 
@@ -71,9 +70,8 @@ def send(writer, kind, stamp_ns, *links):
     writer.publish(message)
 
 
-def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, ros):
+def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, ros, listener):
     """Predict along static and moving links, and say what is missing before."""
-    listener = Listener(ros)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     send(listener.writes(tf2_msgs.TFMessage, '/tf_static', latched), tf2_msgs.TFMessage, 0,
          ('map', 'base', 2.0), ('flange', 'cup', -0.1))
