@@ -14,7 +14,7 @@ ROUNDS = {
     'tables': Round(tables),
     'parameters': Round(parameters, short=20),
     'motions': Round(motions, patience=60.0, short=3),
-    'plans': Round(plans, patience=60.0, short=60),
+    'plans': Round(plans, patience=60.0, short=20),
     'kills': Round(kills, patience=120.0, short=0),  # test/files/test_killed.py does it
     'disks': Round(disks, short=20),
     'fits': Round(fits, patience=120.0, short=10),

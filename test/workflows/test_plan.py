@@ -29,7 +29,7 @@ import yaml
 from ..core.planning.test_arm import URDF
 from ..core.plans import CUP, Move
 from ..files.recordings import built, header, POSE, TWIST, TYPES
-from ..files.yaml_plans import plan_messages
+from ..files.yaml_plans import BAD, damaged_at, places_in, plan_messages
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
 VALUES = {
@@ -299,6 +299,25 @@ def test_what_is_no_plan_is_refused(tmp_path):
     elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
     with pytest.raises(BellowsError, match="'else'.*'base'"):
         figures(bag_of(tmp_path / 'frames', PATH, elsewhere))
+
+
+@pytest.mark.parametrize('kind', ['multi', 'path', 'joints'])
+def test_damaged_yaml_is_refused_or_a_plan(tmp_path, kind):
+    content, file = plan_messages()[kind], tmp_path / 'plan.yaml'
+    (tmp_path / 'arm.urdf').write_text(URDF)
+    values, refused = resolve({'tool_link': 'tool'}), 0
+    damages = [(keys, value) for keys in places_in(content) for value in (*BAD, ...)]
+    damages = damages[::5]  # make stress has all of them
+    for keys, value in [((), ()), *damages]:
+        file.write_text(yaml.safe_dump(damaged_at(content, keys, value) if keys else content))
+        try:
+            source = read_plan(file, values, str(tmp_path / 'arm.urdf'))
+        except BellowsError as error:
+            assert keys, error
+            refused += 1
+            continue
+        assert np.isfinite(source.tool.position).all() and isinstance(source.frame_id, str)
+    assert 0.5 * len(damages) < refused < len(damages)
 
 
 def test_a_plan_of_very_many_points_is_read_from_yaml(tmp_path):
