@@ -7,9 +7,7 @@ from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import replay
 import numpy as np
@@ -70,21 +68,6 @@ def test_predictions_are_those_of_the_predictor_message_by_message(shipped, root
     assert_array_equal(result.live.stamps_ns, again.stamps_ns)
 
 
-def cup(fit):
-    """Return a fit's cup as parameters."""
-    return {'cup.stiffness': tuple(fit.stiffness.ravel().tolist()),
-            'cup.damping': tuple(fit.damping.ravel().tolist())}
-
-
-def test_a_cup_of_one_recording_explains_another(rig):
-    """Stay within 5 % on each axis that moves, noise included; z moves by less than a mm."""
-    fit = identify({**LAB, 'bags': [str(rig / 'lab')]}).fit
-    found = replay(rig / 'lab_validation', {**LAB, **cup(fit)}).validation
-    assert found.moves.tolist() == [True, True, False, True, True, True]
-    assert np.all(found.scores.nrmse[found.moves] < 0.05)
-    assert np.all(found.model_error[found.moves] < 0.02)
-
-
 def test_the_truth_leaves_nothing_but_noise(rig):
     """Find the error of the true cup explained by the noise, and its one-step errors white."""
     truth = np.load(rig / 'lab_validation_truth.npz')
@@ -93,32 +76,3 @@ def test_the_truth_leaves_nothing_but_noise(rig):
     assert_allclose(found.scores.rms, found.noise, rtol=0.1)
     assert_allclose(found.one_step.chi2, 1.0, atol=0.05)
     assert set(found.one_step.whiteness.verdicts) <= {'white', 'nearly white'}
-
-
-def test_lost_samples_are_not_in_the_spectra(shipped):
-    """Find the noise of 0.1 mm and 0.5 mrad at 360 Hz above the motion, in all axes."""
-    found = shipped[0].validation
-    floor = np.repeat([1e-4, 5e-4], 3) ** 2 / 180.0
-    for shown in (found.motion, found.spectrum):
-        high = shown.frequency > 20.0
-        assert_allclose(np.median(shown.density[high], axis=0), floor, rtol=0.2)
-
-
-def test_leaving_the_envelope_is_said(shipped, root):
-    """Warn where the cup's file says that the fit has seen less, else not."""
-    result, values = shipped
-    assert result.warnings == ()
-    small = {
-        **values, 'envelope.deflection_low': [-1e-3] * 3 + [-0.01] * 3,
-        'envelope.deflection_high': [1e-3] * 3 + [0.01] * 3, 'envelope.rates': [10.0] * 6,
-        'envelope.mass': [1.8, 1.8],
-    }
-    (warning,) = replay(root / 'bags/validation', small).warnings
-    assert 'leaves the validity range' in warning and 'bending about x' in warning
-
-
-def test_a_cup_that_carries_nothing_is_refused(shipped, root):
-    """Say that there is no equilibrium."""
-    soft = {**shipped[1], 'cup.stiffness': np.diag([50.0, 50, 50, 0.01, 0.01, 0.01]).ravel()}
-    with pytest.raises(BellowsError, match='equilibrium'):
-        replay(root / 'bags/validation', soft)
