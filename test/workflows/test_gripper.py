@@ -18,15 +18,14 @@ LAYOUT = (0.06, 0.05, 0.0, -0.06, 0.03, 0.0, 0.01, -0.07, 0.0)
 
 
 @pytest.fixture(scope='module')
-def gripper(root, tmp_path_factory):
+def gripper(root, known, true_cup, tmp_path_factory):
     """Return the true parameters, and those that are known of a recording of the gripper."""
     motion = load(root / 'bags/validation.yaml')
     motion['package'] = {
         'rate_hz': 360.0, 'frame': 'com', 'noise': {'position': 2e-5, 'rotation': 1e-4}}
-    truth = {**read_parameters(root / 'bags/cup.yaml'), 'cup.layout': LAYOUT}
+    truth = {**true_cup, 'cup.layout': LAYOUT}
     bag = tmp_path_factory.mktemp('gripper') / 'bag'
     simulate_recording(truth, motion, bag)
-    known = read_parameters(root / 'bags/package.yaml')
     return resolve(truth), {
         **known, 'bags': [str(bag)], 'cup.layout': LAYOUT, 'fit.structure': 'layout'}
 

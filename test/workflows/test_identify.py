@@ -79,12 +79,10 @@ def test_clean_recording_of_the_rig(rig):
 
 
 @pytest.fixture(scope='module')
-def shipped(root):
+def shipped(root, known, true_cup):
     """Return the identification of the recording that is shipped, and the truth."""
-    known = read_parameters(root / 'bags/package.yaml')
-    truth = read_parameters(root / 'bags/cup.yaml')
     return identify({**known, 'bags': [str(root / 'bags/identification')],
-                     'fit.method': 'least_squares'}), truth
+                     'fit.method': 'least_squares'}), true_cup
 
 
 @pytest.mark.parametrize('method', ['least_squares', pytest.param(
@@ -108,10 +106,9 @@ def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
 
 
 @pytest.fixture(scope='module')
-def two_packages(tmp_path_factory, root):
+def two_packages(tmp_path_factory, root, true_cup):
     """Return recordings of one cup with two packages, and a parameter file of each package."""
     folder = tmp_path_factory.mktemp('packages')
-    cup = read_parameters(root / 'bags/cup.yaml')
     motion = yaml.safe_load((root / 'bags/identification.yaml').read_text())
     motion['duration'] = 12.0
     bags, files = [], []
@@ -121,7 +118,7 @@ def two_packages(tmp_path_factory, root):
         payload = {'package.mass': mass, 'package.inertia': inertia, 'package.com': [0, 0, -0.03],
                    'recording.package_frame': 'com'}
         bags.append(str(folder / f'bag{number}'))
-        simulate_recording({**cup, **payload}, {**motion, 'seed': number}, folder / f'bag{number}')
+        simulate_recording({**true_cup, **payload}, {**motion, 'seed': number}, bags[-1])
         files.append(str(folder / f'package{number}.yaml'))
         write_parameters(files[-1], resolve(payload), [])
     return bags, files
@@ -133,10 +130,9 @@ def test_package_files_must_be_one_for_each_recording(two_packages):
         identify({'bags': bags, 'package.files': files[:1]})
 
 
-def test_each_recording_may_have_its_own_topics(two_packages, root, tmp_path):
+def test_each_recording_may_have_its_own_topics(two_packages, root, true_cup, tmp_path):
     """Take topics and axes of each recording from its file; the package's from there, too."""
-    bags, files = two_packages
-    truth = read_parameters(root / 'bags/cup.yaml')
+    (bags, files), truth = two_packages, true_cup
     motion = yaml.safe_load((root / 'bags/identification.yaml').read_text()) | {
         'duration': 12.0, 'seed': 7, 'world': 'motive_y_up',
         'topics': {'tool_pose': '/arm', 'package_pose': '/box'}}
@@ -166,38 +162,17 @@ def test_each_recording_may_have_its_own_topics(two_packages, root, tmp_path):
                   'recording.package_frame': 'com', 'cup.length': truth['cup.length']})
 
 
-MASSES = (0.6, 1.2, 2.0)
-RESTING = {
-    'kind': 'static', 'rest_duration': 1.5,
-    'static': {'move': 0.5, 'hold': 3.0, 'poses': [
-        {'rpy': [0.3, 0.0, 0.0]}, {'rpy': [0.0, 0.3, 0.0]}]},
-    'tool': {'rate_hz': 100.0, 'noise': {'position': 5e-5, 'rotation': 1e-4},
-             'twist': {'publish': False}},
-    'package': {'rate_hz': 100.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}},
-}
-
-
-@pytest.fixture(scope='module')
-def at_rest(tmp_path_factory, root):
-    """Return parameters that name standstills with several masses, each with its file."""
-    folder = tmp_path_factory.mktemp('rest')
-    cup = read_parameters(root / 'bags/cup.yaml')
-    bags, files = [], []
-    for number, mass in enumerate(MASSES):
-        bags.append(str(folder / f'm{number}'))
-        simulate_recording({**cup, 'package.mass': mass}, {**RESTING, 'seed': number}, bags[-1])
-        files.append(str(folder / f'm{number}.yaml'))
-        (folder / f'm{number}.yaml').write_text(f'package:\n  mass: {mass}\n')
-    return {'static.bags': bags, 'static.files': files}
-
-
-def test_standstills_join_the_fit_and_tell_the_length(shipped, at_rest, tmp_path):
+def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path):
     """Start from a wrong length: it is found, and the stiffness with it."""
     result, truth = shipped
-    wrong = {**result.values, 'cup.length': 0.0475}
-    joined = identify({**wrong, **at_rest, 'static.length': True})
+    files = [tmp_path / f'{mass}.yaml' for mass in weights.values()]
+    for file in files:
+        file.write_text(f'package.mass: {file.stem}')
+    joined = identify({
+        **result.values, 'cup.length': 0.0475, 'static.bags': list(weights),
+        'static.files': list(map(str, files)), 'static.length': True})
     assert_allclose(joined.cup_length, truth['cup.length'], rtol=0, atol=1e-4)
-    assert joined.fit.standstills.count == 3 * len(MASSES) and joined.fit.standstills.chi2 < 2.0
+    assert joined.fit.standstills.count == 9 and joined.fit.standstills.chi2 < 2.0
     assert joined.fit.standstills.narrowed[0] < 0.95 and joined.fit.standstills.narrowed[2] < 0.95
     assert joined.static.spring.passed
     K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
@@ -209,10 +184,11 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, at_rest, tmp_path
     assert not any(name.startswith('static.') for name in values)
     content = read_result(tmp_path / 'fit.json')
     assert content['with_standstills']['standstills'] == 9
-    assert [entry['package']['mass'] for entry in content['static']['recordings']] == list(MASSES)
-    assert content['settings']['static.bags'] == at_rest['static.bags']
+    assert [entry['package']['mass'] for entry in content['static']['recordings']] == [
+        *weights.values()]
+    assert content['settings']['static.bags'] == list(weights)
     assert content['settings']['cup.length'] == 0.0475, 'what was given, not what was found'
-    assert len(content['provenance']['recordings']) == 1 + len(MASSES)
+    assert len(content['provenance']['recordings']) == 1 + len(weights)
 
 
 def test_structures_and_validation_come_with_the_fit(shipped, root):
@@ -265,11 +241,10 @@ def test_streams_of_two_clocks_give_the_cup_of_one(shipped, behind, tmp_path):
 
 
 @pytest.fixture(scope='module')
-def sideways(tmp_path_factory, root):
+def sideways(tmp_path_factory, true_cup):
     """Return a recording that only moves along x: nothing turns about z."""
     bag = tmp_path_factory.mktemp('sideways') / 'bag'
-    cup = read_parameters(root / 'bags/cup.yaml')
-    simulate_recording(cup, {
+    simulate_recording(true_cup, {
         'kind': 'multi_sine', 'duration': 5.0, 'rest_duration': 1.0, 'seed': 4,
         'multi_sine': {'position': {'x': {'amplitude': [0.03, 0.003], 'frequency': [0.6, 2.6]}}},
         'tool': {'rate_hz': 200.0, 'noise': {'position': 0.0, 'rotation': 0.0}},

@@ -47,14 +47,7 @@ def text_of(T):
 
 
 @pytest.fixture(scope='module')
-def known(root):
-    """Give the parameters of the shipped cup and package."""
-    return {
-        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml')}
-
-
-@pytest.fixture(scope='module')
-def filmed(root, known, tmp_path_factory):
+def filmed(root, known, true_cup, tmp_path_factory):
     """Give the shipped validation with a camera of 30 Hz, and its parameters."""
     streams = read_streams(root / 'bags' / 'validation', ROLES)
     twist, package = streams['twist'], streams['package']
@@ -69,7 +62,7 @@ def filmed(root, known, tmp_path_factory):
         Recorded('/' + ROLES['twist'], TWIST, twist.stamps_ns,
                  np.hstack([twist.linear, twist.angular])),
         poses('camera', package.stamps_ns[which], position, package.rotation[which] @ turns)])
-    return folder, known
+    return folder, {**true_cup, **known}
 
 
 def test_both_are_better_than_either(filmed):
@@ -231,7 +224,7 @@ def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
         replay(tmp_path / 'deaf', values, observe=CAMERA)
 
 
-def test_alarms_are_calibrated_on_sound_work(root, known, tmp_path):
+def test_alarms_are_calibrated_on_sound_work(root, known, true_cup, tmp_path):
     """Find noise of 3 mm and 15 mrad with a memory of 100 ms, and say what it makes of alarms."""
     streams = read_streams(root / 'bags' / 'validation', ROLES)
     package, noise = streams['package'], (3e-3, 15e-3)
@@ -243,7 +236,8 @@ def test_alarms_are_calibrated_on_sound_work(root, known, tmp_path):
     write_bag(bag, [*of(streams, 'tool', 'package'), poses(
         'camera', package.stamps_ns[which], package.position[which] + n[:, :3] * noise[0],
         package.rotation[which] @ exp_so3(n[:, 3:] * noise[1]))])
-    values = {**known, 'topics.tool_twist': '', 'measured.noise': (1e-3, 5e-3)}
+    values = {
+        **true_cup, **known, 'topics.tool_twist': '', 'measured.noise': (1e-3, 5e-3)}
     found = replay(bag, values, observe=CAMERA, calibrate_alarms=True).observed
     calibration = found.alarm_calibration
     # some 13 s hold some 60 independent values in each of three axes

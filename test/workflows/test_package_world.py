@@ -39,17 +39,16 @@ STANDSTILLS = {
 
 
 @pytest.fixture(scope='module')
-def settings(root):
+def settings(known):
     """Return the parameters of the shipped package."""
-    return {**read_parameters(root / 'bags/package.yaml'), 'topics.tool_twist': '',
-            'fit.method': 'least_squares'}
+    return {**known, 'topics.tool_twist': '', 'fit.method': 'least_squares'}
 
 
 @pytest.fixture(scope='module')
-def bag(root, tmp_path_factory):
+def bag(root, true_cup, tmp_path_factory):
     """Return the usual motion and three tilted standstills in two worlds, the tool 4 ms late."""
     folder = tmp_path_factory.mktemp('two_worlds')
-    simulate_recording(read_parameters(root / 'bags/cup.yaml'), STANDSTILLS, folder / 'static')
+    simulate_recording(true_cup, STANDSTILLS, folder / 'static')
     T = inverse_transform(T_BASE_MOCAP)
 
     def seen(role, stream):
@@ -70,7 +69,7 @@ def result(bag, settings):
                      'fit.time_offset': True})
 
 
-def test_the_transform_and_the_cup_are_found_together(result, root):
+def test_the_transform_and_the_cup_are_found_together(result, true_cup):
     """Find the transform to 0.1 mm and 0.2 mrad where the package is, and K to a percent."""
     (part,) = result.parts
     pose, std = part.package_world
@@ -81,7 +80,7 @@ def test_the_transform_and_the_cup_are_found_together(result, root):
         log_so3(found[:3, :3] @ T_BASE_MOCAP[:3, :3].T)])
     assert np.all(np.abs(off) < 4.0 * std)
     assert np.all(std < [2.5e-5] * 3 + [5e-5] * 3)
-    K = np.reshape(read_parameters(root / 'bags/cup.yaml')['cup.stiffness'], (6, 6))
+    K = np.reshape(true_cup['cup.stiffness'], (6, 6))
     assert np.all(np.abs(np.diag(result.fit.stiffness) / np.diag(K) - 1.0) < 0.01)
     assert abs(part.time_offset.value - 0.004) < 4.0 * part.time_offset.std < 1e-4
 

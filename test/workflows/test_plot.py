@@ -1,17 +1,15 @@
 """What pictures are made of, against the cup that a recording was simulated with."""
 
 
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.plot import loads, motion, replayed, spectra, within
 import numpy as np
 import pytest
 
 
 @pytest.fixture(scope='module')
-def settings(root):
+def settings(known, true_cup):
     """Give the true cup, and how the recordings in bags/ are to be read."""
-    known = read_parameters(root / 'bags' / 'package.yaml')
-    return {**known, **read_parameters(root / 'bags' / 'cup.yaml')}
+    return {**known, **true_cup}
 
 
 def test_loads_lie_on_the_cups_stiffness(root, settings):

@@ -2,7 +2,6 @@
 
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -11,11 +10,9 @@ from .two_clocks import late
 
 
 @pytest.fixture(scope='module')
-def values(root):
+def values(known, true_cup):
     """Return the parameters of the shipped recordings with their cup."""
-    known = {
-        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml')}
-    return resolve(known)
+    return resolve({**true_cup, **known})
 
 
 @pytest.fixture(scope='module')

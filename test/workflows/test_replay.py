@@ -7,7 +7,6 @@ from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import replay
 import numpy as np
@@ -27,10 +26,9 @@ def test_clean_recording_with_the_true_cup(rig):
 
 
 @pytest.fixture(scope='module')
-def shipped(root):
+def shipped(root, known, true_cup):
     """Return the replay of the shipped validation with the true cup."""
-    values = {
-        **read_parameters(root / 'bags/cup.yaml'), **read_parameters(root / 'bags/package.yaml')}
+    values = {**true_cup, **known}
     return replay(root / 'bags/validation', values), values
 
 

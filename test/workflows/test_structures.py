@@ -11,9 +11,8 @@ from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory
 
 
 @pytest.fixture(scope='module')
-def shipped(root):
+def shipped(root, known):
     """Return what the shipped recording tells."""
-    known = read_parameters(root / 'bags/package.yaml')
     return structures({**known, 'bags': [str(root / 'bags/identification')]})
 
 
@@ -24,8 +23,7 @@ def test_the_shipped_recording_tells_all_of_a_round_cup(shipped):
     assert shipped.selection.effective_samples < 0.5 * shipped.selection.samples
 
 
-def test_a_static_recording_is_said_to_tell_little(root):
-    known = read_parameters(root / 'bags/package.yaml')
+def test_a_static_recording_is_said_to_tell_little(root, known):
     result = structures({**known, 'bags': [str(root / 'bags/static')]})
     words = ' '.join(result.warnings)
     assert 'Torsion is hardly excited' in words and 'turn the tool about z at 1-3 Hz' in words
@@ -47,9 +45,8 @@ def test_where_no_structure_fits_the_cause_is_named(fault, word):
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
-def test_the_relaxation_is_that_of_the_output_error(root):
+def test_the_relaxation_is_that_of_the_output_error(root, known):
     """Least squares alone is off by five of its standard errors."""
-    known = read_parameters(root / 'bags/package.yaml')
     found = structures({
         **known, 'topics.tool_twist': '', 'bags': [str(root / 'bags/rubber')],
         'recording.start': 14.0,
