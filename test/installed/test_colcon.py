@@ -52,16 +52,6 @@ def test_installed_executable_helps(installed, name):
     assert 'Traceback' not in done.stderr
 
 
-def test_installed_predictor_without_a_package_says_what_to_set(installed):
-    """End with the exit code of a wrong command line and the name of what is missing."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    done = installed.run(installed.executable('predictor'))
-
-    assert done.returncode == 2, done.stdout + done.stderr
-    assert 'package.mass' in done.stdout + done.stderr
-    assert 'Traceback' not in done.stdout + done.stderr
-
-
 def test_executables_are_where_ros_looks_and_not_on_the_path(installed):
     """Install into lib/bellows_ros, as setup.cfg says, and nothing into bin."""
     names = {path.name for path in (installed.prefix / 'lib' / 'bellows_ros').iterdir()}
