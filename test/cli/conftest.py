@@ -49,6 +49,12 @@ MOTION = {
     },
 }
 
+TRANSPORT = {
+    'kind': 'waypoints', 'rest_duration': 0.0,
+    'waypoints': {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.5}]},
+    'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0},
+}
+
 # What starts processes itself does so from a process that was started as usual.
 ALONE = {'--jobs', '--dask'}
 
@@ -109,4 +115,21 @@ def workshop(tmp_path_factory, bellows):
         cwd=folder,
     )
     assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope='session')
+def transport(tmp_path_factory):
+    """Give a plan as a motion file."""
+    return write_yaml(tmp_path_factory.mktemp('plan') / 'transport.yaml', TRANSPORT)
+
+
+@pytest.fixture(scope='session')
+def identified(bellows, workshop, tmp_path_factory):
+    """Identify once; give a folder with cup.yaml and fit.json, which tests only read."""
+    folder = tmp_path_factory.mktemp('identified')
+    done = bellows(
+        'identify', 'recording', '--params', 'package.yaml', '--out', folder / 'cup.yaml',
+        '--json', folder / 'fit.json', cwd=workshop)
+    assert (done.returncode, done.stderr) == (0, '')
     return folder

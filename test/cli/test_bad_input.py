@@ -10,8 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 import yaml
 
-from .conftest import contents, PACKAGE, TOPICS, write_yaml
-from .test_plan import TRANSPORT
+from .conftest import contents, PACKAGE, TOPICS, TRANSPORT, write_yaml
 from ..conftest import ROOT
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
@@ -73,16 +72,14 @@ def write_bad_files(folder):
 
 
 @pytest.fixture(scope='module')
-def cell(bellows, workshop, tmp_path_factory):
+def cell(workshop, identified, tmp_path_factory):
     """Give a folder with a recording, what is known of it, results, and much that is wrong."""
     folder = tmp_path_factory.mktemp('cell')
     shutil.copytree(workshop, folder, dirs_exist_ok=True)
     known = (folder / 'package.yaml').read_text()
     (folder / 'bags.yaml').write_text(
         f"{known}bags: ['recording']\nstatic.bags: ['recording']\n")
-    done = bellows(
-        'identify', 'recording', '--params', 'package.yaml', '--json', 'fit.json', cwd=folder)
-    assert done.returncode == 0, done.stderr
+    shutil.copy(identified / 'fit.json', folder)
     (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
     (folder / 'link').symlink_to('recording')
     (folder / 'sources').mkdir()

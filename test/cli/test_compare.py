@@ -4,17 +4,11 @@ import json
 
 import pytest
 
-pytestmark = pytest.mark.xdist_group('compare')  # its fits are made once
 
-
-@pytest.fixture(scope='module')
-def fits(bellows, workshop, tmp_path_factory):
+@pytest.fixture
+def fits(identified, tmp_path):
     """Give a result, and one of a cup that bends more easily."""
-    folder = tmp_path_factory.mktemp('fits')
-    before, after = folder / 'before.json', folder / 'after.json'
-    done = bellows(
-        'identify', 'recording', '--params', 'package.yaml', '--json', before, cwd=workshop)
-    assert done.returncode == 0, done.stderr
+    before, after = identified / 'fit.json', tmp_path / 'after.json'
     content = json.loads(before.read_text())
     for i in (3, 4):
         content['stiffness'][i][i] *= 0.8

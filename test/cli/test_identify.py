@@ -16,21 +16,9 @@ from .conftest import DAMPING, STIFFNESS, write_yaml
 STIFFNESS_WITHIN, DAMPING_WITHIN = 0.05, 0.3
 
 
-@pytest.fixture(scope='module')
-def identified(bellows, workshop, tmp_path_factory):
-    """Identify once with all outputs; give the summary and their folder."""
-    folder = tmp_path_factory.mktemp('identified')
-    done = bellows(
-        'identify', 'recording', '--params', 'package.yaml', '--out', folder / 'cup.yaml',
-        '--json', folder / 'fit.json', cwd=workshop,
-    )
-    assert (done.returncode, done.stderr) == (0, '')
-    return done.stdout, folder
-
-
 def test_json_has_the_cup_and_what_it_rests_on(identified):
     """Write all keys, and K and P near the truth."""
-    fit = json.loads((identified[1] / 'fit.json').read_text())
+    fit = json.loads((identified / 'fit.json').read_text())
     assert set(KEYS) <= set(fit)
     assert (fit['method'], fit['structure']) == ('least_squares', 'axisymmetric')
     np.testing.assert_allclose(
@@ -43,8 +31,8 @@ def test_json_has_the_cup_and_what_it_rests_on(identified):
 
 def test_the_cup_file_has_what_was_found_and_nothing_else(identified):
     """Write the cup to full precision, and no package, so that it overrides no other."""
-    values = read_parameters(identified[1] / 'cup.yaml', 'predictor')
-    fit = json.loads((identified[1] / 'fit.json').read_text())
+    values = read_parameters(identified / 'cup.yaml', 'predictor')
+    fit = json.loads((identified / 'fit.json').read_text())
     assert values['cup.stiffness'] == tuple(np.ravel(fit['stiffness']))
     assert values['cup.damping'] == tuple(np.ravel(fit['damping']))
     assert all(name.startswith(('cup.', 'envelope.')) for name in values)

@@ -5,23 +5,11 @@ import json
 from bellows_ros.cli import main
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import topics
-import pytest
 
-from .conftest import contents, write_yaml
+from .conftest import contents
 
 GRIP = ('--set', 'cup.lip_radius=0.025', '--set', 'vacuum.holding=60000',
         '--set', 'package.mass_std=0.01')
-TRANSPORT = {
-    'kind': 'waypoints', 'rest_duration': 0.0,
-    'waypoints': {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.5}]},
-    'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0},
-}
-
-
-@pytest.fixture(scope='module')
-def transport(tmp_path_factory):
-    """Give a plan as a motion file."""
-    return write_yaml(tmp_path_factory.mktemp('plan') / 'transport.yaml', TRANSPORT)
 
 
 def test_says_writes_and_draws(bellows, workshop, transport, tmp_path):

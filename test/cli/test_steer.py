@@ -5,17 +5,8 @@ import json
 from bellows_ros.files.bags import topics
 import pytest
 
-from .conftest import write_yaml
-from .test_plan import TRANSPORT
-
 STDS = ('--set', 'package.mass_std=0.01', '--set', 'package.com_std=0.001,0.001,0.001',
         '--set', 'cup.lip_radius=0.025', '--set', 'vacuum.holding=60000')
-
-
-@pytest.fixture(scope='module')
-def transport(tmp_path_factory):
-    """Give a plan as a motion file."""
-    return write_yaml(tmp_path_factory.mktemp('steer') / 'transport.yaml', TRANSPORT)
 
 
 def test_steers_says_writes_and_draws(bellows, workshop, transport, tmp_path):

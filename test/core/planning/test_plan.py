@@ -2,7 +2,13 @@
 
 import math
 
-from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation, transform
+from bellows_ros.core.geometry.lie import (
+    exp_so3,
+    log_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+    transform,
+)
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import state_row
@@ -81,7 +87,7 @@ def test_figures_are_those_of_a_fine_simulation():
     rows, turns, settled = [], [], 0.0
     end = plan.stamps_ns[-1] * 1e-9
     rest = quaternion_to_rotation(np.array(static_equilibrium(MODEL, state_row(
-        plan.position[-1], quaternion_to_xyzw(plan.rotation[-1]), np.zeros(6)))[1]))
+        plan.position[-1], rotation_to_quaternion(plan.rotation[-1]), np.zeros(6)))[1]))
     for t, (T_E, _), T, _, wrench in batch.run(
             *batch_start([(TWIST, PACKAGE, GRIP)]), 1.5, 1500):
         R = T_E[0, :3, :3].T @ T[0, :3, :3]
@@ -111,13 +117,6 @@ def top(values):
     return here - (above - below) ** 2 / (8 * (above - 2 * here + below))
 
 
-def quaternion_to_xyzw(R):
-    """Return the quaternion of a rotation."""
-    from bellows_ros.core.geometry.lie import rotation_to_quaternion
-
-    return rotation_to_quaternion(R)
-
-
 def test_moment_of_the_rigid_load_is_that_of_the_move():
     """A slide of D in T has its largest acceleration 10/sqrt(3) D/T^2 (quintic)."""
     figures = predict(MODEL, None, SLIDE.plan()).figures()
@@ -137,14 +136,18 @@ def test_a_plan_at_rest_moves_nothing():
     assert_allclose(figures['smallest_safety_factor'], GRIP[0] / weight, rtol=1e-9)
 
 
+def safety_of(cases):
+    """Return the smallest safety factor that is predicted for each case."""
+    return np.array([
+        predict(model_tuple(CUP, package, 9.81), grip, move.plan(250)).smallest_safety[0]
+        for move, package, grip in cases])
+
+
 def test_never_holds_what_lets_go():
     """The safety factor is that of an integrator that samples at 1 kHz."""
     rng = np.random.default_rng(5)
     cases = [random_case(rng) for _ in range(30)]
-    truth, rigid = truths(cases, after=0.3)
-    found = np.array([
-        predict(model_tuple(CUP, package, 9.81), grip, move.plan(250)).smallest_safety[0]
-        for move, package, grip in cases])
+    (truth, rigid), found = truths(cases, after=0.3), safety_of(cases)
     lets_go = truth < 1.0
     assert 6 < lets_go.sum() < 24  # the cases are not trivial
     assert not (lets_go & (found >= 1.0)).any()
@@ -162,10 +165,7 @@ def test_a_thousand_random_plans():
     lets_go, wrong, afraid, rigid_wrong = 0, 0, 0, 0
     for _ in range(5):
         cases = [random_case(rng) for _ in range(200)]
-        truth, rigid = truths(cases, rate=2000)
-        found = np.array([
-            predict(model_tuple(CUP, package, 9.81), grip, move.plan(250)).smallest_safety[0]
-            for move, package, grip in cases])
+        (truth, rigid), found = truths(cases, rate=2000), safety_of(cases)
         lets_go += (truth < 1.0).sum()
         wrong += ((truth < 1.0) & (found >= 1.0)).sum()
         afraid += ((truth >= 1.0) & (found < 1.0)).sum()

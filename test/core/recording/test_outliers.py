@@ -1,6 +1,7 @@
 """Tracking faults found in motions whose faults are known, and none found in honest motions."""
 
 from dataclasses import replace
+import functools
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.recording.outliers import find_outliers, repeats_in_motion
@@ -26,6 +27,7 @@ def found_in(poses):
     return find_outliers(poses, timing(poses.stamps_ns).longest_step_ns)
 
 
+@functools.cache
 def recorded(seed, noise=LAB):
     """Give the poses of a motion at 360 Hz."""
     rng = np.random.default_rng(seed)
