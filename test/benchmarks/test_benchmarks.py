@@ -14,6 +14,7 @@ from benchmarks import offline, startup, step, timing
 from benchmarks.alarms import delays, least_delays, passages
 from benchmarks.sensors import CELLS, JUDGED, trial
 from benchmarks.tables import markdown, tables
+from benchmarks.worlds import line
 import numpy as np
 import pytest
 
@@ -34,6 +35,13 @@ def test_short_form_measures_and_shows(section, root):
     for table in made.values():
         assert len({len(row) for row in table}) == 1
         assert markdown(table) in page
+
+
+@pytest.mark.stress
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
+def test_a_cup_is_found_where_the_first_guess_of_its_world_is_far_off():
+    text, (z, *_) = line(16, 26.0)
+    assert 'accepted' in text and np.all(np.abs(z) < 4.0)
 
 
 SCRIPTS = [

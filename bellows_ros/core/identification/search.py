@@ -111,8 +111,8 @@ MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
 """
 Largest numbers of steps: to bring a start near, after that, and after that with a misfit.
 
-So a search simulates a wrong recording 53 times at most, and a whole fit, with relaxation, the
-likeliest causes and what was given free in turn, 219 times.
+So a search simulates a wrong recording 53 times at most (with clocks or frames free, 64), and a
+whole fit, with relaxation, the likeliest causes and what was given free in turn, 219 times.
 """
 
 MISFIT = 1.5
@@ -434,17 +434,21 @@ class Search:
         Go to the root, from unknowns near to it, and the system there, where they are given.
 
         A start is brought near without couplings, which noise would disturb, or with them where a
-        misfit remains without.
+        misfit remains without. Clocks and frames of each recording are brought near first: as long
+        as they are far off, a cup that does not swing explains most.
         """
-        everything = np.eye(len(self.start))
+        everything, start = np.eye(len(self.start)), self.start
         if near is not None:
             return self._stage(near, 0.0, everything, note, begun)
-        found = self._stage(self.start, FORGETS, self.near, note)
+        own = [rows.ravel() for name, rows in self.places.items() if KINDS[name].each]
+        if own:
+            start = self._stage(start, FORGETS, everything[:, np.concatenate(own)], note).theta
+        found = self._stage(start, FORGETS, self.near, note)
         if self.near.shape != everything.shape and not (
                 squares(found.parts) < MISFIT * sum(len(own.innovations) for own in found.parts)):
             for segment in self.segments:
                 segment.begin()
-            found = self._stage(self.start, FORGETS, everything, note)
+            found = self._stage(start, FORGETS, everything, note)
         return self._stage(found.theta, 0.0, everything, note)
 
     def _stage(
