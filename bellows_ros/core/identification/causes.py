@@ -229,7 +229,8 @@ def _misread(own: Recording) -> Finding | None:
     if wrong := convention_sentence(own.tool_pose, own.package_pose, own.name):
         return because('recording', wrong)
     centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
-    if min(away, float(np.median(np.linalg.norm(centre, axis=1)))) < ONE_BODY:
+    recorded = lip if own.settings.package_frame == 'lip' else centre
+    if float(np.median(np.linalg.norm(recorded, axis=1))) < ONE_BODY:
         raise BellowsError(
             f"topics.tool_pose ('{own.tool_pose.name}') and topics.package_pose "
             f"('{own.package_pose.name}') are poses of one body. Name that of the package; "

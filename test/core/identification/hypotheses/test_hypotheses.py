@@ -76,8 +76,9 @@ def test_a_centre_of_mass_aside_is_found_wherever_the_search_begins(seed, rate_h
     assert first.name == 'com' and np.all(np.abs(first.theta - away) < 6.0 * first.std)
 
 
-def test_poses_of_the_lip_that_put_it_above_the_tool_are_no_exchanged_topics():
-    laboratory = Laboratory(20271)
+@pytest.mark.parametrize('seed', [20271, 901])
+def test_poses_of_the_lip_that_put_it_above_or_at_the_tool_are_no_exchanged_topics(seed):
+    laboratory = Laboratory(seed)
     FAULTS['package frame'][0](laboratory)
     assert named(laboratory, 'recording.package_frame: lip') == 'right'
 
