@@ -8,7 +8,9 @@ one factor the motion is the same, so no recording knows the size of K better th
 
 A cause is a number that moves by many of its standard deviations. Each of `CANDIDATES` gets its
 columns in one pass about the minimum; what the squares would fall by if it were free is its score.
-The best is then freed, and all is fitted again. With it free, what is left is looked at once more.
+The best is then freed, and all is fitted again. With it free, what is left is looked at once more:
+it is certain where no other explains half as much, or none anything beside it and each clearly
+less; and what is found beside it no more than itself.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -130,11 +132,14 @@ def causes(
     moved = _moved(search.structure, search.units[:search.count] * found.theta[:search.count],
                    freed.units[:search.count] * again.theta[:search.count])
     rival = next((other for other, _ in scored[1:]), 0.0)
-    certain = rival < DISTINCT * fall and (moved > MOVES or left < DISTINCT)
     more = causes(freed, again, known, most - 1) if most > 1 else ()
+    is_all = most > 1 and not more  # so that what a rival leaves is its own
+    certain = (moved > MOVES or left < DISTINCT) and (
+        rival < DISTINCT * fall or is_all and fall - rival > SIGNIFICANT**2)
     if not more:  # what no cause explains may be of another
         certain = certain and squares(again.parts) < MISFIT * sum(
             len(own.innovations) for own in again.parts)
+    more = tuple(own._replace(certain=own.certain and certain) for own in more)
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion
         name, theta = 'inertia', -theta
     return Finding(name, '', theta, std, left, moved, True, certain), *more
