@@ -114,7 +114,7 @@ class Finding(NamedTuple):
     ----------
     name, value : str
         Of the cause: a name of fit.free, a parameter, or what the cup is; and what the setting is
-        then, '' where numbers are freed.
+        then, or the body whose marker it is, '' where other numbers are freed.
     theta, std : ndarray (n,)
         The numbers freed, and their standard errors.
     left : float

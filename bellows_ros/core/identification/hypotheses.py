@@ -40,6 +40,7 @@ from bellows_ros.core.identification.variations import (
     SCALE,
     slip_block,
     TILT,
+    TOOL_GRIP,
     Variation,
 )
 from bellows_ros.core.model.structure import Structure, STRUCTURES
@@ -90,7 +91,7 @@ class Hypothesis(NamedTuple):
     freed : int
         Numbers that it has more.
     value : str
-        What the setting is then; '' where numbers are freed.
+        What the setting is then; which body where numbers of either may be freed.
     block : Block or None
         The numbers that are freed.
     datum : bool
@@ -116,11 +117,13 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
     given = recordings[0]
     enough = Ensemble((given,), ()).seconds > FEWEST_SECONDS
     names = (*(('time_offset',) if enough else ()), 'com', 'length', 'package_world')
-    for name, block in (*((name, BLOCKS[name]) for name in names), ('inertia', SCALE),
-                        ('gravity.direction', TILT), ('package_marker', BLOCKS['grip']),
-                        *(('slip', slip_block(own)) for own in recordings)):
+    for name, value, block in (
+            *((name, '', BLOCKS[name]) for name in names), ('inertia', '', SCALE),
+            ('gravity.direction', '', TILT), ('package_marker', 'package', BLOCKS['grip']),
+            ('package_marker', 'tool', TOOL_GRIP),
+            *(('slip', '', slip_block(own)) for own in recordings)):
         yield Hypothesis(
-            name, block.vary, len(block.steps), block=block._replace(each=False))
+            name, block.vary, len(block.steps), value, block=block._replace(each=False))
     yield from _packages(recordings)
     for value, R in _worlds(world):
         yield Hypothesis('recording.world', variations.gravity(R), value=value)

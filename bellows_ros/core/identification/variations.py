@@ -5,7 +5,15 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import adjoint, apply, exp_so3, inverse_transform, transform
+from bellows_ros.core.geometry.lie import (
+    adjoint,
+    apply,
+    exp_so3,
+    inverse_transform,
+    log_so3,
+    mean_rotation,
+    transform,
+)
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model.cup_package import Package, varied
 from bellows_ros.core.model.structure import Structure
@@ -106,6 +114,12 @@ def package_world(given: Given, theta: Array) -> Given:
 def grip(given: Given, theta: Array) -> Given:
     """Return it with the package's frame in the recorded one moved by x, y (m), and turned."""
     return _body_moved(given, theta[2:5], np.array([theta[0], theta[1], 0.0]))
+
+
+def tool_grip(given: Given, theta: Array) -> Given:
+    """Return it with the tool's frame in the recorded one moved by x, y (m), and turned."""
+    return _with(given, tool=_of_fixed_frame(
+        given.samples.tool, theta[2:5], np.array([theta[0], theta[1], 0.0])))
 
 
 def slip(first_ns: int) -> Variation:
@@ -256,6 +270,13 @@ def _worlds(given: Given) -> list[Array]:
     return [*along[1:], *(rigid + along)]
 
 
+def _grips(given: Given) -> list[Array]:
+    """Return the grip (5,) with which the lip is turned as the tool on average."""
+    tool, package = given.samples.tool, given.samples.package
+    turned = mean_rotation(np.swapaxes(package.rotation, 1, 2) @ tool.rotation)
+    return [np.append(np.zeros(2), log_so3(turned))]
+
+
 BLOCKS = {
     'time_offset': Block(time_offset, (1e-4,), lambda given:
                          RASTER * np.arange(-20, 21)[:, None], 100.0, True),
@@ -265,9 +286,13 @@ BLOCKS = {
                     STARTS_ALONG_Z[:, None], 500.0),
     'package_world': Block(
         package_world, (1e-5,) * 6, _worlds, 5000.0, True),
-    'grip': Block(grip, (1e-5,) * 5, furthest=5000.0, each=True),
+    'grip': Block(grip, (1e-5,) * 5, _grips, 5000.0, True),
 }
 """Blocks by their names in fit.free; package_world includes the grip and the alignment."""
+
+TOOL_GRIP = Block(
+    tool_grip, (1e-5,) * 5, lambda given: [-own for own in _grips(given)], 5000.0, True)
+"""Of the tool's frame."""
 
 TILT = Block(tilt, (1e-4,) * 2, furthest=1000.0)
 """Of the world's z against gravity."""

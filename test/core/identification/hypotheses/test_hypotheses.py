@@ -76,6 +76,15 @@ def test_a_centre_of_mass_aside_is_found_wherever_the_search_begins(seed, rate_h
     assert first.name == 'com' and np.all(np.abs(first.theta - away) < 6.0 * first.std)
 
 
+def test_a_turned_marker_of_the_tool_is_found_as_such():
+    laboratory = Laboratory(903)
+    FAULTS['marker frame turned'][0](laboratory)
+    first, *_ = diagnosed(laboratory)
+    turn = exp_so3(first.theta[2:]) @ laboratory.turn['tool']
+    assert first.certain and first.value == 'tool'
+    assert np.linalg.norm(log_so3(turn)) < 1e-3
+
+
 @pytest.mark.parametrize('seed', [20271, 901])
 def test_poses_of_the_lip_that_put_it_above_or_at_the_tool_are_no_exchanged_topics(seed):
     laboratory = Laboratory(seed)
