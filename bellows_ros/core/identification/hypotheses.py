@@ -22,7 +22,6 @@ from bellows_ros.core.identification.causes import (
     SIGNIFICANT,
 )
 from bellows_ros.core.identification.objective import (
-    covariance_of,
     Ensemble,
     ensemble_of,
     extra_entries,
@@ -30,6 +29,7 @@ from bellows_ros.core.identification.objective import (
     Objective,
     refine,
     ROUNDS,
+    SINGULAR,
     SLIPS,
     Solved,
 )
@@ -53,20 +53,18 @@ import numpy as np
 CHANCE = 2.5
 """Noise floor of a mean of squares, in standard deviations of what chance makes of it."""
 
+NOISE_KNOWN = 2.0
+"""Noise floors by which squares may be below zero: noise in wrenches grows with K, and a cup with
+which it would be more than all that is left is not the cup."""
+
 COST = 0.1
 """Part by which squares must fall for each number that is freed."""
-
-ONE_OF_MANY = 3.0
-"""What leaves more squares, in those expected of noise and rubber, is not all that is wrong."""
 
 QUICK_ROUNDS, MOST_RETRIED, MOST_FINDINGS = 3, 6, 2
 """Rounds of a first look without regard to noise; how many are tried again, and returned."""
 
-MOST_ROUNDS = 3
-"""Times that a second cause is looked for."""
-
-NOT_KNOWN = 1e200
-"""Variance of what is not identifiable: finite, as 0 times infinity is no number."""
+MOST_ROUNDS, MOST_STARTS = 3, 3
+"""Times that a second cause is looked for, beside each of so many of the best."""
 
 TENFOLD = float(np.log(10.0))
 """No inertia is off by more, but by its unit."""
@@ -243,28 +241,47 @@ def _rounds(
     """
     Return the trials of all hypotheses, or those of two causes, each beside the other.
 
-    The second is looked for where the first is corrected, and the first again where the second
-    is, until both stay. Together they explain nearly all.
+    One cause may mimic what two do together, so that each of the best is begun with, but where
+    one alone explains all, only those that do so, too.
     """
     ensemble, world = ensemble_of(recordings, length, structure), recordings[0].settings.world
-    alone = first = _trials(ensemble, world)
-    for _ in range(MOST_ROUNDS):
-        if not first.tried or first.is_explained:
+    alone = _trials(ensemble, world)
+    for best in alone.tried[:MOST_STARTS if alone.is_found else 0]:
+        if best is not alone.tried[0] and alone.tried[0].is_all and (
+                alone.is_explained or not best.is_all):
             break
-        best = first.tried[0]
-        second = _trials(ensemble.varied(best.vary), world, best.hypothesis)
-        if not second.is_likely:
-            break
-        first = _trials(ensemble.varied(second.tried[0].vary), world, second.tried[0].hypothesis)
-        if not first.is_likely:
-            break
-        again = first.tried[0].hypothesis
-        if (again.name, again.value) == (best.hypothesis.name, best.hypothesis.value):
-            both = alone.objective.solved(
-                ensemble.varied(best.vary).varied(second.tried[0].vary))
-            most = min(DISTINCT * _left(alone.before), _left(alone.tried[0].solved))
-            return [first, second] if _left(both) < DISTINCT * most else [alone]
+        if both := _two(alone, best, ensemble, world):
+            return both
     return [alone]
+
+
+def _two(alone: '_Round', best: '_Trial', ensemble: Ensemble, world: str) -> 'list[_Round]':
+    """
+    Return the trials of two causes, each beside the other, from one of them, or none.
+
+    The second is looked for where the first is corrected, and the first again where the second
+    is, until both stay. Together they leave far less than one, or clearly less and noise alone
+    where each is certain beside the other.
+    """
+    for _ in range(MOST_ROUNDS):
+        second = _trials(ensemble.varied(best.vary), world, best.hypothesis)
+        if not second.is_found:
+            break
+        beside = second.tried[0]
+        first = _trials(ensemble.varied(beside.vary), world, beside.hypothesis, best)
+        if not first.is_found:
+            break
+        again, best = best, first.tried[0]
+        if again.named == best.named:
+            one, pair = alone.tried[0], [first, second]
+            both = alone.objective.solved(ensemble.varied(best.vary).varied(beside.vary))
+            far = DISTINCT * min(DISTINCT * _left(alone.before), _left(one.solved))
+            price = COST * (best.hypothesis.freed + beside.hypothesis.freed) * _left(both)
+            is_clear = both.excess + price < min(_chance(both), _score(one) - _least(both))
+            if _left(both) < far or is_clear and all(own.is_certain for own in pair):
+                return pair
+            break
+    return []
 
 
 class _Round(NamedTuple):
@@ -281,35 +298,42 @@ class _Round(NamedTuple):
         return self.before.excess < _chance(self.before)
 
     @property
-    def is_likely(self) -> bool:
-        """Whether the best hypothesis explains most of what noise does not."""
-        return bool(self.tried) and not self.is_explained and (
+    def is_certain(self) -> bool:
+        """Whether the best hypothesis is certain, were all parameters identifiable."""
+        return bool(self.tried) and _finding(self.tried[0], self, ()).certain
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the best hypothesis explains most of what noise does not, or is certain."""
+        return self.is_certain or bool(self.tried) and not self.is_explained and (
             _score(self.tried[0]) < DISTINCT * _left(self.before))
 
 
-def _trials(ensemble: Ensemble, world: str, beside: Hypothesis | None = None) -> _Round:
-    """Return the trials of all hypotheses but one that is corrected."""
+def _trials(
+    ensemble: Ensemble, world: str, beside: Hypothesis | None = None, near: '_Trial | None' = None,
+) -> _Round:
+    """Return the trials of all hypotheses but one that is corrected, one from where it was."""
     objective, structure = Objective.of(ensemble, beside is not None), ensemble.given[0].structure
     before = objective.solved(ensemble)
-    if before.excess < _chance(before):
-        tried = _in_order(_tried(h, objective, ensemble) for h in _OTHERWISE)
-        return _Round(before, sorted(tried, key=lambda own: not own.is_significant), structure,
-                      objective)
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
+    starts = {near.named: near.theta} if near else {}
     tried = _in_order(
-        _tried(h, objective, quiet, rounds=QUICK_ROUNDS, level=level)
+        _tried(h, objective, quiet, starts.get((h.name, h.value)), QUICK_ROUNDS, level)
         for h in hypotheses(ensemble.given, world)
         if beside is None or h.name != beside.name and (h.datum or beside.datum))
-    if not tried:
-        return _Round(before, tried, structure, objective)
+    if not tried or before.excess < _chance(before):
+        tried = _in_order(_tried(own.hypothesis, objective, ensemble, own.theta)
+                          for own in tried if _score(own) < before.excess and _is_known(before))
+        return _Round(before, sorted(tried, key=lambda own: not own.is_significant), structure,
+                      objective)
     # With weights as they are where the best of them is true.
     objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
     return _Round(objective.solved(ensemble), _in_order(
         _tried(trial.hypothesis, objective, ensemble, trial.theta)
         for number, trial in enumerate(tried[:MOST_RETRIED])
-        if number < MOST_FINDINGS or DISTINCT**3 * _score(trial) < _score(tried[0])), structure,
-        objective)
+        if number < MOST_FINDINGS or DISTINCT**3 * _score(trial) < _left(tried[0].solved)),
+        structure, objective)
 
 
 class _Trial(NamedTuple):
@@ -319,11 +343,25 @@ class _Trial(NamedTuple):
     theta: Array
     std: Array
     solved: Solved
+    of_structure: float = np.inf
+    """RMS of what another structure has more, in its standard errors."""
 
     @property
     def is_significant(self) -> bool:
         """Whether one of its numbers is many standard errors from nothing, or it has none."""
-        return not len(self.theta) or bool(np.any(np.abs(self.theta) > SIGNIFICANT * self.std))
+        if len(self.theta):
+            return bool(np.any(np.abs(self.theta) > SIGNIFICANT * self.std))
+        return self.of_structure > SIGNIFICANT
+
+    @property
+    def is_all(self) -> bool:
+        """Whether noise explains what it leaves."""
+        return self.solved.excess < _chance(self.solved)
+
+    @property
+    def named(self) -> tuple[str, str]:
+        """Name and value of the hypothesis."""
+        return self.hypothesis.name, self.hypothesis.value
 
     def vary(self, given: Sequence[Given]) -> list[Given]:
         """Return recordings as they are by the hypothesis."""
@@ -356,8 +394,7 @@ def _tried(
         each = {'friction': SLIPS, 'cubic': (1.0, 1.0)}.get(hypothesis.name, (1.0,))
         K = solved.x[entries]
         T = np.kron(each, np.eye(len(entries))) / K[:, None]
-        covariance = T @ np.nan_to_num(
-            covariance_of(solved, solved.rows.A)[n:, n:], posinf=NOT_KNOWN) @ T.T
+        covariance = T @ solved.covariance[n:, n:] @ T.T
         theta, std = T @ solved.x[n:], np.sqrt(np.diag(covariance))
         size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
         row, column = own.leads[entries[best]]
@@ -366,8 +403,23 @@ def _tried(
             else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
     elif hypothesis.block is not None:
         is_physical = _is_within(hypothesis.name, theta, ensemble.given[0])
+    is_physical &= bool(rounds) or _is_known(solved)
     excess = solved.excess - level if is_physical else np.inf
-    return _Trial(hypothesis, theta, std, solved._replace(excess=excess))
+    return _Trial(hypothesis, theta, std, solved._replace(excess=excess), (
+        _beyond(solved, ensemble.given[0].structure, STRUCTURES[hypothesis.value])
+        if hypothesis.name == 'structure' else np.inf))
+
+
+def _beyond(solved: Solved, own: Structure, other: Structure) -> float:
+    """Return the RMS of what another structure has more than one, in its standard errors."""
+    both = [other.parameters(*pair) for unit in own.model_basis
+            for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
+    more = np.linalg.svd(np.array(both))[2][len(both):]
+    covariance = more @ solved.covariance @ more.T
+    std = np.sqrt(np.diag(covariance))
+    z = more @ solved.x / std
+    correlation = covariance / np.outer(std, std)
+    return float(np.sqrt(z @ np.linalg.pinv(correlation, SINGULAR, hermitian=True) @ z / len(z)))
 
 
 def _is_within(name: str, theta: Array, given: Given) -> bool:
@@ -385,9 +437,19 @@ def _in_order(trials: Iterable[_Trial]) -> list[_Trial]:
     return sorted((own for own in trials if np.isfinite(own.solved.excess)), key=_score)
 
 
+def _is_known(solved: Solved) -> bool:
+    """Return whether the noise that was taken is not clearly more than all that is left."""
+    return solved.excess > -NOISE_KNOWN * _chance(solved)
+
+
 def _chance(solved: Solved) -> float:
     """Return the noise floor of squares: the mean of so many residuals is off by chance."""
     return float(CHANCE * np.sqrt(2.0 / solved.residuals))
+
+
+def _least(solved: Solved) -> float:
+    """Return the squares that tell two hypotheses apart."""
+    return SIGNIFICANT**2 / solved.residuals
 
 
 def _left(solved: Solved) -> float:
@@ -396,8 +458,8 @@ def _left(solved: Solved) -> float:
 
 
 def _score(trial: _Trial) -> float:
-    """Return what hypotheses are ordered by: squares, more for each number freed."""
-    return _left(trial.solved) * (1.0 + COST * trial.hypothesis.freed)
+    """Return what hypotheses are ordered by: squares beyond noise, more for each number freed."""
+    return trial.solved.excess + COST * trial.hypothesis.freed * _left(trial.solved)
 
 
 def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
@@ -406,7 +468,7 @@ def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
     labels = known or structure.labels
     own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
     left, first = _left(trial.solved), _left(before)
-    least = SIGNIFICANT**2 / before.residuals  # squares that tell two hypotheses apart
+    least = _least(before)
     excess = max(trial.solved.excess, 0.0)
     instead = [t for t in tried if t.solved.excess < max(excess / DISTINCT, excess + least) and (
         {t.hypothesis.name, own.name} == {'length', 'com'} or (
@@ -421,13 +483,14 @@ def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
         return left < part * most or (
             excess < _chance(before) and other.solved.excess - excess > least)
 
-    if own in _OTHERWISE and before.excess < DOUBTED:
-        others = min([before.excess, *(t.solved.excess for t in tried
-                                       if t is not trial and t.is_significant)])
-        certain = others - trial.solved.excess > least
+    if before.excess < DOUBTED:
+        certain = trial.is_all and before.excess - trial.solved.excess > least and all(
+            _score(t) - _score(trial) > least for t in tried
+            if t.is_significant and t.hypothesis.name != own.name
+            and not any(t is i for i in instead))
     else:
         certain = left < DISTINCT**2 * first + _chance(before) and (
-            left < DISTINCT * first and excess < ONE_OF_MANY) and all(
+            left < DISTINCT * first and excess < DOUBTED) and all(
                 dominated(t) for t in tried
                 if t.hypothesis.name != own.name and not any(t is i for i in instead))
     diagonal = [i for i, (row, column) in enumerate(structure.leads)

@@ -290,19 +290,32 @@ class Objective:
         slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
         left = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
         x = root @ slope / scale[:-1] * scale[-1]
-        count = len(full)
-        return Solved(rows, x, left * scale[-1] ** 2 / count, count, U[:, known])
+        count, root = len(full), root / scale[:-1, None]
+        return Solved(rows, x, left * scale[-1] ** 2 / count, count, U[:, known], root @ root.T)
 
 
 class Solved(NamedTuple):
-    """The rows, the cup x (p,), mean squared residual beyond noise, its count, a basis of A."""
+    """
+    The rows, the cup x (p,), mean squared residual beyond noise, its count, a basis of A.
+
+    And the inverse (p, p) of the information on x that is of motion, not of noise.
+    """
 
     rows: StackedEquations
     x: Array
     excess: float
     residuals: int
     basis: Array
+    inverse: Array
 
+    @property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of x, that of what is not identifiable finite: 0 times it is 0."""
+        return np.nan_to_num(covariance_of(self, self.rows.A, self.inverse), posinf=NOT_KNOWN)
+
+
+NOT_KNOWN = 1e200
+"""Variance of what is not identifiable."""
 
 SINGULAR = 1e-10
 """Eigenvalues of scaled information below this count as zero."""
@@ -319,9 +332,14 @@ def inverse_of(information: Array) -> tuple[Array, Mask]:
     return inverse / np.outer(scale, scale), unknown
 
 
-def covariance_of(here: Solved, D: Array) -> Array:
-    """Return the covariance that allows for residuals that hang together in clusters."""
+def covariance_of(here: Solved, D: Array, of_motion: Array | None = None) -> Array:
+    """
+    Return the covariance that allows for residuals that hang together in clusters.
+
+    Of columns D that have noise, with the inverse of the information that is of motion alone.
+    """
     inverse, unknown = inverse_of(D.T @ D)
+    inverse = inverse if of_motion is None else of_motion
     left = here.rows.A @ here.x - here.rows.b
     scores = np.array([D[part].T @ left[part] for part in here.rows.clusters])
     covariance: Array = inverse @ scores.T @ scores @ inverse
