@@ -11,7 +11,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
 from benchmarks import offline, startup, step, timing
-from benchmarks.alarms import delays, least_delays, passages
+from benchmarks.alarms import delays, least_delays, passages, THRESHOLD
 from benchmarks.sensors import CELLS, JUDGED, trial
 from benchmarks.tables import markdown, tables
 from benchmarks.worlds import line
@@ -97,20 +97,21 @@ def test_node_is_shown_against_the_bare_one():
 
 def test_passage_takes_as_long_as_wald_says():
     """Pass on average after the threshold, and 0.583 std beyond it (Siegmund), by the drift."""
-    for d2, threshold in ((0.3, 12.0), (1.0, 8.0)):
-        taken = np.concatenate([
-            1 + passages(np.full(1000, d2), threshold, seed) for seed in range(20)])
-        expected = (threshold + 0.583 * np.sqrt(d2)) / (0.5 * d2)
+    one = np.ones(1)
+    for d2 in (0.3, 1.0):
+        M = np.sqrt(d2) * np.eye(6)[:, :1] * np.ones((1000, 1, 1))
+        taken = np.concatenate([1 + passages(M, one, one[None], seed) for seed in range(80)])
+        expected = (THRESHOLD + 0.583 * np.sqrt(d2)) / (0.5 * d2)
         assert taken.mean() == pytest.approx(expected, rel=0.03)
-    assert (passages(np.zeros(10), 1.0, 0) == -1).all()
+    assert (passages(np.zeros((10, 6, 1)), one, one[None], 0) == -1).all()
 
 
 def test_test_that_knows_a_slip_is_the_sooner_one():
-    """Name a slip no sooner than the test that knows its time and size finds it."""
-    least = least_delays('slip', 2, 'white', 2.0)
+    """Name a slip no sooner than tests that know its time and size, and its direction, find it."""
+    directed, least = (np.median(each) for each in least_delays('slip', 2, 'white', 2.0))
     right, named = delays('slip', 2, 'white', 2.0)
     assert right == 1.0
-    assert 0.1 < least[len(least) // 2] < np.mean(named)
+    assert 0.1 < directed < least < np.mean(named)
 
 
 def test_all_that_the_recording_determines_is_told_with_its_error():
