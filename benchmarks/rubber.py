@@ -10,6 +10,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
@@ -170,14 +171,13 @@ def long_hold(t: Array) -> Array:
 
 def driven(path: Path, seconds: float, rate_hz: float = 360.0) -> Trajectory:
     """Return a path as a trajectory with twists."""
-    from bellows_ros.core.geometry.lie import apply, dexp
-
     stamps = np.round(np.arange(int(seconds * rate_hz)) * 1e9 / rate_hz).astype(np.int64)
     t, h = stamps * 1e-9, 1e-5
     x, rate = path(t), (path(t + h) - path(t - h)) / (2.0 * h)
     R = exp_so3(x[:, 3:])
     return Trajectory(stamps + 10**9, x[:, :3], R, np.hstack([
-        apply(np.swapaxes(R, 1, 2), rate[:, :3]), apply(dexp(-x[:, 3:]), rate[:, 3:])]))
+        lie.apply(np.swapaxes(R, 1, 2), rate[:, :3]),
+        lie.apply(lie.dexp(-x[:, 3:]), rate[:, 3:])]))
 
 
 def recorded(loss_factor: float, seed: int, path: Path, seconds: float) -> Recording:
