@@ -241,13 +241,13 @@ class Correction:
             [values['tool_noise.position'], values['tool_noise.rotation']], 3)
 
     def start(
-        self, stamp_ns: int, tool: State, body: State, kept: tuple[Array, Array, Array],
+        self, stamp_ns: int, tool: State, body: State, initial: tuple[Array, Array, Array],
         opened: tuple[int, ...],
     ) -> Estimate:
-        """Return the estimate of a package at rest, with theta, covariance and memory as kept."""
+        """Return the estimate of a package at rest, with an initial theta, covariance, memory."""
         self._drive = driving(self.nominal, tool, body, self._tool_noise)
         return Estimate(
-            stamp_ns, tool, body, *kept, self._evidence(stamp_ns, opened), opened)
+            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, opened), opened)
 
     def row(self, opened: tuple[int, ...]) -> Any:
         """Return the `model_row` without those cups that are lost."""

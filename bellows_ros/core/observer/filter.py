@@ -426,9 +426,9 @@ def carry_theta(columns: Array, seconds: float, memory: Array) -> None:
     """Let theta, or rows of errors by something (n - 12, m), go on by themselves, in place."""
     for c in range(columns.shape[1]):
         columns[LENGTH - STATE, c] += seconds * columns[LENGTHENING - STATE, c]
-    kept = correlations(memory, seconds)
+    correlation = correlations(memory, seconds)
     for i in range(6):
-        columns[NOISE - STATE + i] *= kept[i // 3]
+        columns[NOISE - STATE + i] *= correlation[i // 3]
 
 
 @kernel

@@ -312,9 +312,9 @@ def corrected(
 @kernel
 def remembered(memory: Array, theta: Array, seconds: float) -> Array:
     """Return the memory of the noise (see `correlations`) after another measurement."""
-    out, kept = memory.copy(), 1.0 - 1.0 / COUNTED
+    out, forgetting = memory.copy(), 1.0 - 1.0 / COUNTED
     out[0] += (seconds - out[0]) / min(max(out[1] / 3.0, 1.0), COUNTED)
-    out[1:5] *= kept
+    out[1:5] *= forgetting
     for i in range(6):
         noise = theta[NOISE - STATE + i]
         out[1 + i // 3] += noise * noise

@@ -129,7 +129,7 @@ class Observer:
         self._known.clear()
         self._opened: tuple[int, ...] = ()
         prior = self._by.prior
-        self._kept = np.zeros(len(prior) - STATE), np.diag(prior**2), self._by.first_memory
+        self._initial = np.zeros(len(prior) - STATE), np.diag(prior**2), self._by.first_memory
         self.forget()
 
     def forget(self, is_another: bool = True) -> None:
@@ -141,12 +141,12 @@ class Observer:
             P[rows], P[:, rows] = 0.0, 0.0
             P[rows, rows] = np.square(self._by.prior[rows])
             theta[[row - STATE for row in rows if row >= STATE]] = 0.0
-            self._kept, self._opened = (
+            self._initial, self._opened = (
                 theta, P, known.memory), () if is_another else known.opened
         for what in (self._known, self._seen, self._ahead):
             what.clear()
         self._asked = None
-        self._use(self._kept[0], self._opened)
+        self._use(self._initial[0], self._opened)
 
     def _use(self, theta: Array, opened: tuple[int, ...]) -> None:
         """Predict with numbers as they are estimated, without those cups that are lost."""
@@ -204,7 +204,7 @@ class Observer:
         """Begin with a package at rest."""
         self._track.begin(stamp_ns)
         self._seen.clear()
-        self._known = [self._by.start(stamp_ns, tool, body, self._kept, self._opened)]
+        self._known = [self._by.start(stamp_ns, tool, body, self._initial, self._opened)]
         self.body = body
 
     def follow(
