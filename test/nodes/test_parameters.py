@@ -57,15 +57,6 @@ def used(node):
     return blocks
 
 
-def test_stiffness_and_damping_change_together(make_predictor, caller):
-    """Take both of one call, in what is shown and in what is used."""
-    node = make_predictor()
-    assert caller.set_parameters(cup__stiffness=K, cup__damping=P) == [(True, ''), (True, '')]
-
-    assert cup(node) == [K, P]
-    assert used(node) == Cup(np.reshape(K, (6, 6)), np.reshape(P, (6, 6)), 0.0481).as_tuple[2:]
-
-
 @pytest.mark.parametrize(('stiffness', 'damping', 'reason'), [
     (K, INDEFINITE, 'cup.damping is not positive semidefinite'),
     ((1e-300 * np.eye(6)).ravel().tolist(), P, 'too soft'),
@@ -191,6 +182,7 @@ def test_atomic_service_sets_all_or_none(make_predictor, caller):
         answer = caller.call(ATOMICALLY, SetParametersAtomically, request)
         assert answer.result.successful is expected
         assert (cup(node) == [K, P]) is expected
+    assert used(node) == Cup(np.reshape(K, (6, 6)), np.reshape(P, (6, 6)), 0.0481).as_tuple[2:]
 
 
 def test_malformed_requests_are_answered(make_predictor, caller):

@@ -1,6 +1,7 @@
 """Parameters of the shipped recordings, and standstills of several masses."""
 
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.simulate import simulate_recording
 import pytest
 
@@ -24,6 +25,13 @@ def known(root):
 def true_cup(root):
     """Return the cup of the shipped recordings, with what they were simulated with."""
     return read_parameters(root / 'bags/cup.yaml')
+
+
+@pytest.fixture(scope='session')
+def shipped(root, known, true_cup):
+    """Return the identification of the recording that is shipped, and the truth."""
+    return identify({**known, 'bags': [str(root / 'bags/identification')],
+                     'fit.method': 'least_squares'}), true_cup
 
 
 @pytest.fixture(scope='session')

@@ -3,7 +3,6 @@
 import json
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.compare import compare_files
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
@@ -11,15 +10,14 @@ import pytest
 
 
 @pytest.fixture(scope='module')
-def files(root, tmp_path_factory):
+def files(root, shipped, tmp_path_factory):
     """Give a result of the shipped recording, and one of the shipped validation recording."""
     folder = tmp_path_factory.mktemp('fits')
-    known = read_parameters(root / 'bags/package.yaml')
-    for name in ('identification', 'validation'):
-        result = identify({**known, 'bags': [str(root / 'bags' / name)],
-                           'fit.method': 'least_squares'})
-        save(result, None, folder / f'{name}.json')
-    return folder / 'identification.json', folder / 'validation.json'
+    files = folder / 'identification.json', folder / 'validation.json'
+    other = identify({**shipped[0].values, 'bags': [str(root / 'bags/validation')]})
+    for result, file in zip((shipped[0], other), files, strict=True):
+        save(result, None, file)
+    return files
 
 
 def changed(path, folder, **change):

@@ -78,13 +78,6 @@ def test_clean_recording_of_the_rig(rig):
     assert result.warnings == ()
 
 
-@pytest.fixture(scope='module')
-def shipped(root, known, true_cup):
-    """Return the identification of the recording that is shipped, and the truth."""
-    return identify({**known, 'bags': [str(root / 'bags/identification')],
-                     'fit.method': 'least_squares'}), true_cup
-
-
 @pytest.mark.parametrize('method', ['least_squares', pytest.param(
     'output_error', marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
