@@ -68,14 +68,13 @@ def found(recording, structure='axisymmetric'):
         recording, STRUCTURES[structure], simulated.CUP.length, ['time_offset']).offset
 
 
-@pytest.mark.parametrize('later', [-0.19, -0.095, -0.0002, 0.0, 0.005, 0.048, 0.15])
+@pytest.mark.parametrize('later', [-0.19, -0.0002, 0.0, 0.048, 0.15])
 def test_an_offset_is_found_without_noise(later):
     recording = simulated.record(simulated.shake(seed=3), later=later)
     assert abs(found(recording).value - later) < 1e-5
 
 
-@pytest.mark.parametrize('cup', [simulated.CUP, SOFT])
-@pytest.mark.parametrize('structure', ['axisymmetric', 'full'])
+@pytest.mark.parametrize(('cup', 'structure'), [(simulated.CUP, 'full'), (SOFT, 'axisymmetric')])
 def test_with_noise_the_error_is_of_the_size_that_is_said(cup, structure):
     recording = simulated.record(simulated.shake(seed=3), cup=cup, seed=5, later=0.0123, **NOISE)
     offset = found(recording, structure)
