@@ -20,11 +20,12 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.quantities import anything
-from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
+from bellows_ros.core.identification.search import Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError

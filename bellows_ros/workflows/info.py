@@ -24,7 +24,8 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.conventions import convention_sentence
 from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.preparation import LOW_RATE_HZ, stream_warnings
+from bellows_ros.core.recording.preparation import stream_warnings
+from bellows_ros.core.recording.recording import LOW_RATE_HZ
 from bellows_ros.core.signals.resampling import at_sampling, resample, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files import File

@@ -136,7 +136,7 @@ class Replay(CommandResult):
         return None if grip is None else margin(
             grip, factors_along(
                 self.model, grip, tool_rows(found.tool), tool_rows(found.package)),
-            self.recording.since_start(found.stamps_ns))
+            self.recording.since_start(found.tool.stamps_ns))
 
     @property
     def model(self) -> ModelTuple:
@@ -162,8 +162,8 @@ class Replay(CommandResult):
             self.values, self.model, grip_of(self.values), found.tool,
             None if found.start == 'equilibrium' else found.state)
         return Margins(
-            self.recording.since_start(found.stamps_ns), along.values[:, 4:6], along.std[:, 4:6],
-            smallest, float(self.values['safety.least']))
+            self.recording.since_start(found.tool.stamps_ns), along.values[:, 4:6],
+            along.std[:, 4:6], smallest, float(self.values['safety.least']))
 
     @property
     def sentence(self) -> str:

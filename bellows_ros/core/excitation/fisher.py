@@ -11,13 +11,18 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import covariance_of
-from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
+from bellows_ros.core.identification.search import Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import Noise, TOOL_HALF_WINDOW, TOOL_ORDER
+from bellows_ros.core.recording.recording import (
+    BodyNoise,
+    Noise,
+    TOOL_HALF_WINDOW,
+    TOOL_ORDER,
+)
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np

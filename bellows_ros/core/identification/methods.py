@@ -14,8 +14,7 @@ from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
 from bellows_ros.core.model.structure import given_structure
-from bellows_ros.core.recording.preparation import LOW_RATE_HZ
-from bellows_ros.core.recording.recording import Noise, Recording, TimeOffset
+from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -171,13 +170,13 @@ def _by_output_error(
     """Return the fit by simulation, with all that is uncertain free beside K and P."""
     from bellows_ros.core.identification.given import given_std
     from bellows_ros.core.identification.output_error import output_error
-    from bellows_ros.core.identification.search import measured_of, SLOW_HZ
+    from bellows_ros.core.identification.search import measured_of
 
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
     start = replace(one_cup_of(values), relaxation=strengths)
     measured = [part for number, own in enumerate(recordings) for part in measured_of(own, number)]
-    if all(own.report.package.timing.rate_hz >= SLOW_HZ for own in recordings):
+    if all(own.report.package.timing.rate_hz >= LOW_RATE_HZ for own in recordings):
         start = start_cup([reduced(own, values).statistics for own in recordings], start)
     named = dict.fromkeys(values['fit.free'])
     reports = [own.report for own in recordings]

@@ -31,7 +31,6 @@ from bellows_ros.core.identification.result import (
     misfit,
 )
 from bellows_ros.core.identification.search import (
-    BodyNoise,
     Measured,
     Minimum,
     Search,
@@ -40,6 +39,7 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError

@@ -45,7 +45,7 @@ from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
 from bellows_ros.core.model.structure import Structure, STRUCTURES
-from bellows_ros.core.recording.recording import pose_noise, Recording
+from bellows_ros.core.recording.recording import BodyNoise, LOW_RATE_HZ, Recording
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample, subdivided
 from bellows_ros.core.signals.savgol import bridged, first_order, savgol
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
@@ -130,17 +130,6 @@ RISES = 1.2
 LONGEST_PART = 60.0
 """Longer parts (s) of recordings are split, so that memory is bounded."""
 
-SLOW_HZ = 100.0
-"""Rate of the package's poses below which polynomials do not follow its motion: the noise of
-slower ones is what the fit leaves of them."""
-
-
-class BodyNoise(NamedTuple):
-    """Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose."""
-
-    std: Array
-    correlation: float = 0.0
-
 
 @dataclass(frozen=True, eq=False)
 class Measured:
@@ -192,11 +181,9 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
     """
     lip = recording.settings.package_frame == 'lip'
     sideways = lip or recording.settings.align_at_rest
-    tool, package = recording.aligned_tool, recording.aligned_package
-    correlations = [max(part.correlation for part in own) for own in recording.ar1_noise]
-    tool_noise, package_noise = [
-        BodyNoise(np.maximum(pose_noise(poses, own), SMALLEST), own)
-        for poses, own in zip((tool, package), correlations, strict=True)]
+    tool, package = recording.aligned_tool, recording.tracked_package
+    tool_noise, package_noise = (
+        own._replace(std=np.maximum(own.std, SMALLEST)) for own in recording.body_noise)
     middle = package.position[package.valid].mean(axis=0)
     known = tool.stamps_ns[tool.valid]
     cuts = np.flatnonzero(np.diff(known) > LONGEST_GAP * NS_PER_S)
@@ -595,7 +582,7 @@ class Search:
         """Take the noise of poses that come slowly; return whether it is as it was."""
         settled = True
         for segment, own in zip(self.segments, parts, strict=True):
-            if segment.period * SLOW_HZ > 1.0:
+            if segment.period * LOW_RATE_HZ > 1.0:
                 differences = own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
                 seen = (MAD_TO_STD * np.median(np.abs(differences), axis=0)) ** 2
                 known = np.median(own.spread - own.own, axis=0)

@@ -19,6 +19,7 @@ from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, stat
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import ENOUGH, Recording
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import (
     AXES,
     compare,
@@ -85,7 +86,7 @@ class OneStep(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Validation(Comparison):
     """
-    A recording compared with the free simulation of it, at all samples of the simulation.
+    A recording compared with the free simulation of it, where the package was measured.
 
     Parameters
     ----------
@@ -96,9 +97,9 @@ class Validation(Comparison):
     recording : Recording
         With which it is compared.
     tool, package : Trajectory
-        Of E with twists, and of B in the free simulation.
+        Of E with twists, and of B in the free simulation, at the stamps of the tool.
     state : State
-        Of B in the world at its first sample.
+        Of B in the world at the first of them.
     start : str
         'equilibrium' or 'measured': where the simulation begins.
     warnings : tuple of str
@@ -139,7 +140,8 @@ class Validation(Comparison):
 
     def _spectrum_of(self, values: Array) -> Spectrum:
         """Return the spectrum of coordinates (N, 6)."""
-        return spectrum(interpolated(values), uniform_rate_hz(self.stamps_ns))
+        rate_hz = NS_PER_S / (float(np.ptp(self.stamps_ns)) / (len(self.stamps_ns) - 1))
+        return spectrum(interpolated(values), rate_hz)
 
     @cached_property
     def one_step(self) -> OneStep | None:
@@ -238,24 +240,29 @@ class _Run(NamedTuple):
     start: str
 
     def compared(self, recording: Recording) -> Comparison:
-        """Return the run beside the measurement."""
-        begin = int(np.searchsorted(recording.measured_tool.stamps_ns, self.tool.stamps_ns[0]))
-        return compare(self.package, *(
-            body.select(slice(begin, begin + len(self.tool)))
-            for body in (recording.measured_tool, recording.measured_package)))
+        """Return the run beside the measurement, where the package was measured."""
+        first, last = self.tool.stamps_ns[[0, -1]]
+        stamps = recording.tracked_package.stamps_ns
+        common = recording.measured_tool.stamps_ns[[0, -1]]
+        package = recording.tracked_package.select(
+            (stamps >= max(first, common[0])) & (stamps <= min(last, common[1])))
+        tool = resample(recording.aligned_tool, package.stamps_ns,
+                        recording.report.tool.timing.longest_step_ns)
+        return compare(resample(self.package, package.stamps_ns), tool, package)
 
 
 def _run(cup: Cup, recording: Recording, most: int | None) -> _Run:
-    """Return the free simulation."""
-    end, gravity = None, recording.settings.gravity
+    """Return the free simulation, at the rate of the tool."""
+    poses, gravity = recording.aligned_tool, recording.settings.gravity
+    first, last = recording.measured_tool.stamps_ns[[0, -1]]
+    poses = poses.select(slice(max(int(np.searchsorted(poses.stamps_ns, first, 'right')) - 1, 0),
+                               int(np.searchsorted(poses.stamps_ns, last)) + 1))
     if most is not None:
-        end = int(np.argmax(recording.measured)) + most
-        end = end if end < len(recording.measured) else None
-    half_window = half_window_of(recording.measured_tool)
-    tool, gaps = recording.cached(('smoothed', end), lambda: smoothed_tool(
-        recording.measured_tool.select(slice(end)), half_window))
-    state, first, start = _start(model_tuple(cup, recording.payload, gravity), tool, recording)
-    tool = tool.select(slice(first, None))
+        poses = poses.select(slice(int(np.argmax(poses.valid)) + most))
+    tool, gaps = recording.cached(('smoothed', len(poses)), lambda: smoothed_tool(
+        poses, half_window_of(poses)))
+    state, begin, start = _start(model_tuple(cup, recording.payload, gravity), tool, recording)
+    tool = resample(tool, np.append(begin, tool.stamps_ns[tool.stamps_ns > begin]))
     return _Run(tool, gaps, simulate(cup, recording.payload, tool, state, gravity), state, start)
 
 
@@ -266,9 +273,9 @@ def predicted(cup: Cup, recording: Recording, most: int | None = None) -> Array:
 
 def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
     """Return the comparison."""
-    noises, run = _noises(recording), _run(cup, recording, most)
+    run = _run(cup, recording, most)
     return Validation(
-        **vars(run.compared(recording)), noise=_noise_of_errors(cup, recording, run, noises),
+        **vars(run.compared(recording)), noise=_noise_of_errors(cup, recording, run),
         cup=cup, recording=recording, tool=run.tool, package=run.package, state=run.state,
         start=run.start, warnings=tuple(
             f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
@@ -325,50 +332,29 @@ def half_window_of(tool: Trajectory) -> int:
 def _start(
     model: ModelTuple, tool: Trajectory, recording: Recording
 ) -> tuple[State, int, str]:
-    """Return the package's first state, the tool's sample of it, and its origin."""
+    """Return the package's first state, its stamp (ns), and its origin."""
     if rest_of(recording.measured_tool, recording.measured_package).seconds < REST_S:
         package = recording.package
         usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
         first = int(np.argmax(usable))
         if package.twist is not None and usable[first]:
             quaternion = rotation_to_quaternion(package.rotation[first])
-            at = int(np.searchsorted(tool.stamps_ns, package.stamps_ns[first]))
             state = state_row(package.position[first], quaternion, package.twist[first])
-            return state, at, 'measured'
-    return rest(model, tool_rows(tool.select(slice(0, 1)))[0]), 0, 'equilibrium'
+            return state, int(package.stamps_ns[first]), 'measured'
+    state = rest(model, tool_rows(tool.select(slice(0, 1)))[0])
+    return state, int(tool.stamps_ns[0]), 'equilibrium'
 
 
-def _noises(recording: Recording) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """
-    Return the noise of tool and package at the common stamps, in position and rotation.
-
-    Standard deviations (2,), m and rad, and the correlations (2,) from sample to sample.
-    """
-    period_s = 1.0 / uniform_rate_hz(recording.measured_tool.stamps_ns)
-    found = []
-    for body, white, noise in zip(
-            (recording.aligned_tool, recording.aligned_package), recording.measured_noise,
-            recording.ar1_noise, strict=True):
-        steps = period_s * uniform_rate_hz(body.stamps_ns)
-        correlations = np.array([own.correlation for own in noise]) ** steps
-        is_correlated = correlations > LEAST_CORRELATION
-        sizes = [own.size for own in noise]
-        found.append((np.where(is_correlated, sizes, white),
-                      np.where(is_correlated, correlations, 0.0)))
-    return found[0], found[1]
-
-
-def _noise_of_errors(
-    cup: Cup, recording: Recording, run: _Run,
-    noises: tuple[tuple[Array, Array], tuple[Array, Array]],
-) -> Array:
+def _noise_of_errors(cup: Cup, recording: Recording, run: _Run) -> Array:
     """Return the RMS error (6,) due to noise of the package and of the tool."""
     tool, body = (own.select(slice(ENOUGH)) for own in (run.tool, run.package))
-    rate_hz, rng = uniform_rate_hz(tool.stamps_ns), np.random.default_rng(SEED)
-    W, squares = weights(half_window_of(tool), LIGHT_ORDER, rate_hz), []
+    rate_hz, rng = uniform_rate_hz(recording.aligned_tool.stamps_ns), np.random.default_rng(SEED)
+    W, squares = weights(half_window_of(recording.aligned_tool), LIGHT_ORDER, rate_hz), []
+    sizes, correlations = np.transpose(recording.ar1_noise[0])
+    correlations = np.where(correlations > LEAST_CORRELATION, correlations, 0.0)
     for _ in range(NOISE_RUNS):
-        noisy = with_filtered_noise(tool, *noises[0], W, 1.0 / rate_hz, rng)
+        noisy = with_filtered_noise(tool, sizes, correlations, W, 1.0 / rate_hz, rng)
         shaken = simulate(cup, recording.payload, noisy, run.state, recording.settings.gravity)
         moved = relative_coordinates(tool, shaken) - relative_coordinates(tool, body)
         squares.append(np.mean(moved**2, axis=0))
-    return np.asarray(np.sqrt(np.mean(squares, axis=0) + np.repeat(noises[1][0], 3) ** 2))
+    return np.asarray(np.sqrt(np.mean(squares, axis=0) + recording.body_noise[1].std**2))

@@ -29,6 +29,7 @@ from bellows_ros.core.recording.outliers import (
 )
 from bellows_ros.core.recording.recording import (
     Filter,
+    LOW_RATE_HZ,
     PrepareSettings,
     Recording,
     Report,
@@ -52,12 +53,10 @@ import numpy as np
 # K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.
 AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
-# poses repeated in motion (part of them), fewer poses a second, ways (m) that are no cell's, but
-# millimetres.
+# poses repeated in motion (part of them), ways (m) that are no cell's, but millimetres.
 LATERAL_WARNED = 5e-3
 LATERAL_COM_WARNED = 1e-6
 REPEATS_WARNED = 0.05
-LOW_RATE_HZ = 100.0
 LARGE_WAY = 20.0
 MOST_IN_GAPS = 0.5  # part of the time in gaps above which poses come in bursts
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
@@ -69,6 +68,7 @@ class AlignedStreams:
     """Cleaned and aligned streams, each at its own stamps, and their filters."""
 
     recorded: tuple[PoseStream, PoseStream, TwistStream | None]
+    tracked_package: Trajectory
     settings: PrepareSettings
     report: Report
     alignment: Alignment
@@ -106,7 +106,8 @@ class AlignedStreams:
             measured_tool = _with_twist(measured_tool, tool_twist, self.alignment, self.settings)
         recording = Recording(
             self.settings, tool, package, tool_twist, self.filters, measured_tool,
-            of_package.poses.between(*common[[0, -1]]), self.alignment, self.report)
+            of_package.poses.between(*common[[0, -1]]), self.tracked_package, self.alignment,
+            self.report)
         if not recording.whole.any():
             found = '; '.join(
                 f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
@@ -163,7 +164,8 @@ def align_streams(
     if tool_twist is not None and tool_arrivals:
         tool_twist = replace(tool_twist, stamps_ns=_as_moved(
             tool_twist.stamps_ns, of_tool_ns, tool.stamps_ns))
-    (of_tool, tool_poses), (of_package, package_poses) = _clean(tool, turn), _clean(package, turn)
+    of_tool, _, tool_poses = _clean(tool, turn)
+    of_package, tracked, package_poses = _clean(package, turn)
     _common(tool_poses.stamps_ns, package_poses.stamps_ns, (tool, package))
     as_they_are = not settings.align_at_rest and alignment is None
     alignment = alignment or _alignment(tool_poses, package_poses, settings)
@@ -181,7 +183,10 @@ def align_streams(
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
-    return AlignedStreams((tool, package, tool_twist), settings, report, alignment, filters)
+    return AlignedStreams(
+        (tool, package, tool_twist),
+        filters[1].poses if of_package.timing.uniform else alignment.package(tracked),
+        settings, report, alignment, filters)
 
 
 def _alignment(
@@ -198,8 +203,10 @@ def _alignment(
     return aligned_at_rest(tool, package, *given)
 
 
-def _clean(recorded: PoseStream, R_world_recorded: Array) -> tuple[StreamReport, Trajectory]:
-    """Return the faults of a topic, and its poses in the world at a uniform rate, all marked."""
+def _clean(
+    recorded: PoseStream, R_world_recorded: Array
+) -> tuple[StreamReport, Trajectory, Trajectory]:
+    """Return the faults of a topic, and its poses in the world, also at a uniform rate, marked."""
     poses = in_world(recorded.trajectory(), R_world_recorded)
     with _named(recorded.name):
         found_timing = resampling.timing(poses.stamps_ns)
@@ -207,8 +214,9 @@ def _clean(recorded: PoseStream, R_world_recorded: Array) -> tuple[StreamReport,
         marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
         at = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
         used = slice(at[0], at[-1] + 1) if len(at) > 2 else slice(None)
-        return StreamReport(recorded, found_timing, outliers), resampling.on_grid(
-            marked.select(used), found_timing)
+        marked = marked.select(used)
+        return StreamReport(recorded, found_timing, outliers), marked, resampling.on_grid(
+            marked, found_timing)
 
 
 @contextmanager

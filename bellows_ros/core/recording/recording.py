@@ -15,7 +15,7 @@ from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import Package, STANDARD_GRAVITY
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.table import short
-from bellows_ros.core.recording.alignment import Alignment, world_rotation
+from bellows_ros.core.recording.alignment import Alignment, rest_of, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import ArrivalStamps, MAD_TO_STD, resample, Timing
@@ -44,6 +44,12 @@ PLACES = 8
 
 CUT_AT = 5.0
 """Residuals are clipped at this many typical deviations, so that outliers do not count."""
+
+LOW_RATE_HZ = 100.0
+"""Rate of poses below which polynomials do not follow the motion on a cup."""
+
+AT_REST, FEWEST_AT_REST = 0.9, 10
+"""Part of a standstill whose poses count as at rest, and the fewest that determine noise."""
 
 WIDE_WINDOW, COLOURED = 0.06, 1.15
 """Time (s) over which poses are compared for correlated noise, and by how much more is seen."""
@@ -112,9 +118,22 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
     """
     left, rotation = ripple(poses, ENOUGH)
     left[:, :3] = apply(np.swapaxes(rotation, 1, 2), left[:, :3])
+    return np.asarray(_clipped_rms(left) / np.sqrt(ripple_part(ar1)))
+
+
+def noise_at_rest(poses: Trajectory) -> Array:
+    """Return the standard deviations (6,) of poses of a body at rest, in own axes, m and rad."""
+    back = poses.rotation[0].T
+    left = np.hstack([apply(back, poses.position - poses.position[0]),
+                      log_so3(back @ poses.rotation)])
+    factor = float(np.sqrt(len(left) / (len(left) - 1)))
+    return factor * _clipped_rms(left - left.mean(axis=0))
+
+
+def _clipped_rms(left: Array) -> Array:
+    """Return the RMS (6,) of residuals (N, 6), in which outliers do not count."""
     typical = MAD_TO_STD * np.median(np.abs(left), axis=0)
-    squares = np.mean(np.minimum(left**2, (CUT_AT * typical) ** 2), axis=0)
-    return np.asarray(np.sqrt(squares / ripple_part(ar1)))
+    return np.asarray(np.sqrt(np.mean(np.minimum(left**2, (CUT_AT * typical) ** 2), axis=0)))
 
 
 def noise_of(poses: Trajectory) -> Noise:
@@ -166,6 +185,13 @@ def ar1_noise_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
         at = int(np.argmin(np.abs(seen[:, 1] / seen[:, 0] - ratio))) if ratio > COLOURED else 0
         parts.append(AR1Noise(one / float(seen[at, 0]), float(ar1[at])))
     return parts[0], parts[1]
+
+
+class BodyNoise(NamedTuple):
+    """Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose."""
+
+    std: Array
+    correlation: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,6 +473,10 @@ class Recording:
     measured_tool, measured_package : Trajectory
         E and B aligned but not filtered. The tool has the recorded body twists where there are
         any; where poses or twists are missing or wrong, samples are not valid.
+    tracked_package : Trajectory
+        B aligned but not filtered, from start to end, at the stamps at which it was measured.
+        Where these are uniform, what is missing is there, too, and not valid. Where they are not,
+        nothing is interpolated: nobody knows how it moved between the poses of a slow camera.
     alignment : Alignment
         From the recorded frames to E and B.
     report : Report
@@ -469,6 +499,7 @@ class Recording:
     filters: tuple[Filter, Filter]
     measured_tool: Trajectory
     measured_package: Trajectory
+    tracked_package: Trajectory
     alignment: Alignment
     report: Report
     name: str = ''
@@ -553,6 +584,26 @@ class Recording:
         """Time correlation of the noise of tool and package, in position and rotation."""
         tool, package = self._pose_noise
         return (ar1_noise_of(self.aligned_tool, tool), ar1_noise_of(self.aligned_package, package))
+
+    @cached_property
+    def body_noise(self) -> tuple[BodyNoise, BodyNoise]:
+        """
+        Noise of tool and package per axis, each at its own stamps.
+
+        Polynomials do not follow a package between slow poses: there it is the noise at rest.
+        """
+        found = [BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
+            (self.aligned_tool, self.aligned_package),
+            (max(part.correlation for part in own) for own in self.ar1_noise), strict=True)]
+        if self.report.package.timing.rate_hz < LOW_RATE_HZ:
+            tool, package = self.aligned_tool, self.tracked_package
+            first = max(tool.stamps_ns[0], package.stamps_ns[0])
+            last = first + AT_REST * rest_of(tool, package).seconds * trajectory.NS_PER_S
+            still = package.select((package.stamps_ns >= first) & (package.stamps_ns <= last)
+                                   & package.valid)
+            if len(still) >= FEWEST_AT_REST:
+                found[1] = BodyNoise(noise_at_rest(still), found[1].correlation)
+        return found[0], found[1]
 
     @cached_property
     def _pose_noise(self) -> tuple[Noise, Noise]:

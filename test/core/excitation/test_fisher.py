@@ -2,11 +2,11 @@
 
 from bellows_ros.core.excitation import fisher
 from bellows_ros.core.excitation.fisher import Tracking
-from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
+from bellows_ros.core.identification.search import Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
-from bellows_ros.core.recording.recording import Noise
+from bellows_ros.core.recording.recording import BodyNoise, Noise
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
 import numpy as np
 import pytest

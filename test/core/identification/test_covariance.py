@@ -4,12 +4,13 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.equations import covariance_of, information_of, without
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.search import BodyNoise, Measured
+from bellows_ros.core.identification.search import Measured
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.observer.filter import changed
+from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose

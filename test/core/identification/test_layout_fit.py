@@ -7,7 +7,7 @@ from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.search import BodyNoise, Measured
+from bellows_ros.core.identification.search import Measured
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import (
     composition,
@@ -16,7 +16,7 @@ from bellows_ros.core.model.structure import (
     STRUCTURES,
 )
 from bellows_ros.core.recording.preparation import prepare
-from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.recording.recording import BodyNoise, PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np

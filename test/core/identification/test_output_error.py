@@ -5,10 +5,11 @@ from dataclasses import replace
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS
-from bellows_ros.core.identification.search import BodyNoise, Measured, Search, Segment
+from bellows_ros.core.identification.search import Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
