@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes
+from bellows_ros.core.identification.given import as_found, given_std
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
 from bellows_ros.core.identification.methods import are_differentiable, MISFIT
+from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import given_structure, Structure
@@ -27,11 +30,20 @@ UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
 
 DRAWN, SIGMAS = 5, 3.0
-"""Cups drawn from the standard errors, and how many of the spreads they make are allowed."""
+"""Cups drawn from the standard errors, and how many standard deviations are allowed."""
+
+LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_world'})
+"""What recordings tell apart from K and P. Not mass and inertia, which scale with them."""
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
 be left all the same: filters take a part of quick motions, not of the output error."""
+
+
+ALLOWED_FOR = (
+    'That is within the standard deviation it was given with, so K and P are those with it. '
+    'Predictions are better with it, too.')
+"""Of a cause that refuses no cup."""
 
 
 class Simulated(NamedTuple):
@@ -84,6 +96,13 @@ class FitVerdict(NamedTuple):
     diagnosis: Diagnosis
     given: Mapping[str, Any]
     chi2: float | None = None
+    allowed: Free = MappingProxyType({})
+    """Standard deviations, SI units, of what was given and the fit has found with K and P."""
+
+    def allows_for(self, own: causes.Finding) -> bool:
+        """Return whether the fit has corrected a cause, which is no larger than expected."""
+        return own.name in self.allowed and len(own.theta) > 0 and bool(
+            np.all(np.abs(own.theta) <= SIGMAS * self.allowed[own.name]))
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -102,7 +121,8 @@ class FitVerdict(NamedTuple):
         if self.diagnosis.is_open:
             besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
-            return (causes.finding_sentence(first, self.given), *besides)
+            allowed = [ALLOWED_FOR] if self.allows_for(first) else []
+            return (causes.finding_sentence(first, self.given), *allowed, *besides)
         if self.simulated and all(
                 (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
             return ()
@@ -142,7 +162,7 @@ class FitVerdict(NamedTuple):
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
         first = self.diagnosis.findings[:1]
-        if first and first[0].material:
+        if first and first[0].material and not self.allows_for(first[0]):
             found.append(
                 f'Correct {causes.setting_of(first[0])} as the first line says, and fit again.')
         return tuple(found)
@@ -185,7 +205,7 @@ def verdict_of(
     some = recordings[:LOOKED_AT]
     if not some:
         return None
-    held = some[0].payload
+    held, given = some[0].payload, given_std(values)
     values = {**values, 'package.mass': held.mass, 'package.com': held.com,
               'package.inertia': np.diag(held.inertia)}
     slow = fit is not None and fit.method == 'output_error' and (
@@ -198,11 +218,14 @@ def verdict_of(
         diagnosis = diagnose(some, length, given_structure(values), known)
     if fit is None:
         return FitVerdict((), diagnosis, values)
+    allowed = {name: std for name, std in given.items() if name in fit.found and name in LOCAL}
+    length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)
+    some = [as_found(own, fit.found, number) for number, own in enumerate(some)]
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(values))
     found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
-                       diagnosis, values, fit.robust_chi2)
+                       diagnosis, values, fit.robust_chi2, allowed)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))

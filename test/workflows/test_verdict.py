@@ -3,6 +3,7 @@
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.hypotheses import Diagnosis, Finding
+from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
@@ -42,12 +43,12 @@ def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
     values = {**parameters(laboratory), 'fit.structure': 'full'}
     monkeypatch.setattr(verdict, 'diagnose', lambda *given: Diagnosis(0.0, ()))
     x = STRUCTURES['full'].parameters(np.diag(laboratory.K), laboratory.P)
-    fit = Fit(
+    made = Fit(
         method=method, structure='full', parameters=x, covariance=np.zeros((len(x),) * 2),
         samples_used=1, samples_rejected=0, condition_number=1.0, weight=np.eye(6),
         residual_rms=noise, chi2=chi2, robust_chi2=chi2)
-    found = verdict.verdict_of(fit, laboratory.recordings(), laboratory.length, values)
-    assert fit.usable and bool(refused) == bool(found.refusals)
+    found = verdict.verdict_of(made, laboratory.recordings(), laboratory.length, values)
+    assert made.usable and bool(refused) == bool(found.refusals)
     assert refused in ' '.join(found.refusals)
 
 
@@ -64,3 +65,21 @@ def test_what_else_is_wrong_is_said_of_a_recording_that_was_misread(tmp_path):
     with pytest.raises(BellowsError, match='in millimetres.* Besides: package.inertia is'):
         identify({**parameters(laboratory), 'bags': [str(tmp_path / 'bag')],
                   'topics.tool_pose': '/tool', 'topics.package_pose': '/package'})
+
+
+@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
+@pytest.mark.parametrize(('aside', 'refused'), [(5e-4, False), (9e-3, True)])
+def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
+    """Fit with it, and say so; refuse beyond three times the ordinary 2 mm."""
+    laboratory = Laboratory(4, seconds=8.0, rate_hz=240.0)
+    laboratory.frame = laboratory.said_frame = 'com'
+    laboratory.say(com=[aside, 0.0, 0.0])
+    recordings, values = laboratory.recordings(), parameters(laboratory)
+    found = fit(recordings, values).fit
+    said = verdict.verdict_of(found, recordings, laboratory.length, values)
+    assert said.diagnosis.findings[0].name == 'com'
+    assert bool(said.refusals) is refused
+    if not refused:
+        off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
+        assert np.all(off < 4.0)
+        assert abs(found.found['com'][0, 0] + aside) < 0.1 * aside

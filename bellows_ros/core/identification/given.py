@@ -14,15 +14,24 @@ less; and what is found beside it no more than itself.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
-from bellows_ros.core.identification.quantities import anything, Free
+from bellows_ros.core.identification.quantities import (
+    anything,
+    Free,
+    KINDS,
+    payload_of,
+    poses_of,
+)
 from bellows_ros.core.identification.search import Minimum, MISFIT, Search, squares
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
+from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 KNOWN_BETTER = 1000.0
@@ -93,6 +102,35 @@ def with_given(
     moved[:size] = -np.linalg.solve(H[:first, :first], H[:first, first:])[:size]
     moved *= search.units[:, None]
     return search, found, moved @ moved.T
+
+
+def as_found(own: Recording, found: Free, number: int) -> Recording:
+    """
+    Return a recording with what a fit found beside K and P: its package, marker, world and clock.
+
+    Parameters
+    ----------
+    own : Recording
+        As it was given.
+    found : mapping
+        See `Fit.found`.
+    number : int
+        Of the recording in the fit.
+
+    """
+    free = {name: rows[number if KINDS[name].each else 0] for name, rows in found.items()}
+    moves, tracked = np.array(own.settings.moves_with_com, float), own.tracked_package
+    middle = tracked.position[tracked.valid].mean(axis=0)
+    delay = round(float(free['time_offset'][0]) * NS_PER_S) if 'time_offset' in free else 0
+
+    def moved(poses: Trajectory) -> Trajectory:
+        return replace(poses_of(poses, free, moves, middle), valid=poses.valid)
+
+    of_package = own.filters[1]
+    return replace(
+        own, settings=replace(own.settings, payload=payload_of(own.payload, free)),
+        filters=(own.filters[0], replace(of_package, poses=moved(of_package.poses))),
+        tracked_package=replace(moved(tracked), stamps_ns=tracked.stamps_ns + delay))
 
 
 MOVES = 0.02

@@ -233,6 +233,8 @@ def _fit(
             for name, (own, *_) in search.places.items()
             if name in named and not KINDS[name].each),
         causes=reasons,
+        found={name: x[own] for name, own in search.places.items()
+               if name != 'relaxation' and (KINDS[name].each or name not in named)},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
     )

@@ -1,7 +1,7 @@
 """The result of a fit, frozen, with its uncertainty and its warnings."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -127,6 +127,9 @@ class Fit:
         What would explain what output error leaves, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
         Covariance that what was given adds, by its own standard deviations; None for none.
+    found : mapping
+        What else output error has found beside K and P, by names of `KINDS`: changes, SI units, a
+        row for each recording or one for all; without what `freed` has.
 
     """
 
@@ -155,6 +158,7 @@ class Fit:
     relaxation_std: tuple[float, float] = (0.0, 0.0)
     causes: tuple[Any, ...] = ()
     from_given: Array | None = None
+    found: Mapping[str, Array] = field(default_factory=dict)
 
     @cached_property
     def _matrices(self) -> tuple[Array, Array]:

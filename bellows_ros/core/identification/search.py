@@ -179,8 +179,6 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
         If there is none that is long enough.
 
     """
-    lip = recording.settings.package_frame == 'lip'
-    sideways = lip or recording.settings.align_at_rest
     tool, package = recording.aligned_tool, recording.tracked_package
     tool_noise, package_noise = (
         own._replace(std=np.maximum(own.std, SMALLEST)) for own in recording.body_noise)
@@ -198,7 +196,7 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
             if edges[1] - edges[0] > SHORTEST_SEGMENT * NS_PER_S and of_package.valid.any():
                 parts.append(Measured(
                     of_tool, of_package, recording.payload, recording.settings.gravity, tool_noise,
-                    package_noise, number, (sideways, sideways, lip), middle))
+                    package_noise, number, recording.settings.moves_with_com, middle))
     if not parts:
         raise UndeterminedError(
             f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '

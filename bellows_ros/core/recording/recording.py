@@ -295,6 +295,12 @@ class PrepareSettings:
     package_order: int = 6
     tool_twist_frame: str = 'world'
 
+    @property
+    def moves_with_com(self) -> tuple[bool, bool, bool]:
+        """Components of the centre of mass with which the poses of B move."""
+        lip = self.package_frame == 'lip'
+        return (lip or self.align_at_rest, lip or self.align_at_rest, lip)
+
     @cached_property
     def R_world_recorded(self) -> Array:
         """The rotation from recorded axes to a world whose z is up."""
