@@ -23,6 +23,7 @@ from bellows_ros.core.recording.alignment import (
 )
 from bellows_ros.core.recording.outliers import (
     find_outliers,
+    increments_of,
     LastingStep,
     Outliers,
     repeats_in_motion,
@@ -59,6 +60,8 @@ LATERAL_COM_WARNED = 1e-6
 REPEATS_WARNED = 0.05
 LARGE_WAY = 20.0
 MOST_IN_GAPS = 0.5  # part of the time in gaps above which poses come in bursts
+# A step that a slow camera sees at least as often as the rest (%) in the motion is none.
+OFTEN = 99.0
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
 STEP_JITTERS = 10.0
 
@@ -307,7 +310,8 @@ def stream_warnings(
         f'{(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s after its '
         'start and does not return, so all later poses are offset from the earlier ones. Use the '
         'recording up to there, or from there on.'
-        for step in outliers.steps if not _is_of_jitter(recorded, time, step)]
+        for step in outliers.steps
+        if not (_is_of_jitter(recorded, time, step) or _is_of_motion(recorded, time, step))]
     good = recorded.position[outliers.good]
     way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
@@ -338,6 +342,15 @@ def burst_sentence(*streams: tuple[PoseStream, resampling.Timing]) -> str:
                   np.ptp(poses.stamps_ns)) / NS_PER_S]
     return (f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: stamp '
             'them when they are measured.') if bursts else ''
+
+
+def _is_of_motion(poses: PoseStream, time: resampling.Timing, step: LastingStep) -> bool:
+    """Return whether a body moves as far elsewhere between two poses of a slow camera."""
+    if time.rate_hz >= LOW_RATE_HZ:
+        return False
+    ways = (np.linalg.norm(own, axis=1) for own in increments_of(poses).values())
+    way, angle = (float(np.percentile(own, OFTEN)) for own in ways)
+    return bool(step.position < way and step.rotation < angle)
 
 
 def _is_of_jitter(poses: PoseStream, time: resampling.Timing, step: LastingStep) -> bool:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.recording.outliers import find_outliers
+from bellows_ros.core.recording.outliers import find_outliers, LastingStep
 from bellows_ros.core.recording.preparation import prepare, stream_warnings
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.resampling import timing
@@ -249,6 +249,17 @@ def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
         found = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.warnings
         assert sum('jumps by' in warning for warning in found) == steps
         assert sum('jitter' in warning for warning in found) == 1
+
+
+@pytest.mark.parametrize(('rate_hz', 'size', 'warned'), [
+    (30, 5e-3, False), (30, 0.15, True), (240, 5e-3, True)])
+def test_a_step_as_a_slow_camera_sees_many_is_of_the_motion(rate_hz, size, warned):
+    seconds = np.arange(10 * rate_hz) / rate_hz
+    swing = 0.05 * np.sin(2 * np.pi * 2.5 * seconds)[:, None] * [1.0, 0.5, 0.0]
+    poses = Trajectory(START + (seconds * 1e9).astype(np.int64), swing, exp_so3(4.0 * swing))
+    found = replace(find_outliers(poses, 10**9), steps=(LastingStep(100, size, 4.0 * size),))
+    warnings = stream_warnings(stream(poses), timing(poses.stamps_ns), found)
+    assert any('jumps by' in text for text in warnings) is warned
 
 
 def test_what_cannot_be_prepared_says_why():
