@@ -54,6 +54,10 @@ SEED, SHAKEN, LEAST_SHAKEN = 0, 3.0, 0.1
 MOST_CHI2 = 1.2
 """Chi^2 per degree of freedom that is put down to noise."""
 
+ALSO_GIVEN = (
+    'Measure them more exactly and state it (package.com_std, cup.length_std, '
+    'recording.marker_std)')
+
 NO_RELAXATION = (
     'fit.relaxation: the recordings show no relaxation that exceeds its standard error. Record a '
     'hold of a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
@@ -196,7 +200,7 @@ def _fit(
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
     size, x = search.count, search.units * found.theta
-    covariance, known, notes = _identifiable(search, found, named)
+    covariance, known, notes = _identifiable(search, found, from_given, named)
     strengths, of_strengths = _strengths(search, found, covariance)
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
     ratio = np.array([-DEFAULT_RATIO, 1.0])
@@ -241,7 +245,7 @@ def _fit(
 
 
 def _identifiable(
-    search: Search, found: Minimum, named: Sequence[str]
+    search: Search, found: Minimum, from_given: Array, named: Sequence[str]
 ) -> tuple[Array, Mask, list[str]]:
     """Return the covariance (m, m), SI units, what is identifiable, and notes on the rest."""
     size = search.count
@@ -254,7 +258,15 @@ def _identifiable(
         largest[search.places[name]] = KINDS[name].known
     known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
     notes = list(_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size]))
-    return covariance, known, notes
+    total = np.sqrt(std**2 + np.diag(from_given)) / largest
+    notes += [
+        f'{search.structure.labels[i]} is not identifiable with what was given: its standard '
+        f'error is {100.0 * LARGEST_ERROR * total[i]:.2g} % of its size, and '
+        f'{100.0 * LARGEST_ERROR * std[i] / largest[i]:.2g} % with exact package, cup.length and '
+        f'markers. {ALSO_GIVEN}; or '
+        f'{remedy_for(search.structure.labels[i].split()[1], search.structure)}.'
+        for i in np.flatnonzero(known[:size] & (total[:size] > 1.0))]
+    return covariance, known & ~(total > 1.0), notes
 
 
 def noise_information(search: Search, found: Minimum) -> Array:

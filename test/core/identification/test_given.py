@@ -63,6 +63,15 @@ def test_k_is_known_no_better_than_the_mass():
     assert 0.02 < share[2] < 0.05  # the inertia says a part of it
 
 
+def test_what_is_not_known_with_what_was_given_is_no_number():
+    """Take a package that may be off by a factor: no entry is known; how exact it would be is said."""
+    vague = {**USUAL, 'mass': np.array([2.0]), 'inertia': np.full(3, 2.0)}
+    found = output_error([measured(9, **QUIET)], AXISYMMETRIC, TRUTH, given=vague)
+    assert np.isinf(found.stiffness_std[np.diag_indices(6)]).all()
+    told = [text for text in found.notes if 'not identifiable with what was given' in text]
+    assert len(told) == 8 and all('% with exact package' in text for text in told)
+
+
 def test_what_the_recording_does_not_know_better_stays_as_given():
     own = measured(10)
     exact, found = (output_error([own], AXISYMMETRIC, TRUTH, given=given)
