@@ -64,7 +64,7 @@ def test_k_is_known_no_better_than_the_mass():
 
 
 def test_what_is_not_known_with_what_was_given_is_no_number():
-    """Take a package that may be off by a factor: no entry is known; how exact it would be is said."""
+    """Say how exact all entries would be of a package that may be off by a factor."""
     vague = {**USUAL, 'mass': np.array([2.0]), 'inertia': np.full(3, 2.0)}
     found = output_error([measured(9, **QUIET)], AXISYMMETRIC, TRUTH, given=vague)
     assert np.isinf(found.stiffness_std[np.diag_indices(6)]).all()
