@@ -118,6 +118,8 @@ def as_found(own: Recording, found: Free, number: int) -> Recording:
         Of the recording in the fit.
 
     """
+    if not found:
+        return own
     free = {name: rows[number if KINDS[name].each else 0] for name, rows in found.items()}
     moves, tracked = np.array(own.settings.moves_with_com, float), own.tracked_package
     middle = tracked.position[tracked.valid].mean(axis=0)
