@@ -205,7 +205,8 @@ def verdict_of(
     some = recordings[:LOOKED_AT]
     if not some:
         return None
-    held, given = some[0].payload, given_std(values)
+    held = some[0].payload
+    given = given_std(values) if fit is not None and fit.found else {}
     values = {**values, 'package.mass': held.mass, 'package.com': held.com,
               'package.inertia': np.diag(held.inertia)}
     slow = fit is not None and fit.method == 'output_error' and (

@@ -1,4 +1,8 @@
-"""What is expensive is computed once for a recording, whatever a run asks for."""
+"""
+What is expensive is computed once for a recording, whatever a run asks for.
+
+But for regressors: the searches for causes pass through some points more than once.
+"""
 
 from collections import Counter
 import functools
@@ -16,7 +20,6 @@ import numpy as np
 EXPENSIVE = {
     'savgol': 'core.signals.savgol',
     'noise_of': 'core.recording.recording',
-    'regressor': 'core.model.cup_package',
     'with_noise': 'core.identification.reduction',
     'envelope': 'core.identification.samples',
 }

@@ -258,15 +258,17 @@ def _identifiable(
         largest[search.places[name]] = KINDS[name].known
     known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
     notes = list(_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size]))
-    total = np.sqrt(std**2 + np.diag(from_given)) / largest
+    total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
+    vague = known[:size] & (total > 1.0)
     notes += [
         f'{search.structure.labels[i]} is not identifiable with what was given: its standard '
         f'error is {100.0 * LARGEST_ERROR * total[i]:.2g} % of its size, and '
         f'{100.0 * LARGEST_ERROR * std[i] / largest[i]:.2g} % with exact package, cup.length and '
         f'markers. {ALSO_GIVEN}; or '
         f'{remedy_for(search.structure.labels[i].split()[1], search.structure)}.'
-        for i in np.flatnonzero(known[:size] & (total[:size] > 1.0))]
-    return covariance, known & ~(total > 1.0), notes
+        for i in np.flatnonzero(vague)]
+    known[:size] &= ~vague
+    return covariance, known, notes
 
 
 def noise_information(search: Search, found: Minimum) -> Array:
