@@ -13,7 +13,13 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from .conftest import ERROR, MS, PACKAGE, START
+from .conftest import ERROR, Listener, MS, PACKAGE, START
+
+
+@pytest.fixture
+def listener(ros):
+    """Give a monitor of a node that reports once a second: both failures are in one report."""
+    return Listener(ros)
 
 
 def break_once(thing, name):
