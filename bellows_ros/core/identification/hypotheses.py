@@ -317,12 +317,16 @@ def _trials(
     before = objective.solved(ensemble)
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
+    # Where noise explains what is left, causes are small; only when a slip was is searched for.
+    is_explained = before.excess < _chance(before)
     starts = {near.named: near.theta} if near else {}
     tried = _in_order(
-        _tried(h, objective, quiet, starts.get((h.name, h.value)), QUICK_ROUNDS, level)
+        _tried(h, objective, quiet, starts.get((h.name, h.value), (
+            np.zeros(h.freed) if is_explained and h.name != 'slip' else None)),
+            1 if is_explained else QUICK_ROUNDS, level)
         for h in hypotheses(ensemble.given, world)
         if beside is None or h.name != beside.name and (h.datum or beside.datum))
-    if not tried or before.excess < _chance(before):
+    if not tried or is_explained:
         tried = _in_order(_tried(own.hypothesis, objective, ensemble, own.theta)
                           for own in tried if _score(own) < before.excess and _is_known(before))
         return _Round(before, sorted(tried, key=lambda own: not own.is_significant), structure,
