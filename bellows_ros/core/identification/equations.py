@@ -192,6 +192,13 @@ class LipMotion:
         return some
 
 
+def sizes(displacement: Array) -> Array:
+    """Return sizes of displacements (N, 6): x and y together, as they are of a round cup."""
+    x, y, z, rx, ry, rz = displacement.T
+    radial, bent = np.hypot(x, y), np.hypot(rx, ry)
+    return np.asarray(np.abs(np.column_stack([radial, radial, z, bent, bent, rz])))
+
+
 LEVER = 0.01
 """Moments are compared with forces at this lever, m."""
 

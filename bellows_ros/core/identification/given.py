@@ -23,6 +23,7 @@ from bellows_ros.core.identification.quantities import (
     anything,
     Free,
     KINDS,
+    OF_CUP,
     payload_of,
     poses_of,
 )
@@ -31,6 +32,7 @@ from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
@@ -142,7 +144,8 @@ MOST_CAUSES = 2
 """Causes that are looked for, one beside the other: the second takes 65 simulations at most, so
 that a whole fit to a wrong recording takes 219."""
 
-CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker')
+CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
+              *OF_CUP)
 
 
 def causes(
@@ -180,9 +183,14 @@ def causes(
         certain = certain and squares(again.parts) < MISFIT * sum(
             len(own.innovations) for own in again.parts)
     more = tuple(own._replace(certain=own.certain and certain) for own in more)
+    value, datum = '', name not in OF_CUP
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion
         name, theta = 'inertia', -theta
-    return Finding(name, '', theta, std, left, moved, True, certain), *more
+    if not datum:  # the entry of K that shows it best is enough
+        best = int(np.argmax(np.abs(theta) / std))
+        reach = max(own.reach[best] for own in again.parts) if name == 'cubic' else 1.0
+        value, theta, std = f'K {AXES[best]}', *(reach**2 * own[[best]] for own in (theta, std))
+    return Finding(name, value, theta, std, left, moved, datum, certain), *more
 
 
 def _scores(

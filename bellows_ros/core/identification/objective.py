@@ -14,7 +14,13 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.equations import IN_NULL_SPACE, LipMotion, Moments, regular
+from bellows_ros.core.identification.equations import (
+    IN_NULL_SPACE,
+    LipMotion,
+    Moments,
+    regular,
+    sizes,
+)
 from bellows_ros.core.identification.reduction import draws
 from bellows_ros.core.identification.samples import lip_relative, Samples, samples_of
 from bellows_ros.core.identification.variations import Block, Given, time_offset
@@ -174,9 +180,9 @@ def _extra(given: Given, L: Array) -> list[Array]:
         since = (lip.stamps_ns - lip.stamps_ns[0]) / NS_PER_S
         return [(since / since[-1] - 0.5)[:, None, None] * L[:, :, own]]
     if given.extra == 'cubic':
-        size = _sizes(lip.displacement(given.length))
+        size = sizes(lip.displacement(given.length))
         leads = [given.structure.leads[i][0] for i in own]
-        square = (size[:, leads] / np.abs(size[:, leads]).max(axis=0)) ** 2
+        square = (size[:, leads] / size[:, leads].max(axis=0)) ** 2
         return [part[:, None, :] * L[:, :, own] for part in (square, square**2)]
     if given.extra == 'friction':
         columns = []
@@ -189,13 +195,6 @@ def _extra(given: Given, L: Array) -> list[Array]:
     return []
 
 
-def _sizes(displacement: Array) -> Array:
-    """Return sizes of displacements (N, 6): x and y together, as they are of a round cup."""
-    x, y, z, rx, ry, rz = displacement.T
-    radial, bent = np.hypot(x, y), np.hypot(rx, ry)
-    return np.column_stack([radial, radial, z, bent, bent, rz])
-
-
 def _dragged(given: Given) -> Array:
     """Return the displacements (2, N, 6) of two sliders that the lip drags along (Dahl, 1968)."""
     own = given.samples
@@ -204,8 +203,8 @@ def _dragged(given: Given) -> Array:
         *lip_relative(own.tool, own.package, own.payload.com), np.empty((0, 6)),
     ).displacement(given.length)
     steps = np.nan_to_num(np.diff(way, axis=0, prepend=way[:1]))
-    most = np.abs(_sizes(way[own.valid] - way[own.valid].mean(axis=0))).max(axis=0)
-    keeps = 1.0 / (1.0 + np.abs(_sizes(steps)) / np.multiply.outer(
+    most = sizes(way[own.valid] - way[own.valid].mean(axis=0)).max(axis=0)
+    keeps = 1.0 / (1.0 + sizes(steps) / np.multiply.outer(
         SLIPS, np.maximum(most, 1e-12))[:, None])
     z, dragged = np.zeros((len(SLIPS), 6)), np.empty_like(keeps)
     for k, step in enumerate(steps):

@@ -46,6 +46,8 @@ KINDS: Mapping[str, Kind] = {
     'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
     'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
     'relaxation': Kind(1e-2, 2, 0.1, False, 1.0),
+    'drift': Kind(1e-2, 6, 0.1, False, 1.0),
+    'cubic': Kind(1e-2, 6, 0.1, False, 1.0),
 }
 """
 By their names in fit.free.
@@ -53,9 +55,20 @@ By their names in fit.free.
 By how much the tool's stamps are behind the package's, s; the centre of mass beside the given one
 in axes of the lip, m; the length beside the given one, m; logarithms of the factors of the moments
 of inertia and of the mass; shift and turn of the package's world about the middle of the
-package's way, and of B in its own axes against the measured pose, m and rad; and the strengths of
-relaxation beside those of the start.
+package's way, and of B in its own axes against the measured pose, m and rad; the strengths of
+relaxation beside those of the start; and parts by which the diagonal of K changes from beginning
+to end, and up to displacements of the size `BENT`.
 """
+
+OF_CUP = ('drift', 'cubic')
+"""What the cup may be, whatever was given. The model is without it, so that its effect is linear.
+"""
+
+BENT = np.repeat([5e-3, 0.1], 3)
+"""m, rad."""
+
+DIAGONAL = [0, 6, 11, 15, 18, 20]
+"""Of K, among `jacobians.PARAMETERS`."""
 
 
 Free = Mapping[str, Array]
@@ -109,6 +122,8 @@ def model_columns(name: str, payload: Package, parameters: Array) -> Array:
         return parameters[..., COM]
     if name == 'relaxation':
         return parameters[..., -2:]
+    if name in OF_CUP:
+        return parameters[..., DIAGONAL]
     if name == 'mass':
         return np.asarray(payload.mass * parameters[..., MASS])
     if name == 'inertia':

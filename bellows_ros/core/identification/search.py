@@ -21,12 +21,22 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.geometry.lie import apply, exp_so3, hat, log_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import (
+    apply,
+    exp_so3,
+    hat,
+    log_so3,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
+from bellows_ros.core.identification.equations import sizes
 from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
 from bellows_ros.core.identification.quantities import (
+    BENT,
     Free,
     KINDS,
     model_columns,
+    OF_CUP,
     payload_of,
     pose_changes,
     poses_of,
@@ -43,7 +53,13 @@ from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Pac
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
 from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
+from bellows_ros.core.model.simulation import (
+    rest,
+    row_state,
+    simulate_rows,
+    state_row,
+    tool_rows,
+)
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import BodyNoise, LOW_RATE_HZ, Recording
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample, subdivided
@@ -299,8 +315,9 @@ class Part(NamedTuple):
     The whitened differences of a segment.
 
     Innovations (6 N,), their derivatives (6 N, m) by the unknowns, the variance (N, 6) of each
-    difference and of the part of it that is the pose's own noise, and what is found on the way
-    back: the tool's changes and the package's first state.
+    difference and of the part of it that is the pose's own noise, what is found on the way back:
+    the tool's changes and the package's first state. And the largest displacements (6,) of the
+    lip, in `BENT`, where K may change with them.
     """
 
     innovations: Array
@@ -309,6 +326,7 @@ class Part(NamedTuple):
     own: Array
     change: Array
     first: State
+    reach: Array
 
 
 System = tuple[list[Part], Array, Array]
@@ -593,12 +611,23 @@ class Search:
         """Return the model of a segment, and what is free in it, SI units."""
         values = self.units * theta
         free = {name: values[places] for name, places in self.own_places(segment).items()}
-        cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
+        cup, measured = self._gripper(theta), segment.measured
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
         if 'relaxation' in free:
             cup = replace(cup, relaxation=_not_below(np.add(cup.relaxation, free['relaxation'])))
         return model_tuple(cup, payload_of(measured.payload, free), measured.gravity), free
+
+    def _gripper(self, theta: Array) -> Cup:
+        """Return what is simulated."""
+        return gripper_of(self.cup(theta), self.structure.places)
+
+    def _since(self, segment: Segment, stamps: Stamps) -> Array:
+        """Return the part of a segment's recording that is over at some stamps (M, 1)."""
+        first, *_, last = np.concatenate([
+            own.path.stamps_ns for own in self.segments
+            if own.measured.recording == segment.measured.recording])
+        return np.asarray((stamps - first) / (last - first))[:, None]
 
     def part(self, theta: Array, segment: Segment, forgets: float) -> Part:
         """Return a segment's whitened differences."""
@@ -626,27 +655,36 @@ class Search:
         last = WRENCH.start if np.any(numbers[DAMPING.stop:]) else DAMPING.stop
         out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
         T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
-        K = np.zeros((size, 6, states + 1))
+        gains = np.zeros((size, 6, states + 1))
+        steps = substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION))
+        scales, beyond, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
+        if not self.places.keys().isdisjoint(OF_CUP):
+            scales, beyond = np.ones((count, len(theta))), np.zeros(len(theta))
+            bent = _bent(model, tool, simulate_rows(model, first, tool, lengths, steps))
+            reach, K = bent.max(axis=0), np.diag(self._gripper(theta).stiffness)
+            courses = {'drift': self._since(segment, nodes.stamps) - 0.5, 'cubic': bent**2}
+            for name in self.places.keys() & courses:
+                (places,) = self.places[name]
+                scales[:, places], beyond[places] = K * courses[name], theta[places]
         whiten(
-            model, first, S, P, tool, lengths,
-            substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION)), held,
-            innovations, tool_variances, correlations,
-            forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
+            model, first, S, P, tool, lengths, steps, held, innovations, tool_variances,
+            correlations, forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
             np.hstack([package.position, rotation_to_quaternion(package.rotation)]), own,
-            segment.std**2, noise_correlations, last, numbers, delay, moves, out, slopes, T, B, K)
+            segment.std**2, noise_correlations, last, numbers, scales, beyond, delay, moves, out,
+            slopes, T, B, gains)
         if delay >= 0:
             slopes[:, :, delay] *= self.units[delay]  # the kernel has it per second
         found, slope = np.zeros((count, 6)), np.zeros(states)
-        likeliest(out, nodes.place, tool_variances, inner + 6, T, B, K, found, slope)
+        likeliest(out, nodes.place, tool_variances, inner + 6, T, B, gains, found, slope)
         change = np.zeros_like(segment.deviation)
         change[nodes.sampled] = found[nodes.samples]
         nearer = ahead - START[:inner] ** 2 * slope[:inner]
         with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
-            variances = K[:, :, -1] ** -2
+            variances = gains[:, :, -1] ** -2
         return Part(
             out.ravel(), slopes.reshape(6 * size, -1), variances, own,
             first_order(change, segment.measured.tool_noise.correlation),
-            with_mean(first, nearer[:, None]))
+            with_mean(first, nearer[:, None]), reach)
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
@@ -696,6 +734,15 @@ def _shrunk(model: ModelTuple, tool: Array, first: State, std: Array) -> State:
     away = _away(hanging, first)
     size = np.max(np.abs(away[:6]) / std) / SWINGING
     return with_mean(hanging, (1.0 - max(size, 1.0) ** -2) * away[:, None])
+
+
+def _bent(model: ModelTuple, tool: Array, body: Array) -> Array:
+    """Return the displacements (M, 6) of the lip in `BENT`, of rows of tool and package."""
+    back, R = (quaternion_to_rotation(own[:, 3:7]) for own in (tool, body))
+    back = np.swapaxes(back, 1, 2)
+    o = apply(back, body[:, :3] - apply(R, np.array(model[1][1])) - tool[:, :3])
+    way = np.hstack([o + [0.0, 0.0, model[0][1]], log_so3(back @ R)])
+    return np.asarray(sizes(way) / BENT)
 
 
 def _away(body: State, other: State) -> Array:

@@ -140,8 +140,8 @@ def whiten(
     model: ModelTuple, body: State, S: Any, P: Any, tool: Any, lengths: Any, steps: Any,
     held: Any, innovations: Any, tool_variances: Any, tool_correlations: Any, walk: Any,
     follows: bool, place: Any, poses: Any, variance: Any, noise_variance: Any,
-    noise_correlations: Any, last: int, numbers: Any, delay: int, moves: Any, out: Any,
-    slopes: Any, T: Any, B: Any, K: Any,
+    noise_correlations: Any, last: int, numbers: Any, scales: Any, beyond: Any, delay: int,
+    moves: Any, out: Any, slopes: Any, T: Any, B: Any, K: Any,
 ) -> None:
     """
     Write whitened differences and their derivatives, and what `likeliest` needs.
@@ -175,6 +175,9 @@ def whiten(
         The variance of its correlated noise, and its correlation from node to node.
     last, numbers : int, ndarray (64, p + 1)
         How many of `jacobians.PARAMETERS` are used, and `NUMBERS` by parameters.
+    scales, beyond : ndarray (M, p), (p,)
+        What `numbers` are multiplied by at the nodes, and the values of parameters that the model
+        is without: their effect, as far as it is linear, is in the mean. Empty where it has all.
     delay : int
         The parameter by which the tool's stamps are late; -1 for none.
     moves : ndarray (N, 6, p)
@@ -197,8 +200,8 @@ def whiten(
         _derivatives(model, here, body, last, A[own], C[own], B0)
         _enter(0.5 * held[k], B0, B[k])  # half of a sample acts behind the package's pose
         if k > 0:
-            _pass(lengths[k - 1], A, C, numbers, tool_correlations[k], noise_correlations[k - 1],
-                  walk, noise_variance, later, B[k], S, P, T[k])
+            _pass(lengths[k - 1], A, C, numbers, scales[k - 1:k + 1], beyond, tool_correlations[k],
+                  noise_correlations[k - 1], walk, noise_variance, later, B[k], S, P, T[k])
         _push(innovations[k], tool_variances[k], B[k], S, P)
         _enter(0.5 * held[k], B0, later)
         n = place[k]
@@ -244,9 +247,9 @@ def _enter(factor: float, effect: Any, out: Any) -> None:
 
 @array_kernel
 def _pass(
-    length: float, A: Any, C: Any, numbers: Any, tool_correlation: float,
-    noise_correlation: float, walk: Any, noise_variance: Any, later: Any, B: Any, S: Any, P: Any,
-    T: Any,
+    length: float, A: Any, C: Any, numbers: Any, scales: Any, beyond: Any,
+    tool_correlation: float, noise_correlation: float, walk: Any, noise_variance: Any, later: Any,
+    B: Any, S: Any, P: Any, T: Any,
 ) -> None:
     """Carry states, derivatives and covariance over a step; write its transition T."""
     n, m = P.shape[0], A.shape[1]
@@ -261,6 +264,10 @@ def _pass(
     for i in range(m, n):
         T[i, i] = tool_correlation if i < m + 6 else noise_correlation
     product(_mean(length, C), numbers, effect)
+    for i in range(m):
+        for j in range(len(beyond)):
+            effect[i, j] *= 0.5 * (scales[0, j] + scales[1, j])
+            effect[i, -1] += effect[i, j] * beyond[j]
     _copy(add_product(mean, effect, product(T, S, np.empty(S.shape))), S)
     product(T, _transposed(product(T, P, np.empty((n, n)))), P)
     for i in range(6):

@@ -169,6 +169,22 @@ def test_a_mass_is_named_where_the_rubber_seemed_to_relax_without_it():
     assert cause.certain and cause.name == 'inertia'
 
 
+@pytest.mark.parametrize(('seed', 'break_it', 'cause'), [
+    (904, FAULTS['soft spring'][0], 'not linear'),
+    (930, lambda own: own.vary(lambda when, deflection: 0.95 + 0.1 * when), 'drifts')])
+def test_a_cup_that_noise_hides_from_the_wrenches_is_named_by_the_fit(seed, break_it, cause):
+    """Where K z would be 11 % too small, without a word; and a drift with five times the error."""
+    laboratory = Laboratory(seed, seconds=6.0)
+    break_it(laboratory)
+    recordings, values = laboratory.recordings(), parameters(laboratory)
+    found = fit(recordings, values).fit
+    first, = found.causes
+    size = 0.1 if cause == 'drifts' else -0.06
+    assert first.certain and not first.material
+    assert abs(first.theta[0] - size) < 3.0 * first.std[0] < 0.02
+    assert cause in verdict_of(found, recordings, values['cup.length'], values).cause[0]
+
+
 def test_no_spring_explains_a_wrong_centre_of_mass_that_is_negative_at_rest():
     laboratory = Laboratory(245)
     FAULTS['centre of mass along z'][0](laboratory)
