@@ -347,13 +347,19 @@ def _package(held: Package) -> Finding | None:
 
 
 def _clocks(own: Recording) -> Finding | None:
-    """Return by how much the clocks are apart, where both bodies turn alike only later."""
+    """
+    Return by how much the clocks are apart, where both bodies turn alike only later.
+
+    By chance two parts of a motion are alike, too. Where small offsets have less than half of it,
+    the package does not follow the tool as stamped, and a weaker likeness is enough.
+    """
     lags, alike = turn_correlation(own.aligned_tool, own.aligned_package)
     if not len(lags):
         return None
     best, near = int(np.argmax(alike)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
-    if alike[best] < 2.0 * ALIKE or near[best] or (
-            near.any() and np.max(alike[near]) > PERIODIC * alike[best]):
+    small = np.max(alike[near], initial=0.0) / alike[best]
+    least = ALIKE if small < DISTINCT else 2.0 * ALIKE
+    if alike[best] < least or near[best] or small > PERIODIC:
         return None
     return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 

@@ -118,6 +118,13 @@ def test_of_two_faults_both_are_named(first, second, seed):
     assert len(named) == 2 == len(found.cause) and 'Besides' in found.cause[1]
 
 
+def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_did():
+    laboratory = Laboratory(903, seconds=12.0)
+    FAULTS['clocks far apart'][0](laboratory)
+    found, = implausible_inputs(laboratory.recording())
+    assert found.name == 'time_offset' and abs(found.theta[0] - laboratory.late) < 0.1
+
+
 def test_a_replay_names_clocks_that_are_apart():
     laboratory = Laboratory(4, seconds=8.0)
     recording = laboratory.recording()
