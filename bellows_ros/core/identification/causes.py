@@ -35,6 +35,7 @@ from bellows_ros.core.recording.alignment import (
     levelling,
     motion_of,
     motion_sentence,
+    R_WORLD_MOTIVE,
     turn_correlation,
 )
 from bellows_ros.core.recording.conventions import (
@@ -244,17 +245,21 @@ def _misread(own: Recording) -> Finding | None:
             f"The poses of '{own.tool_pose.name}' and '{own.package_pose.name}' use different "
             f'worlds: the lip of the cup is {away:.3g} m from the tool tip. Set '
             'recording.package_world.')
-    below, upward = -float(np.median(centre[:, 2])), float(np.median(way[:, 2]))
+    below = -float(np.median(centre[:, 2]))
+    upward = float(np.median(way[:, 2]))
+    other = float(np.median(apply(R_WORLD_MOTIVE, way)[:, 2]))  # either way: its own inverse
     if own.settings.package_frame == 'com' and below > 0.0:
         return because('recording.package_frame', (
             f'The package is tracked {1e3 * below:.0f} mm below the tool tip, but the lip of the '
             f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
             'recording.package_frame: lip; else check package.com.'))
-    if upward > 0.0:
+    if upward > 0.0 or other > -upward:
+        where = 'the world' if upward > other else 'the world of the other recording.world'
         return because('topics', (
             'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '
-            f'{1e3 * above:.0f} mm above the tool tip in tool axes, and {1e3 * upward:.0f} mm in '
-            'the world. Exchange the two; if they are right, check recording.world.'))
+            f'{1e3 * above:.0f} mm above the tool tip in tool axes, and '
+            f'{1e3 * max(upward, other):.0f} mm in {where}. Exchange the two; if they are right, '
+            'check recording.world.'))
     raise BellowsError(
         'z of the tool points the wrong way: it must point from the cup back into the arm. In '
         f'tool axes the lip of the cup is {1e3 * above:.0f} mm above the tool tip, in the world '
