@@ -233,7 +233,12 @@ def _world(own):
 
 def _yaw(own):
     angle = own.rng.choice([np.pi / 2, np.pi, -np.pi / 2])
-    own.turn[str(own.rng.choice(['tool', 'package']))] = exp_so3(np.array([0.0, 0.0, angle]))
+    _turn_one(own, np.array([0.0, 0.0, angle]))
+
+
+def _turn_one(own, turn):
+    body = str(own.rng.choice(['tool', 'package']))
+    own.turn[body] = own.turn.get(body, np.eye(3)) @ exp_so3(turn)
 
 
 def _frame(own):
@@ -272,7 +277,7 @@ def _millimetres(own):
 def _marker(own):
     turn = own.rng.normal(size=3)
     turn *= np.radians(own.rng.choice([2.0, 5.0])) / np.linalg.norm(turn)
-    own.turn[str(own.rng.choice(['tool', 'package']))] = exp_so3(turn)
+    _turn_one(own, turn)
 
 
 def _aside(own, size):
