@@ -573,6 +573,7 @@ def _judged(
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
     for what in range(0 if is_first else AT_START, len(SLOTS)):
         first, c, later = FIRSTS[what], OF_CAUSE[what], what >= AT_START
+        weighs = math.log(EVERY[what] if later else START_WEIGHS)
         explained[:], determinant[:] = 0.0, 1.0
         for i in range(FIRSTS[what + 1] - first):
             _explain(numbers, what, i, A, z, explained, determinant)
@@ -581,8 +582,7 @@ def _judged(
                 if stamp_ns >= onsets[1, k] + AFTER_NS[what] and _explains(
                         numbers[DISTANCES + k], explained[slot], onsets[0, k]):
                     ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
-                    ratio += math.log(EVERY[what] if later else START_WEIGHS)
-                    _add_ratio(ratio, c, (k, what, i + 1), top, sums, best)
+                    _add_ratio(ratio + weighs, c, (k, what, i + 1), top, sums, best)
     _judge_cups(numbers, onsets, cups, top, sums, best)
     for c in range(causes):
         top[c] += math.log(max(sums[c], 1.0)) + (
