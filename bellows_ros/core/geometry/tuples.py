@@ -280,16 +280,17 @@ def rotation_vector_rate(phi: Vector, omega: Vector) -> Vector:
 
 
 if COMPILED:
-    @array_kernel
+    @kernel
     def add_product(A: Any, B: Any, out: Any) -> Any:
-        """
-        Add A B to the first rows: 12 columns of A at once, then 6, and none of zeros.
+        """Add A B to the first rows; only as many columns of A are used as B has rows."""
+        return _add_from(0, A, B, out)
 
-        Only as many columns of A are used as B has rows.
-        """
+    @array_kernel
+    def _add_from(first: int, A: Any, B: Any, out: Any) -> Any:
+        """Add the product from a column of A on: 12 columns at once, then 6, and none of zeros."""
         n = min(A.shape[1], B.shape[0])
         for i in range(A.shape[0]):
-            row, m = out[i], 0
+            row, m = out[i], first
             while n - m >= 12:
                 C = A[i, m:m + 12]
                 if C.any():
@@ -323,9 +324,9 @@ if COMPILED:
     @array_kernel
     def product(A: Any, B: Any, out: Any) -> Any:
         """Write A B to the first rows, and return it; slices of columns take far longer."""
-        if A.shape[1] != 12:
+        if A.shape[1] < 12:
             out[:] = 0.0
-            return add_product(A, B, out)
+            return _add_from(0, A, B, out)
         for i in range(A.shape[0]):
             a, b, c, d, e, f = A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]
             g, h, p, q, r, s = A[i, 6], A[i, 7], A[i, 8], A[i, 9], A[i, 10], A[i, 11]
@@ -335,7 +336,7 @@ if COMPILED:
                     + f * B[5, j] + g * B[6, j] + h * B[7, j] + p * B[8, j] + q * B[9, j]
                     + r * B[10, j] + s * B[11, j])
         out[len(A):] = 0.0
-        return out
+        return _add_from(12, A, B, out) if A.shape[1] > 12 else out
 
     @array_kernel
     def subtract_product(Z: Any, B: Any, out: Any) -> None:

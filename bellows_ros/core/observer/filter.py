@@ -613,8 +613,7 @@ def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
 
     The last columns are those of lost cups, as many for each transition (12, 13) without a cup.
     """
-    n, last, out = len(E) - FALLEN, T[STATE], np.empty_like(E)
-    out[STATE:] = E[STATE:]
+    n, last, out = len(E) - FALLEN, T[STATE], E.copy()
     times_transition(T.astype(np.float32), E[:n], out[:STATE])
     carry_theta(out[STATE:n], last[SECONDS], memory)
     falling = np.zeros((6, FALLEN), np.float32)
