@@ -61,8 +61,7 @@ to end, and up to displacements of the size `BENT`.
 """
 
 OF_CUP = ('drift', 'cubic')
-"""What the cup may be, whatever was given. The model is without it, so that its effect is linear.
-"""
+"""What the cup may be, whatever was given. The model is without it: its effect is linear."""
 
 BENT = np.repeat([5e-3, 0.1], 3)
 """m, rad."""

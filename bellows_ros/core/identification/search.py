@@ -625,7 +625,7 @@ class Search:
     def _since(self, segment: Segment, stamps: Stamps) -> Array:
         """Return the part of a segment's recording that is over at some stamps (M, 1)."""
         first, *_, last = np.concatenate([
-            own.path.stamps_ns for own in self.segments
+            own.path.stamps_ns[[0, -1]] for own in self.segments
             if own.measured.recording == segment.measured.recording])
         return np.asarray((stamps - first) / (last - first))[:, None]
 
