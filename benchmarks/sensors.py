@@ -12,9 +12,7 @@ numbers was told, and how many fits converged. Only numbers whose bound is below
 """
 
 import argparse
-from collections.abc import Sequence
-import json
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 import time
 from typing import NamedTuple
 
@@ -31,7 +29,7 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
@@ -109,14 +107,20 @@ UNEVEN = np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0])
 JUDGED = 0.2
 
 
-def _noise(cell: Cell, count: int, rate: float, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return noise (N, 6) of unit variance, and what is kept of it from pose to pose."""
+def seen(
+    poses: Trajectory, stamps: Stamps, rate: float, std: Array, cell: Cell,
+    rng: np.random.Generator, noise: float = 1.0,
+) -> tuple[Trajectory, Trajectory, BodyNoise]:
+    """Return true poses at stamps, what a sensor with noise std (6,) times a factor sees, std."""
+    there, count = resample(poses, stamps), len(stamps)
     e = (rng.standard_t(4.0, (count, 6)) / np.sqrt(2.0) if cell.heavy_tails
          else rng.standard_normal((count, 6)))
     kept = float(np.exp(-1.0 / (rate * cell.memory))) if cell.memory else 0.0
     for k in range(1, count if kept else 0):
         e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
-    return e, kept
+    e *= noise * std
+    return there, Trajectory(stamps, there.position + e[:, :3],
+                             there.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, kept)
 
 
 def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[Measured]:
@@ -126,17 +130,11 @@ def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list
     tool = motion.at_rate(1000.0, 0)
     body = simulate(Cup.thesis(), PLATE, tool, gravity=GRAVITY)
     axes = UNEVEN if cell.uneven_axes else np.ones(6)
-
-    def seen(poses: Trajectory, rate: float, size: Pair) -> tuple[Trajectory, BodyNoise]:
-        stamps = np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64)
-        there, (draw, kept) = resample(poses, stamps), _noise(cell, len(stamps), rate, rng)
-        std = np.repeat(size, 3) * axes
-        draw = noise * std * draw
-        return Trajectory(stamps, there.position + draw[:, :3],
-                          there.rotation @ exp_so3(draw[:, 3:])), BodyNoise(std, kept)
-
-    (tool, tool_noise), (body, package_noise) = (
-        seen(tool, cell.tool_hz, cell.tool), seen(body, cell.package_hz, cell.package))
+    (_, tool, tool_noise), (_, body, package_noise) = (
+        seen(poses, np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64), rate,
+             np.repeat(size, 3) * axes, cell, rng, noise)
+        for poses, rate, size in ((tool, cell.tool_hz, cell.tool),
+                                  (body, cell.package_hz, cell.package)))
     if cell.jitter and noise:
         tool_stream, package_stream = (
             PoseStream(name, 'world', _arrivals(own.stamps_ns, cell.jitter, rng), own.position,
@@ -168,6 +166,16 @@ class Trial(NamedTuple):
     seconds: float
 
 
+def bound_of(
+    cup: Cup, structure: Structure, true: Measured, free: Mapping[str, Array]
+) -> Array:
+    """Return the Cramer-Rao bound (n,) of the parameters and of all else that is free."""
+    search = Search([Segment(true)], structure, cup, free)
+    jacobian = search.system(search.start, 0.0)[0][0].jacobian
+    information = jacobian.T @ jacobian + np.diag(search.weights)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))) * search.units)
+
+
 def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:
     """Return how well a cell's recording tells the cup."""
     structure, cup, began = structure_named(form), Cup.thesis(), time.process_time()
@@ -178,12 +186,8 @@ def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:
             for name in APART} if cell.apart else {}
     fit = output_error(recorded(seed, cell, duration), structure, start, None, free)
     seconds = time.process_time() - began
-    true = recorded(seed, cell._replace(apart=False), duration, 0.0)
-    search = Search([Segment(own) for own in true], structure, cup, free)
-    parts, _, _ = search.system(search.start, 0.0)
-    information = parts[0].jacobian.T @ parts[0].jacobian + np.diag(search.weights)
-    bound = np.sqrt(np.diag(np.linalg.inv(information))[:len(sizes)]) * (
-        search.units[:len(sizes)] / sizes)
+    (true,) = recorded(seed, cell._replace(apart=False), duration, 0.0)
+    bound = bound_of(cup, structure, true, free)[:len(sizes)] / sizes
     error, std = (fit.parameters - truth) / sizes, np.sqrt(np.diag(fit.covariance)) / sizes
     known = np.isfinite(std)
     left = error[known]
@@ -217,27 +221,14 @@ def main() -> None:
     parser.add_argument('--duration', type=float, default=30.0, help='of a recording, s')
     parser.add_argument('--structure', default='axisymmetric')
     parser.add_argument('--cells', nargs='+', choices=CELLS, default=list(CELLS))
-    parser.add_argument('--rows', type=Path, help='keep every fit here, and make none twice')
     arguments = parser.parse_args()
     print('| sensors | rms / bound (worst) | bias / bound (worst) | covered % | Mahalanobis | '
           'K off by at most | judged, told | converged | CPU s |\n'
           '|---|---|---|---|---|---|---|---|---|')
-    kept = {}
-    if arguments.rows and arguments.rows.exists():
-        for text in arguments.rows.read_text().splitlines():
-            key, values = json.loads(text)
-            kept[tuple(key)] = Trial(*map(np.array, values[:3]), *values[3:])
     for name in arguments.cells:
-        trials = []
-        for seed in range(arguments.runs):
-            key = f'{name}, {arguments.structure}', arguments.duration, seed
-            if key not in kept:
-                kept[key] = trial(CELLS[name], seed, arguments.duration, arguments.structure)
-                if arguments.rows:
-                    with arguments.rows.open('a') as rows:
-                        rows.write(json.dumps([key, kept[key]], default=np.ndarray.tolist) + '\n')
-            trials.append(kept[key])
-        print(line(key[0], trials), flush=True)
+        print(line(f'{name}, {arguments.structure}', [
+            trial(CELLS[name], seed, arguments.duration, arguments.structure)
+            for seed in range(arguments.runs)]), flush=True)
 
 
 if __name__ == '__main__':

@@ -20,18 +20,18 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.quantities import anything
-from bellows_ros.core.identification.search import Measured, Search, Segment
+from bellows_ros.core.identification.search import Measured
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.recording.recording import BodyNoise
-from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import _prepared, prepare_settings
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
+
+from .sensors import bound_of, CAMERA, ROBOT, seen
 
 START, RATE, GRAVITY = 10**18, 1000.0, 9.81
 FREE = 'time_offset', 'package_world', 'package_marker'
@@ -81,21 +81,12 @@ def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, M
     tool = tool_motion(rng, duration, bool(seed % 2))
     body = simulate(cup, PLATE, tool, gravity=GRAVITY)
 
-    def seen(
-        poses: Trajectory, rate: float, std: tuple[float, float], memory: float
-    ) -> tuple[Trajectory, Trajectory, BodyNoise]:
-        stamps = poses.stamps_ns[::round(RATE / rate)]
-        there, e = resample(poses, stamps), rng.standard_normal((len(stamps), 6))
-        kept = np.exp(-1.0 / (rate * memory)) if memory else 0.0
-        for k in range(1, len(e)):
-            e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
-        e *= np.repeat(std, 3)
-        return there, Trajectory(
-            stamps, there.position + e[:, :3], there.rotation @ exp_so3(e[:, 3:])), BodyNoise(
-                np.repeat(std, 3), float(kept))
-
-    true_tool, tool, tool_noise = seen(tool, 500.0, (2e-5, 5e-5), 0.0)
-    true_body, body, noise = seen(body, 30.0, (5e-4, 2.5e-3), 0.05 if seed % 4 > 1 else 0.0)
+    (true_tool, tool, tool_noise), (true_body, body, noise) = (
+        seen(poses, poses.stamps_ns[::round(RATE / rate)], rate, np.repeat(std, 3),
+             CAMERA._replace(memory=memory), rng)
+        for poses, rate, std, memory in (
+            (tool, 500.0, ROBOT, 0.0),
+            (body, 30.0, (5e-4, 2.5e-3), 0.05 if seed % 4 > 1 else 0.0)))
     way = 0.03 * log_so3(exp_so3(rng.standard_normal(3)))
     R_marker, R_world = (exp_so3(rng.uniform(-2.0, 2.0, 3)) for _ in range(2))
     o_world = rng.uniform(-1.0, 1.0, 3)
@@ -105,15 +96,6 @@ def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, M
                    (body.position + apply(body.rotation, way) - o_world) @ R_world,
                    R_world.T @ body.rotation @ R_marker)), Measured(
                        true_tool, true_body, PLATE, GRAVITY, tool_noise, noise)
-
-
-def bound_of(cup: Cup, true: Measured) -> Array:
-    """Return the Cramer-Rao bound of K x, z, rx and rz with world, clock and marker free."""
-    structure = structure_named('axisymmetric')
-    search = Search([Segment(true)], structure, cup, anything(FREE))
-    information = search.system(search.start, 0.0)[0][0].jacobian
-    information = information.T @ information + np.diag(search.weights)
-    return np.asarray((np.sqrt(np.diag(np.linalg.inv(information))) * search.units)[:4])
 
 
 def line(seed: int, duration: float) -> tuple[str, Array]:
@@ -132,7 +114,8 @@ def line(seed: int, duration: float) -> tuple[str, Array]:
     except BellowsError as error:
         return f'{about} refused: {str(error)[:60]} | | | | |', np.empty((3, 0))
     error = np.diag(found.stiffness - cup.stiffness)[SHOWN]
-    z, ratio = error / np.diag(found.stiffness_std)[SHOWN], error / bound_of(cup, true)
+    z, ratio = error / np.diag(found.stiffness_std)[SHOWN], error / bound_of(
+        cup, structure_named('axisymmetric'), true, anything(FREE))[:4]
     of_flexibility = ratio * (np.diag(cup.stiffness) / np.diag(found.stiffness))[SHOWN]
     verdict = verdict_of(both, [recording], values['cup.length'], values)
     refused = verdict is not None and bool(verdict.refusals)
