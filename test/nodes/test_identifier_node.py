@@ -81,16 +81,6 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path)
                 and value == PARAMETERS[name].default]
 
 
-def test_absent_predictor_is_said(ros, rig, monkeypatch):
-    """Give up after a while, with the cup found."""
-    monkeypatch.setattr('bellows_ros.nodes.identifier_node.LONGEST_WAIT', 0.2)
-    node = make(ros, bags=[str(rig / 'clean')], predictor='/elsewhere')
-    assert ros.spin_until(node.finished.done, LONGEST)
-    with pytest.raises(BellowsError, match="'/elsewhere'"):
-        node.finished.result()
-    assert node.has_parameter('cup.stiffness')
-
-
 def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
     """Give packages in files, standstills, structures, validation and a page."""
     package = [str(root / 'bags/package.yaml')]
@@ -111,14 +101,18 @@ def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
     assert '7 standstills are part of the fit' in (tmp_path / 'page.html').read_text()
 
 
-def test_packages_in_files_are_enough(ros, root):
-    """Start without package.* where each recording has a file of its own."""
+def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root, monkeypatch):
+    """Start without package.*, and give up waiting after a while, with the cup found."""
+    monkeypatch.setattr('bellows_ros.nodes.identifier_node.LONGEST_WAIT', 0.2)
     node = make(
-        ros, {}, bags=[str(root / 'bags/validation')], cup__length=0.046,
+        ros, {}, predictor='/elsewhere', bags=[str(root / 'bags/validation')], cup__length=0.046,
         package__files=[str(root / 'bags/package.yaml')], topics__tool_pose='/tool_arm/pose',
         topics__package_pose='/package/pose')
     assert not node.has_parameter('package.mass')
-    assert ros.spin_until(lambda: node.has_parameter('cup.stiffness'), LONGEST)
+    assert ros.spin_until(node.finished.done, LONGEST)
+    with pytest.raises(BellowsError, match="'/elsewhere'"):
+        node.finished.result()
+    assert node.has_parameter('cup.stiffness')
 
 
 def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path):
