@@ -117,7 +117,7 @@ json_values = strategies.recursive(
     | strategies.floats()
     | strategies.text(),
     lambda inner: strategies.lists(inner) | strategies.dictionaries(strategies.text(), inner),
-)
+    max_leaves=10)
 
 
 def without_unknown(value):

@@ -71,7 +71,7 @@ def test_nothing_is_computed_twice(root, tmp_path, monkeypatch):
     found = identify({
         **read_parameters(root / 'bags/package.yaml'), 'bags': [str(root / 'bags/identification')],
         'validation.bags': [str(root / 'bags/validation')], 'fit.method': 'least_squares',
-        'fit.compare_structures': True, 'output.report': str(page), 'recording.end': 12.0})
+        'fit.compare_structures': True, 'output.report': str(page), 'recording.end': 8.0})
     write_page(found, page)
     assert {name for name, _ in calls} == set(EXPENSIVE)
     assert [key for key, count in calls.items() if count > 1] == []
