@@ -238,14 +238,11 @@ def study(loss_factor: float, seed: int = 1) -> tuple[dict[str, Fit], dict[str, 
 
 def kelvin_voigt(runs: int) -> None:
     """Print in how many recordings of a cup that does not relax the strengths are significant."""
-    found, ratios = 0, []
+    found = 0
     for seed in range(runs):
         recording = recorded(0.0, seed, multisine(seed, 8.0, 4.0), 14.0)
-        auto, off = (identified(recording, name) for name in ('auto', 'off'))
-        found += any(auto.relaxation)
-        ratios.append(np.nanmax(auto.stiffness_std / np.maximum(off.stiffness_std, 1e-99)))
-        print(f'  {seed + 1} of {runs}: significant in {found}, errors of K at most '
-              f'{max(ratios):.2f} times those without', flush=True)
+        found += any(identified(recording, 'auto').relaxation)
+        print(f'  {seed + 1} of {runs}: significant in {found}', flush=True)
 
 
 def main() -> None:
