@@ -36,7 +36,7 @@ from bellows_ros.workflows.recordings import (
     repeats,
     values_of_each,
 )
-from bellows_ros.workflows.verdict import FitVerdict, LOOKED_AT, verdict_of
+from bellows_ros.workflows.verdict import allowances, FitVerdict, LOOKED_AT, verdict_of
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
@@ -124,7 +124,7 @@ def identify(
             methods.are_differentiable(parts, values)):
         tell(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole, effective['cup.length'], effective)
-        if early and early.refusals:
+        if early and early._replace(allowed=allowances(effective)).refusals:
             effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
     return _identified(values, effective, parts, static, tell, read, failed=tuple(failed),
                        assumed=notes, parameter_files=of_files)

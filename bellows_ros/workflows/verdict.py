@@ -161,10 +161,12 @@ class FitVerdict(NamedTuple):
                 f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
-        first = self.diagnosis.findings[:1]
-        if first and first[0].material and not self.allows_for(first[0]):
+        causing = (*self.diagnosis.findings[:1], *self.diagnosis.besides)
+        wrong = [own for own in causing if own.material and not self.allows_for(own)]
+        if wrong:
+            line = 'first line says' if wrong[0] is causing[0] else 'lines above say'
             found.append(
-                f'Correct {causes.setting_of(first[0])} as the first line says, and fit again.')
+                f'Correct {causes.setting_of(wrong[0])} as the {line}, and fit again.')
         return tuple(found)
 
     def as_json(self) -> dict[str, Any]:
@@ -179,6 +181,11 @@ class FitVerdict(NamedTuple):
                  'units': dict.fromkeys(('theta', 'std'), causes.KNOWN_CAUSES[found.name].units)}
                 for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides)}
+
+
+def allowances(values: Mapping[str, Any]) -> Free:
+    """Return the standard deviations, SI units, of what output error finds with K and P."""
+    return {name: std for name, std in given_std(values).items() if name in LOCAL}
 
 
 def verdict_of(
@@ -206,7 +213,7 @@ def verdict_of(
     if not some:
         return None
     held = some[0].payload
-    given = given_std(values) if fit is not None and fit.found else {}
+    allowed = allowances(values) if fit is not None and fit.found else {}
     values = {**values, 'package.mass': held.mass, 'package.com': held.com,
               'package.inertia': np.diag(held.inertia)}
     slow = fit is not None and fit.method == 'output_error' and (
@@ -219,7 +226,7 @@ def verdict_of(
         diagnosis = diagnose(some, length, given_structure(values), known)
     if fit is None:
         return FitVerdict((), diagnosis, values)
-    allowed = {name: std for name, std in given.items() if name in fit.found and name in LOCAL}
+    allowed = {name: std for name, std in allowed.items() if name in fit.found}
     length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)

@@ -96,6 +96,10 @@ SWINGING = 3.0
 LEAST_STRENGTH, ORDINARY_STRENGTH = 1e-6, 0.05
 """Strengths of relaxation are not below the first where they are searched for; of soft rubber."""
 
+TOGETHER = 2e-4
+"""Time (s) within which a pose of the package is at a sample of the tool: half of its noise acts
+before, whatever the clocks are off by. The package moves by its twist from there."""
+
 LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
 """Longest steps of the linearised model, and of the integrator (s)."""
 
@@ -104,6 +108,9 @@ FORGETS = 30.0
 
 LEAST_DAMPING = 1e-2
 """Of steps that bring a start near, in which noise would carry away what is hardly known."""
+
+MOST_DAMPED = 1e-2
+"""Of a step that is the last."""
 
 WIDE = 2.0, 1.0
 """Standard deviation of the logarithm of the size of K, about the start, and of P."""
@@ -128,7 +135,7 @@ MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
 Largest numbers of steps: to bring a start near, after that, and after that with a misfit.
 
 So a search simulates a wrong recording 53 times at most (with clocks or frames free, 64), and a
-whole fit, with relaxation, the likeliest causes and what was given free in turn, 219 times.
+whole fit, with relaxation, the likeliest causes and what was given free in turn, 283 times.
 """
 
 MISFIT = 1.5
@@ -234,6 +241,8 @@ class Nodes(NamedTuple):
         Number of the package's pose at each node, -1 for none.
     sampled, seen : bool ndarray
         The tool's samples and the package's poses that are used.
+    late : ndarray (N,)
+        Time (s) from the nodes to the poses seen, of those at a sample of the tool.
 
     """
 
@@ -242,6 +251,7 @@ class Nodes(NamedTuple):
     place: Places
     sampled: Mask
     seen: Mask
+    late: Array
 
 
 class Segment:
@@ -279,7 +289,11 @@ class Segment:
 
     def nodes(self, delay: float) -> Nodes:
         """Return the nodes, with the tool's stamps late by so many seconds."""
-        own, stamps = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
+        own, taken = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
+        after = np.clip(np.searchsorted(own, taken), 1, len(own) - 1)
+        nearest = np.where(2 * taken < own[after - 1] + own[after], own[after - 1], own[after])
+        together = np.min(np.diff(taken) // 4, initial=round(TOGETHER * NS_PER_S))
+        stamps = np.where(np.abs(taken - nearest) <= together, nearest, taken)
         seen = (stamps >= own[0]) & (stamps <= own[-1])
         if not seen.any():
             raise BellowsError('No package pose lies within the motion of the tool.')
@@ -290,7 +304,8 @@ class Segment:
         sampled = own >= nodes[0]
         place = np.full(len(nodes), -1)
         place[np.searchsorted(nodes, stamps[seen])] = np.arange(np.count_nonzero(seen))
-        return Nodes(nodes, np.searchsorted(nodes, own[sampled]), place, sampled, seen)
+        return Nodes(nodes, np.searchsorted(nodes, own[sampled]), place, sampled, seen,
+                     (taken - stamps)[seen] / NS_PER_S)
 
     def tool_noise(self, nodes: Nodes) -> tuple[Array, Array, Array, Array]:
         """
@@ -492,6 +507,7 @@ class Search:
             theta, (parts, H, g), last = there, new, step
             self.take(parts)
             settled = forgets > 0.0 or self.take_noise(parts)
+            settled &= damping <= MOST_DAMPED  # else only the step is short
             damping = max(0.1 * damping, least) if damping > 1e-5 else 0.0
             note(self.cup(theta), squares(parts) / expected)
             if length < end and settled:
@@ -669,7 +685,8 @@ class Search:
         whiten(
             model, first, S, P, tool, lengths, steps, held, innovations, tool_variances,
             correlations, forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
-            np.hstack([package.position, rotation_to_quaternion(package.rotation)]), own,
+            np.column_stack([
+                package.position, rotation_to_quaternion(package.rotation), nodes.late]), own,
             segment.std**2, noise_correlations, last, numbers, scales, beyond, delay, moves, out,
             slopes, T, B, gains)
         if delay >= 0:

@@ -61,6 +61,9 @@ import numpy as np
 CLIPPED = 3.0
 """Differences beyond so many standard deviations count linearly, not by their squares (Huber)."""
 
+AT_ONCE = 8
+"""Most steps of the integrator in which the exponential of a linearised model is taken at once."""
+
 NUMBERS = PARAMETERS + 2
 """Those of `jacobians.PARAMETERS`, then the two strengths of relaxation."""
 
@@ -169,8 +172,9 @@ def whiten(
         Whether the package that is linearised about takes on what is estimated of x.
     place : int ndarray (M,)
         Number of the package's pose at a node, or -1.
-    poses, variance : ndarray (N, 7), (N, 6)
-        Measured poses of B, and the variances (m^2, rad^2) of white noise in its own axes.
+    poses, variance : ndarray (N, 8), (N, 6)
+        Measured poses of B with the little time (s) that each is after its node, and the variances
+        (m^2, rad^2) of white noise in its own axes.
     noise_variance, noise_correlations : ndarray (6,), (M - 1,)
         The variance of its correlated noise, and its correlation from node to node.
     last, numbers : int, ndarray (64, p + 1)
@@ -200,8 +204,9 @@ def whiten(
         _derivatives(model, here, body, last, A[own], C[own], B0)
         _enter(0.5 * held[k], B0, B[k])  # half of a sample acts behind the package's pose
         if k > 0:
-            _pass(lengths[k - 1], A, C, numbers, scales[k - 1:k + 1], beyond, tool_correlations[k],
-                  noise_correlations[k - 1], walk, noise_variance, later, B[k], S, P, T[k])
+            _pass(lengths[k - 1], steps[k - 1], A, C, numbers, scales[k - 1:k + 1], beyond,
+                  tool_correlations[k], noise_correlations[k - 1], walk, noise_variance, later,
+                  B[k], S, P, T[k])
         _push(innovations[k], tool_variances[k], B[k], S, P)
         _enter(0.5 * held[k], B0, later)
         n = place[k]
@@ -210,8 +215,9 @@ def whiten(
             shift, turn = pose_error(
                 body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
             for i in range(3):
-                out[n, i], out[n, 3 + i], twist[i], twist[3 + i] = (
-                    shift[i], turn[i], body[2][i], body[3][i])
+                twist[i], twist[3 + i] = body[2][i], body[3][i]
+                out[n, i] = shift[i] - pose[7] * twist[i]
+                out[n, 3 + i] = turn[i] - pose[7] * twist[3 + i]
             _measure(
                 variance[n], moves[n], twist, delay, m + 6, S, P, out[n], slopes[n], K[n])
             if follows:
@@ -247,14 +253,14 @@ def _enter(factor: float, effect: Any, out: Any) -> None:
 
 @array_kernel
 def _pass(
-    length: float, A: Any, C: Any, numbers: Any, scales: Any, beyond: Any,
+    length: float, steps: int, A: Any, C: Any, numbers: Any, scales: Any, beyond: Any,
     tool_correlation: float, noise_correlation: float, walk: Any, noise_variance: Any, later: Any,
     B: Any, S: Any, P: Any, T: Any,
 ) -> None:
     """Carry states, derivatives and covariance over a step; write its transition T."""
     n, m = P.shape[0], A.shape[1]
     mean, effect = np.zeros((m, m)), np.zeros((m, S.shape[1]))
-    F = _exponential(_mean(length, A), mean)
+    F = _exponential(_mean(length, A), steps, mean)
     pushed = product(F, later[:m], np.empty((m, 6)))
     for i in range(m):
         for j in range(m):
@@ -305,8 +311,27 @@ def _transposed(A: Any) -> Any:
 
 
 @array_kernel
-def _exponential(M: Any, mean: Any) -> Any:
-    """Return exp(M) to fourth order; write the mean of exp(t M) for t from 0 to 1."""
+def _exponential(M: Any, steps: int, mean: Any) -> Any:
+    """
+    Return exp(M), M changed; write the mean of exp(t M) for t from 0 to 1.
+
+    To fourth order over `AT_ONCE` steps of the integrator at most, doubled to all of them.
+    """
+    doublings = 0
+    while steps > AT_ONCE:
+        steps, doublings = (steps + 1) // 2, doublings + 1
+    M *= 0.5**doublings
+    F, other = _short_exponential(M, mean), np.empty(M.shape)
+    for _ in range(doublings):
+        mean += product(F, mean, other)
+        mean *= 0.5
+        F, other = product(F, F, other), F
+    return F
+
+
+@array_kernel
+def _short_exponential(M: Any, mean: Any) -> Any:
+    """Return exp(M), and write its mean, to fourth order."""
     X, Y = M.copy(), np.empty(M.shape)
     for order in range(3):  # 4 + M, 12 + M X, 24 + M Y
         if order > 0:

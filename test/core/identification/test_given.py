@@ -12,7 +12,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from .recordings import PLATE
-from .test_output_error import AXISYMMETRIC, measured, NUMBERS, TRUTH
+from .test_output_error import AXISYMMETRIC, measured, NUMBERS, scaled, TRUTH
 
 QUIET = {'package_noise': (1e-4, 5e-4), 'package_hz': 60.0}
 SAID = resolve({'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
@@ -49,6 +49,17 @@ def test_couplings_of_a_frame_that_is_off_are_within_their_errors():
     known = np.isfinite(std)
     assert known[:21].all()
     assert np.abs((found.parameters - true) / std)[known].max() < 4.5
+
+
+def test_a_com_with_which_the_cup_would_be_pressed_is_found_with_it():
+    """Find K z where the weight seems to lift the lip, so that none fits without the com."""
+    own = measured(11, (2e-4, 1e-3), (2e-4, 1e-3), 100.0, 100.0, 8.0, cup=scaled(4.0))
+    wrong = replace(own, payload=varied(PLATE, com=np.array([0.0, 0.0, -1.6e-3])))
+    found = output_error([wrong], AXISYMMETRIC, TRUTH, given=USUAL)
+    assert found.converged
+    std = np.sqrt(np.diag(found.covariance + found.from_given))[:4]
+    assert np.all(np.abs(found.parameters - 4.0 * NUMBERS)[:4] < 4.0 * std)
+    assert np.all(std < 0.3 * 4.0 * NUMBERS[:4])
 
 
 def test_k_is_known_no_better_than_the_mass():

@@ -209,6 +209,35 @@ def test_a_clock_that_is_late_is_found():
     assert np.all(np.abs(z_of(fit)) < 4.0)
 
 
+def test_poses_at_the_stamps_of_the_tool_stay_there_as_the_clock_moves():
+    """Have differences that go on smoothly through equal stamps, and are exact beside them."""
+    own = measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 4.0)
+    search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {'time_offset': np.array([1e-3])})
+    (own_place,), = search.places['time_offset']
+    by = np.eye(len(search.units))[own_place] / search.units[own_place]
+    late, early = (search.part(search.start + seconds * by, search.segments[0], 0.0)
+                   for seconds in (2e-6, -2e-6))
+    assert_allclose(late.innovations, early.innovations, atol=0.03)
+    exact = measured(3, package_hz=250.0, duration=4.0, late_ns=-100_000, silent=True)
+    for seconds, largest in ((-1e-4, 2e-6), (0.0, np.inf)):
+        search = Search([Segment(exact)], AXISYMMETRIC, TRUTH, {'time_offset': np.array([1e-3])})
+        for _ in range(4):
+            part = search.part(search.start + seconds * by, search.segments[0], 0.0)
+            search.take([part])
+        off = np.abs(part.innovations.reshape(-1, 6) * np.sqrt(part.spread))[20:, :3].max()
+        assert off < largest
+    assert off > 2e-5
+
+
+def test_a_cup_far_too_stiff_for_the_rate_is_followed():
+    """Take modes of ten radians a sample as they are: they made the covariance infinite."""
+    search = Search([Segment(measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 3.0))], AXISYMMETRIC,
+                    scaled(300.0), {})
+    parts, H, g = search.system(search.start, 0.0)
+    assert np.isfinite(H).all() and np.isfinite(g).all()
+    assert 1.0 < np.mean(parts[0].innovations ** 2) < 1e4
+
+
 def test_gaps_and_outliers_are_bridged():
     own = measured(9)
     position, R = own.package.position.copy(), own.package.rotation.copy()
