@@ -76,7 +76,8 @@ def with_given(
     Return the minimum near one with what was given free, by its standard deviations.
 
     With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units. Of
-    a search that did not converge, that from its start with all that was given free.
+    a search that did not converge, that from its start with all that was given free, unless that
+    would be off by more than `SIGNIFICANT` times its standard deviation.
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
@@ -87,7 +88,8 @@ def with_given(
             segment.begin()
         wide = search.beside(found._replace(theta=search.start), more)
         again = wide.found(note)
-        if again.converged:
+        off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
+        if again.converged and np.all(off < SIGNIFICANT):
             return wide, again, np.zeros((len(wide.units),) * 2)
         search.take(found.parts)
         return search, found, np.zeros((size, size))

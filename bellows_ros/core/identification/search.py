@@ -675,13 +675,9 @@ class Search:
         steps = substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION))
         scales, beyond, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
         if not self.places.keys().isdisjoint(OF_CUP):
-            scales, beyond = np.ones((count, len(theta))), np.zeros(len(theta))
             bent = _bent(model, tool, simulate_rows(model, first, tool, lengths, steps))
-            reach, K = bent.max(axis=0), np.diag(self._gripper(theta).stiffness)
-            courses = {'drift': self._since(segment, nodes.stamps) - 0.5, 'cubic': bent**2}
-            for name in self.places.keys() & courses:
-                (places,) = self.places[name]
-                scales[:, places], beyond[places] = K * courses[name], theta[places]
+            reach = bent.max(axis=0)
+            scales, beyond = self._of_cup(theta, segment, nodes.stamps, bent)
         whiten(
             model, first, S, P, tool, lengths, steps, held, innovations, tool_variances,
             correlations, forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
@@ -702,6 +698,18 @@ class Search:
             out.ravel(), slopes.reshape(6 * size, -1), variances, own,
             first_order(change, segment.measured.tool_noise.correlation),
             with_mean(first, nearer[:, None]), reach)
+
+    def _of_cup(
+        self, theta: Array, segment: Segment, stamps: Stamps, bent: Array
+    ) -> tuple[Array, Array]:
+        """Return factors (M, m) of columns from node to node, and unknowns (m,) of `OF_CUP`."""
+        scales, beyond = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
+        K = np.diag(self._gripper(theta).stiffness)
+        courses = {'drift': self._since(segment, stamps) - 0.5, 'cubic': bent**2}
+        for name in self.places.keys() & courses:
+            (places,) = self.places[name]
+            scales[:, places], beyond[places] = K * courses[name], theta[places]
+        return scales, beyond
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
