@@ -41,8 +41,8 @@ be left all the same: filters take a part of quick motions, not of the output er
 
 
 ALLOWED_FOR = (
-    'That is within the standard deviation it was given with, so K and P are those with it. '
-    'Predictions are better with it, too.')
+    'This is within three standard deviations of the given value: the fit has corrected it, and K '
+    'and P hold. Correct the value, too: predictions need it.')
 """Of a cause that refuses no cup."""
 
 
@@ -184,7 +184,7 @@ class FitVerdict(NamedTuple):
 
 
 def allowances(values: Mapping[str, Any]) -> Free:
-    """Return the standard deviations, SI units, of what output error finds with K and P."""
+    """Return standard deviations, SI units, of what output error may correct beside K and P."""
     return {name: std for name, std in given_std(values).items() if name in LOCAL}
 
 
@@ -213,7 +213,8 @@ def verdict_of(
     if not some:
         return None
     held = some[0].payload
-    allowed = allowances(values) if fit is not None and fit.found else {}
+    corrected = fit.found if fit is not None else {}
+    allowed = {name: std for name, std in allowances(values).items() if name in corrected}
     values = {**values, 'package.mass': held.mass, 'package.com': held.com,
               'package.inertia': np.diag(held.inertia)}
     slow = fit is not None and fit.method == 'output_error' and (
@@ -226,7 +227,6 @@ def verdict_of(
         diagnosis = diagnose(some, length, given_structure(values), known)
     if fit is None:
         return FitVerdict((), diagnosis, values)
-    allowed = {name: std for name, std in allowed.items() if name in fit.found}
     length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(values).places)

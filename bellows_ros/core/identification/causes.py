@@ -254,7 +254,7 @@ def _misread(own: Recording) -> Finding | None:
             f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
             'recording.package_frame: lip; else check package.com.'))
     if upward > 0.0 or other > -upward:
-        where = 'the world' if upward > other else 'the world of the other recording.world'
+        where = 'the world' if upward > other else 'that of the other recording.world'
         return because('topics', (
             'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '
             f'{1e3 * above:.0f} mm above the tool tip in tool axes, and '
@@ -355,16 +355,17 @@ def _clocks(own: Recording) -> Finding | None:
     """
     Return by how much the clocks are apart, where both bodies turn alike only later.
 
-    By chance two parts of a motion are alike, too. Where small offsets have less than half of it,
-    the package does not follow the tool as stamped, and a weaker likeness is enough.
+    Two parts of a motion may be alike by chance. Where the correlation at small offsets is less
+    than half of the largest, the package does not follow the tool as stamped, and a smaller one
+    is enough.
     """
     lags, alike = turn_correlation(own.aligned_tool, own.aligned_package)
     if not len(lags):
         return None
     best, near = int(np.argmax(alike)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
-    small = np.max(alike[near], initial=0.0) / alike[best]
-    least = ALIKE if small < DISTINCT else 2.0 * ALIKE
-    if alike[best] < least or near[best] or small > PERIODIC:
+    largest, small = alike[best], np.max(alike[near], initial=0.0)
+    least = ALIKE if small < DISTINCT * largest else 2.0 * ALIKE
+    if largest < least or near[best] or small > PERIODIC * largest:
         return None
     return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 

@@ -317,7 +317,7 @@ def _trials(
     before = objective.solved(ensemble)
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
-    # Where noise explains what is left, causes are small; only when a slip was is searched for.
+    # Where noise explains what is left, causes are small: start at zero, but for a slip's time.
     is_explained = before.excess < _chance(before)
     starts = {near.named: near.theta} if near else {}
     tried = _in_order(

@@ -61,7 +61,7 @@ to end, and up to displacements of the size `BENT`.
 """
 
 OF_CUP = ('drift', 'cubic')
-"""What the cup may be, whatever was given. The model is without it: its effect is linear."""
+"""Deviations of the cup itself. The model has none; their effect is added to first order."""
 
 BENT = np.repeat([5e-3, 0.1], 3)
 """m, rad."""

@@ -97,8 +97,8 @@ LEAST_STRENGTH, ORDINARY_STRENGTH = 1e-6, 0.05
 """Strengths of relaxation are not below the first where they are searched for; of soft rubber."""
 
 TOGETHER = 2e-4
-"""Time (s) within which a pose of the package is at a sample of the tool: half of its noise acts
-before, whatever the clocks are off by. The package moves by its twist from there."""
+"""Poses of the package this close (s) to a sample of the tool count as simultaneous, so that a
+small change of the clock does not change which comes first. The twist bridges the rest."""
 
 LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
 """Longest steps of the linearised model, and of the integrator (s)."""
@@ -110,7 +110,7 @@ LEAST_DAMPING = 1e-2
 """Of steps that bring a start near, in which noise would carry away what is hardly known."""
 
 MOST_DAMPED = 1e-2
-"""Of a step that is the last."""
+"""Largest damping of the last step: a damped step is short wherever the minimum is."""
 
 WIDE = 2.0, 1.0
 """Standard deviation of the logarithm of the size of K, about the start, and of P."""
@@ -507,7 +507,7 @@ class Search:
             theta, (parts, H, g), last = there, new, step
             self.take(parts)
             settled = forgets > 0.0 or self.take_noise(parts)
-            settled &= damping <= MOST_DAMPED  # else only the step is short
+            settled &= damping <= MOST_DAMPED
             damping = max(0.1 * damping, least) if damping > 1e-5 else 0.0
             note(self.cup(theta), squares(parts) / expected)
             if length < end and settled:
