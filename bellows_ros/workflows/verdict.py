@@ -213,27 +213,26 @@ def verdict_of(
     if not some:
         return None
     held = some[0].payload
-    corrected = fit.found if fit is not None else {}
-    allowed = {name: std for name, std in allowances(values).items() if name in corrected}
-    values = {**values, 'package.mass': held.mass, 'package.com': held.com,
-              'package.inertia': np.diag(held.inertia)}
+    given = {**values, 'package.mass': held.mass, 'package.com': held.com,
+             'package.inertia': np.diag(held.inertia)}
     slow = fit is not None and fit.method == 'output_error' and (
-        not are_differentiable(some, values))
+        not are_differentiable(some, given))
     if fit is not None and slow:
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
             *(wrong for own in some for wrong in causes.corrected(own)[0]), *fit.causes[:1]),
             fit.causes[1:])
     else:
-        diagnosis = diagnose(some, length, given_structure(values), known)
+        diagnosis = diagnose(some, length, given_structure(given), known)
     if fit is None:
-        return FitVerdict((), diagnosis, values)
+        return FitVerdict((), diagnosis, given)
+    allowed = {name: std for name, std in allowances(values).items() if name in fit.found}
     length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
-                     given_structure(values).places)
+                     given_structure(given).places)
     some = [as_found(own, fit.found, number) for number, own in enumerate(some)]
-    others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(values))
+    others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
     found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
-                       diagnosis, values, fit.robust_chi2, allowed)
+                       diagnosis, given, fit.robust_chi2, allowed)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))
