@@ -39,6 +39,9 @@ MEAN_OVER = 0.08
 MEANS = 300
 """Averages needed for a decision; longer recordings are thinned out."""
 
+STRETCHES, MOST_SECONDS = 12, 60.0
+"""Stretches of long recordings that are used, evenly spread, and how long all are together, s."""
+
 FLOOR = 0.01
 """Fraction of the wrench that no model of rubber explains."""
 
@@ -112,10 +115,11 @@ def ensemble_of(
         settings, samples = recording.settings, samples_of(recording)
         rate = 1e9 / float(np.median(np.diff(samples.package.stamps_ns)))
         some = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
+        some = _stretches(some, MOST_SECONDS / len(recordings))
         if draw is not None:
             some = _noisier(recording, some, draw)
         bins = _bins(some.package.stamps_ns)
-        every = -(-int(bins[-1] - bins[0] + 1) * len(recordings) // MEANS)
+        every = -(-len(np.unique(bins)) * len(recordings) // MEANS)
         body = replace(some.package, valid=some.package.valid & (bins % every == 0))
         return Given(replace(some, package=body), length, structure,
                      settings.package_frame == 'lip', settings.align_at_rest)
@@ -123,6 +127,18 @@ def ensemble_of(
     return Ensemble(
         tuple(map(given, recordings)),
         tuple(tuple(given(own, draw) for own in recordings) for draw in draws(count)))
+
+
+def _stretches(samples: Samples, most: float) -> Samples:
+    """Return stretches of samples, at most so many seconds, whose ends are not valid."""
+    stamps = samples.tool.stamps_ns
+    duration = (stamps[-1] - stamps[0]) / NS_PER_S
+    if duration <= most:
+        return samples
+    used = np.linspace(0.0, STRETCHES, len(stamps), endpoint=False) % 1.0 < most / duration
+    inner = used & np.append(used[1:], False) & np.append(False, used[:-1])
+    some = samples.select(used)
+    return replace(some, tool=replace(some.tool, valid=some.tool.valid & inner[used]))
 
 
 def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> Samples:
