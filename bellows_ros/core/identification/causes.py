@@ -357,7 +357,8 @@ def _clocks(own: Recording) -> Finding | None:
 
     Two parts of a motion may be alike by chance. Where the correlation at small offsets is less
     than half of the largest, the package does not follow the tool as stamped, and a smaller one
-    is enough.
+    is enough. Where both turn about the same axes as stamped, sizes that are more alike at another
+    offset are those of a motion that nearly repeats.
     """
     lags, alike = turn_correlation(own.aligned_tool, own.aligned_package)
     if not len(lags):
@@ -366,6 +367,9 @@ def _clocks(own: Recording) -> Finding | None:
     largest, small = alike[best], np.max(alike[near], initial=0.0)
     least = ALIKE if small < DISTINCT * largest else 2.0 * ALIKE
     if largest < least or near[best] or small > PERIODIC * largest:
+        return None
+    in_axes = turn_correlation(own.aligned_tool, own.aligned_package, one_world=True)[1]
+    if np.max(in_axes[near], initial=0.0) > max(ALIKE, PERIODIC * np.max(in_axes)):
         return None
     return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 

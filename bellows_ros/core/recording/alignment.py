@@ -367,11 +367,14 @@ TURNING = 0.01
 """Standard deviation of these turns (rad) below which bodies hardly turn."""
 
 
-def turn_correlation(tool: Trajectory, package: Trajectory) -> tuple[Array, Array]:
+def turn_correlation(
+    tool: Trajectory, package: Trajectory, one_world: bool = False
+) -> tuple[Array, Array]:
     """
     Return lags (K,), s, of the tool's stamps behind the package's, and how alike turns are (K,).
 
-    Empty where a body hardly turns, or is seen too shortly.
+    Their sizes are compared, or turns in axes of the world, where it is one for both. Empty where
+    a body hardly turns, or is seen too shortly.
     """
     turns = []
     for body in (tool, package):
@@ -381,13 +384,17 @@ def turn_correlation(tool: Trajectory, package: Trajectory) -> tuple[Array, Arra
         if count <= OVER:
             return np.empty(0), np.empty(0)
         R = resample(body, stamps).rotation
-        turn = np.linalg.norm(log_so3(np.swapaxes(R[:-OVER], 1, 2) @ R[OVER:]), axis=1)
-        if np.std(turn) < TURNING:
+        turn = log_so3(R[OVER:] @ np.swapaxes(R[:-OVER], 1, 2))
+        turn = turn if one_world else np.linalg.norm(turn, axis=1, keepdims=True)
+        turn -= turn.mean(axis=0)
+        size = float(np.linalg.norm(turn))
+        if size < TURNING * np.sqrt(len(turn)):
             return np.empty(0), np.empty(0)
-        turns.append((turn - turn.mean()) / np.linalg.norm(turn - turn.mean()))
-    size = sum(map(len, turns)) - 1
-    spectra = [np.fft.rfft(own, size) for own in turns]
-    product = np.roll(np.fft.irfft(spectra[0] * np.conj(spectra[1]), size), len(turns[1]) - 1)
+        turns.append(turn / size)
+    count = sum(map(len, turns)) - 1
+    spectra = [np.fft.rfft(own, count, axis=0) for own in turns]
+    product = np.fft.irfft(np.sum(spectra[0] * np.conj(spectra[1]), axis=1), count)
+    product = np.roll(product, len(turns[1]) - 1)
     lags = (np.arange(len(product)) - len(turns[1]) + 1) / COMPARED_HZ
     return lags + float(tool.stamps_ns[0] - package.stamps_ns[0]) / NS_PER_S, product
 

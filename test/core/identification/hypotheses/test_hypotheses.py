@@ -26,6 +26,7 @@ import pytest
 
 from . import laboratory
 from .laboratory import FAULTS, parameters
+from ..simulated import record, shake
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason='numba is not installed: this takes minutes interpreted')
@@ -124,6 +125,12 @@ def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_d
     FAULTS['clocks far apart'][0](laboratory)
     found, = implausible_inputs(laboratory.recording())
     assert found.name == 'time_offset' and abs(found.theta[0] - laboratory.late) < 0.1
+
+
+def test_a_motion_that_nearly_repeats_is_of_one_clock():
+    """The sizes of its turns are most alike 1.2 s later."""
+    recording = record(shake(duration=300.0), tool=(1e-4, 3e-4), package=(1e-4, 3e-4))
+    assert not implausible_inputs(recording)
 
 
 def test_a_replay_names_clocks_that_are_apart():
