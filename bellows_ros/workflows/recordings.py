@@ -15,7 +15,7 @@ from bellows_ros.core.recording.alignment import (
     closed_form,
     in_tool_world,
     pose_of,
-    rough_offset,
+    rough_offsets,
     shifted_pose,
 )
 from bellows_ros.core.recording.preparation import align_streams, AlignedStreams
@@ -33,7 +33,7 @@ from bellows_ros.core.signals.trajectory import (
     tip_of,
     TwistStream,
 )
-from bellows_ros.errors import BellowsError, NoTopicError
+from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError
 from bellows_ros.files import File
 from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
@@ -171,14 +171,31 @@ def _prepared(
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
     world, late = values['recording.package_world'], values['fit.time_offset']
-    estimate, marked = world == checks.ESTIMATE, 'package_marker' in values['fit.free']
-    simulated = values['fit.method'] == 'output_error' and (estimate or late or marked)
+    marked, failure = 'package_marker' in values['fit.free'], None
+    simulated = values['fit.method'] == 'output_error' and (
+        world == checks.ESTIMATE or late or marked)
     if world == '':
         require_one_frame(tool, package)
-    rough_s = 0.0
-    if simulated and late:
-        rough_s = rough_offset(tool.trajectory(), package.trajectory())
-        tool, twist = _earlier(tool, rough_s), twist and _earlier(twist, rough_s)
+    if not (simulated and late):
+        return _registered(tool, package, twist, settings, values, simulated)
+    for rough_s in rough_offsets(tool.trajectory(), package.trajectory()):
+        try:
+            return _registered(
+                _earlier(tool, rough_s), package, twist and _earlier(twist, rough_s), settings,
+                values, simulated, rough_s)
+        except UndeterminedError as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure
+
+
+def _registered(
+    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
+    values: Mapping[str, Any], simulated: bool, rough_s: float = 0.0,
+) -> Recording:
+    """Return prepared streams, with world, marker and clock found that are not given."""
+    estimate = values['recording.package_world'] == checks.ESTIMATE
+    late, marked = values['fit.time_offset'], 'package_marker' in values['fit.free']
     pose, alignment = _first_guess(tool, package, settings, values, simulated)
 
     def filtered(alignment: Alignment | None) -> AlignedStreams:

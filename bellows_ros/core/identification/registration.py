@@ -31,7 +31,7 @@ from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment, slow_poses, turn_of
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
 LARGEST_ERROR = 3e-4
@@ -102,7 +102,7 @@ def registered(
 
     Raises
     ------
-    BellowsError
+    UndeterminedError
         If the search ends nowhere, and not for the clock alone.
 
     """
@@ -113,7 +113,7 @@ def registered(
     if not found.converged and list(names) == ['time_offset']:
         return Registered(None, np.zeros(6), middle, alignment, None)
     if not found.converged:
-        raise BellowsError(
+        raise UndeterminedError(
             f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '
             'and package.com, and tilt and turn the tool more.')
     theta = {name: (search.units * found.theta)[own[0]] for name, own in search.places.items()}

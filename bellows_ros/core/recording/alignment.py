@@ -363,6 +363,9 @@ COMPARED_HZ, OVER = 50.0, 15
 ALIKE = 0.3
 """Correlation of these turns at which two clocks are aligned: of others it is below 0.2."""
 
+NEARLY_AS_ALIKE, MOST_LAGS = 0.9, 3
+"""Part of the largest correlation at which another lag may be the true one, and how many may."""
+
 TURNING = 0.01
 """Standard deviation of these turns (rad) below which bodies hardly turn."""
 
@@ -399,9 +402,12 @@ def turn_correlation(
     return lags + float(tool.stamps_ns[0] - package.stamps_ns[0]) / NS_PER_S, product
 
 
-def rough_offset(tool: Trajectory, package: Trajectory) -> float:
+def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     """
-    Return about how much the tool's stamps are behind the package's (s): where both turn alike.
+    Return about how much the tool's stamps may be behind the package's (s): where both turn alike.
+
+    A motion that repeats itself is alike at several lags; a package that swings is not most alike
+    at the true one. The one nearest to the stamps as they are comes first.
 
     Raises
     ------
@@ -410,17 +416,19 @@ def rough_offset(tool: Trajectory, package: Trajectory) -> float:
 
     """
     lags, alike = turn_correlation(tool, package)
-    best = int(np.argmax(alike)) if len(lags) else 0
-    if len(lags) and alike[best] >= ALIKE:
-        return float(lags[best])
+    largest = float(np.max(alike)) if len(lags) else 0.0
+    if largest >= ALIKE:
+        peak = (alike >= np.roll(alike, 1)) & (alike >= np.roll(alike, -1))
+        highest = np.argsort(-alike * peak)[:MOST_LAGS]
+        alternatives = highest[alike[highest] >= NEARLY_AS_ALIKE * largest]
+        return sorted(lags[alternatives].tolist(), key=abs)
     overlap = min(tool.stamps_ns[-1], package.stamps_ns[-1]) - max(
         tool.stamps_ns[0], package.stamps_ns[0])
     if overlap > 0 and not len(lags):
-        return 0.0
+        return [0.0]
     raise BellowsError(
         'The stamps of tool and package cannot be aligned: the two do not turn alike at any '
-        f'offset (correlation {alike[best] if len(lags) else 0.0:.2f}). Check the topics, or turn '
-        'the tool more.')
+        f'offset (correlation {largest:.2f}). Check the topics, or turn the tool more.')
 
 
 LOOKED_AT_HZ = 50.0

@@ -7,7 +7,7 @@ from bellows_ros.core.identification.registration import refined_preparation
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.recording.alignment import rough_offset
+from bellows_ros.core.recording.alignment import rough_offsets
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import _prepared, prepare_settings
@@ -52,7 +52,18 @@ def test_clocks_of_motions_that_are_not_alike_are_refused():
     turn = np.random.default_rng(1).standard_normal((2, 400, 3))
     one, other = (Trajectory(t, np.zeros((400, 3)), exp_so3(0.1 * own)) for own in turn)
     with pytest.raises(BellowsError, match='not turn alike'):
-        rough_offset(one, other)
+        rough_offsets(one, other)
+
+
+def test_of_lags_at_which_a_repeated_motion_is_alike_the_nearest_comes_first():
+    t = np.arange(3000) / 50.0
+    turn = np.stack([np.sin(2.0 * np.pi * f * t) for f in (0.5, 0.75, 1.25)], axis=1)
+    rotation = exp_so3(0.2 * turn)
+    one, other = (Trajectory(np.rint(1e9 * own).astype(np.int64), np.zeros((3000, 3)), rotation)
+                  for own in (t, t - 0.06))
+    lags = rough_offsets(one, other)
+    assert abs(lags[0] - 0.06) < 0.011
+    assert np.allclose(np.sort(np.abs(lags[1:])), [1.94, 2.06], atol=0.011)
 
 
 NOISE = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
