@@ -97,12 +97,30 @@ class FitVerdict(NamedTuple):
     given: Mapping[str, Any]
     chi2: float | None = None
     allowed: Free = MappingProxyType({})
-    """Standard deviations, SI units, of what was given and the fit has found with K and P."""
+    """Standard deviations, SI units, of what was given and the fit has found with K and P ..."""
+    expected: Free = MappingProxyType({})
+    """... and of all that output error may correct beside them."""
 
     def allows_for(self, own: causes.Finding) -> bool:
         """Return whether the fit has corrected a cause, which is no larger than expected."""
-        return own.name in self.allowed and len(own.theta) > 0 and bool(
-            np.all(np.abs(own.theta) <= SIGMAS * self.allowed[own.name]))
+        return _is_within(own, self.allowed)
+
+    def is_wrong(self, own: causes.Finding) -> bool:
+        """Return whether no cup is right without a cause: certain, or likely, large, and for K."""
+        large = (self.chi2 is not None and own.name in LOCAL and own.likely
+                 and own.moved > causes.MATERIAL)
+        return own.datum and not self.allows_for(own) and (own.certain or (
+            large and not _is_within(own, self.expected)))
+
+    @property
+    def causing(self) -> list[causes.Finding]:
+        """What is wrong, the likeliest first, but after it what is off no more than expected."""
+        alone = self.diagnosis.findings
+        first = alone if alone and alone[0].is_fact else alone[:1]
+        found = [*first, *self.diagnosis.besides]
+        if not all(own.certain for own in found):
+            return found
+        return sorted(found, key=lambda own: _is_within(own, self.expected))
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -114,8 +132,7 @@ class FitVerdict(NamedTuple):
         """Sentences about what explains most, and what is wrong beside it, or none."""
         if not self.diagnosis.findings:
             return ()
-        first, *others = self.diagnosis.findings
-        others = [*(others if first.is_fact else ()), *self.diagnosis.besides]
+        first, *others = self.causing
         besides = [f'Besides{"" if own.certain else ", likely"}: '
                    f'{causes.finding_sentence(own, self.given)}' for own in others]
         if self.diagnosis.is_open:
@@ -161,8 +178,8 @@ class FitVerdict(NamedTuple):
                 f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
-        causing = (*self.diagnosis.findings[:1], *self.diagnosis.besides)
-        wrong = [own for own in causing if own.material and not self.allows_for(own)]
+        causing = self.causing
+        wrong = [own for own in causing if self.is_wrong(own)]
         if wrong:
             line = 'first line says' if wrong[0] is causing[0] else 'lines above say'
             found.append(
@@ -181,6 +198,14 @@ class FitVerdict(NamedTuple):
                  'units': dict.fromkeys(('theta', 'std'), causes.KNOWN_CAUSES[found.name].units)}
                 for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides)}
+
+
+def _is_within(own: causes.Finding, std: Free) -> bool:
+    """Return whether a cause is no larger than three standard deviations of what was given."""
+    if own.name not in std or not len(own.theta):
+        return False
+    grip = np.delete(std[own.name], 2) if len(own.theta) == 5 else std[own.name]
+    return bool(np.all(np.abs(own.theta) <= SIGMAS * grip))
 
 
 def allowances(values: Mapping[str, Any]) -> Free:
@@ -225,14 +250,15 @@ def verdict_of(
         diagnosis = diagnose(some, length, given_structure(given), known)
     if fit is None:
         return FitVerdict((), diagnosis, given)
-    allowed = {name: std for name, std in allowances(values).items() if name in fit.found}
+    expected = allowances(values)
+    allowed = {name: std for name, std in expected.items() if name in fit.found}
     length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(given).places)
     some = [as_found(own, fit.found, number) for number, own in enumerate(some)]
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
     found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
-                       diagnosis, given, fit.robust_chi2, allowed)
+                       diagnosis, given, fit.robust_chi2, allowed, expected)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))

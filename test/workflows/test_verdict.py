@@ -30,6 +30,42 @@ def test_what_filters_take_is_not_doubted(off, left, said):
     assert len(found.cause) == bool(said) and said in ' '.join(found.cause)
 
 
+EXPECTED = {'com': np.full(3, 2e-3), 'package_marker': np.repeat([1e-3, 5e-3], 3)}
+
+
+def cause(name, theta, left=0.3, certain=True):
+    """Return what was found to be otherwise, with small standard errors."""
+    theta = np.array(theta)
+    return Finding(name, '', theta, 1e-3 * np.abs(theta), left, 0.4, True, certain)
+
+
+def judged(*causes, chi2=1.0):
+    """Return a verdict on a fit with these causes, one beside the other."""
+    return FitVerdict((), Diagnosis(9.0, causes[:1], causes[1:]), {}, chi2, EXPECTED, EXPECTED)
+
+
+def test_what_is_off_no_more_than_expected_comes_last():
+    small, large = cause('com', [5e-4, 0.0, 0.0]), cause('inertia', [0.3])
+    found = judged(small, large)
+    assert [own.name for own in found.causing] == ['inertia', 'com']
+    assert 'package.inertia as the first line' in found.refusals[0]
+
+
+@pytest.mark.parametrize(('turned', 'refused'), [(5e-3, False), (5e-2, True)])
+def test_a_marker_that_wrenches_show_turned_is_allowed_for(turned, refused):
+    """Its shift along the cup is no number of theirs."""
+    found = judged(cause('package_marker', [1e-3, 0.0, turned, 0.0, 0.0]))
+    assert bool(found.refusals) == refused
+
+
+@pytest.mark.parametrize(('along', 'left', 'chi2', 'refused'), [
+    (0.02, 0.6, 1.0, True), (4e-3, 0.6, 1.0, False), (0.02, 0.8, 1.0, False),
+    (0.02, 0.6, None, False)])
+def test_what_is_likely_and_far_off_refuses_a_fit_by_simulation(along, left, chi2, refused):
+    found = judged(cause('com', [0.0, 0.0, along], left, certain=False), chi2=chi2)
+    assert bool(found.refusals) == refused
+
+
 @pytest.mark.parametrize(('method', 'off', 'chi2', 'refused'), [
     ('output_error', 1.02, 1.1, ''), ('output_error', 1.5, 29.5, '5.4 times the noise'),
     ('output_error', 5.4, 29.5, 'free simulation'), ('least_squares', 1.5, None, '')])

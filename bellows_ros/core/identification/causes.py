@@ -44,7 +44,7 @@ from bellows_ros.core.recording.conventions import (
     converted,
     FARTHEST,
 )
-from bellows_ros.core.recording.preparation import prepare
+from bellows_ros.core.recording.preparation import lasting_steps, prepare
 from bellows_ros.core.recording.recording import ENOUGH, Recording
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
@@ -165,7 +165,7 @@ IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
 
 def implausible_inputs(own: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with a recording or what was given with it, without any fit."""
-    found = (_package(own.payload), _clocks(own), wrong_twists(own), _smoothed(own))
+    found = (_package(own.payload), _clocks(own), wrong_twists(own), _smoothed(own), _jump(own))
     return tuple(own._replace(is_fact=True) for own in found if own is not None)
 
 
@@ -413,6 +413,18 @@ def wrong_twists(own: Recording) -> Finding | None:
         if off(twist) < DISTINCT**4 * before:
             return Finding(name, value, left=float(np.sqrt(off(twist) / before)))
     return None
+
+
+def _jump(own: Recording) -> Finding | None:
+    """Return that the package jumps on the lip and does not return, at the largest such jump."""
+    stream = own.report.package
+    poses = stream.recorded
+    steps = lasting_steps(poses, stream.timing, stream.outliers)
+    if not steps:
+        return None
+    largest = max(steps, key=lambda step: step.position)
+    since = (poses.stamps_ns[largest.before] - poses.stamps_ns[0]) / NS_PER_S
+    return Finding('slip', '', np.array([largest.position, 0.0, since]), np.zeros(3))
 
 
 def _smoothed(own: Recording) -> Finding | None:

@@ -27,7 +27,13 @@ from bellows_ros.core.identification.quantities import (
     payload_of,
     poses_of,
 )
-from bellows_ros.core.identification.search import Minimum, MISFIT, Search, squares
+from bellows_ros.core.identification.search import (
+    Minimum,
+    MISFIT,
+    MOST_CHI2,
+    Search,
+    squares,
+)
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
@@ -38,6 +44,9 @@ import numpy as np
 
 KNOWN_BETTER = 1000.0
 """A direction is fitted if the recordings have this many times the information that was given."""
+
+LEAST_CHI2 = 1.03
+"""Chi^2 per difference above which another minimum is looked for where something given is off."""
 
 HELD, LEAST = 1e8, 1e-9
 """Information that holds the other directions; and the smallest standard deviation, SI units."""
@@ -70,29 +79,46 @@ def stated(given: Free) -> list[str]:
 
 
 def with_given(
-    search: Search, found: Minimum, given: Free, note: Callable[[Cup, float], None]
+    search: Search, found: Minimum, given: Free, note: Callable[[Cup, float], None],
+    is_off: bool = False,
 ) -> tuple[Search, Minimum, Array]:
     """
     Return the minimum near one with what was given free, by its standard deviations.
 
     With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units. Of
-    a search that did not converge, that from its start with all that was given free, unless that
-    would be off by more than `SIGNIFICANT` times its standard deviation.
+    a search that did not converge, or leaves more than noise (however little, where something
+    given is known to be off), that from its start with all that was given free, where it leaves
+    less and nothing is off by more than `SIGNIFICANT` times its standard deviation.
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
-    if not more:
-        return search, found, np.zeros((size, size))
-    if not found.converged:  # what was given may be why
-        for segment in search.segments:
-            segment.begin()
-        wide = search.beside(found._replace(theta=search.start), more)
-        again = wide.found(note)
-        off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
-        if again.converged and np.all(off < SIGNIFICANT):
-            return wide, again, np.zeros((len(wide.units),) * 2)
-        search.take(found.parts)
-        return search, found, np.zeros((size, size))
+    near = search, found, np.zeros((size, size))
+    if more and found.converged:
+        near = _near_with_given(search, found, more, note)
+    noise = (LEAST_CHI2 if is_off else MOST_CHI2) * sum(
+        len(own.innovations) for own in near[1].parts)
+    if not more or near[1].converged and squares(near[1].parts) < noise:
+        return near
+    stds = [segment.std for segment in search.segments]
+    for segment in search.segments:
+        segment.begin()
+    wide = search.beside(found._replace(theta=search.start), more)
+    again = wide.found(note)
+    off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
+    if again.converged and np.all(off < SIGNIFICANT) and not (
+            near[1].converged and squares(near[1].parts) < squares(again.parts)):
+        return wide, again, np.zeros((len(wide.units),) * 2)
+    for segment, std in zip(search.segments, stds, strict=True):
+        segment.std = std
+    search.take(near[1].parts)
+    return near
+
+
+def _near_with_given(
+    search: Search, found: Minimum, more: Free, note: Callable[[Cup, float], None]
+) -> tuple[Search, Minimum, Array]:
+    """Return the minimum near one with what the recordings know better free; see `with_given`."""
+    size = len(search.units)
     wide = search.beside(found, more)
     std = wide.weights[size:] ** -0.5
     parts, H, g = wide.system(wide.at(found.theta), 0.0)

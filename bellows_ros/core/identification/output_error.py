@@ -33,6 +33,7 @@ from bellows_ros.core.identification.result import (
 from bellows_ros.core.identification.search import (
     Measured,
     Minimum,
+    MOST_CHI2,
     Search,
     Segment,
     squares,
@@ -50,9 +51,6 @@ LARGEST_SHARE, MOST_OF_ERROR = 0.9, 0.5
 
 SEED, SHAKEN, LEAST_SHAKEN = 0, 3.0, 0.1
 """Of the noise with which that is looked at, and its sizes in that of the poses."""
-
-MOST_CHI2 = 1.2
-"""Chi^2 per degree of freedom that is put down to noise."""
 
 ALSO_GIVEN = (
     'Measure them more exactly and state it (package.com_std, cup.length_std, '
@@ -134,7 +132,8 @@ def fit_of(
             raise UndeterminedError(NO_RELAXATION)
     reasons = causes(search, found, stated(given))
     search.take(found.parts)
-    return _fit(*with_given(search, found, given, note), iterations, named, reasons)
+    return _fit(
+        *with_given(search, found, given, note, bool(reasons)), iterations, named, reasons)
 
 
 def _with_relaxation(

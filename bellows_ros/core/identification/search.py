@@ -138,8 +138,8 @@ So a search simulates a wrong recording 53 times at most (with clocks or frames 
 whole fit, with relaxation, the likeliest causes and what was given free in turn, 283 times.
 """
 
-MISFIT = 1.5
-"""Chi^2 per difference above which more than noise is left."""
+MOST_CHI2, MISFIT = 1.2, 1.5
+"""Chi^2 per difference that is put down to noise, and above which surely more is left."""
 
 NEAR, ENOUGH = 3.0, 3e-3
 """Squared length of a step, in standard deviations, at which a start is near, and the end."""

@@ -310,8 +310,7 @@ def stream_warnings(
         f'{(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s after its '
         'start and does not return, so all later poses are offset from the earlier ones. Use the '
         'recording up to there, or from there on.'
-        for step in outliers.steps
-        if not (_is_of_jitter(recorded, time, step) or _is_of_motion(recorded, time, step))]
+        for step in lasting_steps(recorded, time, outliers)]
     good = recorded.position[outliers.good]
     way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
@@ -342,6 +341,14 @@ def burst_sentence(*streams: tuple[PoseStream, resampling.Timing]) -> str:
                   np.ptp(poses.stamps_ns)) / NS_PER_S]
     return (f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: stamp '
             'them when they are measured.') if bursts else ''
+
+
+def lasting_steps(
+    poses: PoseStream, time: resampling.Timing, outliers: Outliers
+) -> list[LastingStep]:
+    """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
+    return [step for step in outliers.steps
+            if not (_is_of_jitter(poses, time, step) or _is_of_motion(poses, time, step))]
 
 
 def _is_of_motion(poses: PoseStream, time: resampling.Timing, step: LastingStep) -> bool:

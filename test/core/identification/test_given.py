@@ -62,6 +62,16 @@ def test_a_com_with_which_the_cup_would_be_pressed_is_found_with_it():
     assert np.all(std < 0.3 * 4.0 * NUMBERS[:4])
 
 
+def test_a_com_that_is_far_off_does_not_leave_k_in_another_minimum():
+    """Along z it was 88 % off, 19 of its standard errors, with the centre of mass found beside."""
+    own = measured(13, (2e-4, 1e-3), (2e-4, 1e-3), 100.0, 100.0, 8.0, cup=scaled(2.5))
+    wrong = replace(own, payload=varied(PLATE, com=np.array([0.0, 0.0, 5.5e-3])))
+    found = output_error([wrong], AXISYMMETRIC, TRUTH, given=USUAL)
+    std = np.sqrt(np.diag(found.covariance + found.from_given))[:4]
+    assert np.all(np.abs(found.parameters - 2.5 * NUMBERS)[:4] < 4.0 * std)
+    assert np.all(std < 0.15 * 2.5 * NUMBERS[:4])
+
+
 def test_k_is_known_no_better_than_the_mass():
     own = measured(9, **QUIET)
     heavy = replace(own, payload=varied(PLATE, mass=0.02, inertia=0.02))

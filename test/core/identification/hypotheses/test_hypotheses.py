@@ -265,6 +265,19 @@ def test_a_slip_and_a_tilt_are_sized():
     assert np.linalg.norm([float(x) for x in said.split(',')] - down) < 5e-3
 
 
+def test_a_package_that_jumps_has_slipped_whatever_else_explains():
+    own = Laboratory(101, seconds=6.0).recording()
+    poses, half = own.package_pose, len(own.package_pose) // 2
+    way = 3e-3 * own.package_pose.rotation[:, :, 0] * (np.arange(len(poses)) >= half)[:, None]
+    jumped = prepare(own.tool_pose, replace(poses, position=poses.position + way), own.settings,
+                     own.tool_twist)
+    assert not implausible_inputs(own)
+    (slip,) = implausible_inputs(jumped)
+    assert slip.name == 'slip'
+    assert slip.theta[0] == pytest.approx(3e-3, rel=0.1)
+    assert slip.theta[2] == pytest.approx((half - 1) / 240.0, abs=2e-3)
+
+
 def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
     """It is what the given direction, turned by the finding, is there."""
     given = {'gravity.direction': (np.sin(0.2), 0.0, -np.cos(0.2))}
