@@ -31,7 +31,7 @@ from bellows_ros.core.planning.plan import (
     SETTLED,
 )
 from bellows_ros.core.planning.points import body_twists, curve_of
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -337,7 +337,7 @@ def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
     o, q = _tool_above(model, simulation.tool_rows(package)[0, :7])[:2]
     T_B = lie.transform(package.rotation[0], package.position[0])
     T_E = lie.transform(lie.quaternion_to_rotation(np.array(q)), np.array(o))
-    return rigidly_moved(package, lie.inverse_transform(T_B) @ T_E)
+    return at_tip(package, lie.inverse_transform(T_B) @ T_E)
 
 
 def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
@@ -520,12 +520,5 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     s = (tool.seconds / tool.seconds[-1])[:, None]
     step = s**5 * (126.0 + s * (-420.0 + s * (540.0 + s * (-315.0 + s * 70.0))))
     rate = 630.0 * s**4 * (1.0 - s) ** 4 / tool.seconds[-1]
-    found = rigidly_moved(tool, T_E_B[0] @ lie.exp_se3(step * way))
+    found = at_tip(tool, T_E_B[0] @ lie.exp_se3(step * way))
     return replace(found, twist=np.asarray(found.twist) + rate * way)
-
-
-def rigidly_moved(motion: Trajectory, T: Array) -> Trajectory:
-    """Return the motion of frames at poses T (4, 4) or (N, 4, 4) on a moving body."""
-    moved = lie.transform(motion.rotation, motion.position) @ T
-    twist = lie.apply(lie.adjoint(lie.inverse_transform(T)), np.asarray(motion.twist))
-    return Trajectory(motion.stamps_ns, moved[:, :3, 3], moved[:, :3, :3], twist)

@@ -365,14 +365,14 @@ def tip_of(values: Mapping[str, Any]) -> Array | None:
 
 
 def at_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
-    """Return a motion with body twists of the frame at a pose (4, 4) in the one that moves."""
+    """Return a motion with body twists of frames at poses (4, 4) or (N, 4, 4) in a moving one."""
     if tip is None:
         return motion
     twist = motion.twist
     return replace(
-        motion, position=motion.position + applied(motion.rotation, tip[:3, 3]),
-        rotation=motion.rotation @ tip[:3, :3],
-        twist=None if twist is None else twist @ lie.adjoint(lie.inverse_transform(tip)).T)
+        motion, position=motion.position + applied(motion.rotation, tip[..., :3, 3]),
+        rotation=motion.rotation @ tip[..., :3, :3], twist=None if twist is None else applied(
+            lie.adjoint(lie.inverse_transform(tip)), twist))
 
 
 def from_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
