@@ -2,16 +2,10 @@
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.jacobians import (
-    body_jacobians,
-    parameter_jacobian,
-    PARAMETERS,
-    tool_jacobians,
-)
+from bellows_ros.core.model.jacobians import parameter_jacobian, PARAMETERS
 from bellows_ros.core.model.simulation import state_row
 import numpy as np
 from numpy.testing import assert_allclose
-import pytest
 
 from .. import complex_step
 from ..cases import random_cup, random_package, random_pose
@@ -49,38 +43,6 @@ def six_by_six(square):
 def near(actual, expected, part):
     """Compare two matrices, relative to the largest of the second."""
     assert_allclose(actual, expected, rtol=0, atol=part * np.abs(expected).max())
-
-
-@pytest.mark.parametrize('seed', range(3))
-def test_accelerations_follow_states(seed):
-    case = Case(seed)
-    rows = case.model, case.row(case.tool), case.row(case.body)
-
-    def of_body(x):
-        return complex_step.acceleration(
-            case.numbers, case.tool, complex_step.changed(case.body, x))
-
-    def of_tool(x):
-        return complex_step.acceleration(
-            case.numbers, complex_step.changed(case.tool, x), case.body)
-
-    for function, jacobians in ((of_body, body_jacobians), (of_tool, tool_jacobians)):
-        pose, twist = jacobians(*rows)
-        expected = complex_step.derivative(function, np.zeros(12))
-        near(six_by_six(pose), expected[:, :6], 1e-12)
-        near(six_by_six(twist), expected[:, 6:], 1e-12)
-
-
-@pytest.mark.parametrize('seed', range(3))
-def test_accelerations_follow_parameters(seed):
-    case = Case(seed)
-    out = np.zeros((6, PARAMETERS))
-    parameter_jacobian(
-        case.model, case.row(case.tool), case.row(case.body), 0, PARAMETERS, out, 0)
-    expected = complex_step.derivative(
-        lambda p: complex_step.acceleration(p, case.tool, case.body), case.numbers)
-    for column in range(PARAMETERS):
-        near(out[:, column], expected[:, column], 1e-11)
 
 
 def test_some_of_the_parameters_stand_where_they_are_asked_for():

@@ -9,6 +9,7 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.jacobians import (
     body_jacobians,
     parameter_jacobian,
+    PARAMETERS,
     relaxation_jacobian,
     strain_jacobians,
     tool_jacobians,
@@ -105,17 +106,23 @@ def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
     assert_allclose(body.position[-1], hangs[0], atol=1e-10)
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_derivatives(seed):
+def derivatives_case(seed, relaxes):
+    """Return a case, its rows for the kernels, its strains, and its acceleration by all of it."""
     case, rng = Case(seed), np.random.default_rng(seed)
-    z = random_strains(rng)
-    branches = tuple(zip(R, (0.06, 0.8), strict=True))
-    model = ((*case.model[0], *branches), *case.model[1:])
+    r, z = R[:2 * relaxes], random_strains(rng)[:2 * relaxes]
+    model = ((*case.model[0], *zip(r, (0.06, 0.8), strict=False)), *case.model[1:])
     rows = model, case.row(case.tool), with_strains(case.row(case.body), tuple(map(pair, z)))
 
-    def accelerate(numbers=case.numbers, tool=case.tool, body=case.body, r=R, strains=z):
+    def accelerate(numbers=case.numbers, tool=case.tool, body=case.body, r=r, strains=z):
         return complex_step.acceleration(numbers, tool, body, r, strains)
 
+    return case, rows, z, accelerate
+
+
+@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('relaxes', [False, True])
+def test_accelerations_follow_states_and_parameters(relaxes, seed):
+    case, rows, _, accelerate = derivatives_case(seed, relaxes)
     for name, state, jacobians in (
             ('body', case.body, body_jacobians), ('tool', case.tool, tool_jacobians)):
         pose, twist = jacobians(*rows)
@@ -124,13 +131,19 @@ def test_derivatives(seed):
                 **{name: complex_step.changed(state, x)}), np.zeros(12))
         near(six_by_six(pose), expected[:, :6], 1e-12)
         near(six_by_six(twist), expected[:, 6:], 1e-12)
-    out = np.zeros((6, 64))
-    parameter_jacobian(*rows, 0, 62, out, 0)
-    relaxation_jacobian(*rows, out, 62)
-    near(out[:, 62:], complex_step.derivative(lambda r: accelerate(r=r), R), 1e-12)
-    expected = complex_step.derivative(lambda p: accelerate(p), case.numbers)
-    for column in range(62):
+    out = np.zeros((6, PARAMETERS))
+    parameter_jacobian(*rows, 0, PARAMETERS, out, 0)
+    expected = complex_step.derivative(accelerate, case.numbers)
+    for column in range(PARAMETERS):
         near(out[:, column], expected[:, column], 1e-11)
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_accelerations_follow_strengths_and_strains(seed):
+    _, rows, z, accelerate = derivatives_case(seed, True)
+    out = np.zeros((6, 2))
+    relaxation_jacobian(*rows, out, 0)
+    near(out, complex_step.derivative(lambda r: accelerate(r=r), R), 1e-12)
     by_strain, by_pose = map(six_by_six, strain_jacobians(*rows))
     expected = complex_step.derivative(
         lambda x: accelerate(strains=x.reshape(2, 6)), z.ravel())

@@ -22,9 +22,6 @@ def test_uniform_rate():
         uniform_rate_hz(jumpy)
     with pytest.raises(BellowsError, match=r'\b2\b'):
         uniform_rate_hz(jumpy[:1])
-
-
-def test_a_dropout_is_no_uniform_rate():
     with pytest.raises(BellowsError, match=r'\b40\b'):
         uniform_rate_hz(np.delete(stamps(100, 360.0), 40))
 
