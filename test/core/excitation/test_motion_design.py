@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 from bellows_ros.core.excitation import motion_design
-from bellows_ros.core.excitation import motion_design as excitation
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation.fisher import response, standard_errors
 from bellows_ros.core.excitation.motion_design import FourierMotion, MotionObjective
@@ -49,8 +48,8 @@ def designed(guess=TRUTH, limits=LIMITS, duration=20.0, grip=None, seed=0):
 @pytest.mark.parametrize('grip', [None, GRIP])
 def test_ends_with_a_hold_of_a_tilt_within_limits(grip):
     """Steady for its time, from rest to rest, with zero jerk; none where the tool may not tilt."""
-    models = [model_tuple(cup, PACKAGE, 9.81) for cup in excitation.cups_near(cup_of(TRUTH))]
-    held = excitation._held(LIMITS, models, grip, 5.0, 7.0)
+    models = [model_tuple(cup, PACKAGE, 9.81) for cup in motion_design.cups_near(cup_of(TRUTH))]
+    held = motion_design._held(LIMITS, models, grip, 5.0, 7.0)
     assert held.hold == 7.0 and 0.1 < np.linalg.norm(held.tilt) and held.tilt[2] == 0.0
     begin = held.rest_duration + held.period + held.move
     *_, R, w = held.state(np.linspace(begin, begin + 7.0, 50))
@@ -65,9 +64,9 @@ def test_ends_with_a_hold_of_a_tilt_within_limits(grip):
     _, _, _, at = held.state(t)
     jerk = (far - 2.0 * at + near) / h**2
     assert np.abs(jerk).max() < 1e-2 * LIMITS.rates['angular_jerk']
-    assert max(excitation.all_ratios(held, LIMITS, models, grip).values()) <= 1.0
+    assert max(motion_design.all_ratios(held, LIMITS, models, grip).values()) <= 1.0
     rigid = replace(LIMITS, bending=1e-9)
-    assert excitation._held(rigid, models, grip, 5.0, 7.0).hold == 0.0
+    assert motion_design._held(rigid, models, grip, 5.0, 7.0).hold == 0.0
 
 
 def errors_of(motion):
@@ -107,8 +106,8 @@ def require_within(found, limits, guess, grip=None):
 @pytest.fixture(scope='module')
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(excitation, 'STAGES', ((8, 60), (16, 20)))
-        patch.setattr(excitation, 'STARTS', 1)
+        patch.setattr(motion_design, 'STAGES', ((8, 60), (16, 20)))
+        patch.setattr(motion_design, 'STARTS', 1)
         return designed(grip=GRIP)
 
 
@@ -167,8 +166,8 @@ def test_a_guess_that_is_off_costs_little(found, factor, ours):
     for s in range(1, 1001, 50))])
 def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seeds):
     """No limit is violated at 1 kHz, from 1,000 seeds of the search and of the arm's limits."""
-    monkeypatch.setattr(excitation, 'STAGES', ((8, 30), (64, 30)))
-    monkeypatch.setattr(excitation, 'STARTS', 1)
+    monkeypatch.setattr(motion_design, 'STAGES', ((8, 30), (64, 30)))
+    monkeypatch.setattr(motion_design, 'STARTS', 1)
     for seed in seeds:
         rng = np.random.default_rng(seed)
         start = Pose(LIMITS.start.position, rpy_rotation(np.array([0.2, -0.1, 1.0])))
@@ -253,6 +252,6 @@ def test_a_start_outside_of_the_workspace_is_refused():
 def test_what_cannot_be_is_said():
     weak = (10.0, 0.03, 0.5)  # does not hold the package's weight
     with pytest.raises(BellowsError):
-        excitation._within(
+        motion_design._within(
             FourierMotion(LIMITS.start, 4.0, np.full((2, 6), 1e-3 + 0j)), LIMITS,
             [model_tuple(cup_of(TRUTH), PACKAGE, 9.81)], weak)

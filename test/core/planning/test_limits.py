@@ -4,7 +4,7 @@ from dataclasses import replace
 import math
 
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.planning.limits import demands, Limits, NONE, RATES, stretched, TooFastError
+from bellows_ros.core.planning.limits import demands, NO_LIMITS, RATES, stretched, TooFastError
 from bellows_ros.core.planning.points import timed
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.errors import BellowsError
@@ -14,7 +14,6 @@ import pytest
 
 from ..plans import CUP, Move, PACKAGE
 
-FREE = Limits(dict.fromkeys(RATES, NONE), np.full(3, -NONE), np.full(3, NONE), 0.0)
 PLAN = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.9], 0.8).plan()
 
 
@@ -31,7 +30,7 @@ def test_demands_are_those_of_the_quintic():
 def test_a_motion_is_stretched_no_further_than_needed(name):
     asked = demands(PLAN)[name]
     order = 1 + list(RATES).index(name) % 3
-    limits = FREE._replace(rates={**FREE.rates, name: asked / 2.0**order})
+    limits = NO_LIMITS._replace(rates={**NO_LIMITS.rates, name: asked / 2.0**order})
     scale, reason = stretched(limits, lambda s: (timed(PLAN, s), math.inf))
     assert reason == name
     assert_allclose(scale, 2.0, rtol=0.01)
@@ -39,12 +38,12 @@ def test_a_motion_is_stretched_no_further_than_needed(name):
 
 
 def test_safety_and_workspace_count():
-    limits = FREE._replace(safety_factor=2.0)
+    limits = NO_LIMITS._replace(safety_factor=2.0)
     scale, reason = stretched(limits, lambda s: (timed(PLAN, s), 1.5 * s))
     assert reason == 'safety_factor'
     assert 4 / 3 <= scale < 1.02 * 4 / 3
     assert stretched(limits, lambda s: (PLAN, 3.0)) == (1.0, '')
-    inside = FREE._replace(low=np.full(3, -0.1), high=np.array([0.7, 0.1, 0.1]))
+    inside = NO_LIMITS._replace(low=np.full(3, -0.1), high=np.array([0.7, 0.1, 0.1]))
     assert stretched(inside, lambda s: (PLAN, 0.0)) == (1.0, '')
     inside.high[0] = 0.5
     with pytest.raises(BellowsError, match=r'\b20\b'):
@@ -54,7 +53,7 @@ def test_safety_and_workspace_count():
 @pytest.mark.parametrize('power', [0.5, 1.0, 5.0])
 def test_the_shortest_time_is_found_however_fast_the_demand_falls(power):
     """The acceleration of a motion that is 2 at first falls with a power of the time."""
-    limits = FREE._replace(rates={**FREE.rates, 'speed': demands(PLAN)['speed'] / 2.0})
+    limits = NO_LIMITS._replace(rates={**NO_LIMITS.rates, 'speed': demands(PLAN)['speed'] / 2.0})
 
     def motion(scale):
         return timed(PLAN, scale ** power), math.inf
@@ -68,11 +67,11 @@ def test_what_is_possible_in_more_time_alone_is_sought_there():
             raise TooFastError('It bends too far.', 'bending')
         return timed(PLAN, scale), math.inf
 
-    scale, reason = stretched(FREE, motion)
+    scale, reason = stretched(NO_LIMITS, motion)
     assert reason == 'bending'
     assert_allclose(scale, 1.3, rtol=2e-3)
     with pytest.raises(TooFastError, match='bends too far'):
-        stretched(FREE, lambda _: motion(1.0))
+        stretched(NO_LIMITS, lambda _: motion(1.0))
 
 
 def test_a_step_of_one_millisecond_counts():
@@ -88,7 +87,7 @@ def test_a_step_of_one_millisecond_counts():
     ('acceleration', 8.0), ('angular_acceleration', 60.0), ('angular_jerk', 2000.0)])
 def test_an_inverse_within_limits_takes_the_shortest_time(name, limit):
     """Every shorter time, in steps of 2 %, exceeds the limit: also where demands are not even."""
-    limits = FREE._replace(rates={**FREE.rates, name: limit})
+    limits = NO_LIMITS._replace(rates={**NO_LIMITS.rates, name: limit})
     model = model_tuple(CUP, PACKAGE, 9.81)
     plan = Move([0.6, 0.2, 0.0], [0.0, 0.0, 0.3], 0.45).plan(200)
 
