@@ -152,24 +152,6 @@ def test_rotation_stays_orthonormal_after_a_million_steps():
     assert np.all(np.isfinite(np.concatenate(body)))
 
 
-def test_moving_and_turning_the_world_changes_nothing_but_gravity():
-    rng = np.random.default_rng(11)
-    cup, package, motion = random_cup(rng), random_package(rng), ShakenTool(rng)
-    T = np.eye(4)
-    T[:3, 3] = package.com - np.array([0.0, 0.0, cup.length])
-    gravity = np.array([0.0, 0.0, -GRAVITY])
-    tool = motion.trajectory(1.0, 250)
-    body = simulate(cup, package, tool, start_of(T), gravity)
-    G = oracle.transform(quaternion_to_rotation(rng.standard_normal(4)), [3.0, -2.0, 1.0])
-    moved = type(tool)(
-        tool.stamps_ns, tool.position @ G[:3, :3].T + G[:3, 3], G[:3, :3] @ tool.rotation,
-        tool.twist)
-    other = simulate(cup, package, moved, start_of(G @ T), G[:3, :3] @ gravity)
-    assert_allclose(other.position, body.position @ G[:3, :3].T + G[:3, 3], atol=1e-12)
-    assert_allclose(other.rotation, G[:3, :3] @ body.rotation, atol=1e-11)
-    assert_allclose(other.twist, body.twist, atol=1e-10)
-
-
 def test_hermite_curve_meets_both_samples_and_its_twist_is_its_derivative():
     rng = np.random.default_rng(5)
     motion, h = ShakenTool(rng, frequency=3.0), 0.02

@@ -3,7 +3,6 @@
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, transform
 from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.kernels import body_acceleration
 from bellows_ros.core.model.simulation import lip_wrenches, simulate, state_row
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -51,34 +50,6 @@ def test_a_cup_too_soft_for_its_package_has_no_equilibrium():
     tilted = state_row((0, 0, 0), (np.sin(0.7), 0, 0, np.cos(0.7)), np.zeros(6))
     with pytest.raises(BellowsError, match=r'2\.17'):
         equilibrium.static_equilibrium(model_tuple(soft, PLATE, 9.81), tilted)
-
-
-def test_modes_of_the_thesis_plate():
-    model = model_tuple(Cup.thesis(), PLATE, 0.0)
-    modes = np.linalg.eigvals(equilibrium.nominal_system_matrix(model))
-    frequencies = np.sort(np.abs(modes[modes.imag > 0])) / (2 * np.pi)
-    assert_allclose(frequencies[0], np.sqrt(1.123 / 0.0173) / (2 * np.pi), rtol=1e-5)  # torsion
-    axial = np.sqrt(11530 / 2.17) / (2 * np.pi)
-    assert np.min(np.abs(frequencies - axial)) < 1e-3
-
-
-def test_slopes_predict_small_changes():
-    rng = np.random.default_rng(4)
-    model = model_tuple(Cup.thesis(), PLATE, 9.81)
-    tool, body = LEVEL, equilibrium.static_equilibrium(model, LEVEL)
-    jacobian = equilibrium.linearise(model, tool, body)
-    d, v, e, u = 1e-5 * rng.standard_normal((4, 6))
-
-    def moved(state, pose, twist):
-        o, q, _, _ = equilibrium.displaced(state, tuple(pose[:3]), tuple(pose[3:]))
-        return o, q, tuple(twist[:3]), tuple(twist[3:])
-
-    ends = [
-        np.ravel(body_acceleration(model, moved(tool, s * e, s * u), moved(body, s * d, s * v)))
-        for s in (1.0, -1.0)]
-    expected = (jacobian.body_pose @ d + jacobian.body_twist @ v
-                + jacobian.tool_pose @ e + jacobian.tool_twist @ u)
-    assert_allclose((ends[0] - ends[1]) / 2, expected, rtol=1e-6, atol=1e-8)
 
 
 def test_a_tool_without_twists_is_refused():
