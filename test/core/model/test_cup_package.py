@@ -48,13 +48,6 @@ def potential_energy(cup, T):
     return h @ cup.stiffness @ h / 8.0
 
 
-def test_wrench_equals_the_printed_formulas(rng):
-    cup = random_cup(rng)
-    T, v = lip_pose(rng, cup), rng.standard_normal(6)
-    expected = oracle.wrench_at_lip(cup, T, v)
-    assert_allclose(wrench_at_lip(cup, T, v), expected, rtol=1e-12, atol=1e-10)
-
-
 def test_spring_wrench_is_the_gradient_of_the_potential(rng):
     cup, h = random_cup(rng, damping=False), 1e-6
     T = lip_pose(rng, cup)
