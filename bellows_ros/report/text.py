@@ -45,8 +45,9 @@ class Writer(Protocol):
 def print_identification(result: 'Identification', out: Writer) -> None:
     """Print the cup, and the samples and findings behind it."""
     fit, verdict = result.fit, result.verdict
-    causes, sentences = (verdict.cause, verdict.sentences) if verdict else ((), ())
-    out.paragraph(*causes)
+    sentences = verdict.sentences if verdict else ()
+    if verdict:
+        out.paragraph(*verdict.cause, *verdict.doubts)
     out.line(f'Cup identified from {listed(result.bags)}', 'bold')
     out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     out.line()

@@ -100,6 +100,8 @@ class FitVerdict(NamedTuple):
     """Standard deviations, SI units, of what was given and the fit has found with K and P ..."""
     expected: Free = MappingProxyType({})
     """... and of all that output error may correct beside them."""
+    heavier: float = 0.0
+    """Logarithm of the inertia over the mass that the fit has found, in the given one."""
 
     def allows_for(self, own: causes.Finding) -> bool:
         """Return whether the fit has corrected a cause, which is no larger than expected."""
@@ -125,7 +127,17 @@ class FitVerdict(NamedTuple):
     @property
     def sentences(self) -> tuple[str, ...]:
         """The likeliest cause, where there is one, and what the cup is worth."""
-        return (*self.cause, *(own.sentence for own in self.simulated))
+        return (*self.cause, *self.doubts, *(own.sentence for own in self.simulated))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """A sentence where the fit has corrected the inertia, as the mass may be wrong instead."""
+        if abs(self.heavier) < causes.MATERIAL or self.refusals:
+            return ()
+        return (
+            f'package.inertia is {np.exp(-self.heavier):.3g} times the value consistent with '
+            'package.mass, and the fit has corrected the inertia. If the mass is wrong instead, K '
+            'and P are off by that factor: weigh the package.',)
 
     @property
     def cause(self) -> tuple[str, ...]:
@@ -252,13 +264,15 @@ def verdict_of(
         return FitVerdict((), diagnosis, given)
     expected = allowances(values)
     allowed = {name: std for name, std in expected.items() if name in fit.found}
+    heavier = float(np.mean(fit.found['inertia']) - np.mean(fit.found.get('mass', 0.0))) if (
+        'inertia' in fit.found) else 0.0
     length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(given).places)
     some = [as_found(own, fit.found, number) for number, own in enumerate(some)]
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
     found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
-                       diagnosis, given, fit.robust_chi2, allowed, expected)
+                       diagnosis, given, fit.robust_chi2, allowed, expected, heavier)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))

@@ -51,6 +51,12 @@ def test_what_is_off_no_more_than_expected_comes_last():
     assert 'package.inertia as the first line' in found.refusals[0]
 
 
+@pytest.mark.parametrize(('heavier', 'said'), [(0.09, '0.914 times'), (-0.09, '1.09'), (0.03, '')])
+def test_an_inertia_that_was_corrected_makes_the_mass_doubtful(heavier, said):
+    found = judged()._replace(heavier=heavier)
+    assert said in ' '.join(found.sentences) and bool(found.sentences) == bool(said)
+
+
 @pytest.mark.parametrize(('turned', 'refused'), [(5e-3, False), (5e-2, True)])
 def test_a_marker_that_wrenches_show_turned_is_allowed_for(turned, refused):
     """Its shift along the cup is no number of theirs."""

@@ -14,10 +14,12 @@ less; and what is found beside it no more than itself.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
 from bellows_ros.core.identification.quantities import (
     anything,
@@ -32,6 +34,7 @@ from bellows_ros.core.identification.search import (
     MISFIT,
     MOST_CHI2,
     Search,
+    Segment,
     squares,
 )
 from bellows_ros.core.model.cup_package import Cup, package_of
@@ -108,9 +111,7 @@ def with_given(
     if again.converged and np.all(off < SIGNIFICANT) and not (
             near[1].converged and squares(near[1].parts) < squares(again.parts)):
         return wide, again, np.zeros((len(wide.units),) * 2)
-    for segment, std in zip(search.segments, stds, strict=True):
-        segment.std = std
-    search.take(near[1].parts)
+    _restore(search, near[1], stds)
     return near
 
 
@@ -179,6 +180,12 @@ def as_found(own: Recording, found: Free, number: int) -> Recording:
 MOVES = 0.02
 """Part by which a cause moves an entry of K, at least, where it does not halve the residuals."""
 
+SUSPECT = 0.5
+"""Part of the distance from lip to centre of mass by which one of them moves if exchanged."""
+
+MOST_TRIED = 2
+"""Quantities that are freed in turn where the next explains at least half as much."""
+
 MOST_CAUSES = 2
 """Causes that are looked for, one beside the other: the second takes 65 simulations at most, so
 that a whole fit to a wrong recording takes 219, and 64 more with all that was given free."""
@@ -196,14 +203,24 @@ def causes(
     After it comes what is likeliest where that is corrected, up to so many. What is known to be
     uncertain is none.
     """
-    scored = sorted(_scores(search, found, known), reverse=True)
+    scored = sorted((own for own in _scores(search, found, known) if np.isfinite(own[0])),
+                    reverse=True)
     if not scored or scored[0][0] < SIGNIFICANT**2:
         return ()
-    fall, name = scored[0]
-    freed = search.beside(found, anything([name]))
-    again = freed.found(lambda cup, chi2: None, freed.at(found.theta))
+    stds = [segment.std for segment in search.segments]
+    tried = sorted((_freed(search, found, name, stds) for score, name in scored[:MOST_TRIED]
+                    if score >= DISTINCT * scored[0][0]), key=lambda own: -own.gain)
+    name, freed, again, fall, noise = tried[0]
     if not again.converged:
         return ()
+    if most == MOST_CAUSES and name in ('com', 'package_marker'):
+        frame = _in_other_frame(search, found, freed, again)
+        if frame is not None and _gain(found, frame.minimum) > fall + SIGNIFICANT**2:
+            _restore(search, found, stds)
+            lip = all(search.segments[0].measured.moves_with_com)
+            left = float(np.sqrt(_rest(frame.minimum) / _rest(found)))
+            return (Finding('recording.package_frame', 'com' if lip else 'lip', left=left),)
+    _restore(freed, again, noise)
     place = freed.places[name].ravel()
     theta = (freed.units * again.theta)[place]
     covariance = np.linalg.inv(again.information)
@@ -213,7 +230,12 @@ def causes(
     left = float(np.sqrt(_rest(again) / _rest(found)))
     moved = _moved(search.structure, search.units[:search.count] * found.theta[:search.count],
                    freed.units[:search.count] * again.theta[:search.count])
-    rival = next((other for other, _ in scored[1:]), 0.0)
+    gains = {other: score for score, other in scored} | {own.name: own.gain for own in tried}
+    clear = SIGNIFICANT**2 * KINDS['com'].size  # as it has more numbers
+    instead = next((other for other in ('com', 'length') if {name, other} == {'com', 'length'}
+                    and gains.get(other, 0.0) > fall - clear), '')
+    rival = max((gain for other, gain in gains.items() if other not in (name, instead)),
+                default=0.0)
     more = causes(freed, again, known, most - 1) if most > 1 else ()
     is_all = most > 1 and not more  # so that what a rival leaves is its own
     certain = (moved > MOVES or left < DISTINCT) and (
@@ -229,7 +251,72 @@ def causes(
         best = int(np.argmax(np.abs(theta) / std))
         reach = max(own.reach[best] for own in again.parts) if name == 'cubic' else 1.0
         value, theta, std = f'K {AXES[best]}', *(reach**2 * own[[best]] for own in (theta, std))
-    return Finding(name, value, theta, std, left, moved, datum, certain), *more
+    return Finding(name, value, theta, std, left, moved, datum, certain, instead), *more
+
+
+def _in_other_frame(
+    search: Search, found: Minimum, freed: Search, again: Minimum
+) -> '_Freed | None':
+    """
+    Return the minimum with poses of the lip taken for those of the centre of mass, or vice versa.
+
+    With the centre of mass free near it, as it is a little off beside.
+
+    None where what was freed moves by much less than the two are apart, or the search ends
+    nowhere.
+    """
+    measured = search.segments[0].measured
+    com, lip = measured.payload.com, all(measured.moves_with_com)
+    values = freed.units * again.theta
+    way = values[freed.places['com'][0]] if 'com' in freed.places else (
+        values[freed.places['package_marker'][0]][:3])
+    if np.linalg.norm(way) < SUSPECT * np.linalg.norm(com):
+        return None
+    other, sign = copy(search), -1.0 if lip else 1.0
+    other.segments = [Segment(replace(own.measured, package=replace(
+        own.measured.package, position=own.measured.package.position + sign * apply(
+            own.measured.package.rotation, own.measured.payload.com))))
+        for own in search.segments]
+    there = other.found(lambda cup, chi2: None)
+    if not there.converged:
+        return None
+    beside = _freed(other, there, 'com', [segment.std for segment in other.segments])
+    return beside if beside.minimum.converged else None
+
+
+class _Freed(NamedTuple):
+    """A search with one quantity more, where it ended, and by how much squares fall."""
+
+    name: str
+    search: Search
+    minimum: Minimum
+    gain: float
+    noise: list[Array]
+    """Of the poses of each segment, as it was found (6,)."""
+
+
+def _freed(search: Search, found: Minimum, name: str, noise: list[Array]) -> _Freed:
+    """Return the search from a minimum with one quantity more, and what that explains."""
+    _restore(search, found, noise)
+    wide = search.beside(found, anything([name]))
+    again = wide.found(lambda cup, chi2: None, wide.at(found.theta))
+    gain = _gain(found, again) if again.converged else -np.inf
+    return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
+
+
+def _restore(search: Search, found: Minimum, noise: list[Array]) -> None:
+    """Go back to the paths, first states and noise of a minimum."""
+    for segment, std in zip(search.segments, noise, strict=True):
+        segment.std = std
+    search.take(found.parts)
+
+
+def _gain(found: Minimum, again: Minimum) -> float:
+    """Return by how much squares fall, by the noise that is left: that of slow poses is found."""
+    before, after = (np.concatenate([
+        own.innovations.reshape(-1, 6) ** 2 * own.spread for own in minimum.parts])
+        for minimum in (found, again))
+    return float(len(after) * np.sum(np.log(np.mean(before, axis=0) / np.mean(after, axis=0))))
 
 
 def _scores(

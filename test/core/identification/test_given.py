@@ -10,6 +10,7 @@ from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 from numpy.testing import assert_allclose
+import pytest
 
 from .recordings import PLATE
 from .test_output_error import AXISYMMETRIC, measured, NUMBERS, scaled, TRUTH
@@ -70,6 +71,25 @@ def test_a_com_that_is_far_off_does_not_leave_k_in_another_minimum():
     std = np.sqrt(np.diag(found.covariance + found.from_given))[:4]
     assert np.all(np.abs(found.parameters - 2.5 * NUMBERS)[:4] < 4.0 * std)
     assert np.all(std < 0.15 * 2.5 * NUMBERS[:4])
+
+
+def test_a_length_that_is_off_is_named_though_a_frame_seems_to_explain_more():
+    """To first order, that is: so the next likeliest is tried, too."""
+    own = measured(12, package_noise=(3e-4, 1.5e-3), package_hz=60.0)
+    aside = replace(own, payload=varied(PLATE, com=np.array([1.5e-4, 0.0, 0.0])))
+    longer = replace(TRUTH, length=TRUTH.length + 6e-3)
+    (first, *_) = output_error([aside], AXISYMMETRIC, longer, given=USUAL).causes
+    assert first.name == 'length'
+
+
+@pytest.mark.parametrize('lip', [False, True])
+def test_poses_of_the_lip_are_told_from_those_of_the_com(lip):
+    own = measured(7, **QUIET)
+    body, away = own.package, (1.0 if lip else -1.0) * PLATE.com
+    wrong = replace(own, moves_with_com=(lip,) * 3, package=replace(
+        body, position=body.position + body.rotation @ away))
+    (first, *_) = output_error([wrong], AXISYMMETRIC, TRUTH, given=USUAL).causes
+    assert (first.name, first.value) == ('recording.package_frame', 'com' if lip else 'lip')
 
 
 def test_k_is_known_no_better_than_the_mass():
