@@ -187,8 +187,7 @@ MOST_TRIED = 2
 """Quantities that are freed in turn where the next explains at least half as much."""
 
 MOST_CAUSES = 2
-"""Causes that are looked for, one beside the other: the second takes 65 simulations at most, so
-that a whole fit to a wrong recording takes 219, and 64 more with all that was given free."""
+"""Causes that are looked for, one beside the other, by a search for each quantity tried."""
 
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
               *OF_CUP)
@@ -260,10 +259,8 @@ def _in_other_frame(
     """
     Return the minimum with poses of the lip taken for those of the centre of mass, or vice versa.
 
-    With the centre of mass free near it, as it is a little off beside.
-
-    None where what was freed moves by much less than the two are apart, or the search ends
-    nowhere.
+    With the centre of mass free near it, as it is a little off beside. None where what was freed
+    moves by much less than the two are apart, or the search ends nowhere.
     """
     measured = search.segments[0].measured
     com, lip = measured.payload.com, all(measured.moves_with_com)
@@ -312,7 +309,7 @@ def _restore(search: Search, found: Minimum, noise: list[Array]) -> None:
 
 
 def _gain(found: Minimum, again: Minimum) -> float:
-    """Return by how much squares fall, by the noise that is left: that of slow poses is found."""
+    """Return by how much squares fall, in the noise that is left, as that of slow poses is fit."""
     before, after = (np.concatenate([
         own.innovations.reshape(-1, 6) ** 2 * own.spread for own in minimum.parts])
         for minimum in (found, again))

@@ -134,8 +134,8 @@ MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
 """
 Largest numbers of steps: to bring a start near, after that, and after that with a misfit.
 
-So a search simulates a wrong recording 53 times at most (with clocks or frames free, 64), and a
-whole fit, with relaxation, the likeliest causes and what was given free in turn, 283 times.
+So a search simulates a wrong recording 53 times at most (with clocks or frames free, 64). A whole
+fit is several: with relaxation, the likeliest causes and what was given free in turn.
 """
 
 MOST_CHI2, MISFIT = 1.2, 1.5
@@ -500,8 +500,12 @@ class Search:
             elif along > 0.5 or share < 1.0:
                 share = min(1.5 * share, LONGEST_SHARE)
             there, length = self.moved(theta, step, share), self.length_of(step, H)
-            new = self.system(there, forgets)
-            if not squares(new[0]) < RISES * max(squares(parts), expected):  # or nan
+            try:
+                new = self.system(there, forgets)
+                is_worse = not squares(new[0]) < RISES * max(squares(parts), expected)  # or nan
+            except BellowsError:  # no cup is that short, no clock that far off
+                is_worse = True
+            if is_worse:
                 damping = max(10.0 * damping, 1e-2)
                 continue
             theta, (parts, H, g), last = there, new, step

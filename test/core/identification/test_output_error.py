@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.quantities import KINDS
+from bellows_ros.core.identification.quantities import anything, KINDS
 from bellows_ros.core.identification.search import Measured, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
@@ -53,6 +53,16 @@ def scaled(factor):
 def z_of(fit):
     """Return the errors (8,) in standard errors, 0 where it is not identifiable."""
     return (fit.parameters - NUMBERS) / np.sqrt(np.diag(fit.covariance))
+
+
+def test_a_step_to_a_cup_shorter_than_nothing_is_rejected():
+    """Of poses 6 cm above the true ones, which a free length would explain."""
+    own = measured(3, duration=6.0, package_hz=60.0)
+    higher = replace(own.package, position=own.package.position + [0.0, 0.0, 0.06])
+    search = Search([Segment(replace(own, package=higher))], AXISYMMETRIC, TRUTH,
+                    anything(['length']))
+    length = (search.units * search.found(lambda cup, chi2: None).theta)[-1]
+    assert -TRUTH.length < length < -0.02
 
 
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
