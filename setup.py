@@ -85,7 +85,7 @@ setup(
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
         'py.typed', 'core/parameters/table.toml', 'files/bellows_cup.h', 'files/cup.mjcf',
-        'files/cup.sdf', 'files/motion.script', 'nodes/predictor.toml',
+        'files/cup.sdf', 'files/motion.script', 'nodes/identifier.toml', 'nodes/predictor.toml',
         'plots/pictures.mplstyle', 'report/page.html', 'report/style.css']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.

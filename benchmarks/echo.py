@@ -6,7 +6,7 @@ A bare node that sends every tool pose back: the floor for the latency of the pr
 
 import sys
 
-from bellows_ros.nodes.command import Interface, run
+from bellows_ros.nodes.command import run
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -32,4 +32,4 @@ class Echo(Node):
 
 
 if __name__ == '__main__':
-    sys.exit(run(Interface('echo', '', ()), 'benchmarks.echo:Echo', ()))
+    sys.exit(run('echo', 'benchmarks.echo:Echo', ()))

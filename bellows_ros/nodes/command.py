@@ -18,7 +18,7 @@ import sys
 import textwrap
 import tomllib
 from types import FrameType
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
 
@@ -32,46 +32,26 @@ ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
 WIDTH = 96
 
 
-class Interface(NamedTuple):
-    """
-    Purpose and connections of a node.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node and of its command.
-    purpose : str
-        One sentence.
-    examples : sequence of str
-        Command lines.
-
-    """
-
-    name: str
-    purpose: str
-    examples: Sequence[str]
-
-    @property
-    def topics(self) -> list[tuple[str, str, str]]:
-        """Name, type and a sentence on each topic and service, from the file beside the node."""
-        file = Path(__file__).with_name(f'{self.name}.toml')
-        entries = tomllib.loads(file.read_text())['topics'] if file.exists() else []
-        return [(entry['name'], entry['type'], entry['text']) for entry in entries]
+def interface(name: str) -> dict[str, Any]:
+    """Return purpose, examples and topics of a node, from the file beside it."""
+    return tomllib.loads(Path(__file__).with_name(f'{name}.toml').read_text())
 
 
-def help_text(interface: Interface) -> str:
+def help_text(name: str) -> str:
     """Return the text of `--help`: purpose, topics and services, parameters, examples."""
+    found = interface(name)
     parts = {
-        'Start it with:': [f'  {example}' for example in interface.examples],
+        'Start it with:': [f'  {example}' for example in found['examples']],
         'Topics and services (relative names; remap with -r FROM:=TO):': [
-            _entry(f'{name}  [{kind}]', text) for name, kind, text in interface.topics],
+            _entry('{name}  [{type}]'.format(**topic), topic['text'])
+            for topic in found.get('topics', ())],
         'Parameters (set with -p NAME:=VALUE or --params-file FILE):': [
             _entry(f'{p.name}  [{p.constraint}; {p.default_text}'
                    f'{"; cannot change while the node runs" if p.read_only else ""}]',
-                   p.description) for p in parameters_of(interface.name)]}
+                   p.description) for p in parameters_of(name)]}
     return '\n\n'.join([
-        f'usage: {interface.name} [--help] [--version] [--ros-args ...]',
-        textwrap.fill(interface.purpose, WIDTH),
+        f'usage: {name} [--help] [--version] [--ros-args ...]',
+        textwrap.fill(found['purpose'], WIDTH),
         *('\n'.join([head, *lines]) for head, lines in parts.items() if lines)]) + '\n'
 
 
@@ -82,19 +62,19 @@ def _entry(head: str, text: str) -> str:
     return f'{head}\n{body}'
 
 
-def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
+def run(name: str, node: str, args: Sequence[str] | None = None) -> int:
     """
     Run a node until it has finished or the process is asked to end.
 
     Parameters
     ----------
-    interface : Interface
-        For `--help`.
+    name : str
+        Of the node and of its command.
     node : str
         The node's module, which imports ROS, and class. A node has a future `finished`: its result
         ends the process well, its exception is raised here.
-    args : sequence of str or None
-        The command line behind the command's name; None for that of the process.
+    args : sequence of str, optional
+        The command line behind the command's name; that of the process if left out.
 
     Returns
     -------
@@ -106,11 +86,11 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
     own = list(takewhile(lambda argument: argument != '--ros-args', arguments))
     configure_process(is_node=True)
     if {'-h', '--help'} & set(own):
-        print(help_text(interface), end='')
+        print(help_text(name), end='')
         return 0
     if '--version' in own:
         from .. import __version__
-        print(f'{interface.name} {__version__}')
+        print(f'{name} {__version__}')
         return 0
     # Only noted: an exception would come up anywhere, in the middle of a callback from C too.
     # While the node is made, maybe compiled, it has nothing to end in order.
@@ -127,8 +107,8 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         if own:
             raise BellowsError(
                 f"Unknown argument '{short(own[0])}'. Parameters and remappings follow "
-                f'--ros-args, for example: {interface.name} --ros-args --params-file FILE. See '
-                f'{interface.name} --help.')
+                f'--ros-args, for example: {name} --ros-args --params-file FILE. See '
+                f'{name} --help.')
         require_ros()
         make_node = resolve_name(node)
         from rclpy.utilities import try_shutdown
@@ -136,7 +116,7 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         from .guarding import spin
 
         try:
-            _initialise([interface.name, *arguments])
+            _initialise([name, *arguments])
             made.append(make_node())
             spin(made[0], lambda: bool(asked))
         finally:
@@ -144,7 +124,7 @@ def run(interface: Interface, node: str, args: Sequence[str] | None) -> int:
         if asked:
             _leave()
     except BellowsError as error:
-        print(f'{interface.name}: {error}', file=sys.stderr)
+        print(f'{name}: {error}', file=sys.stderr)
         return error.exit_code
     finally:
         for number, handler in before.items():

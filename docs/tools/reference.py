@@ -22,7 +22,7 @@ from bellows_ros.cli.console import EXIT_CODES
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import WITHOUT
-from bellows_ros.nodes.predictor import INTERFACE
+from bellows_ros.nodes.command import interface
 import numpy as np
 
 FOLDER = Path(__file__).resolve().parents[1] / 'reference'
@@ -103,8 +103,8 @@ def topics() -> Iterator[str]:
         'node into a namespace.', '',
         '| name | type | meaning |', '|---|---|---|',
     )
-    for name, kind, text in INTERFACE.topics:
-        yield f'| `{name}` | {_cell(kind)} | {_cell(text)} |'
+    for topic in interface('predictor')['topics']:
+        yield f"| `{topic['name']}` | {_cell(topic['type'])} | {_cell(topic['text'])} |"
     yield from (
         '',
         '## QoS', '',

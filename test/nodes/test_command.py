@@ -8,13 +8,13 @@ import time
 
 from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.nodes import identifier, predictor
-from bellows_ros.nodes.command import help_text, origin_of
+from bellows_ros.nodes import predictor
+from bellows_ros.nodes.command import help_text, interface, origin_of
 import pytest
 
 from .conftest import GIVEN, MS, Peer, pose_at, START
 
-MODULES = {'predictor': predictor, 'identifier': identifier}
+NODES = ('predictor', 'identifier')
 WITHOUT_ROS = """
 import sys
 
@@ -39,14 +39,14 @@ def run(environment, root, *command):
         timeout=60)
 
 
-@pytest.mark.parametrize('name', MODULES)
+@pytest.mark.parametrize('name', NODES)
 def test_help_shows_everything(name):
     """Name each topic, service and parameter, with unit."""
-    text = help_text(MODULES[name].INTERFACE)
+    text = help_text(name)
     unbroken = ' '.join(text.split())
 
-    for topic, kind, _ in MODULES[name].INTERFACE.topics:
-        assert f'{topic} [{kind}]' in unbroken
+    for topic in interface(name).get('topics', ()):
+        assert '{name} [{type}]'.format(**topic) in unbroken
     for parameter in parameters_of(name):
         assert f'{parameter.name} [{parameter.constraint}; ' in unbroken
         assert parameter.description in unbroken
@@ -54,12 +54,12 @@ def test_help_shows_everything(name):
     assert max(map(len, text.splitlines())) < 100
 
 
-@pytest.mark.parametrize('name', MODULES)
+@pytest.mark.parametrize('name', NODES)
 def test_help_needs_no_ros_and_missing_ros_is_said_plainly(name, root, user_environment):
     """Answer from the table alone, or name the package to install, without a traceback."""
     done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=['--help']))
     assert done.returncode == 0, done.stderr
-    assert done.stdout == help_text(MODULES[name].INTERFACE)
+    assert done.stdout == help_text(name)
     done = run(user_environment, root, '-c', WITHOUT_ROS.format(name=name, arguments=[]))
     assert done.returncode == 2
     assert "pip install 'ros-jazzy-rclpy[fastrtps]'" in done.stderr
