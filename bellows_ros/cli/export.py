@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.core.model.grip import grip_of
     from bellows_ros.core.parameters import checks
     from bellows_ros.files.atomic import write_text
-    from bellows_ros.files.exports import Exported, limits, TARGETS
+    from bellows_ros.files.exports import limits, TARGETS
 
     values = options.cup_parameters(arguments, console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     lost = limits(target, cup)
     gravity = tuple(checks.gravity_of(settings).tolist())
     write_text(arguments.out, target.write(
-        Exported(cup, package, gravity, grip_of(settings), arguments.name)))
+        cup, package, gravity, grip_of(settings), arguments.name))
     options.put_json(arguments.json, {
         'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
     console.wrote(arguments.out, arguments.json)

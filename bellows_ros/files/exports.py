@@ -33,23 +33,12 @@ HEADER = Path(__file__).with_name('bellows_cup.h')
 DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
 
 
-class Exported(NamedTuple):
-    """The data to export."""
-
-    cup: Cup
-    package: Package
-    gravity: tuple[float, float, float] = DOWN
-    """In the world, m/s^2."""
-    grip: Grip | None = None
-    name: str = 'bellows_exported'
-    """Of the numbers in C, and the prefix of their names."""
-
-
 class Target(NamedTuple):
     """A format: its writer, and what it cannot express."""
 
     name: str
-    write: Callable[[Exported], str]
+    write: Callable[..., str]
+    """Takes cup, package, gravity, grip and name; the last three are used in C only."""
     limits: tuple[str, ...]
     whole: bool = False
     """Whether it has all entries of K and P."""
@@ -83,24 +72,22 @@ def _inertia(package: Package) -> tuple[float, ...]:
     return tuple(float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
 
 
-def mjcf(exported: Exported) -> str:
+def mjcf(cup: Cup, package: Package, *_: Any) -> str:
     """Return a MuJoCo model (XML)."""
-    cup, package, *_ = exported
     stiffness, damping = (np.diag(m).tolist() for m in (cup.stiffness, cup.damping))
     joints = '\n'.join(
         f'        <joint name="cup_{kind}_{axis}" type="{kind}" axis="{AXES[axis]}" '
         f'stiffness="{stiffness[i]!r}" damping="{damping[i]!r}"/>'
         for i, (kind, axis) in enumerate(product(('slide', 'hinge'), AXES)))
-    return _filled('cup.mjcf', exported, inertia=_numbers(_inertia(package)), joints=joints)
+    return _filled('cup.mjcf', cup, package, inertia=_numbers(_inertia(package)), joints=joints)
 
 
-def sdf(exported: Exported) -> str:
+def sdf(cup: Cup, package: Package, *_: Any) -> str:
     """
     Return a model in SDF: six joints in a row, with dummy links between them.
 
     The frame of the package is in the middle of the cup.
     """
-    cup, package, *_ = exported
     moment = DUMMY * float(np.min(np.linalg.eigvalsh(package.inertia)))
     dummy = (f'      <inertial><mass>{DUMMY * package.mass!r}</mass>\n'
              f'        {_tensor((moment,) * 3 + (0.0,) * 3)}\n      </inertial>')
@@ -120,13 +107,12 @@ def sdf(exported: Exported) -> str:
             '        <limit><lower>-1e16</lower><upper>1e16</upper></limit>',
             '      </axis>',
             '    </joint>']
-    return _filled('cup.sdf', exported, inertia=_tensor(_inertia(package)), dummy=dummy,
-                   chain='\n'.join(chain))
+    return _filled('cup.sdf', cup, package, inertia=_tensor(_inertia(package)),
+                   dummy=dummy, chain='\n'.join(chain))
 
 
-def _filled(name: str, exported: Exported, **parts: str) -> str:
+def _filled(name: str, cup: Cup, package: Package, **parts: str) -> str:
     """Return a template with cup, package and other parts in it."""
-    cup, package, *_ = exported
     return Path(__file__).with_name(name).read_text().format(
         middle=repr(-cup.length / 2.0), com=_numbers(package.com + [0.0, 0.0, -cup.length / 2.0]),
         mass=repr(package.mass), **parts)
@@ -139,12 +125,15 @@ def _tensor(values: tuple[float, ...]) -> str:
     return f'<inertia>{inner}</inertia>'
 
 
-def header(exported: Exported) -> str:
+def header(
+    cup: Cup, package: Package, gravity: tuple[float, float, float] = DOWN,
+    grip: Grip | None = None, name: str = 'bellows_exported',
+) -> str:
     """
     Return a header in C99: the model, and the numbers of this cup and package by their name.
 
     The model has a guard of its own, so that a program may include several cups; two of one name
-    do not compile.
+    do not compile. Gravity is in the world, m/s^2.
 
     Raises
     ------
@@ -152,15 +141,14 @@ def header(exported: Exported) -> str:
         If the name is none that C has.
 
     """
-    name = exported.name
     if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
         raise BellowsError(
             '--name: expected letters, digits and underscores, beginning with a letter; got '
             f"'{name}'.")
-    model = model_tuple(exported.cup, exported.package, exported.gravity)
+    model = model_tuple(cup, package, gravity)
     numbers = '\n'.join([
         f'static const bellows_model {name} = {_braced(model)};',
-        *_grip(name, exported.grip, model[0]),
+        *_grip(name, grip, model[0]),
         '/* Longest step of integration, s. */',
         f'static const double {name}_longest = {largest_step(model)!r};'])
     relaxes = len(model[0]) > 4

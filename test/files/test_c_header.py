@@ -18,7 +18,7 @@ from bellows_ros.core.model.kernels import (
 from bellows_ros.core.model.simulation import body_row, row_state, state_row
 from bellows_ros.core.model.structure import composed
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.exports import Exported, header
+from bellows_ros.files.exports import header
 import numpy as np
 import pytest
 
@@ -70,7 +70,7 @@ def library(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp('c')
     name = 'cup.c' if compiler == 'gcc' else 'cup.cpp'
     grip = GRIP if cup is CUP or cup is RUBBER else (*GRIP, PLACES)
-    (folder / 'cup.h').write_text(header(Exported(cup, PACKAGE, GRAVITY, grip)))
+    (folder / 'cup.h').write_text(header(cup, PACKAGE, GRAVITY, grip))
     (folder / name).write_text(LIBRARY)
     subprocess.run(
         [compiler, *options, *STRICT, '-shared', '-fPIC', '-o', 'cup.so', name, '-lm'],
@@ -142,8 +142,8 @@ def test_rest_is_where_nothing_accelerates(library):
 
 def test_a_grip_that_is_not_known_is_not_made_up():
     """Leave it out, so that asking for it does not compile, instead of one that holds nothing."""
-    assert 'bellows_grip bellows_exported_grip =' in header(Exported(CUP, PACKAGE, grip=GRIP))
-    text = header(Exported(CUP, PACKAGE))
+    assert 'bellows_grip bellows_exported_grip =' in header(CUP, PACKAGE, grip=GRIP)
+    text = header(CUP, PACKAGE)
     assert 'bellows_grip bellows_exported_grip =' not in text
     assert 'cup.lip_radius' in text
 
@@ -171,7 +171,7 @@ def test_two_cups_in_one_program(how, tmp_path):
     soft = Cup(0.5 * CUP.stiffness, CUP.damping, CUP.length)
     for name, cup in (('left', CUP), ('right_cup', soft), ('left', soft)):
         (tmp_path / f'{name.split("_")[0]}.h').write_text(
-            header(Exported(cup, PACKAGE, GRAVITY, GRIP, name)))
+            header(cup, PACKAGE, GRAVITY, GRIP, name))
         if name == 'right_cup':
             source = 'two.c' if compiler == 'gcc' else 'two.cpp'
             (tmp_path / source).write_text(TWO)
@@ -189,4 +189,4 @@ def test_two_cups_in_one_program(how, tmp_path):
 def test_name_that_c_does_not_have_is_refused(name):
     """Say so instead of writing what does not compile."""
     with pytest.raises(BellowsError, match='--name'):
-        header(Exported(CUP, PACKAGE, name=name))
+        header(CUP, PACKAGE, name=name)

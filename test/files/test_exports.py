@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.files.exports import Exported, limits, TARGETS
+from bellows_ros.files.exports import limits, TARGETS
 import numpy as np
 import pytest
 
@@ -17,7 +17,7 @@ K, P = (np.diag(m).tolist() for m in (CUP.stiffness, CUP.damping))
 
 def parsed(name):
     """Return a model's root."""
-    return ElementTree.fromstring(TARGETS[name].write(Exported(CUP, PACKAGE)))
+    return ElementTree.fromstring(TARGETS[name].write(CUP, PACKAGE))
 
 
 def numbers(text):
@@ -96,7 +96,7 @@ def test_mujoco_swings_as_the_model_does():
     """Pull the package 2 mm aside without gravity, let go, and compare half a second."""
     mujoco = pytest.importorskip('mujoco', reason='no MuJoCo here (pip install mujoco)')
     package = Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))
-    model = mujoco.MjModel.from_xml_string(TARGETS['mjcf'].write(Exported(CUP, package)))
+    model = mujoco.MjModel.from_xml_string(TARGETS['mjcf'].write(CUP, package))
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     count, step = round(0.5 / model.opt.timestep), round(1e9 * model.opt.timestep)
@@ -124,7 +124,7 @@ def test_drake_lets_the_package_sag_as_far_as_it_should():
     builder = drake.DiagramBuilder()
     plant, _ = drake.AddMultibodyPlantSceneGraph(builder, 0.0)
     still = Package(2.17, PACKAGE.inertia, (0.0, 0.0, -0.03))
-    drake.Parser(plant).AddModelsFromString(TARGETS['sdf'].write(Exported(CUP, still)), 'sdf')
+    drake.Parser(plant).AddModelsFromString(TARGETS['sdf'].write(CUP, still), 'sdf')
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName('tool'))
     plant.Finalize()
     simulator = drake.Simulator(builder.Build())
