@@ -113,7 +113,14 @@ def read_result(path: File) -> dict[str, Any]:
         If the file cannot be read, is not JSON, or lacks something.
 
     """
-    content = read_json(path, " Give what 'bellows identify --json' wrote.")
+    text = read_text(path, LARGEST_FILE, 'Result')
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise BellowsError(f"Result '{path}' is nested too deeply to be read.") from None
+    except ValueError as error:
+        raise BellowsError(f"Result '{path}' is not JSON: {error}. Give what 'bellows identify "
+                           "--json' wrote.") from None
     missing = [key for key in KEYS if not isinstance(content, dict) or key not in content]
     if missing:
         raise BellowsError(f"Result '{path}' lacks {', '.join(missing)}. Identify the cup again.")
@@ -123,17 +130,6 @@ def read_result(path: File) -> dict[str, Any]:
         if not shaped or not all(isinstance(row, list) and len(row) == 6 for row in rows):
             raise BellowsError(f"Result '{path}': '{key}' must be a list of 6 rows of 6 numbers.")
     return dict(content)
-
-
-def read_json(path: File, remedy: str = '') -> Any:
-    """Return the content of a JSON file; raise BellowsError if it cannot be read."""
-    text = read_text(path, LARGEST_FILE, 'Result')
-    try:
-        return json.loads(text, parse_constant=_refuse_constant)
-    except RecursionError:
-        raise BellowsError(f"Result '{path}' is nested too deeply to be read.") from None
-    except ValueError as error:
-        raise BellowsError(f"Result '{path}' is not JSON: {error}.{remedy}") from None
 
 
 @contextmanager
