@@ -1,6 +1,6 @@
 """Animations of tool, cup and package: a replay, and a motion as planned and steered."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 import io
@@ -16,13 +16,12 @@ from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
 from bellows_ros.files.atomic import scratch_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
+from bellows_ros.workflows.recordings import Progress, silent
 from bellows_ros.workflows.steer import SteerReport
 import numpy as np
 
 from .panels import bellows_rings, box_corners, BOX_EDGES, BOX_FACES, picture, SIDES
 from .style import FILMS, require_picture, Theme
-
-Progress = Callable[[str, float], None]
 
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 NO_FFMPEG = (
@@ -37,7 +36,7 @@ VIEW = {'elev': 14.0, 'azim': -60.0}
 
 def write_animation(
     path: File, replayed: Replayed, note: str, theme: str = 'light',
-    progress: Progress | None = None, speed: float = 1.0,
+    progress: Progress = silent, speed: float = 1.0,
 ) -> None:
     """
     Write a replay as a GIF, or as an MP4 where ffmpeg is there.
@@ -90,7 +89,7 @@ def write_steering(path: File, report: SteerReport, note: str, speed: float) -> 
                 (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
                 (wanted.position, wanted.rotation), com, box, values['cup.length'], WAY_ZOOM))
     _write(path, views, 'The same way, with and without swing; wanted as an outline', note,
-           'light', None, speed)
+           'light', silent, speed)
 
 
 Poses = tuple[Array, Array]
@@ -118,7 +117,7 @@ class View(NamedTuple):
 
 def _write(
     path: File, views: Sequence[View], title: str, note: str, theme: str,
-    progress: Progress | None, speed: float,
+    progress: Progress, speed: float,
 ) -> None:
     """Write views side by side, from the first time to the last of all."""
     ending = f'.{require_picture(path, FILMS)}'
@@ -127,7 +126,7 @@ def _write(
     first, last = (limit(view.seconds[end] for view in views)
                    for limit, end in ((min, 0), (max, -1)))
     times = np.arange(first, last, speed / rate_hz)
-    pictures = _drawn(views, times, title, note, theme, progress or (lambda what, part: None))
+    pictures = _drawn(views, times, title, note, theme, progress)
     write_bytes(path, encode(pictures, rate_hz))
 
 

@@ -1,6 +1,6 @@
 """Design the motion that identifies a cup best, report the expected errors, and write it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 import os
@@ -30,10 +30,9 @@ from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
 from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows.recordings import Progress, silent
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
-
-Progress = Callable[[str, float], None]
 
 POINT_RATE, UR_RATE = 1000.0, 125.0
 """Points per second in recordings and CSV, and in a URScript program, Hz."""
@@ -138,7 +137,7 @@ def _rounded_up(factor: float) -> str:
 def excite(
     settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[File] = (), seed: int = 0,
-    progress: Progress | None = None, with_series: bool = False, hold: float = motion_design.HOLD,
+    progress: Progress = silent, with_series: bool = False, hold: float = motion_design.HOLD,
 ) -> DesignedMotion:
     """
     Design a motion that is most informative on K and P.
@@ -180,7 +179,6 @@ def excite(
             'rubber.')
     if seed < 0:
         raise BellowsError(f'The seed is {seed}; expected an integer from 0 on.')
-    tell = progress or (lambda what, part: None)
     values: dict[str, Any] = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
     arm = arm_of(urdf, values['tool_link']) if urdf else None
     bounds, block = limits_from(limits, float(values['safety.least']), arm)
@@ -198,7 +196,7 @@ def excite(
 
     plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
     found = motion_design.design(
-        cup, package, gravity, grip, structure, bounds, tracking, duration, seed, tell, hold)
+        cup, package, gravity, grip, structure, bounds, tracking, duration, seed, progress, hold)
     period = tracking.package_period
     others = {}
     for path, tool in plans.items():

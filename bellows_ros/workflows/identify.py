@@ -34,6 +34,7 @@ from bellows_ros.workflows.recordings import (
     load,
     Progress,
     repeats,
+    silent,
     values_of_each,
 )
 from bellows_ros.workflows.verdict import allowances, FitVerdict, LOOKED_AT, verdict_of
@@ -69,7 +70,7 @@ ONLY_QUICK = (
 
 
 def identify(
-    settings: Mapping[str, object], progress: Progress | None = None,
+    settings: Mapping[str, object], progress: Progress = silent,
     parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
     dask: str = '', force: bool = False
 ) -> identification.Identification:
@@ -102,17 +103,16 @@ def identify(
         does not answer, or the recordings do not determine the cup.
 
     """
-    tell = progress or (lambda what, part: None)
     values = resolved(settings)
     structure.fitted_structure(values)
     of_files = tuple({'path': os.fspath(path), 'files': digests(path)} for path in parameter_files)
-    static = _static(values, tell)
+    static = _static(values, progress)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
         values[name] for name in NEEDING_RECORDINGS)
 
     def read(own: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
-        parts, failed = read_all(own, keep=keep, tell=tell, jobs=jobs, dask=dask)
+        parts, failed = read_all(own, keep=keep, tell=progress, jobs=jobs, dask=dask)
         differentiable = methods.are_differentiable(parts, own)
         return with_relaxation(parts, own) if differentiable else parts, failed
 
@@ -122,11 +122,11 @@ def identify(
     of_model = set(values['fit.free']) - {'time_offset', 'package_world'}
     if values['fit.method'] == 'output_error' and not (force or static or of_model) and (
             methods.are_differentiable(parts, values)):
-        tell(CAUSES, FIT_BEGINS)
+        progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole, effective['cup.length'], effective)
         if early and early._replace(allowed=allowances(effective)).refusals:
             effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
-    return _identified(values, effective, parts, static, tell, read, failed=tuple(failed),
+    return _identified(values, effective, parts, static, progress, read, failed=tuple(failed),
                        assumed=notes, parameter_files=of_files)
 
 
@@ -413,7 +413,7 @@ class StructureAdvice:
 
 
 def structures(
-    settings: Mapping[str, object], progress: Progress | None = None
+    settings: Mapping[str, object], progress: Progress = silent
 ) -> StructureAdvice:
     """
     Find what is identifiable from the recordings of the parameter `bags`; compare structures.
@@ -431,20 +431,20 @@ def structures(
         If a parameter or a recording is not usable, or no structure can be fitted.
 
     """
-    tell, values = progress or (lambda what, part: None), resolved(settings)
-    read: list[Recording] = read_all(values, True, tell)[0]
+    values = resolved(settings)
+    read: list[Recording] = read_all(values, True, progress)[0]
     recordings = with_relaxation(read, values)
     relaxation = recordings[0].relaxation
     if any(relaxation.strengths):  # least squares alone is biased by noise
         better = methods.fit(recordings, {
             **values, 'fit.method': 'output_error',
-            'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}, tell).fit
+            'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}, progress).fit
         if better.converged:
             relaxation = relaxation._replace(
                 strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))
             recordings = [replace(own, relaxation=relaxation) for own in recordings]
     advice = StructureAdvice(
         excitation_of([reduced(recording, values) for recording in recordings]),
-        selection(recordings, values, tell), tuple(recordings), values)
-    tell('done', 1.0)
+        selection(recordings, values, progress), tuple(recordings), values)
+    progress('done', 1.0)
     return advice

@@ -18,7 +18,7 @@ from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress
+from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, silent
 from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
 import numpy as np
 
@@ -233,13 +233,12 @@ def loads(bag: File, settings: Mapping[str, object]) -> Loads:
 
 
 def replayed(
-    bag: File, settings: Mapping[str, object], progress: Progress | None = None
+    bag: File, settings: Mapping[str, object], progress: Progress = silent
 ) -> Replayed:
     """Return a replay with the poses of all bodies."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
-    return with_bodies(
-        values, recording, predicted_live(recording, values, *filter(None, [progress])))
+    return with_bodies(values, recording, predicted_live(recording, values, progress))
 
 
 def with_bodies(values: Mapping[str, Any], recording: Recording, live: Live) -> Replayed:

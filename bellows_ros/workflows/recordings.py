@@ -40,8 +40,13 @@ from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 
-Progress = Callable[[str, float], None]
+Progress = Callable[..., None]
 """Called with what is being done and the part (0 to 1) that is done."""
+
+
+def silent(what: str, part: float = 0.0) -> None:
+    """Say nothing of the progress."""
+
 
 NO_OFFSET = (
     'The time offset between tool and package is not identifiable from this recording; its '

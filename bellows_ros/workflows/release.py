@@ -18,7 +18,7 @@ from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.identify import resolved
-from bellows_ros.workflows.recordings import load, Progress, values_of_each
+from bellows_ros.workflows.recordings import load, Progress, silent, values_of_each
 import numpy as np
 
 UNITS = {name: PARAMETERS[name].unit for name in RELEASE_NAMES}
@@ -102,7 +102,7 @@ class ReleaseResult:
 
 
 def identify_release(
-    settings: Mapping[str, object], progress: Progress = lambda what, part: None
+    settings: Mapping[str, object], progress: Progress = silent
 ) -> ReleaseResult:
     """
     Identify the law of release from the drops in the recordings that `bags` names.

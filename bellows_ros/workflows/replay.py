@@ -28,7 +28,7 @@ from bellows_ros.files import File
 from bellows_ros.files.results import provenance, with_units
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
-from bellows_ros.workflows.recordings import load, Progress
+from bellows_ros.workflows.recordings import load, Progress, silent
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
@@ -209,7 +209,7 @@ class Replay(CommandResult):
 def replay(
     bag: File,
     settings: Mapping[str, object],
-    progress: Progress | None = None,
+    progress: Progress = silent,
     observe: str = '',
     calibrate_alarms: bool = False,
 ) -> Replay:
@@ -240,19 +240,18 @@ def replay(
 
     """
     values: dict[str, Any] = resolve(settings, RECORDING_PARAMETERS)
-    tell = progress or (lambda what, part: None)
-    tell(f'reading {os.fspath(bag)}', 0.0)
+    progress(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)
     facts = corrected(recording)[0]
     if any(own.sentence for own in facts):  # the package is not below the tool
         raise BellowsError(' '.join(finding_sentence(own, values) for own in facts))
-    tell('simulating', 0.3)
+    progress('simulating', 0.3)
     free = validated(values, recording)
-    live = predicted_live(recording, values, lambda what, part: tell(what, 0.4 + 0.6 * part))
+    live = predicted_live(recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part))
     found = observed(
         bag, recording, tool_messages(recording, values), live, values, observe,
         calibrate_alarms) if observe else None
-    tell('done', 1.0)
+    progress('done', 1.0)
     return replace(free, live=live, observed=found, warnings=_without_loss(free, found))
 
 
@@ -327,7 +326,7 @@ def _why_unstable(values: Mapping[str, Any], recording: Recording) -> str:
 
 
 def predicted_live(
-    recording: Recording, values: Mapping[str, Any], tell: Progress = lambda what, part: None
+    recording: Recording, values: Mapping[str, Any], tell: Progress = silent
 ) -> Live:
     """
     Send a recording's tool messages through the predictor and compare with its package poses.

@@ -16,7 +16,7 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import attributes, with_units
-from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, values_of_each
+from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, silent, values_of_each
 import numpy as np
 
 StaticBag = tuple[str, Mapping[str, Any]]
@@ -192,7 +192,7 @@ def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
 
 
 def static_check(
-    bags: Sequence[StaticBag], settings: Mapping[str, object], progress: Progress | None = None
+    bags: Sequence[StaticBag], settings: Mapping[str, object], progress: Progress = silent
 ) -> StaticResult:
     """
     Find the standstills of recordings and the nominal length, and check the spring.
@@ -220,7 +220,7 @@ def static_check(
         (bag, resolve({'package.inertia': NO_INERTIA, **settings, **own}, PACKAGE_PARAMETERS))
         for bag, own in bags]
     values = each[0][1]
-    found = _read(each, values, progress or (lambda what, part: None))
+    found = _read(each, values, progress)
     if found.length is None and 'cup.stiffness' not in settings:
         raise BellowsError(
             f'{found.no_length} To check the spring instead, give its cup.stiffness with --params.'

@@ -1,6 +1,6 @@
 """Predict the landing of a planned toss, its covariance, and the largest contribution."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import UNIT_OF, with_units
 from bellows_ros.workflows import plan
+from bellows_ros.workflows.recordings import Progress, silent
 from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
@@ -199,7 +200,7 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
 def toss_plan(
     path: plan.MotionSource, parameters: Mapping[str, object], switched: float | None,
     target: tuple[float, float] | None = None, target_rotation: Array | None = None,
-    monte_carlo: int = 0, progress: Callable[[str], None] = lambda sentence: None, urdf: str = '',
+    monte_carlo: int = 0, progress: Progress = silent, urdf: str = '',
     topic: str = ''
 ) -> TossResult:
     """
