@@ -40,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--stamps', choices=('recorded', 'now'), default='recorded',
         help='stamps of the headers: as recorded, or the current time')
-    parser.add_argument('--loop', action='store_true', help='start again at the end, forever')
     options.add_json_option(parser, 'what was played')
 
 
@@ -69,8 +68,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         messages = [message for message, here in zip(messages, chosen, strict=True) if here]
         names = {m.topic.name: m.topic.name for m in messages} | renamed
         console.warn(*notes)
-        played = play(messages, names, arguments.rate, arguments.stamps == 'now', arguments.loop,
-                      progress)
+        played = play(messages, names, arguments.rate, arguments.stamps == 'now', progress)
     options.put_json(arguments.json, with_units({'bag': str(arguments.bag), **vars(played)}))
     _print_result(played, console)
     return OK

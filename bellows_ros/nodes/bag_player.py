@@ -21,6 +21,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import Batch, Channel, Message
 from bellows_ros.files.messages import decode, LAYOUTS
+from bellows_ros.workflows.recordings import Progress, silent
 from geometry_msgs.msg import PoseStamped
 import numpy as np
 import rclpy
@@ -47,9 +48,6 @@ LEAD_TIME = 0.2
 
 STAMP = slice(4, 12)
 """Where the stamp is in a CDR message that begins with its header."""
-
-Say = Callable[[str, float], None]
-"""Takes what is being done, and the part (0 to 1) that is done."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class Played:
 
 def play(
     messages: Sequence[Message], names: Mapping[str, str], rate: float = 1.0,
-    stamps_now: bool = False, loop: bool = False, say: Say = lambda stage, fraction: None
+    stamps_now: bool = False, say: Progress = silent
 ) -> Played:
     """
     Send recorded messages, byte by byte as they were recorded, in their time.
@@ -93,14 +91,11 @@ def play(
         Seconds of the recording per second.
     stamps_now : bool
         Whether headers are stamped with the current time; else as recorded.
-    loop : bool
-        Whether to start again at the end, forever.
     say : callable
         Called with what is being done and the part (0 to 1) that is done.
 
     """
     first_ns = messages[0].log_time_ns
-    latest = 0.0
     with playing('bellows_player') as (node, executor):
         qos = QoSProfile(depth=QUEUE)
         out = {topic: publisher(node, topic, names[topic.name], qos)
@@ -109,19 +104,16 @@ def play(
         has_subscriber = spin_until(
             executor, lambda: any(p.get_subscription_count() for p in out.values()),
             LISTENER_TIMEOUT)
-        while True:
-            begin_ns = time.time_ns() + round(LEAD_TIME * NS_PER_S)
+        begin_ns = time.time_ns() + round(LEAD_TIME * NS_PER_S)
 
-            def send(message: Message, begin_ns: int = begin_ns) -> None:
-                """Send a message, stamped anew where that is wanted."""
-                data = message.data
-                if stamps_now:
-                    data = stamped(data, lambda ns: begin_ns + round((ns - first_ns) / rate))
-                out[message.topic].publish(data)
+        def send(message: Message) -> None:
+            """Send a message, stamped anew where that is wanted."""
+            data = message.data
+            if stamps_now:
+                data = stamped(data, lambda ns: begin_ns + round((ns - first_ns) / rate))
+            out[message.topic].publish(data)
 
-            latest = max(latest, send_all(executor, messages, send, say, rate))
-            if not loop:
-                break
+        latest = send_all(executor, messages, send, say, rate)
         for each in out.values():  # let what is on its way arrive before the topics vanish
             each.wait_for_all_acked(Duration(seconds=LISTENER_TIMEOUT))
     return Played(
@@ -131,7 +123,7 @@ def play(
 
 def send_all(
     executor: SingleThreadedExecutor, messages: Sequence[Message],
-    send: Callable[[Message], None], say: Say, rate: float = 1.0,
+    send: Callable[[Message], None], say: Progress, rate: float = 1.0,
 ) -> float:
     """
     Send messages when they are due, with no garbage collected between them.
@@ -259,7 +251,7 @@ class Exchange:
 
 def converse(
     messages: Sequence[Message], names: Mapping[str, str], require_alive: Callable[[], None],
-    say: Say = lambda stage, fraction: None,
+    say: Progress = silent,
 ) -> Exchange:
     """
     Wait for the predictor, play at recorded speed, and wait for its last answer.
