@@ -13,7 +13,7 @@ from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.replay import replay
@@ -86,11 +86,11 @@ def filmed(folder: Path) -> dict[str, PoseStream]:
         SEEN, package.frame_id, package.stamps_ns[which], package.position[which] + shifts,
         package.rotation[which] @ exp_so3(turns))
     write_bag(folder, [
-        *(Recorded(topic, 'geometry_msgs/msg/PoseStamped', streams[role].stamps_ns, np.hstack(
+        *(as_messages(topic, 'geometry_msgs/msg/PoseStamped', streams[role].stamps_ns, np.hstack(
             [streams[role].position, rotation_to_quaternion(streams[role].rotation)]))
           for role, topic in (*TOPICS.items(), ('camera', SEEN)) if role != 'twist'),
-        Recorded(TOPICS['twist'], 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
-                 np.hstack([twist.linear, twist.angular]))])
+        as_messages(TOPICS['twist'], 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
+                    np.hstack([twist.linear, twist.angular]))])
     return streams
 
 

@@ -24,67 +24,12 @@ STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # With zstd: chunks inside an MCAP file, messages in a database.
 _ZSTD = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
 _VERSION: Literal[9] = 9  # of metadata.yaml, as ROS 2 Jazzy writes it
-_BATCH = 8192
-
-
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """
-    Messages to record on one topic.
-
-    Parameters
-    ----------
-    topic : str
-    type_name : str
-        One of `messages.LAYOUTS`, for instance 'geometry_msgs/msg/PoseStamped'.
-    stamps_ns : int array (N,)
-        Header stamps, ns; any order.
-    values : array (N, 7), (N, 6) or (N, 13)
-        Poses as x, y, z and the quaternion (x, y, z, w); twists as linear, angular; Odometry has
-        both, pose first. Any numbers: faults can be recorded too. Covariances are zero.
-    frame_id, child_frame_id : str
-        The child's only for TransformStamped and Odometry.
-    log_times_ns : int array (N,), optional
-        When each message was received, ns; as stamped when left out. Messages are recorded in this
-        order.
-
-    """
-
-    topic: str
-    type_name: str
-    stamps_ns: Stamps
-    values: Array
-    frame_id: str = 'world'
-    child_frame_id: str = ''
-    log_times_ns: Stamps | None = None
-
-    def __post_init__(self) -> None:
-        """Check the times, which files may have anything for."""
-        if len(self.stamps_ns) and (np.min(self.stamps_ns) < 0 or np.min(self._log_times()) < 0):
-            raise BellowsError(f"Topic '{self.topic}' has times before 1970.")
-
-    def _log_times(self) -> Stamps:
-        """Return when each message was received, ns."""
-        return np.asarray(self.stamps_ns if self.log_times_ns is None else self.log_times_ns)
-
-    def messages(self, number: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield log time, connection number and bytes of each message, by log time."""
-        log_times = self._log_times()
-        order = np.argsort(log_times, kind='stable')
-        layout = messages.LAYOUTS[self.type_name]
-        names = (self.frame_id, self.child_frame_id)[: layout.strings]
-        for start in range(0, len(order), _BATCH):
-            part = order[start:start + _BATCH]
-            stamps_ns, values = np.asarray(self.stamps_ns)[part], np.asarray(self.values)[part]
-            encoded = messages.encode(stamps_ns, values, names, layout)
-            for i, data in zip(part, encoded, strict=True):
-                yield int(log_times[i]), number, data
 
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
     """
-    Messages of any type to record on one topic.
+    Messages to record on one topic.
 
     Parameters
     ----------
@@ -107,8 +52,46 @@ class Encoded:
             yield int(stamp_ns), number, data
 
 
+def as_messages(
+    topic: str, type_name: str, stamps_ns: Stamps, values: Array, frame_id: str = 'world',
+    child_frame_id: str = '', log_times_ns: Stamps | None = None,
+) -> Encoded:
+    """
+    Encode poses or twists.
+
+    Parameters
+    ----------
+    topic, type_name : str
+        The type is one of `messages.LAYOUTS`, for instance 'geometry_msgs/msg/PoseStamped'.
+    stamps_ns : int array (N,)
+        Header stamps, ns; any order.
+    values : array (N, 7), (N, 6) or (N, 13)
+        Poses as x, y, z and the quaternion (x, y, z, w); twists as linear, angular; Odometry has
+        both, pose first. Any numbers: faults can be recorded too. Covariances are zero.
+    frame_id, child_frame_id : str
+        The child's only for TransformStamped and Odometry.
+    log_times_ns : int array (N,), optional
+        When each message was received, ns; as stamped when left out. Messages are recorded in this
+        order.
+
+    Raises
+    ------
+    BellowsError
+        If times are before 1970.
+
+    """
+    stamps = np.asarray(stamps_ns, dtype=np.int64)
+    log_times = stamps if log_times_ns is None else np.asarray(log_times_ns)
+    if min(stamps.min(initial=0), log_times.min(initial=0)) < 0:
+        raise BellowsError(f"Topic '{topic}' has times before 1970.")
+    layout, order = messages.LAYOUTS[type_name], np.argsort(log_times, kind='stable')
+    return Encoded(topic, type_name, log_times[order], messages.encode(
+        stamps[order], np.asarray(values)[order], (frame_id, child_frame_id)[:layout.strings],
+        layout))
+
+
 def write_bag(
-    path: File, recorded: Sequence[Recorded | Encoded], storage: str = 'mcap', zstd: bool = False,
+    path: File, recorded: Sequence[Encoded], storage: str = 'mcap', zstd: bool = False,
     replace: bool = False
 ) -> None:
     """
@@ -118,7 +101,7 @@ def write_bag(
     ----------
     path : path
         Folder to make.
-    recorded : sequence of Recorded or Encoded
+    recorded : sequence of Encoded
         Several may share a topic of one type.
     storage : str
         'mcap' or 'sqlite3'.

@@ -15,7 +15,7 @@ from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, trajectory_files
-from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
 from bellows_ros.workflows.recordings import FULL_RANGE, inside, part_of
@@ -35,18 +35,21 @@ class Body:
 
     Parameters
     ----------
-    messages : Recorded or Encoded
+    messages : Encoded
         To write on a topic: poses, or what is copied.
     source : str
         File, and body where it has several.
     left_out : mapping of str to int
         Reason to number of frames that are not among them.
+    world : {'z_up', 'motive_y_up'}
+        The value of recording.world.
 
     """
 
-    messages: Recorded | Encoded
+    messages: Encoded
     source: str
     left_out: Mapping[str, int] = field(default_factory=dict)
+    world: str = 'z_up'
 
     def __post_init__(self) -> None:
         """Keep the reasons that there are."""
@@ -66,9 +69,8 @@ class Body:
     def at(self, chosen: Mask) -> 'Body':
         """Return some of the messages."""
         own = self.messages
-        content: Any = {'data': tuple(compress(own.data, chosen))} if isinstance(
-            own, Encoded) else {'values': own.values[chosen]}
-        return replace(self, messages=replace(own, stamps_ns=own.stamps_ns[chosen], **content))
+        return replace(self, messages=replace(
+            own, stamps_ns=own.stamps_ns[chosen], data=tuple(compress(own.data, chosen))))
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
             f"Topic '{name}' is already in recording '{bag}'. Choose another for the tool with "
             '--topic.')
     return [Body(
-        Recorded(name, POSE, read.stamp_ns + read.times_ns, read.poses, read.frame_id),
+        as_messages(name, POSE, read.stamp_ns + read.times_ns, read.poses, read.frame_id),
         f"{tool_link} in '{read.frame_id}' of {bag}"), *others]
 
 
@@ -207,7 +209,7 @@ def bodies_in_transforms(
         stamps, T, world_frame, bad = poses_in(links, frame, world_frame, f"'{bag}'")
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
         found.append(Body(
-            Recorded(f'/{topic.lstrip("/")}', POSE, stamps, rows, world_frame),
+            as_messages(f'/{topic.lstrip("/")}', POSE, stamps, rows, world_frame),
             f"{frame} in '{world_frame}' of {bag}", {'transforms that are no poses': bad}))
     return found
 
@@ -244,7 +246,7 @@ def bodies_in_recording(
             stream.position * (1e-3 if millimetres else 1.0),
             rotation_to_quaternion(reordered(stream.rotation) if w_first else stream.rotation)])
         found.append(Body(
-            Recorded(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
+            as_messages(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
             {reason: len(where) for reason, where in stream.refused.items()}))
     return found + _copied(bag, {own.type_name for own in there}, chosen)
 
@@ -293,7 +295,6 @@ def to_bag(
                if body.poses and body.messages.stamps_ns[0] < EARLIEST_NS]
     if undated:
         notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
-    motive = any(getattr(body.messages, 'frame_id', '') == MOTIVE_FRAME for body in bodies)
     stamps = [body.messages.stamps_ns for body in bodies]
     kept = tuple(body.at(here) for body, here in zip(bodies, inside(stamps, span), strict=True))
     if not any(body.poses for body in kept):
@@ -303,7 +304,8 @@ def to_bag(
         raise BellowsError(
             f'No pose can be used: {lost}. Fewer markers are enough with --markers N.')
     write_bag(out, [body.messages for body in kept], storage, replace=replace)
-    return Conversion(os.fspath(out), kept, 'motive_y_up' if motive else 'z_up', tuple(notes))
+    world = next((body.world for body in bodies if body.world != 'z_up'), 'z_up')
+    return Conversion(os.fspath(out), kept, world, tuple(notes))
 
 
 def _read(source: Path, fewest_markers: int) -> list[Body]:
@@ -313,10 +315,11 @@ def _read(source: Path, fewest_markers: int) -> list[Body]:
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file.")
     if source.suffix.lower() == '.csv' and trajectory_files.is_motive(source):
         return [Body(
-            Recorded(_topic_of(own.name), POSE, own.stamps_ns, own.values, MOTIVE_FRAME),
-            f'{source} ({own.name})', {'not tracked': own.missing, 'too few markers': own.unseen})
+            as_messages(_topic_of(own.name), POSE, own.stamps_ns, own.values, MOTIVE_FRAME),
+            f'{source} ({own.name})', {'not tracked': own.missing, 'too few markers': own.unseen},
+            'motive_y_up')
             for own in trajectory_files.read_motive(source, fewest_markers)]
-    poses = Recorded(_topic_of(source.stem), POSE, *trajectory_files.read_trajectory(source))
+    poses = as_messages(_topic_of(source.stem), POSE, *trajectory_files.read_trajectory(source))
     return [Body(poses, str(source))]
 
 
@@ -363,5 +366,5 @@ def to_tum(
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     trajectory_files.write_tum(out, stream.stamps_ns, values)
     left_out = {reason: len(where) for reason, where in stream.refused.items()}
-    read = Recorded(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)
+    read = as_messages(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)
     return Conversion(os.fspath(out), (Body(read, os.fspath(bag), left_out),))

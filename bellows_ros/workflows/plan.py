@@ -38,7 +38,7 @@ from bellows_ros.core.signals.trajectory import (
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, plan_messages, plans
-from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.plan_messages import JointPlan
@@ -576,6 +576,6 @@ def write_prediction(
             ('/package/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(package)),
             ('/package/plan_path', plan_messages.PATH,
              plan_messages.encode_path(start, frame, package.times_ns, package.poses)))),
-        Recorded('/tool_arm/pose', POSE, stamps, plan.poses, frame),
-        Recorded('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
-        Recorded('/package/pose', POSE, stamps, package.poses, frame)], replace=replace_bag)
+        as_messages('/tool_arm/pose', POSE, stamps, plan.poses, frame),
+        as_messages('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
+        as_messages('/package/pose', POSE, stamps, package.poses, frame)], replace=replace_bag)

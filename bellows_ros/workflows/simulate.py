@@ -4,7 +4,7 @@ Simulate a recording of a known cup: a motion and its faults in, a rosbag2 recor
 What a motion file may hold, with units, stands in config/motion_example.yaml.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import replace as changed
 import io
@@ -29,12 +29,11 @@ from bellows_ros.core.toss.landing import release_factor
 from bellows_ros.core.toss.release import RELEASE_NAMES, release_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, File
-from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.workflows.plan import bending, read_plan
+from bellows_ros.workflows.recordings import Progress, silent
 import numpy as np
-
-Progress = Callable[[str], None]
 
 POSE = 'geometry_msgs/msg/PoseStamped'
 TWIST = 'geometry_msgs/msg/TwistStamped'
@@ -100,7 +99,7 @@ class SimulationReport:
 
 def simulate_recording(
     parameters: Mapping[str, object], motion: Mapping[str, object], out: File,
-    progress: Progress | None = None, replace: bool = False, plan: File = ''
+    progress: Progress = silent, replace: bool = False, plan: File = ''
 ) -> SimulationReport:
     """
     Simulate a held package, and write the recording of a tracking system.
@@ -133,7 +132,6 @@ def simulate_recording(
         or the output is in the way or cannot be written. Nothing is written then.
 
     """
-    say = progress or (lambda sentence: None)
     values: dict[str, Any] = resolve(parameters, PACKAGE_PARAMETERS)
     R_world_level = levelling(values['gravity.direction']).T
     recipe = read_recipe(motion, package_of(values).com)
@@ -151,10 +149,10 @@ def simulate_recording(
             sensor, recipe.motion.duration, recipe.motion.rest_duration, recipe.start_ns,
             generator(recipe.seed, f'{name} plan'))
         for name, sensor in (('tool', recipe.tool), ('package', recipe.package))}
-    say(f'simulating {recipe.motion.duration:g} s')
+    progress(f'simulating {recipe.motion.duration:g} s')
     truth = _simulated(values, recipe, plans)
     recorded = _recorded(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
-    say(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
+    progress(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
     write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
         atomic.write_bytes(truth_file, _truth_bytes(
@@ -225,24 +223,24 @@ def _simulated(
 
 def _recorded(
     recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, world: Array
-) -> list[Recorded | Encoded]:
+) -> list[Encoded]:
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
     tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
     tracked = changed(plans['package'], kept=plans['package'].kept & at.tracked)
-    recorded = list[Recorded | Encoded]()
+    recorded = list[Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, tracked)):
         late_ns = round(sensor.latency * NS_PER_S)  # messages are received so much later
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
-        recorded.append(Recorded(
+        recorded.append(as_messages(
             recipe.topics[f'{name}_pose'], POSE, poses.stamps_ns,
             np.hstack([poses.position, rotation_to_quaternion(poses.rotation)]), recipe.frame_id,
             log_times_ns=poses.stamps_ns + late_ns))
         if name == 'tool' and recipe.tool_twist:
             twists = sensing.measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
                                             generator(seed, 'tool twist'))
-            recorded.append(Recorded(
+            recorded.append(as_messages(
                 recipe.topics['tool_twist'], TWIST, poses.stamps_ns, twists, recipe.frame_id,
                 log_times_ns=poses.stamps_ns + late_ns))
     if recipe.releases:  # on, off at each release, and on again at each pick-up

@@ -3,7 +3,7 @@
 import shlex
 import shutil
 
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -35,7 +35,7 @@ def still(topic, seconds, start_s=0.0, kind=POSE):
     values = np.zeros((count, 7 if kind == POSE else 6))
     if kind == POSE:
         values[:, 6] = 1.0
-    return Recorded(topic, kind, stamps_ns, values)
+    return as_messages(topic, kind, stamps_ns, values)
 
 
 def write_bad_bags(folder):

@@ -5,7 +5,7 @@ import re
 import shlex
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_millimetres_and_w_first_are_named_and_converted_as_the_sentence_says(
     """Follow the command that `info`, `identify` and `replay` print; then the cup predicts."""
     topics = {'tool': '/tool_arm/pose', 'package': '/package/pose'}
     write_bag(tmp_path / 'raw', [
-        Recorded(own.name, 'geometry_msgs/msg/PoseStamped', own.stamps_ns, np.hstack([
+        as_messages(own.name, 'geometry_msgs/msg/PoseStamped', own.stamps_ns, np.hstack([
             1e3 * own.position, np.roll(rotation_to_quaternion(own.rotation), 1, axis=1)]),
             own.frame_id) for own in read_streams(workshop / 'recording', topics).values()])
     given = ('--params', workshop / 'package.yaml', '--set', 'topics.tool_twist=')

@@ -3,7 +3,7 @@
 import json
 import re
 
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_names_in_a_recording_give_no_orders_to_the_terminal(bellows, tmp_path):
     stamps = np.arange(1, 400) * 5_000_000
     values = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
     write_bag(tmp_path / 'bag', [
-        Recorded(topic, 'geometry_msgs/msg/PoseStamped', stamps, values, frame)])
+        as_messages(topic, 'geometry_msgs/msg/PoseStamped', stamps, values, frame)])
     for arguments in (['info', 'bag'], ['info', 'bag', '--json', '-'],
                       ['identify', 'bag', '--set', f'topics.tool_pose={topic}']):
         done = bellows(*arguments, cwd=tmp_path)

@@ -6,7 +6,7 @@ import re
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.signals.residuals import AXES
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
 import numpy as np
 import pytest
@@ -55,9 +55,9 @@ def test_twists_in_degrees_are_named_and_left_out_as_the_sentence_says(
         'tool': '/tool_arm/pose', 'package': '/package/pose', 'tool_twist': '/tool_arm/twist'})
     twist = streams.pop('tool_twist')
     write_bag(tmp_path / 'degrees', [
-        Recorded(twist.name, 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
-                 np.hstack([twist.linear, np.degrees(twist.angular)]), twist.frame_id),
-        *(Recorded(own.name, 'geometry_msgs/msg/PoseStamped', own.stamps_ns, np.hstack([
+        as_messages(twist.name, 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
+                    np.hstack([twist.linear, np.degrees(twist.angular)]), twist.frame_id),
+        *(as_messages(own.name, 'geometry_msgs/msg/PoseStamped', own.stamps_ns, np.hstack([
             own.position, rotation_to_quaternion(own.rotation)]), own.frame_id)
           for own in streams.values())])
     given = ('replay', tmp_path / 'degrees', '--params', workshop / 'cup.yaml')

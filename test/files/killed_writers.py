@@ -20,7 +20,7 @@ import time
 
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.files.atomic import write_bytes, write_text
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import write_json
 from bellows_ros.files.trajectory_files import write_tum
@@ -74,7 +74,7 @@ def table(path, number):
 def recording(storage, zstd):
     """Return what writes a recording."""
     def write(path, number):
-        recorded = Recorded('/pose', POSE, STAMPS, VALUES + number)
+        recorded = as_messages('/pose', POSE, STAMPS, VALUES + number)
         write_bag(path, [recorded], storage, zstd, replace=True)
 
     return write

@@ -2,8 +2,7 @@
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer
-from bellows_ros.files import messages as cdr
-from bellows_ros.files.bag_writer import Recorded, STORAGES, write_bag
+from bellows_ros.files.bag_writer import as_messages, STORAGES, write_bag
 from bellows_ros.files.bags import read_streams
 import numpy as np
 from numpy.testing import assert_array_equal
@@ -20,7 +19,7 @@ def recorded(kind=made.POSE, count=COUNT, **options):
     """Return poses or twists to record."""
     pose, twist = made.pose_values(count), made.twist_values(count)
     values = {made.TWIST: twist, made.ODOMETRY: np.hstack([pose, twist])}.get(kind, pose)
-    return Recorded('/a', kind, made.stamps(count), values, **options)
+    return as_messages('/a', kind, made.stamps(count), values, **options)
 
 
 def files_of(folder):
@@ -51,7 +50,7 @@ def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):
         tmp_path / 'b',
         [
             recorded(log_times_ns=late[::-1]),
-            Recorded('/b', made.TWIST, t, made.twist_values(COUNT)),
+            as_messages('/b', made.TWIST, t, made.twist_values(COUNT)),
         ],
     )
     with AnyReader([tmp_path / 'b']) as reader:
@@ -81,8 +80,7 @@ def test_a_failure_half_way_leaves_nothing(tmp_path, monkeypatch):
     path = tmp_path / 'b'
     write_bag(path, [recorded()])
     before = files_of(path)
-    monkeypatch.setattr(bag_writer, '_BATCH', 10)
-    real = cdr.encode
+    real = bag_writer.Writer.write
     calls = []
 
     def failing(*args):
@@ -91,7 +89,7 @@ def test_a_failure_half_way_leaves_nothing(tmp_path, monkeypatch):
             raise OSError(28, 'No space left on device')
         return real(*args)
 
-    monkeypatch.setattr(cdr, 'encode', failing)
+    monkeypatch.setattr(bag_writer.Writer, 'write', failing)
     with pytest.raises(BellowsError):
         write_bag(path, [recorded()], replace=True)
     assert files_of(path) == before
@@ -101,7 +99,7 @@ def test_a_failure_half_way_leaves_nothing(tmp_path, monkeypatch):
 def test_what_cannot_be_recorded_is_refused(tmp_path):
     t = made.stamps(3)
     with pytest.raises(BellowsError, match='before 1970'):
-        Recorded('/a', made.POSE, t - 2 * made.EPOCH_NS, np.zeros((3, 7)))
+        as_messages('/a', made.POSE, t - 2 * made.EPOCH_NS, np.zeros((3, 7)))
     with pytest.raises(BellowsError):
         write_bag(tmp_path / 'b', [])
     with pytest.raises(BellowsError):

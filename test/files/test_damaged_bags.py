@@ -15,7 +15,7 @@ import zlib
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import mcap
 from bellows_ros.files.bag_folder import decompressed, LARGEST_RECORD
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_contents, read_streams, topics
 import lz4.frame
 import numpy as np
@@ -259,7 +259,7 @@ def test_checksums_of_data_and_summary_are_verified(tmp_path):
 @pytest.mark.parametrize('zstd', [False, True])
 def test_no_bit_of_a_message_of_ours_changes_unseen(tmp_path, zstd):
     stamps, values = made.stamps(60), made.pose_values(60)
-    write_bag(tmp_path / 'b', [Recorded('/a', made.POSE, stamps, values)], 'mcap', zstd)
+    write_bag(tmp_path / 'b', [as_messages('/a', made.POSE, stamps, values)], 'mcap', zstd)
     file = tmp_path / 'b' / 'b.mcap'
     whole, sound = file.read_bytes(), outcome(tmp_path / 'b').streams['p']
     rng, seen = np.random.default_rng(7), 0

@@ -4,7 +4,7 @@ import threading
 import time
 from typing import Any
 
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_messages
 from bellows_ros.nodes.bag_player import play, stamped
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -24,8 +24,8 @@ def bag(tmp_path_factory):
     poses = np.column_stack([np.arange(COUNT), np.zeros((COUNT, 5)), np.ones(COUNT)])
     path = tmp_path_factory.mktemp('played') / 'bag'
     write_bag(path, [
-        Recorded('/tool/pose', POSE, stamps, poses, log_times_ns=stamps + LATER_NS),
-        Recorded('/tool/twist', TWIST, stamps, poses[:, :6], log_times_ns=stamps + LATER_NS),
+        as_messages('/tool/pose', POSE, stamps, poses, log_times_ns=stamps + LATER_NS),
+        as_messages('/tool/twist', TWIST, stamps, poses[:, :6], log_times_ns=stamps + LATER_NS),
     ])
     return path
 

@@ -7,7 +7,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_contents, topics
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
@@ -52,14 +52,14 @@ def motion(rng, count=300):
     below = poses - [0.0, 0.0, 0.08, 0.0, 0.0, 0.0, 0.0]
     below[:, :3] += 1e-4 * rng.normal(size=(count, 3))
     return (
-        Recorded('/tool', POSE, stamps, poses), Recorded('/box', POSE, stamps, below),
-        Recorded('/twist', TWIST, stamps, np.gradient(poses[:, :6], t, axis=0)))
+        ('/tool', POSE, stamps, poses), ('/box', POSE, stamps, below),
+        ('/twist', TWIST, stamps, np.gradient(poses[:, :6], t, axis=0)))
 
 
 def bags(rng, folder):
     """Damage recordings of every form; messages of ours in MCAP have checksums."""
     bag, storage = folder / 'bag', ('mcap', 'sqlite3')[rng.integers(2)]
-    write_bag(bag, motion(rng, 60), storage, bool(rng.integers(2)))
+    write_bag(bag, [as_messages(*own) for own in motion(rng, 60)], storage, bool(rng.integers(2)))
     (stored,) = (p for p in bag.iterdir() if p.suffix != '.yaml')
     sound, good = stored.read_bytes(), read_contents(bag, ROLES)
     for _ in range(ATTEMPTS):
@@ -144,25 +144,24 @@ def recordings(rng, folder):
         'package.inertia': (0.01, 0.01, 0.01, 0.0, 0.0, 0.0), 'recording.package_frame': 'com'}))
     for number in range(ATTEMPTS):
         values['recording.package_world'] = ('', '0 0 0 0 0 0 1')[rng.integers(2)]
-        topics_ = [hostile(rng, recorded) if rng.random() < 0.6 else recorded
-                   for recorded in motion(rng, int(rng.integers(3, 400)))]
+        topics_ = [hostile(rng, *own) if rng.random() < 0.6 else as_messages(*own)
+                   for own in motion(rng, int(rng.integers(3, 400)))]
         bag = folder / f'bag{number}'
         write_bag(bag, topics_)
         yield looked_into(bag, values)
         shutil.rmtree(bag)
 
 
-def hostile(rng, recorded):
+def hostile(rng, topic, kind, good_stamps, good_values):
     """Return a topic with strange stamps, some strange values, and arrivals as they were."""
-    stamps = np.asarray(STAMPS[str(rng.choice(list(STAMPS)))](rng, recorded.stamps_ns))
-    values = np.array(recorded.values[:len(stamps)])
+    stamps = np.asarray(STAMPS[str(rng.choice(list(STAMPS)))](rng, good_stamps))
+    values = np.array(good_values[:len(stamps)])
     if rng.random() < 0.5:
         rows = rng.integers(len(values), size=rng.integers(1, 9))
         values[rows, rng.integers(values.shape[1])] = rng.choice(VALUES)
-    arrivals = recorded.stamps_ns[:len(stamps)] + 1_000_000 if rng.random() < 0.7 else None
+    arrivals = good_stamps[:len(stamps)] + 1_000_000 if rng.random() < 0.7 else None
     frame = ('world', '', '\x1b[2J' * 9, 'x' * 3000)[rng.integers(4)]
-    return Recorded(recorded.topic, recorded.type_name, stamps, values, frame,
-                    log_times_ns=arrivals)
+    return as_messages(topic, kind, stamps, values, frame, log_times_ns=arrivals)
 
 
 def looked_into(bag, values):

@@ -1,11 +1,10 @@
 """What is said about a recording: roles, axes, rates and flaws, against recordings made for it."""
 
-from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.workflows.info import info, longest_hold
 import numpy as np
 import pytest
@@ -28,16 +27,17 @@ def motion(hanging=0.08):
     return {'t': t, 'o': position, 'v': velocity, 'R': rotation, 'R_p': swing, 'o_p': package}
 
 
-def poses(topic, t, position, rotation):
+def poses(topic, t, position, rotation, frame_id='world'):
     """Return poses to record."""
     stamps = START_NS + np.rint(t * 1e9).astype(np.int64)
-    return Recorded(topic, POSE, stamps, np.hstack([position, rotation_to_quaternion(rotation)]))
+    return as_messages(
+        topic, POSE, stamps, np.hstack([position, rotation_to_quaternion(rotation)]), frame_id)
 
 
 def twists(topic, t, linear, angular=None):
     """Return twists to record."""
     stamps = START_NS + np.rint(t * 1e9).astype(np.int64)
-    return Recorded(topic, TWIST, stamps, np.hstack([
+    return as_messages(topic, TWIST, stamps, np.hstack([
         linear, np.zeros_like(linear) if angular is None else angular]))
 
 
@@ -193,9 +193,9 @@ def test_two_worlds_or_clocks_are_all_set_free(tmp_path, frame, late_s, aside, r
     m = motion()
     R_world = exp_so3(np.array([0.4, 1.0, -0.7]) * aside)
     write_bag(tmp_path / 'bag', [
-        replace(poses('/tcp', m['t'], m['o'], m['R']), frame_id='base'),
-        replace(poses('/gripper_load', m['t'] + late_s, apply(R_world, m['o_p'] + aside),
-                      R_world @ m['R_p']), frame_id=frame)])
+        poses('/tcp', m['t'], m['o'], m['R'], 'base'),
+        poses('/gripper_load', m['t'] + late_s, apply(R_world, m['o_p'] + aside),
+              R_world @ m['R_p'], frame)])
     found = info(tmp_path / 'bag')
     free = {name: found.settings.get(name) for name in (
         'recording.package_world', 'fit.time_offset', 'fit.free', 'fit.method')}

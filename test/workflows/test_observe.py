@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.lie import (
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import pose_of
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.observe import observed
@@ -31,8 +31,8 @@ T_WORLD_CAMERA = transform(exp_so3(np.array([0.1, -0.2, 2.5])), np.array([1.2, -
 
 def poses(role, stamps_ns, position, rotation, frame_id='world'):
     """Give poses to record."""
-    return Recorded('/' + SEEN[role], POSE, stamps_ns,
-                    np.hstack([position, rotation_to_quaternion(rotation)]), frame_id)
+    return as_messages('/' + SEEN[role], POSE, stamps_ns,
+                       np.hstack([position, rotation_to_quaternion(rotation)]), frame_id)
 
 
 def of(streams, *roles):
@@ -59,8 +59,8 @@ def filmed(root, known, true_cup, tmp_path_factory):
     folder = tmp_path_factory.mktemp('filmed') / 'bag'
     write_bag(folder, [
         *of(streams, 'tool', 'package'),
-        Recorded('/' + ROLES['twist'], TWIST, twist.stamps_ns,
-                 np.hstack([twist.linear, twist.angular])),
+        as_messages('/' + ROLES['twist'], TWIST, twist.stamps_ns,
+                    np.hstack([twist.linear, twist.angular])),
         poses('camera', package.stamps_ns[which], position, package.rotation[which] @ turns)])
     return folder, {**true_cup, **known}
 
@@ -156,16 +156,17 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
     def seen(name, sizes, T=None, **changes):
         T = np.eye(4) if T is None else T
         o, R = T[:3, 3], T[:3, :3]
-        package, camera = (
-            poses(role, own.stamps_ns, o + own.position @ R.T, R @ own.rotation)
-            for role, own in streams.items() if role != 'tool')
+        package = poses('package', streams['package'].stamps_ns,
+                        o + streams['package'].position @ R.T, R @ streams['package'].rotation)
         both = np.kron(np.eye(2), R)
         noise = (both @ np.diag(np.square(sizes)) @ both.T).ravel()
+        own = streams['camera']
+        rows = np.hstack([o + own.position @ R.T, rotation_to_quaternion(R @ own.rotation)])
         data = [encoded(POSE_COVARIANCE, ns, row, covariance=noise if i != 100 else np.nan * noise)
-                for i, (ns, row) in enumerate(zip(camera.stamps_ns, camera.values, strict=True))]
+                for i, (ns, row) in enumerate(zip(own.stamps_ns, rows, strict=True))]
         write_bag(tmp_path / name, [
             *of(streams, 'tool'), package,
-            Encoded(camera.topic, POSE_COVARIANCE, camera.stamps_ns, data)])
+            Encoded('/' + SEEN['camera'], POSE_COVARIANCE, own.stamps_ns, data)])
         settings = resolve({**values, **changes})
         recording = load(tmp_path / name, settings)
         found = observed(

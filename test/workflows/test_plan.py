@@ -9,7 +9,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.bag_writer import Encoded, Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
     encode_path,
@@ -146,7 +146,7 @@ def joint_recording(folder):
         Encoded('/robot_description', DESCRIPTION, np.array([T0]), [encoded(DESCRIPTION, urdf)]),
         Encoded('/joint_states', STATES, T0 + times,
                 [encoded(STATES, state) for state in states]),
-        Recorded('/package/pose', POSE, T0 + times, np.tile([0, 0, 0, 0, 0, 0, 1.0], (61, 1)))])
+        as_messages('/package/pose', POSE, T0 + times, np.tile([0, 0, 0, 0, 0, 0, 1.0], (61, 1)))])
     return folder
 
 
@@ -204,15 +204,15 @@ def test_transforms_and_joint_states_become_tool_poses(tmp_path):
 
 def test_recorded_poses_are_a_plan(truth, tmp_path):
     times, poses, twists = samples(500)
-    both = [Recorded('/tool_arm/pose', POSE, T0 + times, poses, 'base'),
-            Recorded('/tool_arm/twist', TWIST, T0 + times, twists, 'base')]
+    both = [as_messages('/tool_arm/pose', POSE, T0 + times, poses, 'base'),
+            as_messages('/tool_arm/twist', TWIST, T0 + times, twists, 'base')]
     write_bag(tmp_path / 'bag', both)
     found = figures(tmp_path / 'bag', values={'topics.tool_twist': '/tool_arm/twist'})
     for name in FIGURES:
         assert_allclose(found[name], truth[name], rtol=1e-4, err_msg=name)
     still = np.pad(poses, ((100, 100), (0, 0)), 'edge')  # half a window is lost at both ends
     stamps = T0 + np.arange(len(still)) * 2_000_000
-    write_bag(tmp_path / 'poses', [Recorded('/tool_arm/pose', POSE, stamps, still, 'base')])
+    write_bag(tmp_path / 'poses', [as_messages('/tool_arm/pose', POSE, stamps, still, 'base')])
     smooth = figures(tmp_path / 'poses')
     assert_allclose(smooth['peak_moment'], truth['peak_moment'], rtol=0.01)
 
@@ -220,7 +220,7 @@ def test_recorded_poses_are_a_plan(truth, tmp_path):
 def test_a_part_of_a_plan_is_taken(tmp_path):
     """Count from the first pose recorded, also where the filter needs some before its first."""
     times, poses, _ = samples()
-    write_bag(tmp_path / 'poses', [Recorded('/tool_arm/pose', POSE, T0 + times, poses, 'base')])
+    write_bag(tmp_path / 'poses', [as_messages('/tool_arm/pose', POSE, T0 + times, poses, 'base')])
     plan_bag = bag_of(tmp_path / 'plan', MULTI_DOF, encode_multi_dof(message(stamp_ns=T0)))
     values = resolve({**VALUES, 'topics.tool_twist': ''}, ())
     for path in (tmp_path / 'poses', plan_bag):

@@ -7,7 +7,7 @@ from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.workflows import verdict
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
@@ -101,7 +101,7 @@ def test_what_else_is_wrong_is_said_of_a_recording_that_was_misread(tmp_path):
         FAULTS[fault][0](laboratory)
     own = laboratory.recording()
     write_bag(tmp_path / 'bag', [
-        Recorded(f'/{poses.name}', 'geometry_msgs/msg/PoseStamped', poses.stamps_ns, np.hstack([
+        as_messages(f'/{poses.name}', 'geometry_msgs/msg/PoseStamped', poses.stamps_ns, np.hstack([
             poses.position, rotation_to_quaternion(poses.rotation)]), 'world')
         for poses in (own.tool_pose, own.package_pose)])
     with pytest.raises(BellowsError, match='in millimetres.* Besides: package.inertia is'):

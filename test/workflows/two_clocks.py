@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
 import numpy as np
 
@@ -35,7 +35,7 @@ def rewritten(bags, out, seen, topics=None):
         else:
             kind = 'Pose'
             values = [np.hstack([s.position, rotation_to_quaternion(s.rotation)]) for s in streams]
-        recorded.append(Recorded(
+        recorded.append(as_messages(
             topic, f'geometry_msgs/msg/{kind}Stamped',
             np.concatenate([s.stamps_ns for s in streams]), np.concatenate(values),
             streams[0].frame_id))
