@@ -37,6 +37,7 @@ from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
 from ..errors import BellowsError
 from ..files import plan_messages
+from ..files.plan_messages import JointPlan, PlanMessage
 
 LONGEST_REQUEST = 10.0
 """How far ahead (s) package/predict_at may ask."""
@@ -101,18 +102,22 @@ class Planning:
         self._compiled: list[Callable[[], None]] = []
         self.worker, self.steerer = Worker(node, 'plans'), Worker(node, 'steering')
         self._joints = JointPlanning(node, self)
+        plan = partial(self.worker.submit, PLAN, self._on_plan)
+        answer = partial(self.steerer.submit, STEERING, self._on_steer)
         sys.setswitchinterval(SWITCH)
         for kind, topic, callback, compile_it, raw in (
-                (MultiDOFJointTrajectory, 'tool_arm/plan',
-                 partial(self.worker.submit, PLAN, self._on_plan), self._compile, True),
-                (MultiDOFJointTrajectory, 'tool_arm/steer',
-                 partial(self.steerer.submit, STEERING, self._on_steer), self._compile_steering,
-                 True),
+                (MultiDOFJointTrajectory, 'tool_arm/plan', partial(plan, self._read),
+                 self._compile, True),
+                (MultiDOFJointTrajectory, 'tool_arm/steer', partial(answer, self._steer),
+                 self._compile_steering, True),
                 (Header, 'package/predict_at', self._on_request, self._compile_later, False)):
             node.create_subscription(
                 kind, topic, callback, QoSProfile(depth=10), raw=raw,
                 event_callbacks=SubscriptionEventCallbacks(
                     matched=node.guarded(partial(self._on_publishers, compile_it))))
+        for name, callback in (('plan', partial(plan, self._joints.read)),
+                               ('steer', partial(answer, self._joints.steer))):
+            node.create_subscription(JointTrajectory, f'tool_arm/{name}_joints', callback, 10)
         self.forget()
 
     @property
@@ -141,8 +146,7 @@ class Planning:
 
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
         """Go on with other values."""
-        self._live, self._values = live, values
-        self._joints.set_values(values)
+        self._live, self.values = live, values
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
 
@@ -164,13 +168,13 @@ class Planning:
         """Compile the answer to a plan, by answering a dummy plan."""
         at_rest = PlanTracker(_still(), 0)
         at_rest.follow(STILL)
-        predict(self._live.model, grip_of(self._values), at_rest.rest(STILL), tail=0.1)
+        predict(self._live.model, grip_of(self.values), at_rest.rest(STILL), tail=0.1)
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         gc.freeze()
 
     def _compile_steering(self) -> None:
         """Compile the answer to a motion to be steered, by answering one."""
-        steer(self._live.model, _still().trajectory(), self._values['steer.method'])
+        steer(self._live.model, _still().trajectory(), self.values['steer.method'])
         gc.freeze()
 
     def rest(self, now: Prediction) -> ToolRows | None:
@@ -180,41 +184,35 @@ class Planning:
 
     # --------------------------------------------------------------- messages
 
-    def _read(self, data: bytes) -> tuple[plan_messages.PlanMessage, ToolRows]:
-        """Return a plan as received, and checked."""
+    def _read(self, data: bytes) -> tuple[PlanMessage, ToolRows]:
+        """Return a plan as received, and the tool by it."""
         message = plan_messages.decode_multi_dof(data)
         self.require_frame(message.frame_id)
         plan, tip = rows_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
-            self._values['tool_twist.frame']), tip_of(self._values)
-        if tip is None or message.names[:1] == (self._values['frames.package'],):
+            self.values['tool_twist.frame']), tip_of(self.values)
+        if tip is None or message.names[:1] == (self.values['frames.package'],):
             return message, plan
-        tool = at_tip(plan.trajectory(), tip)
-        return message, ToolRows(tool.stamps_ns, tool_rows(tool))
+        return message, _rows(at_tip(plan.trajectory(), tip))
 
     def require_frame(self, frame_id: str) -> None:
         """Refuse a plan in another frame than that of the tool's poses."""
-        plan_messages.require_frame(frame_id, self._values)
+        plan_messages.require_frame(frame_id, self.values)
         frame = self._live.frame_id
         if frame and frame_id not in ('', frame):
             raise BellowsError(
                 f"The plan is in frame '{frame_id}'; expected '{frame}', the frame of "
                 "the tool's poses. Transform the plan.")
 
-    def _on_plan(self, data: bytes) -> None:
-        """Predict a plan, and follow it from now on."""
-        def read() -> tuple[int, ToolRows]:
-            message, tool = self._read(data)
-            return message.stamp_ns, tool
-
-        self.take_plan(read)
-
-    def take_plan(self, read: Callable[[], tuple[int, ToolRows]]) -> None:
-        """Predict a plan of the tool with its stamp (ns), and follow it from now on."""
+    def _on_plan(
+        self, read: Callable[[Any], tuple[PlanMessage | JointPlan, ToolRows]], message: Any
+    ) -> None:
+        """Predict a plan of the tool, and follow it from now on."""
         try:
-            stamp_ns, tool = read()
+            plan, tool = read(message)
+            stamp_ns = plan.stamp_ns
             tracker = PlanTracker(tool, stamp_ns)
-            now, grip = self.held, grip_of(self._values)
+            now, grip = self.held, grip_of(self.values)
             rest, body = tracker.plan, None
             if now is not None:
                 wait = (stamp_ns - now.stamp_ns) / NS_PER_S
@@ -273,12 +271,12 @@ class Planning:
         """Publish the package along a plan, then its summary."""
         frame, states = self._live.frame_id, run.states()
         times = run.tool.stamps_ns - run.tool.stamps_ns[0]
-        count = thin_out(times, states, self._values['plan.points_rate'],
-                         self._values['tool_twist.frame'] == 'world')
+        count = thin_out(times, states, self.values['plan.points_rate'],
+                         self.values['tool_twist.frame'] == 'world')
         times, states = times[:count], states[:count]
         if self._plan_out.wanted:
             self._plan_out.publish(plan_messages.encode_multi_dof(plan_messages.PlanMessage(
-                stamp_ns, frame, (self._values['frames.package'],), times, states[:, :7],
+                stamp_ns, frame, (self.values['frames.package'],), times, states[:, :7],
                 states[:, 7:])))
         if self._path_out.wanted:
             self._path_out.publish(
@@ -293,8 +291,8 @@ class Planning:
             return found
         if found.grip_known:
             words.append(safety_sentence(
-                *found.smallest_safety, 0.0, self._values['safety.least']))
-        outside = found.outside(known_envelope(self._values), self._values['package.mass'])
+                *found.smallest_safety, 0.0, self.values['safety.least']))
+        outside = found.outside(known_envelope(self.values), self.values['package.mass'])
         if outside:
             words.append(f'Outside the validity range: {"; ".join(outside)}.')
         words.append(found.flips)
@@ -336,7 +334,7 @@ class Planning:
             return
         message = Odometry()
         later = Prediction(stamp_to_ns(request.stamp), *body[:4], ZERO, ZERO)
-        write_odometry(message, self._live.frame_id, self._values['frames.package'], later,
+        write_odometry(message, self._live.frame_id, self.values['frames.package'], later,
                        UNKNOWN_ROOT)
         self._at.publish(message)
 
@@ -346,23 +344,31 @@ class Planning:
             raise BellowsError(
                 f'It takes {wanted.seconds[-1]:.4g} s; expected at most {LONGEST_STEERED:g}. '
                 'Split the motion, or use bellows steer.')
-        tool = steer(self._live.model, wanted, self._values['steer.method'], of_package).tool
+        tool = steer(self._live.model, wanted, self.values['steer.method'], of_package).tool
         if self.steerer.stop[0]:
             raise BellowsError('The steering was stopped before its end.')
         return tool
 
-    def _on_steer(self, data: bytes) -> None:
+    def _on_steer(self, answer: Callable[[Any], None], message: Any) -> None:
         """Answer a motion with one that leaves the package without swing."""
         try:
-            message, plan = self._read(data)
-            of_package = message.names[:1] == (self._values['frames.package'],)
-            tool = self.steered(plan.trajectory(), of_package)
+            answer(message)
         except BellowsError as error:
             self.refuse('motion to be steered', error)
-            return
+
+    def _steer(self, data: bytes) -> None:
+        """Publish a motion of the tool or the package, steered."""
+        message, plan = self._read(data)
+        of_package = message.names[:1] == (self.values['frames.package'],)
+        tool = self.steered(plan.trajectory(), of_package)
         self._steered.publish(plan_messages.encode_multi_dof(plan_messages.plan_message(
-            from_tip(tool, tip_of(self._values)), message.stamp_ns, message.frame_id, 'tool',
-            self._values['tool_twist.frame'])))
+            from_tip(tool, tip_of(self.values)), message.stamp_ns, message.frame_id, 'tool',
+            self.values['tool_twist.frame'])))
+
+
+def _rows(tool: Trajectory) -> ToolRows:
+    """Return the rows of a motion of the tool."""
+    return ToolRows(tool.stamps_ns, tool_rows(tool))
 
 
 def _still() -> ToolRows:
@@ -384,39 +390,27 @@ class JointPlanning:
 
     """
 
-    def __init__(self, node: Any, planning: Any) -> None:
+    def __init__(self, node: Any, planning: Planning) -> None:
         """Advertise and subscribe."""
         self._planning = planning
         self._urdf = ''
         self._steered = Topic(node, JointTrajectory, 'tool_arm/steered_joints')
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        for kind, topic, callback, qos in (
-                (String, 'robot_description', self._on_description, latched),
-                (JointTrajectory, 'tool_arm/plan_joints',
-                 partial(planning.worker.submit, 'plan', self._on_plan), QoSProfile(depth=10)),
-                (JointTrajectory, 'tool_arm/steer_joints',
-                 partial(planning.steerer.submit, 'steering', self._on_steer),
-                 QoSProfile(depth=10))):
-            node.create_subscription(kind, topic, callback, qos)
-
-    def set_values(self, values: Mapping[str, Any]) -> None:
-        """Go on with other values."""
-        self._values = values
+        node.create_subscription(String, 'robot_description', self._on_description, latched)
 
     def _on_description(self, message: String) -> None:
         """Keep the arm, which is read when a plan needs it."""
         self._urdf = message.data
 
-    def _read(
-        self, message: JointTrajectory
-    ) -> tuple[plan_messages.JointPlan, Joints, Trajectory]:
+    def _read(self, message: JointTrajectory) -> tuple[JointPlan, Joints, Trajectory]:
         """Return a plan as received, its joints, and the motion of the tool."""
-        if not (self._urdf and self._values['tool_link']):
+        values = self._planning.values
+        if not (self._urdf and values['tool_link']):
             what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
             raise BellowsError(
                 f'It is one of joints, but {what}; expected both. Publish the URDF of the arm, '
                 'and set tool_link to the link at the tool tip.')
-        arm: Arm = read_arm(self._urdf, self._values['tool_link']).with_tip(tip_of(self._values))
+        arm: Arm = read_arm(self._urdf, values['tool_link']).with_tip(tip_of(values))
         self._planning.require_frame(arm.root)
         plan = plan_messages.joint_plan(message)
         columns = arm.columns(plan.names, 'The plan')
@@ -424,22 +418,15 @@ class JointPlanning:
         tool = plan_of_joints(arm, plan.times_ns, *parts)  # type: ignore[arg-type]
         return plan, Joints(arm, plan.times_ns, plan.position[:, columns]), tool
 
-    def _on_plan(self, message: JointTrajectory) -> None:
-        """Predict a plan, and follow it from now on."""
-        def read() -> tuple[int, ToolRows]:
-            plan, _, tool = self._read(message)
-            return plan.stamp_ns, ToolRows(tool.stamps_ns, tool_rows(tool))
+    def read(self, message: JointTrajectory) -> tuple[JointPlan, ToolRows]:
+        """Return a plan as received, and the tool by it."""
+        plan, _, tool = self._read(message)
+        return plan, _rows(tool)
 
-        self._planning.take_plan(read)
-
-    def _on_steer(self, message: JointTrajectory) -> None:
-        """Answer a motion with one that leaves the package without swing, in the same joints."""
-        try:
-            plan, joints, tool = self._read(message)
-            path = steered_joints(joints, tool, self._planning.steered)
-        except BellowsError as error:
-            self._planning.refuse('motion to be steered', error)
-            return
+    def steer(self, message: JointTrajectory) -> None:
+        """Publish a motion, steered, in the same joints."""
+        _, joints, tool = self._read(message)
+        path = steered_joints(joints, tool, self._planning.steered)
         answer = JointTrajectory(header=message.header, joint_names=joints.arm.moving)
         answer.points = [
             JointTrajectoryPoint(

@@ -306,7 +306,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
             for k in range(1, 12):
                 stamp_ns = tried * 10**9 + k * 4_000_000
                 node._take_pose(stamp_ns, 'world', (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-            node._planning._on_plan(plan)
+            node._planning._on_plan(node._planning._read, plan)
             if node._last is not None:
                 node._tossing._landed_ns = 0
                 node._tossing.publish(node._live.model, node._last, 'world',
