@@ -105,9 +105,7 @@ class Observing:
         self.log_alarms()
         payload = self._observer and self._observer.payload
         if payload and self._estimated.wanted:
-            message = InertiaStamped()
-            write_payload(message, self._values['frames.lip'], payload)
-            self._estimated.publish(message)
+            self._estimated.send(write_payload, self._values['frames.lip'], payload)
 
     def log_alarms(self) -> None:
         """Log the alarms since the last call, and go on without the cups that are lost."""

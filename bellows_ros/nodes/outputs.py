@@ -65,6 +65,8 @@ class Topic:
 
     Attributes
     ----------
+    message : kind
+        The one that `send` fills in; it is serialised at once, and used again.
     wanted : bool
         Whether somebody listens.
     is_ready : bool
@@ -77,6 +79,7 @@ class Topic:
         prepare: Callable[[], None] | None = None,
     ) -> None:
         """Advertise."""
+        self.message: Any = kind()
         self.wanted, self.is_ready = False, prepare is None
         self._node, self._prepare = node, prepare
         self._publisher = node.create_lifecycle_publisher(
@@ -84,6 +87,11 @@ class Topic:
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self.name = str(self._publisher.topic_name)
+
+    def send(self, write: Callable[..., None], *content: Any) -> None:
+        """Fill in the message by a function, and publish it."""
+        write(self.message, *content)
+        self.publish(self.message)
 
     def publish(self, message: Any) -> None:
         """Send a message; a failure is noted, and keeps no other topic from being sent."""
@@ -126,7 +134,7 @@ class Outputs:
     """
 
     def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
-        """Advertise all topics; messages are made once and filled in again."""
+        """Advertise all topics."""
         self.pose = Topic(node, geometry.PoseStamped, 'package/pose')
         self._twist = Topic(node, geometry.TwistStamped, 'package/twist')
         self._odometry = Topic(
@@ -145,10 +153,8 @@ class Outputs:
         elif values['frames.tf']:
             from tf2_msgs.msg import TFMessage
 
-            self._tf_message = TFMessage(transforms=[geometry.TransformStamped()])
             self._tf = Topic(node, TFMessage, '/tf')
-        self._messages = geometry.PoseStamped(), geometry.TwistStamped(), geometry.WrenchStamped()
-        self._factors = geometry.Vector3Stamped()
+            self._tf.message.transforms = [geometry.TransformStamped()]
         self._last_state = ''
         self._was_ok: bool | None = None
         self._safe_from_ns = 0
@@ -167,7 +173,7 @@ class Outputs:
 
     def publish(self, prediction: Prediction, frame_id: str) -> None:
         """
-        Send the pose of a prediction; a message is serialised at once and used again.
+        Send the pose of a prediction.
 
         One for each pose goes where no other goes. Elsewhere stamps never go back behind one that
         was extrapolated.
@@ -178,9 +184,7 @@ class Outputs:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
         self._is_due = not (self._is_late if self._values['coast.poses'] else prediction.coasting)
         if self._is_due:
-            pose = self._messages[0]
-            conversions.write_pose(pose, frame_id, prediction)
-            self.pose.publish(pose)
+            self.pose.send(conversions.write_pose, frame_id, prediction)
 
     def publish_more(
         self, prediction: Prediction, model: ModelTuple, frame_id: str,
@@ -189,18 +193,16 @@ class Outputs:
         """Send all else of the prediction that was published last, and its safety factors."""
         values = self._values
         if self._is_due:
-            _, twist, wrench = self._messages
             if self._twist.wanted:
-                conversions.write_twist(twist, values['frames.package'], prediction)
-                self._twist.publish(twist)
+                self._twist.send(conversions.write_twist, values['frames.package'], prediction)
             if self._wrench.wanted:
-                conversions.write_wrench(wrench, values['frames.lip'], prediction)
-                self._wrench.publish(wrench)
+                self._wrench.send(conversions.write_wrench, values['frames.lip'], prediction)
             if factors and self._safety.wanted:
+                message = self._safety.message
                 peel, slip = (min(factor, LARGEST_FACTOR) for factor in factors)
-                conversions.write_header(self._factors, prediction.stamp_ns, values['frames.lip'])
-                conversions.write_vector(self._factors.vector, (peel, slip, min(peel, slip)))
-                self._safety.publish(self._factors)
+                conversions.write_header(message, prediction.stamp_ns, values['frames.lip'])
+                conversions.write_vector(message.vector, (peel, slip, min(peel, slip)))
+                self._safety.publish(message)
         if not self._is_late:
             self._publish_continuing(prediction, model, frame_id)
 
@@ -210,14 +212,12 @@ class Outputs:
         """Publish the outputs that continue while the tool is extrapolated."""
         stamp_ns, values = prediction.stamp_ns, self._values
         if self._odometry.wanted:
-            odometry = Odometry()
             known = self._odometry.is_ready and not prediction.flies
             root = self.uncertainty.root(prediction) if known else UNKNOWN_ROOT
-            conversions.write_odometry(
-                odometry, frame_id, values['frames.package'], prediction, root)
-            self._odometry.publish(odometry)
+            self._odometry.send(
+                conversions.write_odometry, frame_id, values['frames.package'], prediction, root)
         if self._deflection.wanted and not prediction.flies:
-            lip = geometry.PoseStamped()
+            lip = self._deflection.message
             conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
             conversions.write_vector(lip.pose.position, deflection(model, prediction).shift)
             conversions.write_quaternion(lip.pose.orientation, deflection_rotation(prediction))
@@ -225,12 +225,12 @@ class Outputs:
         if self._markers.wanted and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, model, prediction))
         if self._tf and self._tf.wanted:
-            (package,) = self._tf_message.transforms
+            (package,) = self._tf.message.transforms
             conversions.write_header(package, stamp_ns, frame_id)
             package.child_frame_id = values['frames.package']
             conversions.write_vector(package.transform.translation, prediction.position)
             conversions.write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
-            self._tf.publish(self._tf_message)
+            self._tf.publish(self._tf.message)
 
     def note_unsafe(self) -> None:
         """Note a safety factor that is too small."""
@@ -249,7 +249,8 @@ class Outputs:
             self._last_state = state
             self._state.publish(String(data=state))
             if state in ('detached', 'lost', 'inactive') and self._markers.wanted:
-                self._markers.publish(gone())
+                self._markers.publish(MarkerArray(markers=[
+                    Marker(ns=NAMESPACE, action=Marker.DELETEALL)]))
         self._publish_ok(state in HELD_STATES and time.monotonic_ns() >= self._safe_from_ns)
 
 
@@ -302,11 +303,6 @@ class Picture:
             rgba = COASTING if prediction.coasting else colour
             marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
         return self._array
-
-
-def gone() -> MarkerArray:
-    """Return the message that deletes all markers."""
-    return MarkerArray(markers=[Marker(ns=NAMESPACE, action=Marker.DELETEALL)])
 
 
 def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) -> Marker:

@@ -332,11 +332,9 @@ class Planning:
             self._node.get_logger().warning(
                 f'A request on package/predict_at was refused. {error}', throttle_duration_sec=1.0)
             return
-        message = Odometry()
         later = Prediction(stamp_to_ns(request.stamp), *body[:4], ZERO, ZERO)
-        write_odometry(message, self._live.frame_id, self.values['frames.package'], later,
-                       UNKNOWN_ROOT)
-        self._at.publish(message)
+        self._at.send(write_odometry, self._live.frame_id, self.values['frames.package'], later,
+                      UNKNOWN_ROOT)
 
     def steered(self, wanted: Trajectory, of_package: bool = False) -> Trajectory:
         """Return a motion of the tool without swing; refuse to work on it for long."""

@@ -51,7 +51,6 @@ class Tossing:
         self._worker = Worker(node, 'release')  # no plan waits behind a search
         self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
         self._at = Topic(node, Header, 'release/at')
-        self._message = PoseWithCovarianceStamped()
         self._picture = Topic(node, MarkerArray, 'package/landing_markers')
         node.create_subscription(Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10)
         self._landed_ns = self._aimed_ns = 0
@@ -81,8 +80,7 @@ class Tossing:
             self._landed_ns = now_ns
             found = self.flight.landing(model, prediction, covariance)
             if found is not None:
-                _write(self._message, found, prediction.stamp_ns, frame_id)
-                self._landing.publish(self._message)
+                self._landing.send(_write, found, prediction.stamp_ns, frame_id)
                 if self._picture.wanted:
                     path = flight_path(model, found.toss, PATH_POINTS)
                     self._picture.publish(_picture(found, path, prediction.stamp_ns, frame_id))
