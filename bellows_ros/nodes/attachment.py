@@ -1,6 +1,6 @@
 """Attaching and detaching the package: two services, and a vacuum signal if there is one."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 import math
 import time
@@ -11,7 +11,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from .conversions import stamp_to_ns
-from .guarding import GuardedNode
 from .tool_inputs import SensorInput
 from ..core.live.health import Status, vacuum_status
 from ..core.live.load import ALL, Vacuum
@@ -25,19 +24,10 @@ class Attachment:
 
     Parameters
     ----------
-    node : GuardedNode
-        Serves and subscribes.
+    node : PredictorNode
+        Serves, subscribes, attaches and detaches.
     values : mapping
         Parameters by name.
-    change : callable
-        Takes True to attach, False to detach, and why; returns whether it is done.
-    on_measured : callable
-        Takes each pressure in the cup, Pa; of several sensors the highest of cups that hold.
-    on_held : callable
-        Takes of each message of the vacuum whether the cup holds, or one of a gripper and its
-        index, before anything is changed.
-    on_open : callable
-        Is called when other cups of a gripper hold.
 
     Attributes
     ----------
@@ -50,14 +40,9 @@ class Attachment:
 
     """
 
-    def __init__(
-        self, node: GuardedNode, values: Mapping[str, Any], change: Callable[[bool, str], bool],
-        on_measured: Callable[[float], None], on_held: Callable[[bool, int], None],
-        on_open: Callable[[], None],
-    ) -> None:
+    def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
-        self._change, self._on_measured = change, on_measured
-        self._join, self._on_open = on_held, on_open
+        self._node = node
         self.vacuum = Vacuum(values)
         self._kind = signal = values['vacuum.signal']
         self.held = values['package.attached'] and signal == 'none'
@@ -77,7 +62,7 @@ class Attachment:
         self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """Carry out a service request."""
-        response.success = self._change(held, 'service')
+        response.success = self._node.attach(held, 'service')
         response.message = words if response.success else 'The node is not active.'
         if response.success:
             self.held = held
@@ -87,7 +72,7 @@ class Attachment:
         """Follow a vacuum switch."""
         assert self.signal
         self.signal.arrivals.add(time.monotonic_ns(), math.nan)  # without a stamp
-        self._join(message.data, ALL)
+        self._node.on_vacuum(message.data, ALL)
         self._follow(message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
@@ -100,11 +85,11 @@ class Attachment:
             self._refused[readings] += 1
             return
         for held, cup in readings:
-            self._join(held, cup)
+            self._node.on_vacuum(held, cup)
         if vacuum.pressure is not None:
-            self._on_measured(vacuum.pressure)
+            self._node.diagnostics.load.set_pressure(vacuum.pressure)
         if vacuum.open_cups != opened:
-            self._on_open()
+            self._node.on_open_cups()
         self._follow(vacuum.held)
 
     def _follow(self, held: bool) -> None:
@@ -112,7 +97,7 @@ class Attachment:
         changed, self._last_reading = held != self._last_reading, held
         if changed and held != self.held:
             self.held = held
-            self._change(held, 'vacuum')
+            self._node.attach(held, 'vacuum')
 
     def status(self, name: str) -> Status | None:
         """Return the diagnostics line on the vacuum signal, if there is to be one."""

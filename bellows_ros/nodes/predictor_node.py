@@ -97,7 +97,7 @@ class PredictorNode(ManagedNode):
         self._last: Prediction | None = None
         self._compiled, self._cup_waits = set[int](), False
         self._publish_more = self.guarded(self._publish_beside)
-        self._diagnostics = Diagnostics(self)
+        self.diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
             post_callback=self.guarded(lambda jump: self._start_afresh('clock_jump')))
@@ -128,15 +128,12 @@ class PredictorNode(ManagedNode):
             self._pose_in = SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
         self._twist_in = SensorInput(
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
-        self._attachment = Attachment(
-            self, values, self._attach,
-            lambda pressure: self._diagnostics.load.set_pressure(pressure), self._on_vacuum,
-            self._on_open_cups)
+        self._attachment = Attachment(self, values)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._planning = Planning(self, lambda: self._last, lambda: self._diagnostics.load.grip)
+        self._planning = Planning(self, lambda: self._last, lambda: self.diagnostics.load.grip)
         self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
-        self._diagnostics.watch(
+        self.diagnostics.watch(
             live, self._pose_in, self._twist_in, self._outputs, values,
             lambda: (self._observing.status('measured package'),
                      self._attachment.status('vacuum'), self._planning.status))
@@ -179,7 +176,7 @@ class PredictorNode(ManagedNode):
 
     def release_resources(self) -> None:
         """End the threads, too."""
-        self._diagnostics.forget()
+        self.diagnostics.forget()
         for part in (self._planning, self._tossing):
             if part is not None:
                 part.close()
@@ -223,7 +220,7 @@ class PredictorNode(ManagedNode):
         arrival_ns = time.monotonic_ns()
         self._pose_in.note(arrival_ns, stamp_ns)
         self._publish(self._live.on_pose, stamp_ns, frame_id, position, orientation, arrival_ns)
-        self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
+        self.diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def _on_twist(self, message: TwistStamped) -> None:
         """Predict with a twist of the tool."""
@@ -235,7 +232,7 @@ class PredictorNode(ManagedNode):
         self._publish(
             self._live.on_twist,
             stamp_ns, vector(twist.linear), vector(twist.angular), header.frame_id)
-        self._diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
+        self.diagnostics.compute.add((time.monotonic_ns() - arrival_ns) * 1e-9)
 
     def advance(self, step: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a step of the live prediction does; start afresh where it raises."""
@@ -254,8 +251,8 @@ class PredictorNode(ManagedNode):
 
     def _publish_beside(self, prediction: Prediction) -> None:
         """Send all but the pose, and watch the load on the cup."""
-        factors = self._diagnostics.load.watch_force(self._live.model, prediction)
-        if factors and min(factors) < self._diagnostics.load.required:
+        factors = self.diagnostics.load.watch_force(self._live.model, prediction)
+        if factors and min(factors) < self.diagnostics.load.required:
             self._outputs.note_unsafe()
         self._outputs.publish_more(prediction, self._live.model, self._live.frame_id, factors)
         self._planning.follow()
@@ -305,12 +302,12 @@ class PredictorNode(ManagedNode):
         self.advance(self._live.switch_valve, on, stamp_ns)
         self._publish_state()
 
-    def _on_vacuum(self, held: bool, cup: int) -> None:
+    def on_vacuum(self, held: bool, cup: int) -> None:
         """Join the vacuum, or that of one cup, with what a camera sees."""
         self._live.on_vacuum(held, cup)
         self._observing.log_alarms()
 
-    def _attach(self, held: bool, why: str) -> bool:
+    def attach(self, held: bool, why: str) -> bool:
         """Attach or detach the package; return whether the node is active."""
         if not self._active:
             return False
@@ -346,7 +343,7 @@ class PredictorNode(ManagedNode):
         self._publish_state()
         held = self._planning.held
         if held is not None and self._ticks % LOAD_TICKS == 0:
-            self._diagnostics.load.watch_deflection(live.model, held)
+            self.diagnostics.load.watch_deflection(live.model, held)
         flight = self._tossing.flight
         if held is not None and flight.known and not flight.state:
             self._tossing.publish(
@@ -354,7 +351,7 @@ class PredictorNode(ManagedNode):
 
     def _report_health(self) -> None:
         """Report the health of the node, and log what is wrong."""
-        self._diagnostics.report(self.lifecycle_state, self._last)
+        self.diagnostics.report(self.lifecycle_state, self._last)
 
     def _publish_state(self) -> None:
         """Publish the state when it changes."""
@@ -381,7 +378,7 @@ class PredictorNode(ManagedNode):
             return
         self.use_values()
 
-    def _on_open_cups(self) -> None:
+    def on_open_cups(self) -> None:
         """Go on without the cups of a gripper that have no vacuum."""
         cups = ', '.join(map(str, self._attachment.vacuum.open_cups))
         self.get_logger().warning(
@@ -407,7 +404,7 @@ class PredictorNode(ManagedNode):
         self._cup_waits = False
         self._live.set_model(cup, package)
         self._attachment.vacuum.set_values(values)
-        self._diagnostics.set_values(values)
+        self.diagnostics.set_values(values)
         self._apply(self._live, values)
 
     def _compile(self, values: Values) -> None:

@@ -97,7 +97,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
     predictor = partner.predictor
     for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
         monkeypatch.setattr(diagnostics, name, 0.0)
-    monkeypatch.setattr(predictor._diagnostics.load, 'take', lambda: (
+    monkeypatch.setattr(predictor.diagnostics.load, 'take', lambda: (
         Safety(0.5, 'peel'), None, 0.0))
     for number, level in enumerate(ALL_PAIRS):
         for name in ('prediction', 'input', 'twist', 'load'):
@@ -118,7 +118,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
 
 
 @pytest.mark.parametrize(('part', 'name'), [
-    ('_diagnostics', 'report'), ('_diagnostics.load', 'watch_force'),
+    ('diagnostics', 'report'), ('diagnostics.load', 'watch_force'),
     ('_outputs', 'publish_more'), ('_outputs', 'publish_state'), ('_planning', 'follow'),
     ('_tossing', 'publish')])
 def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
@@ -210,6 +210,6 @@ def test_an_envelope_without_a_mass_is_watched(name, live, make_partner):
     if live:
         (result,) = predictor.set_parameters([Parameter(name, value=given[name])])
         assert result.successful
-    load = predictor._diagnostics.load
+    load = predictor.diagnostics.load
     assert partner.ros.spin_until(lambda: load.envelope_known and load._distance is not None)
     assert not predictor.failures

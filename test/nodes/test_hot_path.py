@@ -85,7 +85,7 @@ def signatures():
     return kernels
 
 def held():
-    partner.wait(lambda: predictor._diagnostics.compute.count == 0)
+    partner.wait(lambda: predictor.diagnostics.compute.count == 0)
     for got in (*heard, *answered):  # no message that came counts
         got[:] = [None] * len(got)
     gc.collect()

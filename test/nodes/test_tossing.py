@@ -143,7 +143,7 @@ def test_the_vacuum_that_is_heard_counts(make_partner):
     assert factors[0] == pytest.approx(2.0 * factors[1], rel=1e-2)
     partner.predictor._live.switch_valve(False, 1_000_000_000)
     gauge.publish(FluidPressure(fluid_pressure=100_000.0))
-    load = partner.predictor._diagnostics.load
+    load = partner.predictor.diagnostics.load
     planner.wait(lambda: load.pressure == 100_000.0)
     assert flight.grip[0] == pytest.approx(30e3 * np.pi * 0.03 ** 2)
 
