@@ -28,7 +28,8 @@ def off(fit):
 
 
 def test_a_frame_and_a_length_that_are_a_little_off_are_found_with_the_cup():
-    own, turned = measured(7, **QUIET), exp_so3(np.array([2e-3, -4e-3, 0.0]))
+    own = measured(7, tool_hz=100.0, duration=8.0, **QUIET)
+    turned = exp_so3(np.array([2e-3, -4e-3, 0.0]))
     body = replace(own.package, rotation=own.package.rotation @ turned)
     wrong, start = replace(own, package=body), replace(TRUTH, length=TRUTH.length + 5e-4)
     exact, found = (output_error([wrong], AXISYMMETRIC, start, given=given)
@@ -82,9 +83,9 @@ def test_a_length_that_is_off_is_named_though_a_frame_seems_to_explain_more():
     assert first.name == 'length'
 
 
-@pytest.mark.parametrize('lip', [False, True])
-def test_poses_of_the_lip_are_told_from_those_of_the_com(lip):
-    own = measured(7, **QUIET)
+@pytest.mark.parametrize(('lip', 'seed', 'tool_hz'), [(False, 7, 120.0), (True, 8, 100.0)])
+def test_poses_of_the_lip_are_told_from_those_of_the_com(lip, seed, tool_hz):
+    own = measured(seed, tool_hz=tool_hz, duration=6.0, **QUIET)
     body, away = own.package, (1.0 if lip else -1.0) * PLATE.com
     wrong = replace(own, moves_with_com=(lip,) * 3, package=replace(
         body, position=body.position + body.rotation @ away))
