@@ -27,7 +27,8 @@ def gripper(root, known, true_cup, tmp_path_factory):
     bag = tmp_path_factory.mktemp('gripper') / 'bag'
     simulate_recording(truth, motion, bag)
     return resolve(truth), {
-        **known, 'bags': [str(bag)], 'cup.layout': LAYOUT, 'fit.structure': 'layout'}
+        **known, 'bags': [str(bag)], 'cup.layout': LAYOUT, 'fit.structure': 'layout',
+        'recording.end': 8.0}
 
 
 @pytest.mark.parametrize('method', ['least_squares', pytest.param(

@@ -82,7 +82,7 @@ def test_clean_recording_of_the_rig(rig):
     'output_error', marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
 def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
-    settings = {**shipped[0].values, 'fit.method': method, 'recording.end': 6.0,
+    settings = {**shipped[0].values, 'fit.method': method, 'recording.end': 4.0,
                 'bags': [str(root / 'bags/validation')]}
     found = []
     texts = [

@@ -41,7 +41,8 @@ STANDSTILLS = {
 @pytest.fixture(scope='module')
 def settings(known):
     """Return the parameters of the shipped package."""
-    return {**known, 'topics.tool_twist': '', 'fit.method': 'least_squares'}
+    return {**known, 'topics.tool_twist': '', 'fit.method': 'least_squares',
+            'recording.start': 10.0}
 
 
 @pytest.fixture(scope='module')

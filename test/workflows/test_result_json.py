@@ -42,7 +42,7 @@ def settings(root):
     return {
         **read_parameters(bags / 'package.yaml'), 'bags': [str(bags / 'identification')],
         'static.bags': [str(bags / 'static')], 'validation.bags': [str(bags / 'validation')],
-        'fit.time_offset': True}
+        'fit.time_offset': True, 'recording.end': 8.0}
 
 
 @pytest.mark.parametrize(('method', 'unit'), [
@@ -51,7 +51,7 @@ def settings(root):
         not COMPILED, reason='numba is not installed: the fit takes minutes'))])
 def test_every_number_has_its_unit(settings, method, unit):
     short = {'bags': settings['validation.bags'], 'validation.bags': [], 'fit.time_offset': False,
-             'recording.end': 6.0}
+             'recording.end': 4.0}
     asked = {**settings, 'fit.method': method, **(
         {'fit.compare_structures': True} if method == 'least_squares' else short)}
     content = json.loads(format_json(identify(asked).as_json()))

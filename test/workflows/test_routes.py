@@ -26,7 +26,7 @@ def simulated(root, folder, **changes):
     cup = read_parameters(root / 'bags/cup.yaml')
     bags = [str(folder / name) for name in NAMES]
     for seed, bag in enumerate(bags, 1):
-        simulate_recording(cup, {**motion, 'seed': seed, 'duration': 12.0, **changes}, bag)
+        simulate_recording(cup, {**motion, 'seed': seed, 'duration': 8.0, **changes}, bag)
     return bags
 
 
