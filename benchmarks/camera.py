@@ -20,7 +20,8 @@ from bellows_ros.workflows.replay import replay
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .step_case import CUP, PACKAGE, shaken_tool
+from .paths import shaken_tool
+from .step_case import CUP, PACKAGE
 from .timing import figures
 
 BAGS = Path(__file__).resolve().parents[1] / 'bags'

@@ -7,10 +7,8 @@ docs/validation.md.
 """
 
 import argparse
-from collections.abc import Callable
 from typing import Any
 
-from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
@@ -38,8 +36,9 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
-from bellows_ros.core.synthetic.motion import smooth_step
 import numpy as np
+
+from .paths import driven, Path, step
 
 TIMES = np.array([0.006, 0.03, 0.15, 0.7, 3.0])
 """Of the branches, s."""
@@ -123,15 +122,6 @@ def rubber_moves(loss_factor: float, tool: Trajectory) -> Trajectory:
     return Trajectory(tool.stamps_ns, out[:, :3], quaternion_to_rotation(out[:, 3:7]), out[:, 7:])
 
 
-Path = Callable[[Array], Array]
-"""From times (N,), s, to position (m) and rotation vector (rad) of the tool (N, 6)."""
-
-
-def step(t: Array, start: float, duration: float) -> Array:
-    """Return a smooth step from 0 to 1."""
-    return np.asarray(smooth_step((t - start) / duration)[0])
-
-
 def multisine(seed: int, seconds: float = 20.0, hold: float = 7.0, tilt: float = 0.31) -> Path:
     """Return lines of 0.3 to 5 Hz in all axes, then a hold of a tilt about x and about y."""
     rng = np.random.default_rng(seed)
@@ -167,17 +157,6 @@ def slow_carry(t: Array) -> Array:
 def long_hold(t: Array) -> Array:
     """Return a tilt to 20 degrees, held for 7 s."""
     return np.outer(np.radians(20.0) * step(t, 0.5, 0.8), [0, 0, 0, 1.0, 0, 0])
-
-
-def driven(path: Path, seconds: float, rate_hz: float = 360.0) -> Trajectory:
-    """Return a path as a trajectory with twists."""
-    stamps = np.round(np.arange(int(seconds * rate_hz)) * 1e9 / rate_hz).astype(np.int64)
-    t, h = stamps * 1e-9, 1e-5
-    x, rate = path(t), (path(t + h) - path(t - h)) / (2.0 * h)
-    R = exp_so3(x[:, 3:])
-    return Trajectory(stamps + 10**9, x[:, :3], R, np.hstack([
-        lie.apply(np.swapaxes(R, 1, 2), rate[:, :3]),
-        lie.apply(lie.dexp(-x[:, 3:]), rate[:, 3:])]))
 
 
 def recorded(loss_factor: float, seed: int, path: Path, seconds: float) -> Recording:

@@ -6,7 +6,8 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.model.simulation import simulate_rows
 import numpy as np
 
-from .step_case import MODEL, shaken_tool, start
+from .paths import shaken_tool
+from .step_case import MODEL, start
 from .timing import figures, in_process, interleaved, Work
 
 RATE = 360.0

@@ -31,9 +31,10 @@ from bellows_ros.workflows.recordings import _prepared, prepare_settings
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 
+from .paths import driven, step
 from .sensors import bound_of, CAMERA, ROBOT, seen
 
-START, RATE, GRAVITY = 10**18, 1000.0, 9.81
+RATE, GRAVITY = 1000.0, 9.81
 FREE = 'time_offset', 'package_world', 'package_marker'
 SHOWN = [0, 2, 3, 5]
 """Entries of the diagonal of K."""
@@ -49,27 +50,21 @@ VALUES: dict[str, Any] = {
 
 def tool_motion(rng: np.random.Generator, duration: float, tilts: bool) -> Trajectory:
     """Return a motion of the tool: sines of all axes, then tilts that are held."""
-    end = duration + (9.0 if tilts else 0.0)
-    t = np.arange(int(end * RATE)) / RATE
-    fade = np.clip(np.minimum(t - 1.0, duration - t), 0.0, 1.0)
-    fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
-    way = np.zeros((len(t), 6))
-    for axis in range(6):
-        for size, low, high in ((0.02, 0.3, 0.7), (0.01, 1.0, 1.6), (0.003, 2.4, 4.5)):
-            way[:, axis] += (1.0 if axis < 3 else 4.0) * size * np.sin(
-                2.0 * np.pi * (rng.uniform(low, high) * t + rng.random()))
-    way *= fade[:, None]
-    for number, (x, y) in enumerate(((0.3, 0.0), (0.0, 0.3), (-0.2, -0.2)) if tilts else ()):
-        since = t - duration - 3.0 * number
-        s = np.clip(np.minimum(since / 0.5, (3.0 - since) / 0.5), 0.0, 1.0)
-        way[:, 3:5] += (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None] * [x, y]
-    R = exp_so3(way[:, 3:])
-    ends = np.clip(np.arange(len(t))[:, None] + [-1, 1], 0, len(t) - 1)
-    rate = RATE / np.diff(ends, axis=1)
-    turn = log_so3(np.swapaxes(R[ends[:, 0]], 1, 2) @ R[ends[:, 1]]) * rate
-    slope = (way[ends[:, 1], :3] - way[ends[:, 0], :3]) * rate
-    return Trajectory(START + np.rint(t * 1e9).astype(np.int64), way[:, :3], R, np.hstack([
-        apply(np.swapaxes(R, 1, 2), slope), turn]))
+    size = np.outer([1.0, 1.0, 1.0, 4.0, 4.0, 4.0], [0.02, 0.01, 0.003])
+    low, high = np.array([[0.3, 1.0, 2.4], [0.7, 1.6, 4.5]])
+    part, phase = np.moveaxis(rng.random((6, 3, 2)), 2, 0)
+    w = 2.0 * np.pi * (low + (high - low) * part)
+
+    def path(t: Array) -> Array:
+        shake = step(t, 1.0, 1.0) - step(t, duration - 1.0, 1.0)
+        x = shake[:, None] * np.sum(
+            size * np.sin(w * t[:, None, None] + 2.0 * np.pi * phase), axis=2)
+        for number, tilt in enumerate(((0.3, 0.0), (0.0, 0.3), (-0.2, -0.2)) if tilts else ()):
+            begin = duration + 3.0 * number
+            x[:, 3:5] += np.outer(step(t, begin, 0.5) - step(t, begin + 2.5, 0.5), tilt)
+        return x
+
+    return driven(path, duration + (9.0 if tilts else 0.0), RATE)
 
 
 def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, Measured]:

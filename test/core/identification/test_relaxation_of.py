@@ -13,7 +13,8 @@ from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import UndeterminedError
-from benchmarks.rubber import CUP, driven, GRAVITY, multisine, PLATE
+from benchmarks.paths import driven
+from benchmarks.rubber import CUP, GRAVITY, multisine, PLATE
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
