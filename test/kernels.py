@@ -17,9 +17,10 @@ def compile_all():
 
     if COMPILED:
         fork = multiprocessing.get_context('fork')
-        others = [fork.Process(target=part) for part in (_compile_observer, _compile_rubber)]
-        for other in others:
-            other.start()
+        others = [fork.Process(target=part) for part in (_compile_rubber, _compile_observer)]
+        others[0].start()
+        _model()  # so that the observer, which is forked with it, does not compile it again
+        others[1].start()
         _compile_plans()
         for other in others:
             other.join()

@@ -5,7 +5,7 @@ from operator import attrgetter
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.load import Safety
 from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.nodes import diagnostics
+from bellows_ros.nodes import diagnostics, predictor_node
 from builtin_interfaces.msg import Time
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -93,6 +93,7 @@ ALL_PAIRS = (0, 0, 1, 1, 2, 2, 0, 2, 1, 0)  # of levels that follow each other
 def test_every_pair_of_severities_is_reported_and_logged(
         make_partner, listener, monkeypatch, capfd):
     """Log each line at each level after each other, and let no prediction start again for it."""
+    monkeypatch.setattr(predictor_node, 'REPORT_PERIOD', 0.2)
     partner = make_partner(with_twists=False)
     predictor = partner.predictor
     for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
