@@ -295,7 +295,7 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
 
 
 def add_plan_options(
-    parser: argparse.ArgumentParser, numbers: str, picture: str, recording: str = ''
+    parser: argparse.ArgumentParser, numbers: str, picture: str, recording: str
 ) -> None:
     """Add the options for a plan, its parameters and its outputs."""
     parser.add_argument(
@@ -311,15 +311,14 @@ def add_plan_options(
     add_parameter_options(parser, span=False)
     add_json_option(parser, numbers)
     add_output(parser, '--plot', f'picture to write: {picture}', Binary)
-    if recording:
-        add_output(parser, '--out', f'recording to write: {recording}', Folder)
-        add_force_option(parser)
+    add_output(parser, '--out', f'recording to write: {recording}', Folder)
+    add_force_option(parser)
 
 
 def run_plan_command(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
-    print_result: Callable[[Any, Console], None], write: Callable[[Any], None] | None = None,
+    print_result: Callable[[Any, Console], None], write: Callable[[Any], None],
     film: Callable[[Any], None] | None = None, good: Callable[[Any], bool] = lambda result: True
 ) -> int:
     """
@@ -342,8 +341,7 @@ def run_plan_command(
 
     """
     values = cup_parameters(arguments, console)
-    if write is not None:
-        require_free(arguments.out, arguments.force)
+    require_free(arguments.out, arguments.force)
     from bellows_ros.plots import style
 
     if arguments.plot:
@@ -353,7 +351,7 @@ def run_plan_command(
         progress('planning')
         result = work(values, progress)
         with naming_written() as written:
-            if write is not None and arguments.out:
+            if arguments.out:
                 write(result)
                 written += [arguments.out]
             if film and arguments.plot.lower().endswith(style.FILMS):
