@@ -36,7 +36,7 @@ class Encoded:
     topic, type_name : str
     stamps_ns : int array (N,)
         When each message was received, ns, in order.
-    data : sequence of bytes
+    data : sequence of bytes, or array (N,) of raw bytes
         Each as CDR with its four-byte head.
 
     """
@@ -44,12 +44,12 @@ class Encoded:
     topic: str
     type_name: str
     stamps_ns: Stamps
-    data: Sequence[bytes]
+    data: Sequence[bytes] | np.ndarray
 
     def messages(self, number: int) -> Iterator[tuple[int, int, bytes]]:
         """Yield log time, connection number and bytes of each message."""
         for stamp_ns, data in zip(self.stamps_ns, self.data, strict=True):
-            yield int(stamp_ns), number, data
+            yield int(stamp_ns), number, bytes(data)
 
 
 def as_messages(

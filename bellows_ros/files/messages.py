@@ -274,7 +274,7 @@ def _doubles_at(head: bytes) -> int:
     return end + (_STAMP_AT - end) % 8
 
 
-def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout) -> list[bytes]:
+def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layout) -> np.ndarray:
     """
     Encode messages of one type, little-endian.
 
@@ -291,7 +291,7 @@ def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layo
 
     Returns
     -------
-    list of bytes
+    array (N,) of raw bytes
 
     """
     head = HEAD
@@ -309,7 +309,7 @@ def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layo
     raw[:, :_STAMP_AT] = np.frombuffer(head[:_STAMP_AT], np.uint8)
     raw[:, _STRINGS_AT:_STRINGS_AT + len(head) - _STAMP_AT] = np.frombuffer(
         head[_STAMP_AT:], np.uint8)
-    return [row.tobytes() for row in raw]
+    return rows.view(f'V{size}')
 
 
 def encode_bool(value: bool) -> bytes:

@@ -66,7 +66,7 @@ def test_encoding_is_what_rosbags_reads(kind):
             row = {name: part[i] for name, part in given_parts.items()}
             expected = made.message(
                 kind, made.stamps(5)[i], **row, frame_id=frame_id, child_frame_id='tool')
-            got = made.TYPES.deserialize_cdr(one, kind)
+            got = made.TYPES.deserialize_cdr(bytes(one), kind)
             assert got.header == expected.header
             for name in parts(kind):
                 if kind == made.TRANSFORM:
