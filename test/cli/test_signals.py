@@ -69,7 +69,7 @@ def compressed(tmp_path_factory):
     folder = tmp_path_factory.mktemp('compressed')
     stamps = 10**18 + 2_777_778 * np.arange(POSES)
     poses = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (POSES, 1))
-    data = encode(stamps, poses, ['world'], LAYOUTS[POSE])
+    data = [bytes(one) for one in encode(stamps, poses, ['world'], LAYOUTS[POSE])]
     messages = list(zip(stamps.tolist(), data, strict=True))
     write(folder / 'r0', {(name, POSE): messages for name in (
         '/tool_arm/pose', '/package/pose')}, 'sqlite3', 'FILE')

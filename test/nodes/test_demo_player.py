@@ -70,7 +70,8 @@ def test_late_answers_to_probes_are_no_predictions(late, monkeypatch):
     topic = Channel('/arm', 'geometry_msgs/msg/PoseStamped', 'cdr')
     rows = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (COUNT, 1))
     poses = [Message(topic, *each) for each in zip(
-        stamps.tolist(), encode(stamps, rows, ['world'], LAYOUTS[topic.type_name]), strict=True)]
+        stamps.tolist(), map(bytes, encode(stamps, rows, ['world'], LAYOUTS[topic.type_name])),
+        strict=True)]
     exchange = converse(poses, {'/arm': POSES}, lambda: None)
 
     assert_array_equal(exchange.predicted.stamps_ns, stamps)
