@@ -1,6 +1,6 @@
 """An identified cup with everything known about it: as sentences, as a cup file, as JSON."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 import os
@@ -10,7 +10,6 @@ from bellows_ros import __version__
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import Reduced
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
-from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.model.validity_range import Envelope, joined_envelopes
 from bellows_ros.core.parameters.checks import pose_text
@@ -271,14 +270,6 @@ class Identification:
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
             *self._offset_sentences(),
             *(f'REFUSED, but written because of --force: {reason}' for reason in self.refusals)]
-
-
-def names_of(bags: Sequence[str], payload: Iterable[Package]) -> list[str]:
-    """Return the names of recordings, with masses where these differ."""
-    masses = [package.mass for package in payload]
-    if len(set(masses)) == 1:
-        return list(bags)
-    return [f'{bag} ({mass:.4g} kg)' for bag, mass in zip(bags, masses, strict=True)]
 
 
 def _standstill_sentences(result: Identification) -> Iterator[str]:

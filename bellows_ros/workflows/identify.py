@@ -329,8 +329,9 @@ def _consistency(
         return None
     from bellows_ros.core.identification.comparison import same_cup
 
-    names = identification.names_of(
-        [part.name for part in parts], [part.payload for part in parts])
+    differ = len({part.payload.mass for part in parts}) > 1
+    names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
+             for part in parts]
 
     def alone(part: Part, name: str) -> Fit:
         return methods.fitted(

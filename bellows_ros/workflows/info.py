@@ -300,7 +300,8 @@ def _assigned(
     twists: Mapping[str, TwistStream], span: Mapping[str, Any], notes: list[str]
 ) -> Info:
     """Return the recording with roles, settings and notes."""
-    pair = likely_pair(poses)
+    pairs = [_pair(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
+    pair = max(filter(None, pairs), key=lambda pair: pair.score, default=None)
     tool, package = (pair.tool, pair.package) if pair else likely_by_name(poses)
     twist = likely_twist(poses[tool.topic], twists) if tool else None
     settings: dict[str, Any] = {'bags': (os.fspath(path),), **span}
@@ -415,13 +416,6 @@ def longest_hold(tool: Trajectory) -> float:
     return float(HOLD_STEP * np.max(edges[:, 1] - edges[:, 0], initial=0))
 
 
-def likely_pair(poses: Mapping[str, PoseStream]) -> Pair | None:
-    """Return the likeliest tool and package among topics of poses; None without two."""
-    found = [_pair(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
-    pairs = [pair for pair in found if pair is not None]
-    return max(pairs, key=lambda pair: pair.score, default=None)
-
-
 def likely_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
     """Return tool and package judged by names alone, None if no name says so."""
     guesses = []
@@ -453,12 +447,15 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
         return None
     distances = np.linalg.norm(apart, axis=1)
     start = apart[: max(1, int(len(apart) * 0.01))].mean(axis=0)
-    world, below = _hanging(start)
+    distance = float(np.linalg.norm(start))
+    down = {name: -float(alignment.world_rotation(name)[2] @ start) for name in alignment.WORLDS}
+    lowest = max(down, key=lambda name: down[name])
+    below = distance > 0.0 and down[lowest] > distance * np.cos(BELOW_WITHIN)
+    world = lowest if below else 'z_up'
     why_tool: list[str] = []
     why_package: list[str] = []
     score = 0.0
     spread = float(np.subtract(*np.percentile(distances, (75, 25))))
-    distance = float(np.linalg.norm(start))
     low, high = np.percentile(distances, (1, 99))  # jumps of tracking do not count
     if below:
         axis = '-z' if world == 'z_up' else '-y'
@@ -489,16 +486,6 @@ def _from_tool_to_package(tool: PoseStream, package: PoseStream) -> Array | None
     stamps = stamps[(stamps >= first) & (stamps <= last)]
     ends = [resample(stream.trajectory(), stamps).position for stream in (package, tool)]
     return np.asarray(ends[0] - ends[1])
-
-
-def _hanging(apart: Array) -> tuple[str, bool]:
-    """Return the world in which a body at this distance is lowest, and whether it hangs."""
-    down = {world: -float(alignment.world_rotation(world)[2] @ apart)
-            for world in alignment.WORLDS}
-    world = max(down, key=lambda name: down[name])
-    reach = float(np.linalg.norm(apart))
-    below = reach > 0.0 and down[world] > reach * np.cos(BELOW_WITHIN)
-    return (world if below else 'z_up'), bool(below)
 
 
 def likely_twist(tool: PoseStream, twists: Mapping[str, TwistStream]) -> Guess | None:

@@ -248,7 +248,10 @@ def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) 
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "
                 'its seven numbers: they are in the cup file of an identification with a motion.')
         found = load(bag, {**own, 'topics.tool_twist': '', 'fit.time_offset': False})
-        if not any(_same(found, other) for other in recordings):
+        poses = found.package_pose
+        if not any(np.array_equal(poses.stamps_ns, other.package_pose.stamps_ns)
+                   and np.array_equal(poses.position, other.package_pose.position)
+                   for other in recordings):
             recordings.append(found)
     stills = [still for recording in recordings for still in standstills_in(recording)[0]]
     length, no_length = None, ''
@@ -259,14 +262,6 @@ def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) 
     return StaticResult(
         tuple(recordings), length, no_length, values['cup.length'], None,
         len(each) - len(recordings), 1.0 + sum(values['cup.relaxation']))
-
-
-def _same(one: Recording, other: Recording) -> bool:
-    """Return whether two recordings have the same poses of the package."""
-    poses = one.package_pose, other.package_pose
-    return len(poses[0]) == len(poses[1]) and all(
-        np.array_equal(getattr(poses[0], name), getattr(poses[1], name))
-        for name in ('stamps_ns', 'position'))
 
 
 def save_length(result: StaticResult, path: File) -> None:
