@@ -41,7 +41,7 @@ def test_a_frame_and_a_length_that_are_a_little_off_are_found_with_the_cup():
 
 
 def test_couplings_of_a_frame_that_is_off_are_within_their_errors():
-    own, full = measured(8, duration=8.0, **QUIET), STRUCTURES['full']
+    own, full = measured(8, tool_hz=125.0, duration=8.0, **QUIET), STRUCTURES['full']
     body = own.package
     wrong = replace(own, package=replace(body, position=body.position + body.rotation @ [
         2e-4, -1e-4, 0.0]))
@@ -108,14 +108,15 @@ def test_k_is_known_no_better_than_the_mass():
 def test_what_is_not_known_with_what_was_given_is_no_number():
     """Say how exact all entries would be of a package that may be off by a factor."""
     vague = {**USUAL, 'mass': np.array([2.0]), 'inertia': np.full(3, 2.0)}
-    found = output_error([measured(9, **QUIET)], AXISYMMETRIC, TRUTH, given=vague)
+    found = output_error(
+        [measured(9, tool_hz=125.0, **QUIET)], AXISYMMETRIC, TRUTH, given=vague)
     assert np.isinf(found.stiffness_std[np.diag_indices(6)]).all()
     told = [text for text in found.notes if 'not identifiable with what was given' in text]
     assert len(told) == 8 and all('% with exact package' in text for text in told)
 
 
 def test_what_the_recording_does_not_know_better_stays_as_given():
-    own = measured(10)
+    own = measured(10, tool_hz=125.0)
     exact, found = (output_error([own], AXISYMMETRIC, TRUTH, given=given)
                     for given in ({}, {'mass': np.array([0.01])}))
     std = np.sqrt(np.diag(exact.covariance))

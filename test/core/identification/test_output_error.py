@@ -99,7 +99,8 @@ def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, pac
 
 def test_every_derivative_is_that_of_the_differences():
     cup = replace(TRUTH, relaxation=(0.2, 0.15))
-    own = measured(4, package_noise=(1e-4, 5e-4), duration=4.0, silent=True, cup=cup)
+    own = measured(4, package_noise=(1e-4, 5e-4), tool_hz=125.0, duration=4.0, silent=True,
+                   cup=cup)
     search = Search([Segment(own)], AXISYMMETRIC, cup, {
         name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()})
     for _ in range(3):  # the first state
@@ -116,7 +117,7 @@ def test_every_derivative_is_that_of_the_differences():
 
 
 def test_a_robot_and_a_camera_are_enough_from_a_start_far_off():
-    own = measured(5)
+    own = measured(5, tool_hz=125.0)
     far, near = (output_error([own], AXISYMMETRIC, scaled(k)) for k in (2.0, 1.0))
     assert far.converged
     known = np.isfinite(np.diag(far.covariance))
@@ -263,7 +264,7 @@ def test_gaps_and_outliers_are_bridged():
 
 
 def test_a_wrong_number_is_named_with_its_size_and_a_sound_recording_is_not_accused():
-    own = measured(11, package_noise=(1e-4, 5e-4), tool_noise=ROBOT)
+    own = measured(11, package_noise=(1e-4, 5e-4), tool_noise=ROBOT, tool_hz=125.0)
     assert not output_error([own], AXISYMMETRIC, TRUTH).causes
     wrong = replace(PLATE, com=PLATE.com + [0.003, 0.0, 0.0])
     fit = output_error([replace(own, payload=wrong)], AXISYMMETRIC, TRUTH)
@@ -277,7 +278,7 @@ def test_two_wrong_numbers_are_both_named(monkeypatch):
     """With a bound on the simulations: 154 with one cause, and 65 to look for a second."""
     simulations, system = [], Search.system
     monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
-    own = measured(11, package_noise=(1e-4, 5e-4), tool_noise=ROBOT)
+    own = measured(11, package_noise=(1e-4, 5e-4), tool_noise=ROBOT, tool_hz=125.0)
     late = replace(own.tool, stamps_ns=own.tool.stamps_ns + 20_000_000)
     wrong = replace(PLATE, com=PLATE.com + [0.003, 0.0, 0.0])
     found = output_error([replace(own, payload=wrong, tool=late)], AXISYMMETRIC, TRUTH).causes
@@ -314,7 +315,7 @@ def test_rubber_of_five_branches_is_predicted(loss_factor, limit, seed):
 
 
 def test_a_kelvin_voigt_cup_shows_no_relaxation():
-    own = measured(13, package_noise=(1e-4, 5e-4))  # benchmarks.rubber has 40
+    own = measured(13, package_noise=(1e-4, 5e-4), tool_hz=125.0)  # benchmarks.rubber has 40
     auto, off = (output_error([own], AXISYMMETRIC, scaled(1.5), relaxation=wanted)
                  for wanted in ('auto', 'off'))
     assert auto.relaxation == (0.0, 0.0)
