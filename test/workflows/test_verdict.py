@@ -96,7 +96,7 @@ def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
 def test_what_else_is_wrong_is_said_of_a_recording_that_was_misread(tmp_path):
-    laboratory = Laboratory(320, seconds=10.0)
+    laboratory = Laboratory(321, rate_hz=240.0)
     for fault in ('millimetres', 'inertia'):
         FAULTS[fault][0](laboratory)
     own = laboratory.recording()
