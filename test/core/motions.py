@@ -1,4 +1,4 @@
-"""A motion in closed form, sampled at a rate."""
+"""A motion in closed form, sampled at a rate, and noise of poses."""
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -31,3 +31,15 @@ def motion(count, rate_hz, with_twist=True):
     """Return that many samples of the motion at a rate (Hz)."""
     o, R, twist = poses_at(stamps(count, rate_hz))
     return Trajectory(stamps(count, rate_hz), o, R, twist if with_twist else None)
+
+
+def with_errors(poses, e):
+    """Return poses without twists that are off by (N, 6), in world and body axes."""
+    return Trajectory(
+        poses.stamps_ns, poses.position + e[:, :3], poses.rotation @ lie.exp_so3(e[:, 3:]))
+
+
+def noisy(rng, poses, noise):
+    """Return poses with white noise of standard deviations in position and rotation, m and rad."""
+    return with_errors(poses, np.hstack([
+        size * rng.standard_normal(poses.position.shape) for size in noise]))

@@ -11,7 +11,7 @@ from bellows_ros.core.synthetic.motion import Oscillation, Pose
 import numpy as np
 import pytest
 
-from ..recording.tracking import noisy
+from ..motions import noisy
 
 STRUCTURE = STRUCTURES['axisymmetric']
 TRUTH = np.array([5400.0, 9200.0, 4.2, 1.35, 55.0, 24.0, 0.06, 0.1])

@@ -38,11 +38,3 @@ def _ramp(t):
     """Return a smooth step over a second and its derivative."""
     s = np.clip(t, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 * (t < 1.0)
-
-
-def noisy(poses, position, rotation, rng):
-    """Return poses without twists and with white noise."""
-    shape = poses.position.shape
-    return Trajectory(
-        poses.stamps_ns, poses.position + position * rng.standard_normal(shape),
-        poses.rotation @ exp_so3(rotation * rng.standard_normal(shape)))

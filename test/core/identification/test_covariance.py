@@ -1,7 +1,7 @@
 """Standard errors of the output error: against the bound, and against the scatter of fits."""
 
 from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.equations import covariance_of, information_of, without
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.search import Measured
@@ -11,7 +11,6 @@ from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.recording.recording import BodyNoise
-from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -20,6 +19,7 @@ from scipy.stats import chi2
 
 from .recordings import GRAVITY, PLATE, Shake
 from ..cases import random_cup
+from ..motions import with_errors
 
 TRUTH = Cup.thesis()
 AXISYMMETRIC = STRUCTURES['axisymmetric']
@@ -42,12 +42,6 @@ def noise_of_kind(kind, count, rng):
     return noise
 
 
-def with_noise(poses, noise):
-    """Return poses with noise (N, 6), in world and body axes."""
-    return Trajectory(
-        poses.stamps_ns, poses.position + noise[:, :3], poses.rotation @ exp_so3(noise[:, 3:]))
-
-
 def noise_said(kind):
     """Return the noise that both bodies have, as a preparation estimates it."""
     tall = np.array([1.0, 1.0, 3.0 if kind == 'anisotropic' else 1.0, 1.0, 1.0, 1.0])
@@ -61,7 +55,7 @@ def recorded(seed, tool_noise, package_noise, duration=12.0, rate_hz=RATE_HZ, cu
     tool, rng = motion(seed).trajectory(duration, rate_hz), np.random.default_rng((seed, 8))
     body = simulate(cup, PLATE, tool, gravity=GRAVITY)
     stds = [np.repeat(np.maximum(own, [2e-7, 2e-6]), 3) for own in (tool_noise, package_noise)]
-    poses = [with_noise(own, np.repeat(size, 3) * rng.standard_normal((len(own), 6)))
+    poses = [with_errors(own, np.repeat(size, 3) * rng.standard_normal((len(own), 6)))
              for own, size in zip((tool, body), (tool_noise, package_noise), strict=True)]
     return Measured(*poses, PLATE, GRAVITY, *map(BodyNoise, stds))
 
@@ -74,7 +68,7 @@ def deviations(kind, seeds, duration=DURATION):
     found = []
     for seed in seeds:
         rng = np.random.default_rng((seed, 7))
-        seen = [with_noise(own, noise_of_kind(kind, len(own), rng)) for own in (motion, body)]
+        seen = [with_errors(own, noise_of_kind(kind, len(own), rng)) for own in (motion, body)]
         own = Measured(*seen, PLATE, GRAVITY, noise_said(kind), noise_said(kind))
         fit = output_error([own], AXISYMMETRIC, TRUTH)
         std = np.sqrt(np.diag(fit.covariance))

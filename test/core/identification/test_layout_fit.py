@@ -23,8 +23,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .recordings import GRAVITY, noisy, PLATE, Shake
+from .recordings import GRAVITY, PLATE, Shake
 from .. import oracle
+from ..motions import noisy
 
 ONE = Cup(np.diag([900.0, 900.0, 1500.0, 1.2, 1.2, 0.5]),
           np.diag([12.0, 12.0, 9.0, 0.02, 0.02, 0.02]), 0.0481)
@@ -91,7 +92,7 @@ def truth():
 def by_output_error(package_noise):
     """Return the fit to a robot's poses and a camera's of 62.5 Hz, from a start far off."""
     rng, tool_noise = np.random.default_rng(1), (2e-5, 5e-5)
-    tool, package = (noisy(body, *noise, rng) for body, noise in zip(
+    tool, package = (noisy(rng, body, noise) for body, noise in zip(
         truth(), (tool_noise, package_noise), strict=True))
     return output_error(
         [Measured(tool, package.select(slice(0, None, 8)), PLATE, GRAVITY,
@@ -137,7 +138,7 @@ def test_one_cup_is_found_by_least_squares(noise, within):
     rng = np.random.default_rng(2)
     streams = [PoseStream(name, 'world', body.stamps_ns, body.position, body.rotation)
                for name, body in zip(('tool', 'package'), (
-                   noisy(body, 2e-5 * noise, 1e-4 * noise, rng) for body in truth()), strict=True)]
+                   noisy(rng, own, (2e-5 * noise, 1e-4 * noise)) for own in truth()), strict=True)]
     recording = prepare(*streams, PrepareSettings(
         payload=PLATE, gravity=GRAVITY, tool_half_window=12, package_half_window=12))
     fit = least_squares([

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .recordings import GRAVITY, noisy, PLATE, Shake
+from .recordings import GRAVITY, PLATE, Shake
+from ..motions import noisy, with_errors
 
 TRUTH = Cup.thesis()
 AXISYMMETRIC = STRUCTURES['axisymmetric']
@@ -35,8 +36,7 @@ def measured(
 
     def at(poses, rate, offset_ns, noise):
         stamps = offset_ns + np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64)
-        return noisy(resample(poses, stamps), *(0.0 if silent else np.array(noise)) * np.ones(2),
-                     rng)
+        return noisy(rng, resample(poses, stamps), (0.0 if silent else 1.0) * np.array(noise))
 
     tool = at(truth, tool_hz, 0, tool_noise)
     package = at(body, package_hz, 0 if tool_hz == package_hz else 1_300_000, package_noise)
@@ -136,8 +136,7 @@ def with_memory(own, kept, std, rng):
         for k in range(1, len(e)):
             e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
         e *= np.repeat(std, 3)
-        poses.append(Trajectory(
-            body.stamps_ns, body.position + e[:, :3], body.rotation @ exp_so3(e[:, 3:])))
+        poses.append(with_errors(body, e))
     noise = BodyNoise(np.repeat(std, 3), kept)
     return Measured(*poses, PLATE, GRAVITY, noise, noise)
 

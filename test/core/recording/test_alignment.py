@@ -13,7 +13,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .tracking import Noise, noisy, Shake, shaken, START
+from .tracking import Noise, Shake, shaken, START
+from ..motions import noisy
 
 COM = np.array([0.004, -0.002, -0.03])
 HANGS = np.array([0.0, 0.0, -0.05])

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from .tracking import displaced, Noise, noisy, Shake, shaken, with_excursions
+from .tracking import displaced, Noise, Shake, shaken, with_excursions
+from ..motions import noisy
 
 NONE = Noise(0.0, 0.0)
 LAB = Noise(1e-4, 5e-4)

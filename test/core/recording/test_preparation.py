@@ -15,7 +15,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from .tracking import displaced, Noise, noisy, Shake, shaken, START
+from .tracking import displaced, Noise, Shake, shaken, START
+from ..motions import noisy
 
 COM = (0.0, 0.0, -0.03)
 WINDOWS = {f'{body}_{name}': size for body in ('tool', 'package')

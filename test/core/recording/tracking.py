@@ -48,16 +48,6 @@ def shaken(rng, shake, rest=2.0, at_once=False):
     return Trajectory(stamps, coordinates[:, :3], rotation)
 
 
-def noisy(rng, poses, noise):
-    """Give poses with white noise."""
-    shape = poses.position.shape
-    return Trajectory(
-        poses.stamps_ns,
-        poses.position + noise.position * rng.normal(size=shape),
-        poses.rotation @ exp_so3(noise.rotation * rng.normal(size=shape)),
-    )
-
-
 def displaced(poses, samples, offset, turn, on_body):
     """Give poses of which some are off, by a constant in world axes or in those of the body."""
     position, rotation = poses.position.copy(), poses.rotation.copy()
