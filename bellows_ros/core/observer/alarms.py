@@ -55,6 +55,10 @@ GONE = -FALLEN
 """The first of the rows of what falls."""
 
 
+PERCENT = 100.0
+"""Unit of the numbers whose error is a logarithm."""
+
+
 class Cause(NamedTuple):
     """A kind of fault."""
 
@@ -92,11 +96,11 @@ CAUSES = (
           (0.2, 0.2), (2,), 0.1, True, False,
           'The stiffness of the cup is off by {} % in translation and {} % in rotation: '
           "it is worn, or another cup is mounted. Identify it with 'bellows identify'.",
-          ((0, 1, 100.0), (1, 2, 100.0))),
+          ((0, 1, PERCENT), (1, 2, PERCENT))),
     Cause('payload', tuple((row,) for row in range(MASS, MASS + 4)), (0.2, 0.01, 0.01, 0.01),
           (1, 4), 0.1, True, False,
           'The mass is off by {} %[ and the centre of mass by {} mm]: correct package.*, or '
-          'set payload.estimate.', ((0, 1, 100.0), (1, 4, 1e3))),
+          'set payload.estimate.', ((0, 1, PERCENT), (1, 4, 1e3))),
     Cause('lost', ((GONE,),), (0.3,), (1,), 0.1, False, True,
           'The package is lost: stop the arm.', ((0, 1, 1.0),), 2),
     Cause('camera', tuple((row,) for row in range(CAMERA, CAMERA + 6)), (6e-3,) * 6, (3, 6), 0.2,
@@ -338,9 +342,8 @@ class Alarms:
             message += f' Then: {_sentence(HYPOTHESES[runner_up[1]], *other)}' + DECIDES.get(
                 frozenset((cause.name, second)), '')
         E: Array = known.signatures[:-FALLEN, columns]
-        (first, end, _), *_ = cause.parts
-        alarm = Alarm(stamp_ns, cause.name, *_length(size[first:end], P[first:end, first:end]),
-                      second, odds, message)
+        alarm = Alarm(
+            stamp_ns, cause.name, *_length(size, P, *cause.parts[0]), second, odds, message)
         return DetectedFault(alarm, E @ size, E * np.array(cause.usual[:components]))
 
     def _size(
@@ -391,8 +394,8 @@ class Alarms:
 
 def _sentence(cause: Cause, size: Array, P: Array) -> str:
     """Return a finding with the sizes of its parts."""
-    sizes = [_with_std(unit, *_length(size[a:b], P[a:b, a:b]))
-             for a, b, unit in cause.parts if a < len(size)]
+    sizes = [_with_std(part[-1], *_length(size, P, *part))
+             for part in cause.parts if part[0] < len(size)]
     lacks = len(sizes) < len(cause.parts)
     message = re.sub(r'\[(.*?)\]', '' if lacks else r'\1', cause.message)
     return message.format(*sizes)
@@ -406,10 +409,14 @@ def _runner_up(second: str, odds: float) -> str:
     return f' Second likeliest: {second}, odds {max(odds, 1.0):.0f} to 1.'
 
 
-def _length(size: Array, P: Array) -> tuple[float, float]:
-    """Return the length of a vector with a covariance, and its standard deviation."""
-    length = float(np.linalg.norm(size))
-    return length, float(np.sqrt(size @ P @ size)) / max(length, 1e-12)
+def _length(size: Array, P: Array, first: int, end: int, unit: float) -> tuple[float, float]:
+    """Return the length of a part of a fault with a covariance, and its standard deviation."""
+    part = size[first:end]
+    length = float(np.linalg.norm(part))
+    std = float(np.sqrt(part @ P[first:end, first:end] @ part)) / max(length, 1e-12)
+    if unit == PERCENT:  # of a logarithm
+        return abs(math.expm1(part[0])), std * math.exp(part[0])
+    return length, std
 
 
 @kernel

@@ -24,18 +24,22 @@ from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import linearise, moved, substeps_for
 from bellows_ros.core.model.jacobians import Square
-from bellows_ros.core.model.kernels import Blocks, Branch, CupTuple, ModelTuple, State, Wrench
+from bellows_ros.core.model.kernels import Blocks, Branch, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, row_state, write_row
 import numpy as np
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
 """
-m, rad, m/s, rad/s; mass and inertia, relative; centre of mass (m); wrench on the package at the
-lip, in S axes, beside the cup's (N, N m).
+m, rad, m/s, rad/s; logarithm of mass and inertia; centre of mass (m); wrench on the package at the
+lip, in S axes, beside the cup's (N, N m), at the nominal mass: it grows as that does.
 """
 
 LENGTH, LENGTHENING, STIFFNESS = 22, 23, 24
-"""Length of the cup (m) and its rate (m/s); K along each axis, relative: (s K + K s) / 2."""
+"""
+Length of the cup (m) and its rate (m/s); K along each axis, a logarithm s: exp(s/2) K exp(s/2).
+K, P, mass, inertia and wrench scaled alike make the same motion, which hence teaches nothing of
+their scale: in these numbers that is one direction of the error, wherever the estimate is.
+"""
 
 MARKER, CAMERA, LATENCY, NOISE, LEAST_ROWS = 30, 36, 42, 43, 49
 """
@@ -44,7 +48,7 @@ the noise with memory of the measured pose, in B axes (m, rad).
 """
 
 DAMPING, INERTIA, ALL_ROWS = 49, 55, 58
-"""As K; principal moments of inertia (kg m^2). These are left out where they are exact."""
+"""As K; moments of inertia at the nominal mass (kg m^2). Left out where all of these are exact."""
 
 STATE = 12
 SECONDS, FALL_SPEED, FALL = 0, 1, 4
@@ -115,9 +119,8 @@ class Estimate(NamedTuple):
 def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
     """Return a model with its numbers changed by theta."""
     cup, (mass, com, inertia, inverse), gravity = model
-    k, longer = 1.0 + theta[0], theta[LENGTH - STATE]
+    k, longer = math.exp(theta[0]), theta[LENGTH - STATE]
     K, P = _scaled(cup[2], theta[STIFFNESS - STATE:]), cup[3]
-    inertia, inverse = t3.scale_matrix(k, inertia), t3.scale_matrix(1.0 / k, inverse)
     if len(theta) > DAMPING - STATE:
         P = _scaled(P, theta[DAMPING - STATE:])
         x, y, z = theta[INERTIA - STATE], theta[INERTIA - STATE + 1], theta[INERTIA - STATE + 2]
@@ -126,7 +129,8 @@ def with_theta(model: ModelTuple, theta: Array) -> ModelTuple:
         inverse = t3.add_scaled_matrix(
             inverse, -1.0, t3.multiply(inverse, t3.multiply(more, inverse)))
     return (cup[0] + 0.5 * longer, cup[1] + longer, K, P, *cup[4:]), (
-        k * mass, t3.add(com, (theta[1], theta[2], theta[3])), inertia, inverse), gravity
+        k * mass, t3.add(com, (theta[1], theta[2], theta[3])), t3.scale_matrix(k, inertia),
+        t3.scale_matrix(1.0 / k, inverse)), gravity
 
 
 @kernel
@@ -145,14 +149,15 @@ def scaled_cups(cups: Array, theta: Array) -> Array:
             for block in range(3):
                 for i in range(9):
                     row, column = 3 * (block > 1) + i // 3, 3 * (block > 0) + i % 3
-                    out[c, first + 9 * block + i] *= 1.0 + 0.5 * (s[row] + s[column])
+                    out[c, first + 9 * block + i] *= math.exp(0.5 * (s[row] + s[column]))
     return out
 
 
 @kernel
 def _scaled(M: Blocks, s: Array) -> Blocks:
-    """Return M + (s M + M s) / 2, with s (6,) on a diagonal."""
-    a, b = (s[0], s[1], s[2]), (s[3], s[4], s[5])
+    """Return exp(s / 2) M exp(s / 2), with s (6,) on a diagonal."""
+    a = math.exp(0.5 * s[0]), math.exp(0.5 * s[1]), math.exp(0.5 * s[2])
+    b = math.exp(0.5 * s[3]), math.exp(0.5 * s[4]), math.exp(0.5 * s[5])
     return _scaled_block(M[0], a, a), _scaled_block(M[1], a, b), _scaled_block(M[2], b, b)
 
 
@@ -160,17 +165,17 @@ def _scaled(M: Blocks, s: Array) -> Blocks:
 def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
     """Return a 3x3 block of what `_scaled` does."""
     return (
-        A[0] * (1.0 + 0.5 * (a[0] + b[0])), A[1] * (1.0 + 0.5 * (a[0] + b[1])),
-        A[2] * (1.0 + 0.5 * (a[0] + b[2])), A[3] * (1.0 + 0.5 * (a[1] + b[0])),
-        A[4] * (1.0 + 0.5 * (a[1] + b[1])), A[5] * (1.0 + 0.5 * (a[1] + b[2])),
-        A[6] * (1.0 + 0.5 * (a[2] + b[0])), A[7] * (1.0 + 0.5 * (a[2] + b[1])),
-        A[8] * (1.0 + 0.5 * (a[2] + b[2])))
+        A[0] * a[0] * b[0], A[1] * a[0] * b[1], A[2] * a[0] * b[2],
+        A[3] * a[1] * b[0], A[4] * a[1] * b[1], A[5] * a[1] * b[2],
+        A[6] * a[2] * b[0], A[7] * a[2] * b[1], A[8] * a[2] * b[2])
 
 
 @kernel
 def wrench_of(theta: Array) -> Wrench:
     """Return the wrench beside the cup's (N, N m)."""
-    return (theta[4], theta[5], theta[6]), (theta[7], theta[8], theta[9])
+    k = math.exp(theta[0])
+    return t3.scale(k, (theta[4], theta[5], theta[6])), t3.scale(
+        k, (theta[7], theta[8], theta[9]))
 
 
 def changed(body: State, error: Array) -> State:
@@ -207,8 +212,7 @@ def advanced_with_wrench(
 
 @array_kernel
 def slopes(
-    model: ModelTuple, nominal: CupTuple, push: Wrench, grown: float, tool: State, body: State,
-    A: Array, B: Array,
+    model: ModelTuple, push: Wrench, grown: float, tool: State, body: State, A: Array, B: Array,
 ) -> Vector:
     """
     Write the slope of the state's error, and return the force of the cup in the world (N).
@@ -217,10 +221,8 @@ def slopes(
     ----------
     model, push, tool, body : tuples
         With the numbers as they are estimated.
-    nominal : tuple
-        The cup as it is given.
     grown : float
-        By how much mass and inertia are times the nominal ones.
+        By how much the mass is times the nominal one.
     A : ndarray (12, 12)
         Slope by the state's error: pose and twist change in axes that turn with the body.
     B : ndarray (6, m)
@@ -242,31 +244,35 @@ def slopes(
     B[:, STIFFNESS:] = 0.0
     h = kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:])
     J_oo, J_oR, J_RR = jac.strain_jacobian(o, R)
-    _by_axes(-0.125, nominal[2], jac.accelerations(package, jac.shift_left(
+    _by_axes(-0.125, model[0][2], jac.accelerations(package, jac.shift_left(
         c, (t3.transposed(J_oo), jac.NOTHING, t3.transposed(J_oR), t3.transposed(J_RR)))),
         h[0], h[1], B[:, STIFFNESS:])
     if B.shape[1] > MARKER:
         far, R_back = t3.apply(R, w), t3.transposed(R)
         at_S1 = jac.IDENTITY, jac.NOTHING, jac.NOTHING, jac.IDENTITY
         at_S2 = R_back, jac.NOTHING, t3.transposed(t3.multiply(t3.hat(o), R)), R_back
-        _by_axes(-0.25, nominal[3], jac.accelerations(package, jac.shift_left(c, at_S1)),
+        _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S1)),
                  v, w, B[:, MARKER:])
-        _by_axes(-0.25, nominal[3], jac.accelerations(package, jac.shift_left(c, at_S2)),
+        _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
                  t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, MARKER:])
-        jac.parameter_jacobian(model, tool, body, 43, 46, B, MARKER + INERTIA - DAMPING)
+        by_inertia = B[:, MARKER + INERTIA - DAMPING:]
+        jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia, 0)
+        for i in range(6):
+            for j in range(3):
+                by_inertia[i, j] *= grown
     dv, dw = jac.by_length(model, tool, body, f)
     jac.write_column(B, LENGTH, dv, dw)
-    dv, dw = jac.acceleration_at(package, com, t3.add(f, push[0]), t3.add(m, push[1]))
-    jac.write_column(B, MASS, t3.scale(-1.0 / grown, dv), t3.scale(-1.0 / grown, dw))
+    dv, dw = jac.acceleration_at(package, com, f, m)
+    jac.write_column(B, MASS, t3.scale(-1.0, dv), t3.scale(-1.0, dw))
     slopes_S1 = jac.wrench_jacobians(model, tool, body)
     for i in range(3):  # by the centre of mass (m), the push has another arm, too
         along = t3.unit(i, 1.0)
         dv, dw = jac.by_com(package, c, slopes_S1[0], slopes_S1[1], turning, f, along)
         by_push = t3.apply(package[3], t3.cross(along, push[0]))
         jac.write_column(B, COM + i, dv, t3.subtract(dw, by_push))
-        jac.write_column(B, WRENCH + i, t3.scale(1.0 / package[0], along), t3.apply(
-            package[3], t3.cross(along, com)))
-        jac.write_column(B, WRENCH + 3 + i, ZERO, t3.apply(package[3], along))
+        dv, dw = jac.acceleration_at(package, com, t3.unit(i, grown), ZERO)
+        jac.write_column(B, WRENCH + i, dv, dw)
+        jac.write_column(B, WRENCH + 3 + i, ZERO, t3.apply(package[3], t3.unit(i, grown)))
     return t3.apply(t3.rotation_matrix(body[1]), f)
 
 
@@ -275,7 +281,7 @@ def _by_axes(
     factor: float, M: Blocks, S: Square, x: Vector, y: Vector, out: Array
 ) -> None:
     """
-    Add slopes (6, 6) by relative changes along the axes of M, of what M makes.
+    Add slopes (6, 6) by logarithms along the axes of M, as of `_scaled`, of what M makes.
 
     Entry jk of M makes 2 factor (s_j x_k + s_k x_j), with columns s of S and (x, y) for x.
     """
@@ -541,7 +547,7 @@ def propagated(
 
     """
     push, follows, fresh, h, held = wrench_of(theta), T.shape[0] > 0, True, 0.0, 0.0
-    nominal, model = model[0], with_theta(model, theta)
+    model = with_theta(model, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     losses0, losses1 = np.zeros((len(lost), 6, 13)), np.zeros((len(lost), 6, 13))
@@ -549,8 +555,7 @@ def propagated(
     while True:
         if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or is_coarse(
                 now_ns, stamps[k], longest)):
-            force = slopes(
-                model, nominal, push, 1.0 + theta[0], tool, body, A1, B1)
+            force = slopes(model, push, math.exp(theta[0]), tool, body, A1, B1)
             write_losses(model, scaled, tool, body, losses1)
             if not fresh:
                 accumulate(

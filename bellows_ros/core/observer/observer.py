@@ -185,7 +185,7 @@ class Observer:
         mass, com, inertia, _ = self.model[1]
         std = np.sqrt(np.diag(known.covariance)[MASS:MASS + 4])
         return Payload(known.stamp_ns, mass, com, inertia,
-                       float(std[0] * self._by.nominal[1][0]), std[1:])
+                       float(std[0] * mass), std[1:])
 
     @property
     def calibration(self) -> Calibration | None:

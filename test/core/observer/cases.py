@@ -85,14 +85,13 @@ def later(state, theta, start, end, seconds):
     """Give a state later: model and package of their own, the wrench as many small kicks."""
     t = np.zeros(46)
     t[:len(theta)] = theta
-    K, P = (M + 0.5 * (np.diag(s) @ M + M @ np.diag(s)) for M, s in (
+    K, P = (np.diag(np.exp(0.5 * s)) @ M @ np.diag(np.exp(0.5 * s)) for M, s in (
         (CUP.stiffness, t[12:18]), (CUP.damping, t[37:43])))
-    cup = Cup(K, P, CUP.length + t[10])
+    cup, grown = Cup(K, P, CUP.length + t[10]), np.exp(t[0])
     package = Package(
-        PACKAGE.mass * (1.0 + t[0]), PACKAGE.inertia * (1.0 + t[0]) + np.diag(t[43:]),
-        PACKAGE.com + t[1:4])
+        PACKAGE.mass * grown, grown * (PACKAGE.inertia + np.diag(t[43:])), PACKAGE.com + t[1:4])
     model = model_tuple(cup, package, 9.81)
-    force, moment = t[4:7], t[7:10]
+    force, moment = grown * t[4:7], grown * t[7:10]
     push = np.concatenate([
         force / package.mass,
         np.linalg.solve(package.inertia, moment - np.cross(package.com, force))])

@@ -18,10 +18,12 @@ from bellows_ros.core.observer.filter import (
     LENGTH,
     LENGTHENING,
     MARKER,
+    MASS,
     NOISE,
     propagated,
     propagated_covariance,
     STIFFNESS,
+    times_transition,
     with_theta,
     WRENCH,
 )
@@ -196,16 +198,40 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     np.testing.assert_array_equal(P, P.T)
 
 
+def test_scaled_mass_stiffness_and_damping_are_not_seen():
+    """Change no motion by all three scaled alike, whatever has been learned: it teaches none."""
+    rng = np.random.default_rng(3)
+    _, tool = tool_motion(rng, 0.3)
+    theta = theta_of(rng)
+    start, end = tool[30:32]
+    model, h = model_tuple(CUP, PACKAGE, 9.81), 0.004
+    body = changed(static_equilibrium(model, start), rng.normal(size=12) * 0.01)
+    rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
+    T = identity_transition(ALL_ROWS)
+    propagated(
+        model, theta, start, body, T, np.zeros((12, 12)), np.array([0, 4_000_000]), *rows, False,
+        1, 0, 4_000_000, largest_step(model), np.zeros((12, 12)), NO_CUPS, np.zeros((0, 12, 13)))
+    error = np.zeros((ALL_ROWS, 1))
+    error[[MASS, *range(STIFFNESS, MARKER), *range(DAMPING, INERTIA)]] = 0.1
+    alone = error * (np.arange(ALL_ROWS) == MASS)[:, None]
+    seen, by_mass = (times_transition(T, e, np.empty((12, 1)))[:, 0] for e in (error, alone))
+    assert np.abs(by_mass[6:]).max() > 1e-3
+    np.testing.assert_allclose(seen, 0.0, atol=1e-12)
+    np.testing.assert_allclose(difference(
+        later(body, theta, start, end, h), later(body, theta + error[12:, 0], start, end, h)),
+        0.0, atol=1e-12)
+
+
 def test_model_changes_as_it_says():
     """Scale K and P along their axes, mass with inertia; change nothing without a change."""
     model, theta = model_tuple(CUP, PACKAGE, 9.81), np.zeros(ALL_ROWS - 12)
     assert with_theta(model, theta) == model
-    theta[0], theta[STIFFNESS - 12] = 0.1, 0.2
-    theta[DAMPING - 12 + 5], theta[INERTIA - 12] = 0.3, 1e-4
+    theta[[0, STIFFNESS - 12, DAMPING - 12 + 5]] = np.log([1.1, 1.2, 1.3])
+    theta[INERTIA - 12] = 1e-4
     (_, _, K, P), (mass, _, inertia, inverse), _ = with_theta(model, theta)
     assert mass == pytest.approx(1.1 * PACKAGE.mass)
     assert K[0][0] == pytest.approx(1.2 * CUP.stiffness[0, 0])
     assert P[2][8] == pytest.approx(1.3 * CUP.damping[5, 5])
-    assert inertia[0] == pytest.approx(1.1 * PACKAGE.inertia[0, 0] + 1e-4)
+    assert inertia[0] == pytest.approx(1.1 * (PACKAGE.inertia[0, 0] + 1e-4))
     np.testing.assert_allclose(
         np.reshape(inverse, (3, 3)) @ np.reshape(inertia, (3, 3)), np.eye(3), atol=1e-3)
