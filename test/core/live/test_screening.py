@@ -121,13 +121,15 @@ def test_poses_that_are_played_fast_lose_one_at_most():
 
 
 @SPEEDS
-def test_new_frame_is_believed_when_nothing_else_comes(period_ns):
+@pytest.mark.parametrize(('count', 'now', 'restart'), [
+    (300, {'frame': 'map'}, 'frame_changed'), (30, {'position': (3.0, 0.0, 0.0)}, 'moved')])
+def test_new_frame_or_place_is_believed_when_nothing_else_comes(period_ns, count, now, restart):
     driver = Driver(period_ns=period_ns)
     driver.send(100)
-    verdicts = driver.send(300, frame='map')
+    verdicts = driver.send(count, **now)
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
-    assert [v.restart for v in verdicts if v.restart] == ['frame_changed']
-    assert driver.screen.frame_id == 'map'
+    assert [v.restart for v in verdicts if v.restart] == [restart]
+    assert driver.screen.frame_id == now.get('frame', 'base')
 
 
 def test_two_drivers_in_two_frames_never_mix():
@@ -152,15 +154,6 @@ def test_tool_that_comes_to_rest_may_repeat_its_pose():
     for k in range(200):  # stops with 5 m/s^2, as arms do
         assert screen.judge(START + k * PERIOD, 'base', (o, 0.0, 0.0), UPRIGHT) == GOOD
         o, v = o + v * PERIOD * 1e-9, max(0.0, v - 5.0 * PERIOD * 1e-9)
-
-
-@SPEEDS
-def test_new_place_is_believed_after_a_few_poses(period_ns):
-    driver = Driver(period_ns=period_ns)
-    driver.send(100)
-    verdicts = driver.send(30, position=(3.0, 0.0, 0.0))
-    assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
-    assert [v.restart for v in verdicts if v.restart] == ['moved']
 
 
 def test_scattered_places_are_never_believed():
