@@ -43,7 +43,8 @@ def observer(package=PACKAGE, cup=CUP, **more):
 def tool_motion(rng, seconds, size=0.05, period_ns=PERIOD_NS):
     """Give the tool's states: sines along all axes and about them, that begin at rest."""
     t = np.arange(0.0, seconds, period_ns * 1e-9)
-    ramp, ramp_rate = np.tanh(t / 0.3) ** 2, 2 * np.tanh(t / 0.3) / np.cosh(t / 0.3) ** 2 / 0.3
+    part = np.tanh(t / 0.3)
+    ramp, ramp_rate = part**2, 2.0 * part * (1.0 - part**2) / 0.3
     position, velocity = np.zeros((2, len(t), 3))
     for axis in range(3):
         for f in rng.uniform(0.3, 1.5, 2):
