@@ -4,7 +4,7 @@ from pathlib import Path
 import tempfile
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
-from bellows_ros.files.bag_writer import Recorded, write_bag
+from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.plots.style import drawing, THEMES, write_figure
@@ -31,11 +31,11 @@ def filmed(folder: Path) -> Path:
         for role in ('tool', 'package')}
     poses['/camera/box'] = (package.stamps_ns[which], *seen)
     write_bag(folder / 'bag', [
-        *(Recorded(topic, 'geometry_msgs/msg/PoseStamped', stamps, np.hstack(
+        *(as_messages(topic, 'geometry_msgs/msg/PoseStamped', stamps, np.hstack(
             [position, rotation_to_quaternion(rotation)]))
           for topic, (stamps, position, rotation) in poses.items()),
-        Recorded(TOPICS['twist'], 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
-                 np.hstack([twist.linear, twist.angular]))])
+        as_messages(TOPICS['twist'], 'geometry_msgs/msg/TwistStamped', twist.stamps_ns,
+                    np.hstack([twist.linear, twist.angular]))])
     return folder / 'bag'
 
 

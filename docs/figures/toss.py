@@ -5,8 +5,7 @@ from pathlib import Path
 from bellows_ros.core.model.cup_package import Cup, cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.toss.landing import figures
-from bellows_ros.core.toss.release import HeldMotion, release_of, toss
+from bellows_ros.core.toss.release import HeldMotion, landing_error, release_of, toss
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.plots.plan import toss_figure
@@ -45,7 +44,7 @@ def main() -> None:
             except BellowsError:
                 failed += 1
                 continue
-            off.append(np.concatenate(figures(
+            off.append(np.concatenate(landing_error(
                 found.landing, toss(truth, release, time).landing, truth.model[2])))
         metres = 1e3 * np.linalg.norm(np.array(off)[:, :3], axis=1)
         turned = np.degrees(np.linalg.norm(np.array(off)[:, 3:], axis=1))

@@ -58,8 +58,8 @@ def result(root):
     """Return the identification of a shipped recording, short for speed."""
     known = read_parameters(root / 'bags/package.yaml')
     return identify({**known, 'bags': [str(root / 'bags/validation')],
-                     'output.report': 'page.html', 'fit.method': 'least_squares'}, None,
-                    [root / 'bags/package.yaml'])
+                     'output.report': 'page.html', 'fit.method': 'least_squares'},
+                    parameter_files=[root / 'bags/package.yaml'])
 
 
 @pytest.fixture(scope='module')
@@ -87,7 +87,7 @@ def test_the_page_is_well_formed_and_needs_nothing_else(html):
 
 def test_the_same_numbers_give_the_same_bytes(html, result, root):
     """Have no time of making in it; make all numbers again."""
-    again = identify(result.values, None, [root / 'bags/package.yaml'])
+    again = identify(result.values, parameter_files=[root / 'bags/package.yaml'])
     assert identification_report(again) == html
 
 

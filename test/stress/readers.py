@@ -111,7 +111,7 @@ def same(one, other):
 def metadata(rng, folder):
     """Scramble metadata.yaml, or replace values in it: an error, a note, or no harm."""
     bag = folder / 'bag'
-    write_bag(bag, motion(rng, 60), 'mcap')
+    write_bag(bag, [as_messages(*own) for own in motion(rng, 60)], 'mcap')
     file, good = bag / 'metadata.yaml', read_contents(bag, ROLES)
     text = file.read_text()
     for _ in range(ATTEMPTS):
