@@ -31,7 +31,7 @@ from test.core.observer.cases import error_of  # noqa: I100, I201
 from test.core.observer.cell import Cell, CONDITIONS, errors_around_slips, EXACT  # noqa: I201
 
 SECONDS = 600.0
-"""Length of a run without a fault: what is wrongly learned may take minutes to show."""
+"""Length of a run without a fault: some false alarms take minutes to build up."""
 EXACTLY = {**EXACT, 'payload__estimate': False}
 """With white noise and exact numbers nothing else is uncertain."""
 NAMED = {'turn': 'slip', 'drop': 'lost', 'peel': 'lost'}

@@ -37,8 +37,9 @@ lip, in S axes, beside the cup's (N, N m), at the nominal mass: it grows as that
 LENGTH, LENGTHENING, STIFFNESS = 22, 23, 24
 """
 Length of the cup (m) and its rate (m/s); K along each axis, a logarithm s: exp(s/2) K exp(s/2).
-K, P, mass, inertia and wrench scaled alike make the same motion, which hence teaches nothing of
-their scale: in these numbers that is one direction of the error, wherever the estimate is.
+K, P, mass, inertia and wrench, all scaled alike, make the same motion: their common scale is not
+observable. With logarithms it is the same direction of the error at every estimate; were it not,
+the filter would take noise for knowledge of the scale.
 """
 
 MARKER, CAMERA, LATENCY, NOISE, LEAST_ROWS = 30, 36, 42, 43, 49

@@ -116,7 +116,7 @@ def test_gripper_whose_cups_hold_raises_no_alarm():
 
 
 def test_ten_minutes_of_sound_work_raise_no_alarm():
-    """Take no noise for knowledge of the scale of mass, K and P: it shows after minutes."""
+    """Do not take noise for knowledge of the common scale of mass, K and P over minutes."""
     assert Cell(90_000, 600.0, CONDITIONS['all, small'], payload__estimate=True).run() == []
 
 

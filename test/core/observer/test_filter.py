@@ -198,8 +198,8 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     np.testing.assert_array_equal(P, P.T)
 
 
-def test_scaled_mass_stiffness_and_damping_are_not_seen():
-    """Change no motion by all three scaled alike, whatever has been learned: it teaches none."""
+def test_common_scale_is_not_observable():
+    """Change no motion by scaling mass, inertia, K, P and wrench alike, at any estimate."""
     rng = np.random.default_rng(3)
     _, tool = tool_motion(rng, 0.3)
     theta = theta_of(rng)
