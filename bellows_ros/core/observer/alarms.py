@@ -337,14 +337,18 @@ class Alarms:
         cause = HYPOTHESES[which]
         size, P, columns = self._size(known, onset, which, components)
         message = _sentence(cause, size, P) + _runner_up(second, odds)
-        if odds < UNSURE and runner_up[1] < len(HYPOTHESES):
-            other = self._size(known, *runner_up)[:2]
-            message += f' Then: {_sentence(HYPOTHESES[runner_up[1]], *other)}' + DECIDES.get(
-                frozenset((cause.name, second)), '')
         E: Array = known.signatures[:-FALLEN, columns]
+        spread = E * np.array(cause.usual[:components])
+        if odds < UNSURE and runner_up[1] < len(HYPOTHESES):
+            other = HYPOTHESES[runner_up[1]]
+            other_size, other_P, columns = self._size(known, *runner_up)
+            message += f' Then: {_sentence(other, other_size, other_P)}' + DECIDES.get(
+                frozenset((cause.name, second)), '')
+            spread = np.hstack([spread, known.signatures[:-FALLEN, columns] * np.array(
+                other.usual[:len(columns)])])
         alarm = Alarm(
             stamp_ns, cause.name, *_length(size, P, *cause.parts[0]), second, odds, message)
-        return DetectedFault(alarm, E @ size, E * np.array(cause.usual[:components]))
+        return DetectedFault(alarm, E @ size, spread)
 
     def _size(
         self, known: Evidence, onset: int, which: int, components: int

@@ -55,13 +55,32 @@ def tool_motion(rng, seconds, size=0.05, period_ns=PERIOD_NS):
                 ramp * w * np.cos(w * t + phase) + ramp_rate * np.sin(w * t + phase))
     yaw = 0.3 * ramp * np.sin(3.0 * t)
     rate = 0.3 * (ramp * 3.0 * np.cos(3.0 * t) + ramp_rate * np.sin(3.0 * t))
+    return _stamps_and_states(position, velocity, yaw, rate, period_ns)
+
+
+def pick_and_place(rng, seconds, period_ns=PERIOD_NS):
+    """Give the tool's states in work: moves of up to 0.6 m, some turns, and rests between them."""
+    t, n = np.arange(0.0, seconds, period_ns * 1e-9), 1 + round(seconds)
+    targets = np.r_[np.zeros((1, 4)), rng.uniform(-1.0, 1.0, (n, 4)) * (0.25, 0.25, 0.1, 0.5)]
+    lasts, rests = rng.uniform(0.8, 1.4, n), rng.uniform(0.3, 1.0, n)
+    begins = 0.5 + np.cumsum(np.r_[0.0, lasts[:-1] + rests[:-1]])
+    at, rate = np.zeros((2, len(t), 4))
+    for begin, last, step in zip(begins, lasts, np.diff(targets, axis=0), strict=True):
+        s = np.clip((t - begin) / last, 0.0, 1.0)[:, None]
+        at += step * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        rate += step * 30.0 * s**2 * (1.0 - s)**2 / last
+    return _stamps_and_states(at[:, :3], rate[:, :3], at[:, 3], rate[:, 3], period_ns)
+
+
+def _stamps_and_states(position, velocity, yaw, rate, period_ns):
+    """Give the tool's states, with the velocity (m/s) in axes of the world."""
     states = []
     for o, v, a, r in zip(position, velocity, yaw.tolist(), rate.tolist(), strict=True):
         c, s = np.cos(a), np.sin(a)
         body_v = np.array([c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]])
         states.append((tuple(o.tolist()), (0.0, 0.0, float(np.sin(a / 2)), float(np.cos(a / 2))),
                        tuple(body_v.tolist()), (0.0, 0.0, r)))
-    return np.arange(len(t)) * period_ns + 1_000_000_000, states
+    return np.arange(len(yaw)) * period_ns + 1_000_000_000, states
 
 
 def truth(tool, package=PACKAGE, cup=CUP, start=None, change=None, period_ns=PERIOD_NS):

@@ -70,6 +70,7 @@ CONDITIONS = {
     'com 2 mm': {'com': 2e-3},
     'camera 1 mm, 2 mrad': {'offset': (1e-3, 2e-3)},
     'mass 2 %': {'mass': 0.02},
+    'jitter 3 ms': {'late': 5e-3, 'jitter': 3e-3},
     'all, small': {'stiffness': 0.01, 'damping': 0.05, 'com': 1e-3, 'late': 0.003,
                    'offset': (5e-4, 0.0), 'memory': 0.033},
 }
@@ -100,19 +101,22 @@ class Cell:
         How long a package slips, s.
     numbers : ndarray
         Of a slip or a payload (m), or a camera (m, rad); drawn if None.
+    motion : callable
+        Gives stamps and states of the tool.
     more : parameters of the observer
 
     """
 
     def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0,
-                 lost=None, lasts=0.0, numbers=None, **more):
+                 lost=None, lasts=0.0, numbers=None, motion=tool_motion, **more):
         """Simulate the package and its measured poses."""
         self.rng = rng = np.random.default_rng(seed)
         self.at, self.fault, self.size, self.lost, self.numbers = at, fault, size, lost, numbers
         self.steps = max(round(lasts * 1e9 / PERIOD_NS), 1)
         self.nominal = PACKAGE if lost is None else HEAVY
-        self.wrong = wrong = {'memory': 0.0, 'late': 0.0, 'offset': (0.0, 0.0), **wrong}
-        self.stamps, self.tool = tool_motion(rng, seconds, period_ns=PERIOD_NS)
+        self.wrong = wrong = {
+            'memory': 0.0, 'late': 0.0, 'jitter': 0.0, 'offset': (0.0, 0.0), **wrong}
+        self.stamps, self.tool = motion(rng, seconds, period_ns=PERIOD_NS)
         self.tool = [(tuple(np.add(o, WORKPLACE).tolist()), *rest) for o, *rest in self.tool]
         self.package, self.one_cup = self._true()
         self.cup = self.one_cup if lost is None else gripper_of(self.one_cup)
@@ -121,7 +125,7 @@ class Cell:
                           period_ns=PERIOD_NS)
         given = {**ORDINARY, **stated(self.nominal, **{
             name: value for name, value in wrong.items()
-            if name not in ('memory', 'late', 'offset')}), **more}
+            if name not in ('memory', 'late', 'jitter', 'offset')}), **more}
         self.made = observer(**given) if lost is None else observer(
             HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))
@@ -200,6 +204,8 @@ class Cell:
         for k in range(every, len(self.tool), every):
             n = kept * n + np.sqrt(1.0 - kept**2) * rng.normal(size=6) * NOISE
             body, late = self.body[k], wrong['late']
+            if wrong['jitter']:
+                late = max(late + wrong['jitter'] * rng.normal(), 0.0)
             if late:
                 w = late * 1e9 / PERIOD_NS
                 a, b = self.body[max(k - int(w) - 1, 0)], self.body[max(k - int(w), 0)]

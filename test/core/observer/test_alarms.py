@@ -23,6 +23,7 @@ from bellows_ros.core.observer.alarms import (
     SLOTS,
     START_WEIGHS,
     UNEXPLAINED,
+    UNSURE,
 )
 from bellows_ros.core.observer.correction import NO_CUPS
 from bellows_ros.core.observer.filter import (
@@ -42,7 +43,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from .cases import CUP
+from .cases import CUP, pick_and_place
 from .cell import Cell, CONDITIONS, errors_around_slips, EXACT, gripper_of, LAYOUT
 
 EXACTLY = {**EXACT, 'payload__estimate': False}
@@ -298,6 +299,17 @@ def test_camera_that_moved_is_not_followed():
         slice(250, 375), slice(-125, None))]
     assert rms[1] < 2.0 * rms[0] + 2e-4
     assert np.abs(cell.made._known[-1].theta[CAMERA - 12:CAMERA - 9]).max() > 3e-3
+
+
+@pytest.mark.parametrize('seed', [114, 117])
+def test_fault_taken_for_another_raises_no_second_alarm(seed):
+    """Allow for the second likeliest cause, too, where the odds to it are low."""
+    cell = Cell(seed, 13.0, CONDITIONS['all, small'], 'leak', at=8.0, motion=pick_and_place)
+    ((cause, after),) = cell.run()
+    (alarm,) = cell.made.alarms
+    assert after > 0.0
+    assert (cause, alarm.second) == ('camera', 'leak')
+    assert alarm.odds < UNSURE
 
 
 @pytest.mark.parametrize('kind', ['slip', 'camera', 'leak', 'cup'])
