@@ -50,8 +50,7 @@ def silent(what: str, part: float = 0.0) -> None:
 
 NO_OFFSET = (
     'The time offset between tool and package is not identifiable from this recording; its '
-    'stamps were used unchanged. Record a motion that is richer in all directions, with clocks '
-    'that differ by less than 200 ms.')
+    'stamps were used unchanged. Record a motion that is richer in all directions.')
 """Used if a time offset is wanted and not identifiable."""
 
 OWN_TOPICS = ' If only some recordings have other topics, give each its own file in package.files.'
@@ -175,19 +174,16 @@ def _prepared(
     values: Mapping[str, Any],
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
-    world, late = values['recording.package_world'], values['fit.time_offset']
-    marked, failure = 'package_marker' in values['fit.free'], None
-    simulated = values['fit.method'] == 'output_error' and (
-        world == checks.ESTIMATE or late or marked)
-    if world == '':
+    if values['recording.package_world'] == '':
         require_one_frame(tool, package)
-    if not (simulated and late):
-        return _registered(tool, package, twist, settings, values, simulated)
+    if not values['fit.time_offset']:
+        return _registered(tool, package, twist, settings, values)
+    failure = None
     for rough_s in rough_offsets(tool.trajectory(), package.trajectory()):
         try:
             return _registered(
                 _earlier(tool, rough_s), package, twist and _earlier(twist, rough_s), settings,
-                values, simulated, rough_s)
+                values, rough_s)
         except UndeterminedError as error:
             failure = failure or error
     assert failure is not None
@@ -196,12 +192,12 @@ def _prepared(
 
 def _registered(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Mapping[str, Any], simulated: bool, rough_s: float = 0.0,
+    values: Mapping[str, Any], rough_s: float = 0.0,
 ) -> Recording:
     """Return prepared streams, with world, marker and clock found that are not given."""
     estimate = values['recording.package_world'] == checks.ESTIMATE
     late, marked = values['fit.time_offset'], 'package_marker' in values['fit.free']
-    pose, alignment = _first_guess(tool, package, settings, values, simulated)
+    pose, alignment = _first_guess(tool, package, settings, values)
 
     def filtered(alignment: Alignment | None) -> AlignedStreams:
         """Return the streams in the world of the tool, filtered."""
@@ -209,23 +205,20 @@ def _registered(
         return align_streams(tool, there, settings, twist, alignment)
 
     streams = filtered(alignment)
-    if not (estimate or late or simulated):
-        return streams.joined()
-    from bellows_ros.core.identification.registration import refined_preparation, registered
-
-    changes, structure = dict[str, Any](), given_structure(values)
     names = [name for name, wanted in (
-        ('time_offset', late), ('package_world', estimate),
-        ('package_marker', marked and simulated)) if wanted]
-    for rough in (True, False) if estimate and not simulated else (False,):
-        recording = streams.joined()
-        found = (registered(recording, structure, one_cup_of(values), names) if simulated else
-                 refined_preparation(recording, structure, values['cup.length'], names, rough))
-        if found.world is not None and pose is not None:
-            pose = shifted_pose(pose, settings.R_world_recorded, found.middle, found.world)
-            changes['package_world'] = PackageWorld(pose, found.world_std)
-        if found.alignment is not None:
-            streams = filtered(None if rough else found.alignment)
+        ('time_offset', late), ('package_world', estimate), ('package_marker', marked)) if wanted]
+    if not names:
+        return streams.joined()
+    from bellows_ros.core.identification.registration import registered
+
+    changes = dict[str, Any]()
+    found = registered(streams.joined(), given_structure(values), one_cup_of(values), names)
+    if values['fit.method'] == 'least_squares':
+        found.require_world()
+    if found.world is not None and pose is not None:
+        pose = shifted_pose(pose, settings.R_world_recorded, found.middle, found.world)
+        changes['package_world'] = PackageWorld(pose, found.world_std)
+    streams = filtered(found.alignment)
     if found.offset is not None:
         streams = streams.earlier(found.offset)
         changes['time_offset'] = TimeOffset(rough_s + found.offset.value, found.offset.std)
@@ -237,19 +230,19 @@ def _registered(
 
 def _first_guess(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Mapping[str, Any],
-    simulated: bool,
 ) -> tuple[Array | None, Alignment | None]:
     """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
     world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
     pose = pose_of(world) if world not in ('', checks.ESTIMATE) else None
-    poses, length = (tool.trajectory(), package.trajectory()), values['cup.length']
-    if simulated and (world == checks.ESTIMATE or marked):
+    poses, length, com = (
+        (tool.trajectory(), package.trajectory()), values['cup.length'], settings.payload.com)
+    if marked:
         from bellows_ros.core.identification.registration import hand_eye  # late: rare
 
-        guess, grip = hand_eye(*poses, length, settings.payload.com)
-        return guess if world == checks.ESTIMATE else pose, grip if marked else None
+        guess, grip = hand_eye(*poses, length, com)
+        return guess if world == checks.ESTIMATE else pose, grip
     if world == checks.ESTIMATE:
-        origin = np.zeros(3) if settings.package_frame == 'lip' else -settings.payload.com
+        origin = np.zeros(3) if settings.package_frame == 'lip' else -com
         pose = closed_form(*poses, length, origin, settings.align_at_rest)
     return pose, None
 

@@ -121,7 +121,7 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
             ('package_marker', 'tool', TOOL_GRIP),
             *(('slip', '', slip_block(own)) for own in recordings)):
         yield Hypothesis(
-            name, block.vary, len(block.steps), value, block=block._replace(each=False))
+            name, block.vary, len(block.steps), value, block=block)
     yield from _packages(recordings)
     for value, R in _worlds(world):
         yield Hypothesis('recording.world', variations.gravity(R), value=value)
@@ -264,17 +264,17 @@ def _two(alone: '_Round', best: '_Trial', ensemble: Ensemble, world: str) -> 'li
     where each is certain beside the other.
     """
     for _ in range(MOST_ROUNDS):
-        second = _trials(ensemble.varied(best.vary), world, best.hypothesis)
+        second = _trials(ensemble.varied(*best.varied), world, best.hypothesis)
         if not second.is_found:
             break
         beside = second.tried[0]
-        first = _trials(ensemble.varied(beside.vary), world, beside.hypothesis, best)
+        first = _trials(ensemble.varied(*beside.varied), world, beside.hypothesis, best)
         if not first.is_found:
             break
         again, best = best, first.tried[0]
         if again.named == best.named:
             one, pair = alone.tried[0], [first, second]
-            both = alone.objective.solved(ensemble.varied(best.vary).varied(beside.vary))
+            both = alone.objective.solved(ensemble.varied(*best.varied).varied(*beside.varied))
             far = DISTINCT * min(DISTINCT * _left(alone.before), _left(one.solved))
             price = COST * (best.hypothesis.freed + beside.hypothesis.freed) * _left(both)
             is_clear = both.excess + price < min(_chance(both), _score(one) - _least(both))
@@ -332,7 +332,7 @@ def _trials(
         return _Round(before, sorted(tried, key=lambda own: not own.is_significant), structure,
                       objective)
     # With weights as they are where the best of them is true.
-    objective = Objective.of(ensemble.varied(tried[0].vary), sound=True)
+    objective = Objective.of(ensemble.varied(*tried[0].varied), sound=True)
     return _Round(objective.solved(ensemble), _in_order(
         _tried(trial.hypothesis, objective, ensemble, trial.theta)
         for number, trial in enumerate(tried[:MOST_RETRIED])
@@ -367,9 +367,10 @@ class _Trial(NamedTuple):
         """Name and value of the hypothesis."""
         return self.hypothesis.name, self.hypothesis.value
 
-    def vary(self, given: Sequence[Given]) -> list[Given]:
-        """Return recordings as they are by the hypothesis."""
-        return [self.hypothesis.vary(own, self.theta) for own in given]
+    @property
+    def varied(self) -> tuple[Variation, Array]:
+        """What it does to a recording, and its numbers."""
+        return self.hypothesis.vary, self.theta
 
 
 def _tried(
@@ -384,12 +385,11 @@ def _tried(
     """
     if hypothesis.block is not None:
         theta, covariance, solved = refine(
-            objective, ensemble, [hypothesis.block], start, rounds or ROUNDS)
+            objective, ensemble, hypothesis.block, start, rounds or ROUNDS)
         std = np.sqrt(np.diag(covariance))
     else:
         theta = std = NONE
-        solved = objective.solved(ensemble.varied(
-            lambda given: [hypothesis.vary(own, NONE) for own in given]))
+        solved = objective.solved(ensemble.varied(hypothesis.vary, NONE))
     is_physical = True
     if hypothesis in _OTHERWISE:
         # Parts by which K changes, or friction as a part of the largest force.

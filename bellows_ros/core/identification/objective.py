@@ -23,7 +23,7 @@ from bellows_ros.core.identification.equations import (
 )
 from bellows_ros.core.identification.reduction import draws
 from bellows_ros.core.identification.samples import lip_relative, Samples, samples_of
-from bellows_ros.core.identification.variations import Block, Given, time_offset
+from bellows_ros.core.identification.variations import Block, Given, time_offset, Variation
 from bellows_ros.core.model.structure import Structure, THESIS_DAMPING, THESIS_STIFFNESS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import displaced, filtered, weights
@@ -75,9 +75,6 @@ class StackedEquations(NamedTuple):
     clusters: list[slice]
 
 
-Vary = Callable[[Sequence[Given]], Sequence[Given]]
-
-
 @dataclass(frozen=True, eq=False)
 class Ensemble:
     """
@@ -102,13 +99,14 @@ class Ensemble:
             float(np.count_nonzero(inner.valid)) * float(np.median(np.diff(inner.tool.stamps_ns)))
             / NS_PER_S for inner in (time_offset(own, np.zeros(1)).samples for own in self.given))
 
-    def varied(self, vary: Vary) -> 'Ensemble':
-        """Return them with what was given varied."""
-        return Ensemble(tuple(vary(self.given)), tuple(tuple(vary(own)) for own in self.noisier))
+    def varied(self, vary: Variation, theta: Array) -> 'Ensemble':
+        """Return them with what was given varied by some numbers."""
+        return Ensemble(tuple(vary(own, theta) for own in self.given), tuple(
+            tuple(vary(own, theta) for own in draw) for draw in self.noisier))
 
 
 def ensemble_of(
-    recordings: Sequence[Recording], length: float, structure: Structure, count: int = DRAWS
+    recordings: Sequence[Recording], length: float, structure: Structure
 ) -> Ensemble:
     """Return recordings and the same with noise once more, thinned."""
     def given(recording: Recording, draw: np.random.Generator | None = None) -> Given:
@@ -126,7 +124,7 @@ def ensemble_of(
 
     return Ensemble(
         tuple(map(given, recordings)),
-        tuple(tuple(given(own, draw) for own in recordings) for draw in draws(count)))
+        tuple(tuple(given(own, draw) for own in recordings) for draw in draws(DRAWS)))
 
 
 def _stretches(samples: Samples, most: float) -> Samples:
@@ -376,56 +374,34 @@ class Refined(NamedTuple):
     covariance: Array
     solved: Solved
 
-    @property
-    def std(self) -> Array:
-        """Standard errors (n,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-
-def varied(blocks: Sequence[Block], theta: Array) -> Callable[[Sequence[Given]], list[Given]]:
-    """Return recordings varied by the unknowns of blocks, one block after the other."""
-    def vary(given: Sequence[Given]) -> list[Given]:
-        """Return the recordings varied."""
-        changed, first = list(given), 0
-        for block in blocks:
-            width = len(block.steps)
-            for number, own in enumerate(changed):
-                start = first + (number * width if block.each else 0)
-                changed[number] = block.vary(own, theta[start:start + width])
-            first += block.size(len(given))
-        return changed
-    return vary
-
 
 def refine(
-    objective: Objective, ensemble: Ensemble, blocks: Sequence[Block], start: Array | None = None,
+    objective: Objective, ensemble: Ensemble, block: Block, start: Array | None = None,
     rounds: int = ROUNDS,
 ) -> Refined:
     """
-    Return the numbers of blocks with which noise explains most.
+    Return the numbers of a block with which noise explains most.
 
-    The search begins at a start. Without one it begins at 0 and at the best of the blocks' starts,
+    The search begins at a start. Without one it begins at 0 and at the best of the block's starts,
     and the better minimum is returned. Where K is far too small, steps are too long: they are
     halved as long as less is left.
     """
-    count = len(ensemble.given)
-    steps = np.concatenate([np.tile(b.steps, b.size(count) // len(b.steps)) for b in blocks])
-    far = np.concatenate([np.full(b.size(count), b.furthest) for b in blocks]) * steps
+    steps = np.array(block.steps)
 
     def at(theta: Array) -> Solved:
         """Return the residuals at given unknowns."""
-        return objective.solved(ensemble.varied(varied(blocks, theta)))
+        return objective.solved(ensemble.varied(block.vary, theta))
 
     if start is None:
-        near = _first(objective, ensemble, blocks, len(steps))
+        near = _first(objective, ensemble, block)
         starts = [near, np.zeros_like(near)] if near.any() else [near]
-        return min((refine(objective, ensemble, blocks, begin, rounds) for begin in starts),
+        return min((refine(objective, ensemble, block, begin, rounds) for begin in starts),
                    key=lambda found: found.solved.excess)
     theta, here = start, at(start)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
         step = -inverse_of(D.T @ D)[0] @ gradient
-        step *= min(1.0, float(np.min(far / np.maximum(np.abs(step), 1e-300))))
+        step *= min(1.0, float(np.min(block.furthest * steps / np.maximum(np.abs(step), 1e-300))))
         best, taken = here, step
         for shorter in np.outer(0.5 ** np.arange(HALVINGS), step):
             further = at(theta + shorter)
@@ -442,25 +418,11 @@ def refine(
     return Refined(theta, covariance, here)
 
 
-def _first(
-    objective: Objective, ensemble: Ensemble, blocks: Sequence[Block], size: int
-) -> Array:
-    """Return the numbers (size,) among the starts of blocks that explain most, 0 without any."""
-    theta, first, count = np.zeros(size), 0, len(ensemble.given)
+def _first(objective: Objective, ensemble: Ensemble, block: Block) -> Array:
+    """Return the numbers among a block's starts that explain most, 0 without any."""
     quiet = Ensemble(ensemble.given, ())
-    least = objective.solved(quiet).excess
-    for block in blocks:
-        width = len(block.steps)
-        for number in range(block.size(count) // width):
-            place = first + number * width
-            for value in block.starts(ensemble.given[number]):
-                there = theta.copy()
-                there[place:place + width] = value
-                excess = objective.solved(quiet.varied(varied(blocks, there))).excess
-                if excess < least:
-                    theta, least = there, excess
-        first += block.size(count)
-    return theta
+    starts = [np.zeros(len(block.steps)), *block.starts(ensemble.given[0])]
+    return min(starts, key=lambda theta: objective.solved(quiet.varied(block.vary, theta)).excess)
 
 
 def _derivatives(

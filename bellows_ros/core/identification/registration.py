@@ -2,7 +2,7 @@
 Two clocks, two worlds and a marker anywhere on the package: found from one recording.
 
 First guesses come from what needs no cup: both bodies turn alike, and at about the same distance.
-Then all is free beside K and P in the output error; for least squares, in its objective.
+Then all is free beside K and P in the output error, whatever the method of the fit.
 """
 
 from collections.abc import Sequence
@@ -16,32 +16,15 @@ from bellows_ros.core.geometry.lie import (
     mean_rotation,
     rotation_to_quaternion,
 )
-from bellows_ros.core.identification.objective import (
-    DRAWS,
-    ensemble_of,
-    FEWEST_SECONDS,
-    Objective,
-    refine,
-)
 from bellows_ros.core.identification.quantities import anything, KINDS
 from bellows_ros.core.identification.search import measured_of, Search, Segment
-from bellows_ros.core.identification.variations import BLOCKS, LARGEST_OFFSET, RASTER
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment, slow_poses, turn_of
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import UndeterminedError
 import numpy as np
-
-LARGEST_ERROR = 3e-4
-"""Largest standard error (s) of an identifiable time offset."""
-
-WORLD_ERROR = 5e-3
-"""Largest standard error (m, rad) of an identifiable transform between two worlds."""
-
-BEYOND_RANGE = 0.9
-"""If residuals at the largest offset fall below this fraction, the true offset is larger."""
 
 
 def hand_eye(
@@ -90,8 +73,18 @@ class Registered(NamedTuple):
     world: Array | None
     world_std: Array
     middle: Array
-    alignment: Alignment | None
+    alignment: Alignment
     offset: TimeOffset | None
+
+    def require_world(self) -> None:
+        """Refuse a world that is not identifiable, for a method that takes it as exact."""
+        if np.any(self.world_std > KINDS['package_world'].known):
+            each = [f'{1e3 * x:.2g}' for x in self.world_std]
+            raise UndeterminedError(
+                'recording.package_world is not identifiable from this recording: the standard '
+                f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} mrad. Tilt '
+                'and turn the tool more, best with three standstills tilted to different sides, '
+                'or set its seven numbers.')
 
 
 def registered(
@@ -133,75 +126,3 @@ def _gripped(known: Alignment, way: Array, turn: Array) -> Alignment:
     R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
     return replace(known, R_package_markers_lip=known.R_package_markers_lip @ R,
                    origin_to_com=R.T @ (known.origin_to_com + way))
-
-
-def refined_preparation(
-    recording: Recording, structure: Structure, length: float, names: Sequence[str],
-    rough: bool = False,
-) -> Registered:
-    """
-    Find the package's world and the time offset of a recording by wrenches, with K and P.
-
-    Parameters
-    ----------
-    recording : Recording
-        Prepared with a first guess of the world.
-    structure : Structure
-        Of K and P.
-    length : float
-        Of the cup, m.
-    names : sequence of str
-        Of 'time_offset' and 'package_world', in this order. Where alignment at rest was made, the
-        grip's offset and turn are found with the world.
-    rough : bool
-        Whether it is for a better first guess alone, without regard to noise.
-
-    Raises
-    ------
-    BellowsError
-        If the offset is beyond those looked for, or the world is not identifiable.
-
-    """
-    world = 'package_world' in names
-    gripped = world and recording.settings.align_at_rest
-    ensemble = ensemble_of([recording], length, structure, 0 if rough else DRAWS)
-    if ensemble.seconds < FEWEST_SECONDS:
-        return Registered(None, np.zeros(6), np.zeros(3), None, None)
-    body = recording.package
-    middle = body.position[body.valid].mean(axis=0)
-    objective = Objective.of(ensemble)
-    found = refine(objective, ensemble, [
-        BLOCKS[name] for name in (*names, *(['grip'] if gripped else []))])
-    theta, std = found.theta, found.std
-    offset = None
-    if 'time_offset' in names:
-        fallen = found.solved.excess < BEYOND_RANGE * objective.solved(ensemble).excess
-        offset = _offset(float(theta[0]), float(std[0]), fallen)
-        theta, std = theta[1:], std[1:]
-    if not world:
-        return Registered(None, np.zeros(6), middle, None, offset)
-    if not (rough or np.all(std[:6] < WORLD_ERROR)):
-        each = [f'{1e3 * x:.2g}' for x in std[:6]]
-        raise BellowsError(
-            'recording.package_world is not identifiable from this recording: the standard '
-            f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} mrad. Tilt '
-            'and turn the tool more, best with three standstills tilted to different sides, or '
-            'set its seven numbers.'
-        )
-    alignment = recording.alignment
-    if gripped:
-        way = np.array([theta[6], theta[7], 0.0])
-        alignment = replace(_gripped(alignment, way, theta[8:11]),
-                            lateral_offset=alignment.lateral_offset - way)
-    return Registered(theta[:6], std[:6], middle, alignment, offset)
-
-
-def _offset(value: float, std: float, fallen: bool) -> TimeOffset | None:
-    """Return a time offset, or None if it is not identifiable."""
-    if abs(value) > LARGEST_OFFSET - RASTER / 2.0 and fallen:
-        raise BellowsError(
-            f'The stamps of tool and package are {1e3 * LARGEST_OFFSET:g} ms or more '
-            'apart, the limit of fit.time_offset. Shift the stamps of one topic by the known '
-            'delay.'
-        )
-    return TimeOffset(value, std) if std < LARGEST_ERROR else None

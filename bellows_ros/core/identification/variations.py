@@ -235,8 +235,6 @@ class Block(NamedTuple):
         than what is off, its stiffness has the wrong sign in a false minimum.
     furthest : float
         No round goes further than so many steps.
-    each : bool
-        Whether each recording has its own.
 
     """
 
@@ -244,11 +242,6 @@ class Block(NamedTuple):
     steps: tuple[float, ...]
     starts: Callable[[Given], Iterable[Array]] = lambda given: ()
     furthest: float = 200.0
-    each: bool = False
-
-    def size(self, recordings: int) -> int:
-        """Return the number of unknowns for a number of recordings."""
-        return len(self.steps) * (recordings if self.each else 1)
 
 
 RASTER = 0.01
@@ -279,19 +272,19 @@ def _grips(given: Given) -> list[Array]:
 
 BLOCKS = {
     'time_offset': Block(time_offset, (1e-4,), lambda given:
-                         RASTER * np.arange(-20, 21)[:, None], 100.0, True),
+                         RASTER * np.arange(-20, 21)[:, None], 100.0),
     'com': Block(com, (1e-5,) * 3, lambda given:
                  np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
     'length': Block(length, (1e-5,), lambda given:
                     STARTS_ALONG_Z[:, None], 500.0),
     'package_world': Block(
-        package_world, (1e-5,) * 6, _worlds, 5000.0, True),
-    'grip': Block(grip, (1e-5,) * 5, _grips, 5000.0, True),
+        package_world, (1e-5,) * 6, _worlds, 5000.0),
+    'grip': Block(grip, (1e-5,) * 5, _grips, 5000.0),
 }
-"""Blocks by their names in fit.free; package_world includes the grip and the alignment."""
+"""Of what was given, by name."""
 
 TOOL_GRIP = Block(
-    tool_grip, (1e-5,) * 5, lambda given: [-own for own in _grips(given)], 5000.0, True)
+    tool_grip, (1e-5,) * 5, lambda given: [-own for own in _grips(given)], 5000.0)
 """Of the tool's frame."""
 
 TILT = Block(tilt, (1e-4,) * 2, furthest=1000.0)

@@ -34,7 +34,7 @@ def test_no_more_of_a_long_recording_is_seen(long):
 
 @pytest.mark.parametrize('offset', [-0.15, 0.0, 0.2])
 def test_no_pose_is_taken_from_the_time_between_stretches(long, offset):
-    (seen,) = ensemble_of([long], CUP.length, AXISYMMETRIC, 0).given
+    (seen,) = ensemble_of([long], CUP.length, AXISYMMETRIC).given
     there = time_offset(seen, np.array([offset])).samples
     used = there.tool.select(there.valid)
     poses = resample(samples_of(long).tool, used.stamps_ns + round(1e9 * offset))

@@ -1,11 +1,7 @@
 """A camera in a world of its own, late, with a marker anywhere, is found with the cup."""
 
-from dataclasses import replace
-
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.registration import refined_preparation
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import rough_offsets
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
@@ -73,13 +69,20 @@ SOFT = Cup(
     np.diag([14.0, 14.0, 9.0, 0.02, 0.02, 0.03]), simulated.CUP.length)
 
 
+def reported(recording, **settings):
+    """Return the report of a recording that is prepared with some settings."""
+    values = resolve({'cup.length': simulated.CUP.length, 'fit.structure': 'axisymmetric',
+                      **{name.replace('__', '.'): value for name, value in settings.items()}})
+    return _prepared(recording.tool_pose, recording.package_pose, None, recording.settings,
+                     values).report
+
+
 def found(recording, structure='axisymmetric'):
     """Return the offset found in a recording."""
-    return refined_preparation(
-        recording, STRUCTURES[structure], simulated.CUP.length, ['time_offset']).offset
+    return reported(recording, fit__time_offset=True, fit__structure=structure).time_offset
 
 
-@pytest.mark.parametrize('later', [-0.19, -0.0002, 0.0, 0.048, 0.15])
+@pytest.mark.parametrize('later', [-0.19, -0.0002, 0.0, 0.048, 0.24])
 def test_an_offset_is_found_without_noise(later):
     recording = simulated.record(simulated.shake(seed=3), later=later)
     assert abs(found(recording).value - later) < 1e-5
@@ -98,16 +101,15 @@ def test_standstills_do_not_tell_it():
     assert found(recording) is None
 
 
-@pytest.mark.parametrize('used', [0, 3, 240])
-def test_few_samples_do_not_tell_it(used):
-    recording = simulated.record(simulated.shake(seed=3))
-    of_tool, of_package = recording.filters
-    few = np.arange(len(of_package.poses)) < used + 2 * of_package.half_window
-    of_package = replace(of_package, poses=replace(of_package.poses, valid=few))
-    assert found(replace(recording, filters=(of_tool, of_package))) is None
+def test_a_world_is_found_without_standstills():
+    recording = simulated.record(simulated.shake(duration=4.0), **NOISE)
+    world = reported(recording, recording__package_world='estimate').package_world
+    off = np.concatenate([world.pose[:3], 2.0 * world.pose[3:6]])
+    assert np.all(np.abs(off) < 4.0 * world.std) and np.all(world.std < 2e-4)
 
 
-def test_a_larger_offset_is_refused():
-    recording = simulated.record(simulated.shake(seed=3), later=0.24)
-    with pytest.raises(BellowsError, match=r'\b200\b'):
-        found(recording)
+def test_least_squares_takes_no_world_that_is_hardly_known():
+    recording = simulated.record(
+        simulated.shake(axes=(2,), duration=4.0), tool=(0.01, 0.05), package=(0.01, 0.05))
+    with pytest.raises(BellowsError, match='standard errors are'):
+        reported(recording, recording__package_world='estimate', fit__method='least_squares')
