@@ -168,7 +168,7 @@ def as_found(own: Recording, found: Free, number: int) -> Recording:
     delay = round(float(free['time_offset'][0]) * NS_PER_S) if 'time_offset' in free else 0
 
     def moved(poses: Trajectory) -> Trajectory:
-        return replace(poses_of(poses, free, moves, middle), valid=poses.valid)
+        return poses_of(poses, free, moves, middle)
 
     of_package = own.filters[1]
     return replace(

@@ -149,8 +149,7 @@ def _packages(recordings: Sequence[Given]) -> Iterator[Hypothesis]:
     gyration = radius_of_gyration(recordings[0].samples.payload)
     for unit, factor in INERTIA_UNITS:
         if gyration > GYRATION[0] * np.sqrt(factor):
-            yield Hypothesis(
-                'inertia', variations.scaled(variations.inertia, 1.0 / factor), value=unit)
+            yield Hypothesis('inertia', variations.in_other_unit(1.0 / factor), value=unit)
     packages = {own.samples.payload.mass: own.samples.payload for own in recordings}
     if len(packages) == 2:
         yield Hypothesis('package.files', variations.exchanged(*packages.values()),

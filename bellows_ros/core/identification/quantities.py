@@ -1,10 +1,18 @@
 """Quantities that were given and may be free beside K and P: what they do to model and poses."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply, exp_so3, hat
+from bellows_ros.core.geometry.lie import (
+    adjoint,
+    apply,
+    exp_so3,
+    hat,
+    inverse_transform,
+    transform,
+)
 from bellows_ros.core.model.cup_package import Package, varied
 from bellows_ros.core.model.jacobians import COM, INERTIA, LENGTH, MASS
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -89,28 +97,39 @@ def poses_of(
     package: Trajectory, free: Free, moves: Array, middle: Array | None = None
 ) -> Trajectory:
     """
-    Return the poses of B for given free quantities.
+    Return the poses of B, and its twists where they are known, for given free quantities.
 
     Moves (3,) is 1 for the components of the centre of mass that B moves with, else 0. The world
     turns about a middle (3,), that of the poses where none is given.
     """
-    position, R = package.position, package.rotation
     if 'com' in free:
-        position = position + apply(R, moves * free['com'])
+        package = of_fixed_frame(package, np.zeros(3), moves * free['com'])
     if 'package_world' in free:
-        way, turn = np.split(free['package_world'], 2)
-        middle = _middle(package) if middle is None else middle
-        position = middle + way + apply(exp_so3(turn), position - middle)
-        R = exp_so3(turn) @ R
+        (way, turn), middle = np.split(free['package_world'], 2), (
+            _middle(package) if middle is None else middle)
+        R = exp_so3(turn)
+        package = replace(
+            package, position=middle + way + apply(R, package.position - middle),
+            rotation=R @ package.rotation)
     if 'package_marker' in free:
         way, turn = np.split(free['package_marker'], 2)
-        position, R = position + apply(R, way), R @ exp_so3(turn)
-    return Trajectory(package.stamps_ns, position, R)
+        package = of_fixed_frame(package, turn, way)
+    return package
+
+
+def of_fixed_frame(body: Trajectory, turn: Array, way: Array) -> Trajectory:
+    """Return the motion of a frame that is fixed in a body, turned (rad) and moved (m) there."""
+    R = exp_so3(turn)
+    X = adjoint(inverse_transform(transform(R, way)))
+    return replace(
+        body, position=body.position + apply(body.rotation, way), rotation=body.rotation @ R,
+        twist=None if body.twist is None else apply(X, body.twist),
+        acceleration=None if body.acceleration is None else apply(X, body.acceleration))
 
 
 def _middle(package: Trajectory) -> Array:
-    """Return the mean position (3,)."""
-    return np.asarray(package.position.mean(axis=0))
+    """Return the mean of the positions in use (3,)."""
+    return np.asarray(package.position[package.valid].mean(axis=0))
 
 
 def model_columns(name: str, payload: Package, parameters: Array) -> Array:

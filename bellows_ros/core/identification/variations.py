@@ -6,20 +6,18 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import (
-    adjoint,
     apply,
     exp_so3,
-    inverse_transform,
     log_so3,
     mean_rotation,
-    transform,
 )
+from bellows_ros.core.identification.quantities import of_fixed_frame, payload_of, poses_of
 from bellows_ros.core.identification.samples import Samples
-from bellows_ros.core.model.cup_package import Package, varied
+from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import closed_form, motion_of
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 LARGEST_OFFSET = 0.2
@@ -81,11 +79,15 @@ def time_offset(given: Given, theta: Array) -> Given:
     return _with(given, tool=tool, package=package)
 
 
-def com(given: Given, theta: Array) -> Given:
-    """Return it with the centre of mass moved (3,) in axes of the lip, m."""
-    there = _with(given, payload=varied(given.samples.payload, com=theta))
-    fixed = np.array([given.aligned, given.aligned, False]) | given.lip_recorded  # then B moves
-    return _body_moved(there, np.zeros(3), np.where(fixed, theta, 0.0))
+def quantity(name: str) -> Variation:
+    """Return the variation of a quantity of `KINDS`, of the package or of its poses."""
+    def vary(given: Given, theta: Array) -> Given:
+        """Return it with another value; the lip stays where it is known to be."""
+        samples, free = given.samples, {name: theta}
+        moves = np.where(given.lip_recorded, 1.0, [given.aligned, given.aligned, 0.0])
+        return _with(given, payload=payload_of(samples.payload, free),
+                     package=poses_of(samples.package, free, moves))
+    return vary
 
 
 def length(given: Given, theta: Array) -> Given:
@@ -93,33 +95,15 @@ def length(given: Given, theta: Array) -> Given:
     return given._replace(length=given.length + float(theta[0]))
 
 
-def inertia(given: Given, theta: Array) -> Given:
-    """Return it with moments of inertia exp(theta) (1,) or (3,) times as large."""
-    return _with(given, payload=varied(given.samples.payload, inertia=theta))
-
-
-def package_world(given: Given, theta: Array) -> Given:
-    """
-    Return it with the world of the package moved and turned by theta (6,), m and rad.
-
-    It turns about the middle of the package's positions. Body twists stay what they are.
-    """
-    body = given.samples.package
-    R, middle = exp_so3(theta[3:]), body.position[body.valid].mean(axis=0)
-    return _with(given, package=replace(
-        body, position=middle + theta[:3] + apply(R, body.position - middle),
-        rotation=R @ body.rotation))
-
-
 def grip(given: Given, theta: Array) -> Given:
     """Return it with the package's frame in the recorded one moved by x, y (m), and turned."""
-    return _body_moved(given, theta[2:5], np.array([theta[0], theta[1], 0.0]))
+    return quantity('package_marker')(given, np.insert(theta, 2, 0.0))
 
 
 def tool_grip(given: Given, theta: Array) -> Given:
     """Return it with the tool's frame in the recorded one moved by x, y (m), and turned."""
-    return _with(given, tool=_of_fixed_frame(
-        given.samples.tool, theta[2:5], np.array([theta[0], theta[1], 0.0])))
+    way = np.append(theta[:2], 0.0)
+    return _with(given, tool=of_fixed_frame(given.samples.tool, theta[2:], way))
 
 
 def slip(first_ns: int) -> Variation:
@@ -171,7 +155,7 @@ def yaw(angle: float, of_tool: bool) -> Variation:
         """Return it with a body turned."""
         if not of_tool:
             return _body_moved(given, phi, np.zeros(3), about_lip=True)
-        return _with(given, tool=_of_fixed_frame(given.samples.tool, phi, np.zeros(3)))
+        return _with(given, tool=of_fixed_frame(given.samples.tool, phi, np.zeros(3)))
     return turned
 
 
@@ -182,9 +166,9 @@ def other_frame(given: Given, theta: Array) -> Given:
     return moved._replace(lip_recorded=not given.lip_recorded)
 
 
-def scaled(what: Variation, factor: float) -> Variation:
-    """Return a mass or an inertia in other units."""
-    return lambda given, theta: what(given, np.array([np.log(factor)]))
+def in_other_unit(factor: float) -> Variation:
+    """Return an inertia so many times as large."""
+    return lambda given, theta: quantity('inertia')(given, np.array([np.log(factor)]))
 
 
 def structure(other: Structure) -> Variation:
@@ -207,17 +191,7 @@ def _body_moved(given: Given, phi: Array, way: Array, about_lip: bool = False) -
     if about_lip:  # B = S + R com
         com = given.samples.payload.com
         way = exp_so3(phi) @ com - com
-    return _with(given, package=_of_fixed_frame(given.samples.package, phi, way))
-
-
-def _of_fixed_frame(body: Trajectory, phi: Array, way: Array) -> Trajectory:
-    """Return the motion of a frame that is fixed in a body, by its pose there."""
-    R = exp_so3(phi)
-    X = adjoint(inverse_transform(transform(R, way)))
-    return replace(
-        body, position=body.position + apply(body.rotation, way), rotation=body.rotation @ R,
-        twist=None if body.twist is None else apply(X, body.twist),
-        acceleration=None if body.acceleration is None else apply(X, body.acceleration))
+    return _with(given, package=of_fixed_frame(given.samples.package, phi, way))
 
 
 class Block(NamedTuple):
@@ -273,12 +247,12 @@ def _grips(given: Given) -> list[Array]:
 BLOCKS = {
     'time_offset': Block(time_offset, (1e-4,), lambda given:
                          RASTER * np.arange(-20, 21)[:, None], 100.0),
-    'com': Block(com, (1e-5,) * 3, lambda given:
+    'com': Block(quantity('com'), (1e-5,) * 3, lambda given:
                  np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
     'length': Block(length, (1e-5,), lambda given:
                     STARTS_ALONG_Z[:, None], 500.0),
     'package_world': Block(
-        package_world, (1e-5,) * 6, _worlds, 5000.0),
+        quantity('package_world'), (1e-5,) * 6, _worlds, 5000.0),
     'grip': Block(grip, (1e-5,) * 5, _grips, 5000.0),
 }
 """Of what was given, by name."""
@@ -290,7 +264,7 @@ TOOL_GRIP = Block(
 TILT = Block(tilt, (1e-4,) * 2, furthest=1000.0)
 """Of the world's z against gravity."""
 
-SCALE = Block(inertia, (1e-3,), furthest=1000.0)
+SCALE = Block(quantity('inertia'), (1e-3,), furthest=1000.0)
 """A common factor of all moments of inertia; with K and P free, equivalent to the mass."""
 
 
