@@ -25,9 +25,6 @@ LONGEST_QUEUE = 256
 LONGEST_BRACKET_NS = 30_000_000
 """Longest time (ns) between twists that is interpolated."""
 
-FARTHEST_AHEAD_NS = 500_000_000
-"""Twists stamped further ahead (ns) of the newest pose are dropped."""
-
 TWISTS_KEPT = 32
 
 LOST_RUN = 3
@@ -93,8 +90,7 @@ class Pairing:
         """Queue a twist, or note that it came behind its pose."""
         stamp_ns = twist.stamp_ns
         self._drop_leaps(stamp_ns)
-        far_ahead = 0 <= self._newest_ns < stamp_ns - FARTHEST_AHEAD_NS
-        if far_ahead or (self._twists and stamp_ns <= self._twists[-1].stamp_ns):
+        if self._twists and stamp_ns <= self._twists[-1].stamp_ns:
             self.unpaired += 1
             return
         if self._newest_twist_ns >= 0 and stamp_ns > self._newest_twist_ns:
@@ -213,8 +209,8 @@ class Pairing:
 
 
 def smoothed(mean: float, value: float) -> float:
-    """Return a running mean with a new value; the first value is the mean."""
-    return mean + SMOOTHING * (value - mean) if mean else value
+    """Return a running mean with a new value, the first one; a gap or a leap counts as twice it."""
+    return mean + SMOOTHING * (min(value, 2.0 * mean) - mean) if mean else value
 
 
 def interpolated(s: float, a: Vector, b: Vector) -> Vector:
