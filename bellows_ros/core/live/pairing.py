@@ -209,7 +209,7 @@ class Pairing:
 
 
 def smoothed(mean: float, value: float) -> float:
-    """Return a running mean with a new value, the first one; a gap or a leap counts as twice it."""
+    """Return a running mean with a new value; a gap or a leap counts as twice the mean."""
     return mean + SMOOTHING * (min(value, 2.0 * mean) - mean) if mean else value
 
 
