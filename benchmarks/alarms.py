@@ -94,7 +94,7 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
         position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
         exposed = when_exposed(model, known.tool, body, theta)
         y, _, whitener, *_ = innovation(
-            exposed, theta, known.covariance, position, q, noise, marker[2])
+            exposed, theta, known.covariance, position, q, noise, marker)
         stamps.append(stamp_ns)
         ys.append(y)
         whiteners.append(whitener)

@@ -26,7 +26,11 @@ from bellows_ros.core.observer.filter import (
 from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
 
-Marker = tuple[Vector, Quaternion, bool]
+Marker = tuple[Vector, Quaternion, bool, float]
+"""
+Position (m) and orientation of what is measured, in axes of B; whether it is measured from the
+lip and not from B; standard deviation (s) of the random part of the stamps' error.
+"""
 ZERO = (0.0, 0.0, 0.0)
 
 WHITE = 0.05
@@ -65,7 +69,7 @@ class PoseSensor:
     Attributes
     ----------
     marker : tuple
-        Position (m) and orientation of what is measured, in axes of B, from the lip or from B.
+        What the poses are of, see `Marker`.
 
     """
 
@@ -74,7 +78,9 @@ class PoseSensor:
         self.noise = np.diag(np.repeat(np.square(values['measured.noise']), 3))
         of_lip = values['measured.frame'] == 'lip'
         x, y, z, *turn = values['measured.offset']
-        self.marker: Marker = (x, y, z), t3.exp_quaternion((turn[0], turn[1], turn[2])), of_lip
+        self.marker: Marker = (
+            (x, y, z), t3.exp_quaternion((turn[0], turn[1], turn[2])), of_lip,
+            float(values['measured.jitter']))
         world = values['recording.package_world'] or '0 0 0 0 0 0 1'
         self.has_own_world = bool(values['recording.package_world'])
         x, y, z, qx, qy, qz, qw = map(float, world.split())
@@ -119,7 +125,7 @@ def at_com(
 
     With B at com (m) from the lip; the rest are those of a `Measurement` and of `PoseSensor`.
     """
-    offset, turn, of_lip = marker
+    offset, turn, of_lip, _ = marker
     arm = t3.subtract(com if of_lip else ZERO, offset)
     q = t3.quaternion_product(quaternion_xyzw, t3.quaternion_conjugate(turn))
     R = t3.rotation_matrix(q)
@@ -253,10 +259,10 @@ def observed(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
 @array_kernel
 def innovation(
     body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
-    of_lip: bool,
+    marker: Marker,
 ) -> Innovation:
     """Return an `Innovation`; noise is in B axes."""
-    n = len(P)
+    n, of_lip, jitter = len(P), marker[2], marker[3]**2
     shift, turn = pose_error(body, position, q)
     y = np.array((shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]))
     H = observation(body, noise, of_lip, n)
@@ -267,7 +273,7 @@ def innovation(
     S = observed(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
     for i in range(6):
         for j in range(6):
-            S[i, j] += WHITE * noise[i, j]
+            S[i, j] += WHITE * noise[i, j] + jitter * H[i, LATENCY] * H[j, LATENCY]
     _, W = cholesky(S)
     distance = 0.0
     for i in range(6):
@@ -366,7 +372,7 @@ def updated(
     com = model[1][1]
     position, q, noise = corrected_pose(position, quaternion_xyzw, noise, marker, theta, com)
     exposed = when_exposed(model, tool, body, theta)
-    found = innovation(exposed, theta, P, position, q, noise, marker[2])
+    found = innovation(exposed, theta, P, position, q, noise, marker)
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     verdict = USED
     if lip_shift(position, q, com, tool, model[0][1]) > reach + 5.0 * spread:

@@ -27,7 +27,7 @@ from bellows_ros.core.observer.filter import (
     with_theta,
     WRENCH,
 )
-from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE
+from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE, ZERO
 import numpy as np
 import pytest
 
@@ -140,7 +140,7 @@ def test_innovation_is_what_it_says(of_lip):
     model, noise = model_tuple(CUP, PACKAGE, 9.81), np.diag(NOISE_STD**2)
     body = changed(static_equilibrium(model, tool[60]), rng.normal(size=12) * 0.01)
     none, P = np.zeros(ALL_ROWS - 12), np.diag(SIZES**2)
-    marker = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), of_lip
+    marker = ZERO, (0.0, 0.0, 0.0, 1.0), of_lip
 
     def pose(e):
         """Give the pose that a camera sees of a package with an error (n,)."""
@@ -155,12 +155,16 @@ def test_innovation_is_what_it_says(of_lip):
         shift = e[CAMERA:CAMERA + 3] + np.cross(e[CAMERA + 3:CAMERA + 6], seen[0])
         return tuple((seen[0] + shift).tolist()), quaternion_product(turn, seen[1])
 
-    def seen(e):
+    def seen(e, jitter=0.0):
         return updated(
-            model, tool[60], body, none, P.copy(), MEMORY, 0.03, *pose(e), noise, marker, 1.0,
-            np.inf)[1]
+            model, tool[60], body, none, P.copy(), MEMORY, 0.03, *pose(e), noise,
+            (*marker, jitter), 1.0, np.inf)[1]
 
-    H = seen(np.zeros(ALL_ROWS))[1]
+    _, H, W, *_ = seen(np.zeros(ALL_ROWS))
+    roots = np.linalg.inv([W, seen(np.zeros(ALL_ROWS), 0.003)[2]])
+    before, after = roots @ np.swapaxes(roots, 1, 2)
+    v = np.r_[body[2], body[3]]
+    np.testing.assert_allclose(after - before, 9e-6 * np.outer(v, v), atol=1e-12)
     for row in range(ALL_ROWS):
         e = np.zeros(ALL_ROWS)
         e[row] = 1e-4 * SIZES[row]
@@ -191,7 +195,8 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
         P = propagated_covariance(P, T, Q, np.full(6, 1e-12), memory)
         scale, position, q = seen[37 * k % len(seen)]
         noise = np.diag(NOISE_STD**2) * scale
-        found = innovation(own, theta, P, position, q, noise, False)
+        found = innovation(
+            own, theta, P, position, q, noise, (ZERO, (0.0, 0.0, 0.0, 1.0), False, 0.0))
         own, theta = corrected(own, theta, P, found)
     scale = np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > 0.0
