@@ -123,8 +123,10 @@ def test_all_that_the_recording_determines_is_told_with_its_error():
     assert np.all(found.std[judged] < 2.0 * found.bound[judged])
 
 
-def test_all_entries_of_a_full_cup_are_found_from_a_start_twice_too_large():
-    found = trial(CELLS['motion capture, 0.3 mm'], 0, 8.0, 'full')
+@pytest.mark.parametrize(('sensors', 'seed'), [
+    ('motion capture, 0.3 mm', 0), ('robot, 30 Hz camera, 1 mm', 16)])  # there steps swing
+def test_all_entries_of_a_full_cup_are_found_from_a_start_twice_too_large(sensors, seed):
+    found = trial(CELLS[sensors], seed, 8.0, 'full')
     judged = found.bound < JUDGED
     assert found.converged and np.count_nonzero(judged) > 21
     assert np.isfinite(found.std[judged]).all()

@@ -124,8 +124,8 @@ LOSS_FACTOR = 0.25
 LONGEST_WAY = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
-LEAST_SHARE, LONGEST_SHARE = 0.05, 4.0
-"""Parts of a step that are taken while steps turn back, and while they go the same way."""
+MOST_MIXED = 0.9
+"""Largest part of a step that is taken back or added, as where it is 10 times too long."""
 
 SETTLED = 0.03
 """Part by which the noise of slow poses may change in the last step."""
@@ -481,8 +481,8 @@ class Search:
                        for own in parts]
             return Minimum(theta, nothing, np.eye(len(theta)), False)
         least = LEAST_DAMPING if forgets else 0.0
-        damping, share, settled = least, 1.0, True
-        last: Array = np.zeros(len(theta))
+        damping, settled = least, True
+        before: tuple[Array, Array] | None = None
         end = NEAR if forgets else ENOUGH
         expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
         for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
@@ -493,13 +493,8 @@ class Search:
                 D = directions[:, ~np.any(directions[~self.unbounded(theta, step)], axis=0)]
                 step = D @ np.linalg.solve(
                     D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
-            size = float(np.sqrt((step @ H @ step) * (last @ H @ last)))
-            along = float(step @ H @ last) / max(size, 1e-99)
-            if along < -0.5:  # noise in the derivatives makes steps too short, or they swing
-                share = max(0.5 * share, LEAST_SHARE)
-            elif along > 0.5 or share < 1.0:
-                share = min(1.5 * share, LONGEST_SHARE)
-            there, length = self.moved(theta, step, share), self.length_of(step, H)
+            way = _mixed(step, H, *before) if before else step
+            there, length = self.moved(theta, way), self.length_of(step, H)
             try:
                 new = self.system(there, forgets)
                 is_worse = not squares(new[0]) < RISES * max(squares(parts), expected)  # or nan
@@ -507,8 +502,9 @@ class Search:
                 is_worse = True
             if is_worse:
                 damping = max(10.0 * damping, 1e-2)
+                before = None
                 continue
-            theta, (parts, H, g), last = there, new, step
+            before, theta, (parts, H, g) = (step, there - theta), there, new
             self.take(parts)
             settled = forgets > 0.0 or self.take_noise(parts)
             settled &= damping <= MOST_DAMPED
@@ -540,15 +536,14 @@ class Search:
             return float(step @ H @ step)
         return float(step[known] @ np.linalg.solve(covariance[np.ix_(known, known)], step[known]))
 
-    def moved(self, theta: Array, step: Array, share: float) -> Array:
-        """Return unknowns after a share of a step, K and P along a geodesic."""
-        there, size = theta + share * step, self.count // 2
+    def moved(self, theta: Array, step: Array) -> Array:
+        """Return unknowns after a step, K and P along a geodesic."""
+        there, size = theta + step, self.count // 2
         moved = []
         for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
             root, inverse = _roots(M)
             values, vectors = np.linalg.eigh(inverse @ change @ inverse)
-            logarithms = share * np.clip(values, -LONGEST_WAY, LONGEST_WAY)
-            half = root @ vectors * np.exp(0.5 * logarithms)
+            half = root @ vectors * np.exp(0.5 * np.clip(values, -LONGEST_WAY, LONGEST_WAY))
             moved.append(half @ half.T)
         there[:2 * size] = self.structure.parameters(*moved) / self.units[:2 * size]
         if 'relaxation' in self.places:
@@ -740,6 +735,18 @@ def _not_below(strengths: ArrayLike) -> tuple[float, float]:
 def squares(parts: Sequence[Part]) -> float:
     """Return the sum of squares."""
     return float(sum(own.innovations @ own.innovations for own in parts))
+
+
+def _mixed(step: Array, H: Array, last: Array, gone: Array) -> Array:
+    """
+    Return the way to go where the last step turned into this one while so far was gone.
+
+    Mixed by Anderson's method (1965). Where K and P are known badly, derivatives have noise and
+    change from step to step: a step is too short, or so long that the next turns back.
+    """
+    turned = step - last
+    part = (step @ H @ turned) / max(float(turned @ H @ turned), 1e-99)
+    return np.asarray(step - np.clip(part, -MOST_MIXED, MOST_MIXED) * (gone + turned))
 
 
 def _roots(M: Array) -> tuple[Array, Array]:
