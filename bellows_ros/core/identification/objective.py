@@ -23,7 +23,7 @@ from bellows_ros.core.identification.equations import (
 )
 from bellows_ros.core.identification.reduction import draws
 from bellows_ros.core.identification.samples import lip_relative, Samples, samples_of
-from bellows_ros.core.identification.variations import Block, Given, time_offset, Variation
+from bellows_ros.core.identification.variations import Given, Hypothesis, Variation
 from bellows_ros.core.model.structure import Structure, THESIS_DAMPING, THESIS_STIFFNESS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.savgol import displaced, filtered, weights
@@ -91,13 +91,6 @@ class Ensemble:
 
     given: tuple[Given, ...]
     noisier: tuple[tuple[Given, ...], ...]
-
-    @property
-    def seconds(self) -> float:
-        """Time (s) that valid samples cover inside the largest time offsets."""
-        return sum(
-            float(np.count_nonzero(inner.valid)) * float(np.median(np.diff(inner.tool.stamps_ns)))
-            / NS_PER_S for inner in (time_offset(own, np.zeros(1)).samples for own in self.given))
 
     def varied(self, vary: Variation, theta: Array) -> 'Ensemble':
         """Return them with what was given varied by some numbers."""
@@ -376,32 +369,32 @@ class Refined(NamedTuple):
 
 
 def refine(
-    objective: Objective, ensemble: Ensemble, block: Block, start: Array | None = None,
+    objective: Objective, ensemble: Ensemble, own: Hypothesis, start: Array | None = None,
     rounds: int = ROUNDS,
 ) -> Refined:
     """
-    Return the numbers of a block with which noise explains most.
+    Return the numbers of a hypothesis with which noise explains most.
 
-    The search begins at a start. Without one it begins at 0 and at the best of the block's starts,
-    and the better minimum is returned. Where K is far too small, steps are too long: they are
-    halved as long as less is left.
+    The search begins at a start. Without one it begins at 0 and at the best of its own starts, and
+    the better minimum is returned. Where K is far too small, steps are too long: they are halved
+    as long as less is left.
     """
-    steps = np.array(block.steps)
+    steps = np.array(own.steps)
 
     def at(theta: Array) -> Solved:
         """Return the residuals at given unknowns."""
-        return objective.solved(ensemble.varied(block.vary, theta))
+        return objective.solved(ensemble.varied(own.vary, theta))
 
     if start is None:
-        near = _first(objective, ensemble, block)
+        near = _first(objective, ensemble, own)
         starts = [near, np.zeros_like(near)] if near.any() else [near]
-        return min((refine(objective, ensemble, block, begin, rounds) for begin in starts),
+        return min((refine(objective, ensemble, own, begin, rounds) for begin in starts),
                    key=lambda found: found.solved.excess)
     theta, here = start, at(start)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
         step = -inverse_of(D.T @ D)[0] @ gradient
-        step *= min(1.0, float(np.min(block.furthest * steps / np.maximum(np.abs(step), 1e-300))))
+        step *= min(1.0, float(np.min(own.furthest * steps / np.maximum(np.abs(step), 1e-300))))
         best, taken = here, step
         for shorter in np.outer(0.5 ** np.arange(HALVINGS), step):
             further = at(theta + shorter)
@@ -418,11 +411,11 @@ def refine(
     return Refined(theta, covariance, here)
 
 
-def _first(objective: Objective, ensemble: Ensemble, block: Block) -> Array:
-    """Return the numbers among a block's starts that explain most, 0 without any."""
+def _first(objective: Objective, ensemble: Ensemble, own: Hypothesis) -> Array:
+    """Return the numbers among the starts of a hypothesis that explain most, 0 without any."""
     quiet = Ensemble(ensemble.given, ())
-    starts = [np.zeros(len(block.steps)), *block.starts(ensemble.given[0])]
-    return min(starts, key=lambda theta: objective.solved(quiet.varied(block.vary, theta)).excess)
+    starts = [np.zeros(len(own.steps)), *own.starts(ensemble.given[0])]
+    return min(starts, key=lambda theta: objective.solved(quiet.varied(own.vary, theta)).excess)
 
 
 def _derivatives(
@@ -440,7 +433,3 @@ def _derivatives(
             / (2.0 * step))
     D = np.column_stack(columns)
     return gradient, D - here.basis @ (here.basis.T @ D)  # what the cup explains as well
-
-
-FEWEST_SECONDS = 3.0
-"""Shortest duration of valid samples (s) for an estimate."""

@@ -1,6 +1,6 @@
-"""Variations of the given quantities of a recording, as pure functions, and their numbers."""
+"""Hypotheses on what was given with recordings, or on the cup: one list of variations."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,11 +11,13 @@ from bellows_ros.core.geometry.lie import (
     log_so3,
     mean_rotation,
 )
+from bellows_ros.core.identification.causes import radius_of_gyration
 from bellows_ros.core.identification.quantities import of_fixed_frame, payload_of, poses_of
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.alignment import closed_form, motion_of
+from bellows_ros.core.model.structure import Structure, STRUCTURES
+from bellows_ros.core.parameters.checks import GYRATION, INERTIA_UNITS
+from bellows_ros.core.recording.alignment import closed_form, levelling, motion_of, R_WORLD_MOTIVE
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -194,28 +196,45 @@ def _body_moved(given: Given, phi: Array, way: Array, about_lip: bool = False) -
     return _with(given, package=of_fixed_frame(given.samples.package, phi, way))
 
 
-class Block(NamedTuple):
+class Hypothesis(NamedTuple):
     """
-    Numbers that are varied together.
+    What may be otherwise.
 
     Parameters
     ----------
+    name : str
+        Of the cause: a name of fit.free, a parameter, or what the cup is.
     vary : Variation
-        What they do to a recording.
+        The change, by the numbers that are freed.
     steps : tuple of float
-        Change of each for derivatives.
+        Change of each number for derivatives; none where a setting is otherwise.
     starts : callable
         Numbers that are tried first, of a recording: where the weight stretches the cup by less
         than what is off, its stiffness has the wrong sign in a false minimum.
     furthest : float
         No round goes further than so many steps.
+    value : str
+        What the setting is then; which body where numbers of either may be freed.
+    more : int
+        Columns that the cup has more.
+    datum : bool
+        Whether something that was given is wrong, and not the cup otherwise.
 
     """
 
+    name: str
     vary: Variation
-    steps: tuple[float, ...]
+    steps: tuple[float, ...] = ()
     starts: Callable[[Given], Iterable[Array]] = lambda given: ()
     furthest: float = 200.0
+    value: str = ''
+    more: int = 0
+    datum: bool = True
+
+    @property
+    def freed(self) -> int:
+        """Numbers that it has more."""
+        return len(self.steps) + self.more
 
 
 RASTER = 0.01
@@ -224,8 +243,11 @@ RASTER = 0.01
 SLIPS_TRIED, LEAST_SLIP = 12, 2e-3
 """Times at which slips are tried, and their size, m."""
 
+FEWEST_SECONDS = 3.0
+"""Shortest duration of valid samples (s) with which an offset is looked for."""
+
 STARTS_ALONG_Z = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
-"""The same of lengths, m."""
+"""Lengths that are tried, m."""
 
 
 def _worlds(given: Given) -> list[Array]:
@@ -244,35 +266,79 @@ def _grips(given: Given) -> list[Array]:
     return [np.append(np.zeros(2), log_so3(turned))]
 
 
-BLOCKS = {
-    'time_offset': Block(time_offset, (1e-4,), lambda given:
-                         RASTER * np.arange(-20, 21)[:, None], 100.0),
-    'com': Block(quantity('com'), (1e-5,) * 3, lambda given:
-                 np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
-    'length': Block(length, (1e-5,), lambda given:
-                    STARTS_ALONG_Z[:, None], 500.0),
-    'package_world': Block(
-        quantity('package_world'), (1e-5,) * 6, _worlds, 5000.0),
-    'grip': Block(grip, (1e-5,) * 5, _grips, 5000.0),
-}
-"""Of what was given, by name."""
+QUANTITIES = (
+    Hypothesis('time_offset', time_offset, (1e-4,), lambda given:
+               RASTER * np.arange(-20, 21)[:, None], 100.0),
+    Hypothesis('com', quantity('com'), (1e-5,) * 3, lambda given:
+               np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
+    Hypothesis('length', length, (1e-5,), lambda given: STARTS_ALONG_Z[:, None], 500.0),
+    Hypothesis('package_world', quantity('package_world'), (1e-5,) * 6, _worlds, 5000.0),
+    Hypothesis('inertia', quantity('inertia'), (1e-3,), furthest=1000.0),
+    Hypothesis('gravity.direction', tilt, (1e-4,) * 2, furthest=1000.0),
+    Hypothesis('package_marker', grip, (1e-5,) * 5, _grips, 5000.0, 'package'),
+    Hypothesis('package_marker', tool_grip, (1e-5,) * 5, lambda given:
+               [-own for own in _grips(given)], 5000.0, 'tool'))
+"""
+What was given, as numbers.
 
-TOOL_GRIP = Block(
-    tool_grip, (1e-5,) * 5, lambda given: [-own for own in _grips(given)], 5000.0)
-"""Of the tool's frame."""
+K and P scaled with mass and inertia make the same motion. So another mass is the same as another
+inertia, and only one factor of all moments of inertia is tried.
+"""
 
-TILT = Block(tilt, (1e-4,) * 2, furthest=1000.0)
-"""Of the world's z against gravity."""
-
-SCALE = Block(quantity('inertia'), (1e-3,), furthest=1000.0)
-"""A common factor of all moments of inertia; with K and P free, equivalent to the mass."""
+OTHERWISE = tuple(Hypothesis(name, extra(name), more=6, datum=False)
+                  for name in ('drift', 'cubic', 'friction'))
+"""What the cup may be, whatever was given."""
 
 
-def slip_block(given: Given) -> Block:
+def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
+    """Yield all that may be otherwise with recordings given so, in a recording.world."""
+    given = recordings[0]
+    inner = time_offset(given, np.zeros(1)).samples
+    seconds = np.count_nonzero(inner.valid) * np.median(np.diff(inner.tool.stamps_ns)) / NS_PER_S
+    yield from QUANTITIES[0 if seconds > FEWEST_SECONDS else 1:]
+    yield from map(_slip_of, recordings)
+    yield from _packages(recordings)
+    for value, R in _other_worlds(world):
+        yield Hypothesis('recording.world', gravity(R), value=value)
+    for body in ('tool', 'package'):
+        for degrees in (90, 180, -90):
+            yield Hypothesis(
+                'yaw', yaw(np.radians(-degrees), body == 'tool'), value=f'{body} {degrees}')
+    yield Hypothesis('recording.package_frame', other_frame,
+                     value='com' if given.lip_recorded else 'lip')
+    own = given.structure
+    for other in STRUCTURES.values():
+        if other.size > own.size and other.contains(own):
+            yield Hypothesis('structure', structure(other), value=other.name,
+                             more=2 * (other.size - own.size), datum=False)
+    yield from OTHERWISE
+
+
+def _slip_of(given: Given) -> Hypothesis:
     """Return a slip of the package in one recording, tried at times and to sides all over it."""
     stamps = given.samples.package.stamps_ns
     times = np.linspace(0.0, float(stamps[-1] - stamps[0]) / NS_PER_S, SLIPS_TRIED + 2)[1:-1]
     starts = [np.array([*way, when]) for when in times
               for way in LEAST_SLIP * np.concatenate([np.eye(2), -np.eye(2)])]
-    return Block(slip(int(stamps[0])), (1e-5, 1e-5, 1e-2),
-                 lambda own: starts, 200.0)
+    return Hypothesis('slip', slip(int(stamps[0])), (1e-5, 1e-5, 1e-2), lambda own: starts)
+
+
+def _packages(recordings: Sequence[Given]) -> Iterator[Hypothesis]:
+    """Yield packages whose inertia is in another unit, or that are exchanged between two files."""
+    gyration = radius_of_gyration(recordings[0].samples.payload)
+    for unit, factor in INERTIA_UNITS:
+        if gyration > GYRATION[0] * np.sqrt(factor):
+            yield Hypothesis('inertia', in_other_unit(1.0 / factor), value=unit)
+    packages = {own.samples.payload.mass: own.samples.payload for own in recordings}
+    if len(packages) == 2:
+        yield Hypothesis('package.files', exchanged(*packages.values()),
+                         value='exchanged')
+
+
+def _other_worlds(world: str) -> Iterator[tuple[str, Array]]:
+    """Yield worlds other than the given one: values of a setting, and the turn to it."""
+    R = R_WORLD_MOTIVE if world == 'z_up' else R_WORLD_MOTIVE.T
+    yield 'motive_y_up' if world == 'z_up' else 'z_up', R
+    for down in np.concatenate([np.eye(3), -np.eye(3)[:2]]):
+        if down @ R[2] > -0.5:  # where things fall in the other world
+            yield f'gravity {down.astype(int).tolist()}', levelling(down)
