@@ -196,7 +196,7 @@ def _registered(
 ) -> Recording:
     """Return prepared streams, with world, marker and clock found that are not given."""
     estimate = values['recording.package_world'] == checks.ESTIMATE
-    late, marked = values['fit.time_offset'], 'package_marker' in values['fit.free']
+    late, marked = values['fit.time_offset'], _is_marked(settings, values)
     pose, alignment = _first_guess(tool, package, settings, values)
 
     def filtered(alignment: Alignment | None) -> AlignedStreams:
@@ -228,11 +228,17 @@ def _registered(
     return replace(recording, report=replace(recording.report, **changes))
 
 
+def _is_marked(settings: PrepareSettings, values: Mapping[str, Any]) -> bool:
+    """Return whether the marker is found, as no rest aligns it with a world that is not known."""
+    return 'package_marker' in values['fit.free'] or (
+        settings.align_at_rest and values['recording.package_world'] == checks.ESTIMATE)
+
+
 def _first_guess(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Mapping[str, Any],
 ) -> tuple[Array | None, Alignment | None]:
     """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
-    world, marked = values['recording.package_world'], 'package_marker' in values['fit.free']
+    world, marked = values['recording.package_world'], _is_marked(settings, values)
     pose = pose_of(world) if world not in ('', checks.ESTIMATE) else None
     poses, length, com = (
         (tool.trajectory(), package.trajectory()), values['cup.length'], settings.payload.com)
@@ -243,7 +249,7 @@ def _first_guess(
         return guess if world == checks.ESTIMATE else pose, grip
     if world == checks.ESTIMATE:
         origin = np.zeros(3) if settings.package_frame == 'lip' else -com
-        pose = closed_form(*poses, length, origin, settings.align_at_rest)
+        pose = closed_form(*poses, length, origin, False)
     return pose, None
 
 

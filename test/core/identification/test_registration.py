@@ -1,6 +1,8 @@
 """A camera in a world of its own, late, with a marker anywhere, is found with the cup."""
 
-from bellows_ros.core.geometry.lie import apply, exp_so3
+from dataclasses import replace
+
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import rough_offsets
@@ -113,3 +115,20 @@ def test_least_squares_takes_no_world_that_is_hardly_known():
         simulated.shake(axes=(2,), duration=4.0), tool=(0.01, 0.05), package=(0.01, 0.05))
     with pytest.raises(BellowsError, match='standard errors are'):
         reported(recording, recording__package_world='estimate', fit__method='least_squares')
+
+
+def test_a_marker_that_rest_aligns_is_found_with_the_world():
+    """The first guess of the world is too rough to align the marker by."""
+    tilts = [(0.25, 0.0, 0.1), (-0.15, 0.2, 0.5), (-0.1, -0.25, -0.4), (0.0, 0.0, 0.0)]
+    recording = simulated.record(simulated.standstills(tilts, hold=1.2), **NOISE)
+    R, marker = exp_so3(np.array([0.2, -0.3, 1.0])), exp_so3(np.array([0.05, -0.08, 0.4]))
+    poses = recording.package_pose
+    seen = replace(poses, position=poses.position @ R, rotation=R.T @ poses.rotation @ marker)
+    world = reported(
+        replace(recording, package_pose=seen, settings=replace(
+            recording.settings, align_at_rest=True, rest_duration=0.8)),
+        recording__package_world='estimate').package_world
+    back = quaternion_to_rotation(world.pose[3:])
+    middle = seen.position.mean(axis=0)
+    off = np.concatenate([back @ middle + world.pose[:3] - R @ middle, log_so3(back @ R.T)])
+    assert np.all(np.abs(off) < 4.0 * world.std) and np.all(world.std < 2e-4)
