@@ -249,7 +249,7 @@ def _first_guess(
         return guess if world == checks.ESTIMATE else pose, grip
     if world == checks.ESTIMATE:
         origin = np.zeros(3) if settings.package_frame == 'lip' else -com
-        pose = closed_form(*poses, length, origin, False)
+        pose = closed_form(*poses, length, origin)
     return pose, None
 
 

@@ -293,8 +293,7 @@ def _two_worlds(own: Recording, tool: Trajectory, package: Trajectory, lip: Arra
 
 def _world_of(own: Recording) -> Array:
     """Return a first guess (7,) of the pose of the package's world."""
-    return closed_form(
-        own.measured_tool, own.measured_package, THESIS_LENGTH, -own.payload.com, False)
+    return closed_form(own.measured_tool, own.measured_package, THESIS_LENGTH, -own.payload.com)
 
 
 def _in_one_world(own: Recording, found: Finding) -> Recording:

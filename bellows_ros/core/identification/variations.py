@@ -253,7 +253,7 @@ STARTS_ALONG_Z = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
 def _worlds(given: Given) -> list[Array]:
     """Return motions (6,) of the package's world: along z, also from that of one rigid body."""
     tool, package = given.samples.tool, given.samples.package
-    pose = closed_form(tool, package, given.length, -given.samples.payload.com, False)
+    pose = closed_form(tool, package, given.length, -given.samples.payload.com)
     rigid = motion_of(pose, package.position[package.valid].mean(axis=0))
     along = np.outer([0.0, *STARTS_ALONG_Z], np.eye(6)[2])
     return [*along[1:], *(rigid + along)]

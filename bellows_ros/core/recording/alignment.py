@@ -455,14 +455,13 @@ def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream
 
 
 def closed_form(
-    tool: Trajectory, package: Trajectory, length: float, origin_to_lip: Array, turned: bool
+    tool: Trajectory, package: Trajectory, length: float, origin_to_lip: Array
 ) -> Array:
     """
     Return a first guess (7,) of the pose of the package's world in the tool's.
 
-    The slowest poses are taken for those of one rigid body (hand and eye). The turn comes from
-    those by which both bodies rotate, or from the rotations themselves where the frames of tool
-    and package have the same axes; the position from linear equations.
+    The slowest poses are taken for those of one rigid body (hand and eye) whose frames have the
+    same axes.
 
     Parameters
     ----------
@@ -472,28 +471,18 @@ def closed_form(
         Of the cup, m.
     origin_to_lip : ndarray (3,)
         From the origin of the package's poses to the lip, in axes of S, m.
-    turned : bool
-        Whether the package's frame may be turned, and moved sideways, against the lip's.
 
     Raises
     ------
     BellowsError
-        If the two have too few poses in common, or nothing turns where that is needed.
+        If the two have too few poses in common.
 
     """
     hand, eye = slow_poses(tool, package)
-    R_tool, R_package = hand.rotation, eye.rotation
-    below = np.array([0.0, 0.0, -length])
-    if turned:
-        R = turn_of(R_tool, R_package)
-        # o_E + R_E (below - origin_to_lip + (dx, dy, 0)) = R o_M + o
-        A = np.concatenate([np.tile(np.eye(3), (len(hand), 1, 1)), -R_tool[:, :, :2]], axis=2)
-        b = hand.position + lie.apply(R_tool, below - origin_to_lip) - lie.apply(R, eye.position)
-        position = np.linalg.lstsq(A.reshape(-1, 5), b.ravel(), rcond=1e-6)[0][:3]
-    else:
-        R = lie.mean_rotation(R_tool @ np.swapaxes(R_package, 1, 2))
-        position = np.mean(hand.position + lie.apply(R_tool, below - origin_to_lip)
-                           - lie.apply(R, eye.position), axis=0)
+    R = lie.mean_rotation(hand.rotation @ np.swapaxes(eye.rotation, 1, 2))
+    below = np.array([0.0, 0.0, -length]) - origin_to_lip
+    position = np.mean(
+        hand.position + lie.apply(hand.rotation, below) - lie.apply(R, eye.position), axis=0)
     return np.concatenate([position, lie.rotation_to_quaternion(R)])
 
 
