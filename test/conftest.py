@@ -12,6 +12,7 @@ import importlib.util
 import os
 from pathlib import Path
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -52,6 +53,10 @@ def _library_folders():
     packages = Path(sys.prefix, 'lib', f'python{sys.version_info[0]}.{sys.version_info[1]}')
     return [path.resolve() for path in (packages / 'site-packages').glob('ros_*.libs')]
 
+
+# In the background and under nohup they are ignored, also by the commands of the tests.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 LOGS = tempfile.TemporaryDirectory(prefix='bellows_ros_log_')
 isolate(LOGS.name)
