@@ -36,7 +36,7 @@ def run(short: bool) -> dict[str, Any]:
     tool = plan()
     along = PlanSimulation(MODEL, GRIP, tool, tail=0.0)
     subjects: dict[str, Work] = {
-        'predict': partial(along.predict, 1.0),
+        'predict': along.predict,
         'shortest safe time': partial(fastest, KNOWN, MODEL, GRIP, tool, 1.5),
         **{f'steer, {method}': partial(steer, MODEL, tool, method) for method in METHODS},
     }

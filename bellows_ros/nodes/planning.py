@@ -31,7 +31,7 @@ from ..core.model.simulation import tool_rows, ToolRows
 from ..core.model.validity_range import known_envelope
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.limits import NO_LIMITS, stretched
-from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation, predict
+from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation
 from ..core.planning.points import joint_excess, JointPath, Joints, plan_of_joints, rows_of, timed
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
@@ -168,7 +168,8 @@ class Planning:
         """Compile the answer to a plan, by answering a dummy plan."""
         at_rest = PlanTracker(_still(), 0)
         at_rest.follow(STILL)
-        predict(self._live.model, grip_of(self.values), at_rest.rest(STILL), tail=0.1)
+        PlanSimulation(
+            self._live.model, grip_of(self.values), at_rest.rest(STILL), tail=0.1).predict()
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         gc.freeze()
 

@@ -219,7 +219,7 @@ class PlanReport(CommandResult):
             factor, limit = joint_excess(
                 source.joints.arm, source.joints.along(tool, source.tool), math.inf)
             tool = timed(tool, factor * TIME_ROUNDING if limit else 1.0)
-        return tool, PlanSimulation(source.model, None, tool, tail=0.0).predict(1.0).states, limit
+        return tool, PlanSimulation(source.model, None, tool, tail=0.0).states(), limit
 
     @cached_property
     def curves(self) -> Curves:
@@ -294,10 +294,10 @@ def plan(
     source = plan_with_cup(path, settings, urdf, topic)
     values, model, grip = source.values, source.model, source.grip
     run = PlanSimulation(model, grip, source.tool)
-    prediction = run.predict(1.0)
+    prediction = run.predict()
 
     def figures(changed: ModelTuple) -> Array:
-        found = run.with_model(changed).predict(1.0).figures()
+        found = run.with_model(changed).predict().figures()
         found['settled_after'] = min(found['settled_after'], LONGEST_TAIL)  # it jumps there
         return np.array(list(found.values()))
 
@@ -343,7 +343,7 @@ def curves(
     run = PlanSimulation(model, grip, tool, start, tail=0.0)
 
     def compute(changed: ModelTuple) -> Array:
-        found = run.with_model(changed).predict(1.0)
+        found = run.with_model(changed).predict()
         angle = bending(tool.rotation, quaternion_to_rotation(found.states[:, 3:7]))
         factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
         return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])

@@ -260,8 +260,8 @@ def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float
     run, longer = PlanSimulation(model, source.grip, tool), standing(tool, TAIL)
     square = mean_square(
         source.values, model,
-        lambda changed: float(run.with_model(changed).predict(1.0).figures()['swing_left']))
+        lambda changed: float(run.with_model(changed).predict().figures()['swing_left']))
     return SteeredMotion(
-        tool, run.predict(1.0), arrival - source.duration, longer,
-        PlanSimulation(model, None, longer, tail=0.0).predict(1.0).states, standing(wanted, TAIL),
+        tool, run.predict(), arrival - source.duration, longer,
+        PlanSimulation(model, None, longer, tail=0.0).states(), standing(wanted, TAIL),
         math.sqrt(square))

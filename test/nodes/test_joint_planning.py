@@ -3,7 +3,7 @@
 from bellows_ros.core.geometry.lie import log_se3, rotation_to_quaternion, transform
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.planning.arm import read_arm
-from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, plan_of_joints
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.files.plan_messages import decode_multi_dof
@@ -102,7 +102,8 @@ def test_joints_lead_to_a_flange_with_the_tip_beside_it(make_partner):
     def swing_left(T_world_E):
         poses = plan_of(np.round(1e9 * np.array(seconds)).astype(np.int64), T_world_E[:, :3, 3],
                         rotation_to_quaternion(T_world_E[:, :3, :3]))
-        return float(np.degrees(predict(MODEL, None, poses).figures()['swing_left']))
+        found = PlanSimulation(MODEL, None, poses).predict()
+        return float(np.degrees(found.figures()['swing_left']))
 
     assert swing_left(flange @ tip) < 0.05
     assert swing_left(flange) > 3.0 * swing_left(flange @ tip)

@@ -5,7 +5,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import plan_of
 from bellows_ros.core.planning.steering import hanging
 from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage
@@ -94,7 +94,7 @@ def test_a_plan_is_answered_before_the_tool_moves(planner):
     planner.send(message())
     planner.wait(lambda: planner.plans and planner.heard['path'])
     (found,), (path,) = planner.plans, planner.heard['path']
-    truth = predict(MODEL, GRIP, MOVE.plan(500))
+    truth = PlanSimulation(MODEL, GRIP, MOVE.plan(500)).predict()
     assert found.names == ('package',) and len(path.poses) == len(found.times_ns) == 101
     assert_allclose(found.poses[:, :3], truth.states[::5, :3], atol=0.2e-6)
     assert_allclose(found.twists, truth.states[::5, 7:], atol=1e-4)
@@ -159,7 +159,7 @@ def test_a_request_is_answered(planner):
     ask(-5 * MS)
     ask(500 * MS)
     planner.wait(lambda: len(planner.heard['at']) == 2)
-    truth = predict(MODEL, None, MOVE.plan(500)).states[250]
+    truth = PlanSimulation(MODEL, None, MOVE.plan(500)).predict().states[250]
     answer = planner.heard['at'][1]
     assert answer.header.stamp.nanosec == 500 * MS and answer.child_frame_id == 'package'
     assert_allclose(answer.pose.pose.position.x, truth[0], atol=2e-5)
@@ -180,7 +180,7 @@ def test_a_motion_is_steered(planner, of_package):
     found = planner.heard['steered'][0]
     tool = plan_of(found.times_ns, found.poses[:, :3], found.poses[:, 3:], found.twists,
                    twist_frame='tool')
-    assert np.degrees(predict(MODEL, None, tool).figures()['swing_left']) < 0.01
+    assert np.degrees(PlanSimulation(MODEL, None, tool).predict().figures()['swing_left']) < 0.01
 
 
 def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
@@ -200,7 +200,8 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     planner.partner.send_pose(START, first[:3], first[3:])
     planner.partner.send_twist(START)
     planner.partner.wait_for_poses(1)
-    o, truth = planner.partner.poses[0].pose.position, predict(MODEL, GRIP, move.plan(500))
+    truth = PlanSimulation(MODEL, GRIP, move.plan(500)).predict()
+    o = planner.partner.poses[0].pose.position
     assert_allclose([o.x, o.y, o.z], truth.states[0, :3], atol=1e-6)
     planner.send(of_flange)
     planner.wait(lambda: planner.plans)
@@ -212,7 +213,7 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     poses = in_frame(found.poses, T_flange_E)
     assert_allclose(poses[0], plan.poses[0], atol=1e-6)
     tool = plan_of(found.times_ns, poses[:, :3], poses[:, 3:])
-    assert np.degrees(predict(MODEL, None, tool).figures()['swing_left']) < 0.02
+    assert np.degrees(PlanSimulation(MODEL, None, tool).predict().figures()['swing_left']) < 0.02
 
 
 @pytest.mark.parametrize(('changes', 'words'), [

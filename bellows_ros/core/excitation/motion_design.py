@@ -398,7 +398,7 @@ def loads(
 ) -> Array:
     """Return the largest parts (M, 4) of limits `LOADS` with M models; (M, 2) without a grip."""
     tool = motion.at_rate(CHECK_RATE)
-    found = [PlanSimulation(model, grip, tool).predict(1.0) for model in models]
+    found = [PlanSimulation(model, grip, tool).predict() for model in models]
     return np.array([
         [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
          *(limits.safety * each.peaks[:2, 0] if grip else ())] for each in found])

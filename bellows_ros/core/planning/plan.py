@@ -1,5 +1,5 @@
 """
-PlanPrediction of the package along a plan of the tool, in one compiled pass.
+Prediction of the package along a plan of the tool, in one compiled pass.
 
 A plan is a `Trajectory` of E with body twists; the tool moves between its points along the cubic
 Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.
@@ -7,6 +7,7 @@ Hermite curve, and stands still after the last one. Loads are 1 / safety factor 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 import math
@@ -147,12 +148,9 @@ class PlanPrediction:
         return beyond(known, here)
 
 
-def predict(
-    model: ModelTuple, grip: Grip | None, tool: Trajectory | simulation.ToolRows,
-    start: State | None = None, tail: float = LONGEST_TAIL,
-) -> PlanPrediction:
+class PlanSimulation:
     """
-    Predict the package along a plan and while it swings out.
+    A plan made ready to be predicted, also at several speeds and with other models.
 
     Parameters
     ----------
@@ -161,28 +159,22 @@ def predict(
     grip : tuple, optional
         As `grip_of` returns it; without it the safety factor is unknown.
     tool : Trajectory or ToolRows
-        A plan, as `plan_points.plan_of` returns it.
+        A plan, as `points.plan_of` returns it.
     start : State, optional
         Of B in the world at the first point; in steady motion there when left out.
     tail : float
         Longest time (s) simulated after the end.
+    longest : float
+        Longest step of the integration (s); that of the model when left out.
+    stop : bool array (1,)
+        Ends the work with a BellowsError as soon as another thread sets it to true.
 
     Raises
     ------
     BellowsError
-        If the package cannot rest under the tool, or the prediction does not stay finite.
+        If the package cannot rest under the tool; and later, if the prediction does not stay
+        finite.
 
-    """
-    return PlanSimulation(model, grip, tool, start, tail).predict(1.0)
-
-
-class PlanSimulation:
-    """
-    A plan made ready to be predicted at several speeds.
-
-    Parameters are those of `predict`; `tail` is the simulated time after the end (s), and
-    `longest` the longest step of the integration (s), that of the model when left out. `stop`
-    (1,) ends the work with a BellowsError as soon as another thread sets it to true.
     """
 
     def __init__(
@@ -220,14 +212,14 @@ class PlanSimulation:
             self._simulate_decay(ceiling)
         return float(self._out[3][:2, 0].max())
 
-    def predict(self, duration_scale: float) -> PlanPrediction:
-        """Return the prediction of the plan stretched in time by a factor."""
-        self.states(duration_scale)
+    def predict(self) -> PlanPrediction:
+        """Return the prediction of the plan as it is, and of the package swinging out."""
+        self.states()
         return self.prediction()
 
-    def states(self, duration_scale: float = 1.0) -> Array:
+    def states(self) -> Array:
         """Predict along the plan alone, which is available first, as an array (N, 13)."""
-        self._simulate_plan(duration_scale, math.inf)
+        self._simulate_plan(1.0, math.inf)
         states = self._out[0].copy()
         if not np.isfinite(states).all():
             raise simulation.diverged()
@@ -247,33 +239,28 @@ class PlanSimulation:
         self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
                      np.empty((len(PEAKS), 3)), np.empty((6, 3)))
         self._past = np.full((len(PEAKS), 4), math.inf)  # no sample yet
-        try:
-            self._body, self._seconds, below = _simulate_plan(
-                self._model, self._grip or UNKNOWN_GRIP, self._start, *self._inputs,
-                duration_scale, self._longest, ceiling, *self._out, self._past, self._stop)
-        except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
-            raise simulation.diverged() from None
-        self._require_not_stopped()
+        self._body, self._seconds, below = self._run(
+            _simulate_plan, self._start, *self._inputs, duration_scale, self._longest, ceiling,
+            *self._out, self._past)
         return bool(below)
 
     def _simulate_decay(self, ceiling: float) -> float:
         """Continue after the end; return the time (s) until the package has settled."""
         h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
         _, _, _, peaks, lip = self._out
+        return float(self._run(
+            _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
+            self._seconds, h, math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
+
+    def _run(self, simulate: Callable[..., Any], *given: Any) -> Any:
+        """Return what a kernel does; raise where it diverges or another thread has stopped it."""
         try:
-            settled = float(_simulate_decay(
-                self._model, self._grip or UNKNOWN_GRIP, self._end[1],
-                simulation.row_state(self._inputs[0][-1]), self._body, self._seconds, h,
-                math.ceil(self._tail / h), ceiling, peaks, self._past, lip, self._stop))
+            found = simulate(self._model, self._grip or UNKNOWN_GRIP, *given, self._stop)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise simulation.diverged() from None
-        self._require_not_stopped()
-        return settled
-
-    def _require_not_stopped(self) -> None:
-        """Raise where another thread has stopped the prediction."""
         if self._stop[0]:
             raise BellowsError('The prediction was stopped before its end.')
+        return found
 
 
 def rest_after(

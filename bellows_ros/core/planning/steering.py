@@ -26,7 +26,7 @@ from bellows_ros.core.planning.limits import TooFastError
 from bellows_ros.core.planning.plan import (
     PEAK_MOMENT_BENDING,
     PlanPrediction,
-    predict,
+    PlanSimulation,
     rest_after,
     SETTLED,
 )
@@ -497,7 +497,8 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
         first = None if of_package else simulation.state_row(*np.split(row, [3, 7]))
         return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
     tool = tool_above(model, plan) if of_package else plan
-    modes = to_shape(modes_left(model, predict(model, None, tool, tail=0.0)), method)
+    found = PlanSimulation(model, None, tool, tail=0.0).predict()
+    modes = to_shape(modes_left(model, found), method)
     moved = shaped(tool, *impulses(modes, method))
     return Steered(moved, hanging(model, moved), 0.0, modes)
 

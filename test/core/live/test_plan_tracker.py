@@ -10,7 +10,7 @@ from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.model.simulation import state_row, ToolRows
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
@@ -122,7 +122,7 @@ def test_a_plan_replayed_as_live_poses_agrees_with_its_prediction():
         rows += live.on_twist(stamp, tuple(v[:3]), tuple(v[3:]))
     ahead = PlanTracker(plan, T0)
     ahead.follow(rows[0])
-    found = predict(MODEL, None, ahead.rest(rows[0], 0.0), rows[0].body)
+    found = PlanSimulation(MODEL, None, ahead.rest(rows[0], 0.0), rows[0].body).predict()
     assert len(rows) == len(found.states) == len(plan)
     assert_allclose(found.states[:, :3], [row.position for row in rows], atol=0.2e-6)
     q = np.array([row.quaternion_xyzw for row in rows])

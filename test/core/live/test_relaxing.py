@@ -11,7 +11,7 @@ from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
 from bellows_ros.core.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.planning.plan import predict
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 import numpy as np
@@ -122,7 +122,7 @@ def test_observer_follows_creep_without_an_alarm():
 
 def test_a_plan_is_predicted_and_steered():
     tool = SLIDE.plan()
-    found = predict(MODEL, GRIP, tool)
+    found = PlanSimulation(MODEL, GRIP, tool).predict()
     expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
     assert_allclose(found.states[:, :3], expected.position, atol=1e-8)
     steered = steer(MODEL, tool, 'inverse')
@@ -138,7 +138,7 @@ def test_a_toss_holds_until_its_release():
     plan = Move([0.6, 0.0, 0.3], [0.0, 0.0, 0.0], 0.6).plan()
     held = HeldMotion(MODEL, GRIP, plan)
     thrown = toss(held, release, 0.3)
-    direct = predict(MODEL, GRIP, plan)
+    direct = PlanSimulation(MODEL, GRIP, plan).predict()
     assert held.states.shape[1] == direct.states.shape[1] == 13
     plain = toss(HeldMotion(PLAIN, GRIP, plan), release, 0.3)
     assert math.dist(thrown.landing[0], plain.landing[0]) > 1e-4

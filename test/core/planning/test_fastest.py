@@ -11,7 +11,7 @@ from bellows_ros.core.model.perturbed import (
     perturbed,
 )
 from bellows_ros.core.planning.limits import fastest
-from bellows_ros.core.planning.plan import PlanSimulation, predict
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, timed
 import numpy as np
 from numpy.testing import assert_allclose
@@ -47,7 +47,8 @@ def shake(size, duration=2.0, cycles=6):
 
 def smallest(model, plan, scale):
     """Return the smallest safety factor of a plan driven so many times as slowly."""
-    return np.array(predict(model, GRIP, timed(plan, scale), tail=1.0).smallest_safety[0])
+    run = PlanSimulation(model, GRIP, timed(plan, scale), tail=1.0)
+    return np.array(run.predict().smallest_safety[0])
 
 
 def lower_end(values, model, plan, scale):
@@ -119,7 +120,7 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
     run = PlanSimulation(MODEL, GRIP, plan, tail=0.5)
 
     def figures(model):
-        found = run.with_model(model).predict(1.0).figures()
+        found = run.with_model(model).predict().figures()
         return np.array([found[name] for name in names])
 
     _, parts = contributions(VALUES, MODEL, figures)

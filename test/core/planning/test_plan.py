@@ -12,7 +12,7 @@ from bellows_ros.core.geometry.lie import (
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import state_row
-from bellows_ros.core.planning.plan import predict, SETTLED
+from bellows_ros.core.planning.plan import PlanSimulation, SETTLED
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
@@ -67,7 +67,7 @@ def loads(grips, wrench):
 
 def test_agrees_with_an_independent_integrator():
     plan = TWIST.plan()
-    found = predict(MODEL, GRIP, plan)
+    found = PlanSimulation(MODEL, GRIP, plan).predict()
     batch = Batch(CUP, [TWIST], [PACKAGE])
     rows = list(batch.run(*batch_start([(TWIST, PACKAGE, GRIP)]), TWIST.duration, len(plan) - 1))
     T = np.array([row[2][0] for row in rows])
@@ -81,7 +81,7 @@ def test_agrees_with_an_independent_integrator():
 
 def test_figures_are_those_of_a_fine_simulation():
     plan = TWIST.plan()
-    found = predict(MODEL, GRIP, plan)
+    found = PlanSimulation(MODEL, GRIP, plan).predict()
     figures = found.figures()
     batch = Batch(CUP, [TWIST], [PACKAGE])
     rows, turns, settled = [], [], 0.0
@@ -119,7 +119,7 @@ def top(values):
 
 def test_moment_of_the_rigid_load_is_that_of_the_move():
     """A slide of D in T has its largest acceleration 10/sqrt(3) D/T^2 (quintic)."""
-    figures = predict(MODEL, None, SLIDE.plan()).figures()
+    figures = PlanSimulation(MODEL, None, SLIDE.plan()).predict().figures()
     largest = 10 / math.sqrt(3) * 0.6 / 0.5 ** 2
     assert_allclose(figures['rigid_peak_moment'], 1.8 * 0.03 * largest, rtol=1e-3)
     assert math.isnan(figures['smallest_safety_factor'])
@@ -128,7 +128,7 @@ def test_moment_of_the_rigid_load_is_that_of_the_move():
 
 
 def test_a_plan_at_rest_moves_nothing():
-    found = predict(MODEL, GRIP, Move([0, 0, 0], [0, 0, 0], 0.3).plan(100))
+    found = PlanSimulation(MODEL, GRIP, Move([0, 0, 0], [0, 0, 0], 0.3).plan(100)).predict()
     assert_allclose(found.states, np.tile(found.states[0], (31, 1)), atol=1e-9)
     figures = found.figures()
     assert figures['swing_left'] < 1e-7 and figures['settled_after'] == 0.0
@@ -138,9 +138,9 @@ def test_a_plan_at_rest_moves_nothing():
 
 def safety_of(cases):
     """Return the smallest safety factor that is predicted for each case."""
-    return np.array([
-        predict(model_tuple(CUP, package, 9.81), grip, move.plan(250)).smallest_safety[0]
-        for move, package, grip in cases])
+    runs = (PlanSimulation(model_tuple(CUP, package, 9.81), grip, move.plan(250))
+            for move, package, grip in cases)
+    return np.array([run.predict().smallest_safety[0] for run in runs])
 
 
 def test_never_holds_what_lets_go():
@@ -188,7 +188,7 @@ def test_a_plan_that_begins_in_steady_motion_goes_on_so(pull, rate):
         np.outer(t, pull))
     twist = np.hstack([np.einsum('nji,nj->ni', R, v), np.tile([0.0, 0.0, rate], (len(t), 1))])
     tool = Trajectory((t * 1e9).round().astype(np.int64), at, R, twist)
-    found = predict(model_tuple(CUP, PACKAGE, 9.81), None, tool, tail=0.0)
+    found = PlanSimulation(model_tuple(CUP, PACKAGE, 9.81), None, tool, tail=0.0).predict()
     R_tool_package = np.swapaxes(R, -1, -2) @ quaternion_to_rotation(found.states[:, 3:7])
     shift = np.einsum('nji,nj->ni', R, found.states[:, :3] - at)
     assert np.ptp(R_tool_package, axis=0).max() < 2e-6 and np.ptp(shift, axis=0).max() < 1e-7

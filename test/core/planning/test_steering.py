@@ -8,7 +8,7 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.simulation import rest, tool_rows
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
-from bellows_ros.core.planning.plan import PlanSimulation, predict
+from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import curve_of
 from bellows_ros.core.planning.steering import SwingMode
 from bellows_ros.core.signals.resampling import resample
@@ -107,11 +107,11 @@ def test_shaping_is_as_in_the_table():
 
     def row(tool, wanted):
         run = PlanSimulation(MODEL, None, tool)
-        found = run.predict(1.0)
+        found = run.predict()
         tilt = angle(quaternion_to_rotation(found.states[:, 3:7]), wanted.rotation).max()
         return (float(tool.seconds[-1]) - 0.5, tilt,
                 *(math.degrees(each.figures()['swing_left'])
-                  for each in (found, run.with_model(softer).predict(1.0))))
+                  for each in (found, run.with_model(softer).predict())))
 
     assert_allclose(row(plan, steering.hanging(MODEL, plan))[1:3], (27.4, 14.4), atol=0.1)
     zv, zvd = (steering.steer(MODEL, plan, name) for name in ('zv', 'zvd'))
@@ -143,7 +143,8 @@ def test_impulses_cancel_a_mode(method):
 
 def test_modes_are_those_of_mass_and_spring():
     """With the centre of mass on the axis the axial mode is on its own; so is torsion."""
-    modes = steering.modes_left(MODEL, predict(MODEL, None, SLIDE.plan(), tail=0.0))
+    found = PlanSimulation(MODEL, None, SLIDE.plan(), tail=0.0).predict()
+    modes = steering.modes_left(MODEL, found)
     for k, d, m in ((9200.0, 24.0, 1.8), (1.35, 0.1, 0.00984)):
         frequency, damping = math.sqrt(k / m) / (2 * math.pi), d / (2 * math.sqrt(k * m))
         near = min(modes, key=lambda mode: abs(mode.frequency - frequency))
@@ -212,7 +213,7 @@ def test_the_expected_swing_is_that_of_monte_carlo():
     run = PlanSimulation(MODEL, None, tool, tail=0.5)
 
     def swing(model):
-        return run.with_model(model).predict(1.0).figures()['swing_left']
+        return run.with_model(model).predict().figures()['swing_left']
 
     rng = np.random.default_rng(3)
     std = perturbed.deviations_of(VALUES)
