@@ -186,9 +186,9 @@ def excite(
     structure = fitted_structure(values)
     cup, package = cup_package.one_cup_of(values), cup_package.package_of(values)
     gravity = checks.gravity_of(values)
-    grip, models = grip_of(values), [
+    checked = motion_design.Checks(bounds, [
         cup_package.model_tuple(cup_package.gripper_of(each, structure.places), package, gravity)
-        for each in motion_design.cups_near(cup)]
+        for each in motion_design.cups_near(cup)], grip_of(values))
 
     def errors_of(tool: Trajectory) -> Array:
         return fisher.standard_errors(fisher.motion_information(
@@ -196,7 +196,7 @@ def excite(
 
     plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
     found = motion_design.design(
-        cup, package, gravity, grip, structure, bounds, tracking, duration, seed, progress, hold)
+        cup, package, gravity, structure, checked, tracking, duration, seed, progress, hold)
     period = tracking.package_period
     others = {}
     for path, tool in plans.items():
@@ -205,8 +205,8 @@ def excite(
         others[path] = errors_of(resample(tool, tool.stamps_ns[0] + at))
     guess = structure.parameters(cup.stiffness, cup.damping)
     more: dict[str, Motion] = {
-        STANDSTILLS: motion_design.standstills(bounds, models, grip), EXCITATION: found.motion,
-        VALIDATION: motion_design.everyday(bounds, models, grip, duration, seed),
+        STANDSTILLS: motion_design.standstills(checked), EXCITATION: found.motion,
+        VALIDATION: motion_design.everyday(checked, duration, seed),
     } if with_series else {}
     series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
               for name, motion in more.items()}

@@ -125,10 +125,6 @@ class FourierMotion(Vibration):
         """Of the last harmonic, Hz."""
         return len(self.coefficients) / self.period
 
-    def scaled(self, factor: float) -> 'FourierMotion':
-        """Return the motion multiplied by a factor."""
-        return replace(self, coefficients=factor * self.coefficients)
-
     def displacement(self, t: Array) -> Array:
         """Return displacement and rotation vector since the start, and their rates (2, N, 6)."""
         tau = np.asarray(t) - self.rest_duration
@@ -151,14 +147,36 @@ class FourierMotion(Vibration):
         return out
 
 
+class Checks(NamedTuple):
+    """Limits of a motion, the models of which each may be right, and the grip if it is known."""
+
+    limits: ArmLimits
+    models: Sequence[ModelTuple]
+    grip: Grip | None
+
+    def ratios(self, motion: Motion) -> dict[str, float]:
+        """Return the largest part of every limit that a motion takes, whatever model is right."""
+        worst = self.loads(motion).max(axis=0).tolist()
+        return self.limits.ratios(motion) | dict(zip(LOADS, worst, strict=False))
+
+    def loads(self, motion: Motion) -> Array:
+        """Return the largest parts (M, 4) of limits `LOADS` with M models; (M, 2) without grip."""
+        tool, limits = motion.at_rate(CHECK_RATE), self.limits
+        found = [PlanSimulation(model, self.grip, tool).predict() for model in self.models]
+        return np.array([
+            [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
+             *(limits.safety * each.peaks[:2, 0] if self.grip else ())] for each in found])
+
+
 class MotionObjective:
     """The negative mean log determinant as a function of the coefficients' shape, with slopes."""
 
     def __init__(
-        self, limits: ArmLimits, period: float, models: Sequence[ModelTuple], grip: Grip | None,
-        responses_at: Callable[[Array], list[Response]], rate_hz: float,
+        self, checks: Checks, period: float, responses_at: Callable[[Array], list[Response]],
+        rate_hz: float,
     ) -> None:
         """Set the limits, and the package's response at frequencies (rad/s)."""
+        limits, models, grip = checks
         self.count = max(2, math.floor(limits.highest_frequency * period))
         wide = self.count + math.ceil(2.0 * period / RAMP)  # the ramps widen the lines
         self.points = 2 ** math.ceil(math.log2(POINTS_PER_PERIOD * self.count))
@@ -289,22 +307,20 @@ class Design(NamedTuple):
 
 
 def design(
-    cup: Cup, package: Package, gravity: Array | float, grip: Grip | None, structure: Structure,
-    limits: ArmLimits, tracking: Tracking, duration: float, seed: int, progress: Progress,
-    hold: float = 0.0,
+    cup: Cup, package: Package, gravity: Array | float, structure: Structure, checks: Checks,
+    tracking: Tracking, duration: float, seed: int, progress: Progress, hold: float = 0.0,
 ) -> Design:
     """
     Return the motion that is most informative on K and P, and a hold of a tilt after it.
 
     Parameters
     ----------
-    cup, package, gravity, grip
-        The cup as it is guessed, what hangs on it, and how it is held; without a grip nothing is
-        known of its safety factor.
+    cup, package, gravity
+        The cup as it is guessed, and what hangs on it.
     structure : Structure
         Which entries of K and P are free.
-    limits : ArmLimits
-        Of the arm, the cup and the grip.
+    checks : Checks
+        Limits of the arm, the cup and the grip, with the models of `cups_near` the guess.
     tracking : Tracking
         How both bodies will be tracked.
     duration : float
@@ -326,22 +342,21 @@ def design(
 
     minimise: Any = optimize.minimize
     period = duration - REST
-    cups = cups_near(cup)
-    models = [model_tuple(gripper_of(each, structure.places), package, gravity) for each in cups]
-    at = state_row(limits.start.position, rotation_to_quaternion(limits.start.rotation))
+    start = checks.limits.start
+    at = state_row(start.position, rotation_to_quaternion(start.rotation))
 
     def responses_at(omega: Array) -> list[Response]:
         return [fisher.response(
             lambda x: model_tuple(gripper_of(
                 Cup(*structure.matrices(x), cup.length), structure.places), package, gravity),
             structure.parameters(each.stiffness, each.damping),
-            structure.sizes(each.stiffness, each.damping), at, omega, tracking) for each in cups]
+            structure.sizes(each.stiffness, each.damping), at, omega, tracking)
+            for each in cups_near(cup)]
 
-    search = MotionObjective(
-        limits, period, models, grip, responses_at, 1.0 / tracking.package_period)
+    search = MotionObjective(checks, period, responses_at, 1.0 / tracking.package_period)
     rng = np.random.default_rng(seed)
     best, shares, shape = -math.inf, dict[str, float](), np.empty(0)
-    motion = still = _held(limits, models, grip, period, hold)
+    motion = still = _held(checks, period, hold)
     for number, (power, most) in enumerate(STARTS * STAGES):
         progress('designing the motion', number / (STARTS * len(STAGES)))
         if number % len(STAGES) == 0:
@@ -351,22 +366,21 @@ def design(
             'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': ENOUGH}).x
         coefficients, now = search.within(shape, power)
         moved = replace(still, coefficients=coefficients)
-        worst = loads(moved, limits, models, grip).ravel()
+        worst = checks.loads(moved).ravel()
         reached = search.criterion(coefficients / max(1.0, float(worst.max())))
         if reached > best:
             best, motion, shares = reached, moved, now
         search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** STRONGER, 1.0)
-    motion, ratios = _within(motion, limits, models, grip)
+    motion, ratios = _within(motion, checks)
     progress('computing the expected errors', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)
     return Design(motion, ratios, shares, fisher.motion_information(
         cup, package, gravity, tool, tracking, structure))
 
 
-def _held(
-    limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None, period: float, hold: float,
-) -> FourierMotion:
+def _held(checks: Checks, period: float, hold: float) -> FourierMotion:
     """Return a hold alone, tilted about x and y by as much as the limits permit, or none."""
+    limits = checks.limits
     still = FourierMotion(limits.start, period, np.zeros((1, 6)))
     tilt = TILT_SHARE * np.array([*limits.turn[:2], 0.0])
     for _ in range(MOST_TRIES if hold and tilt.any() else 0):
@@ -374,7 +388,7 @@ def _held(
         move = max((peak * float(np.linalg.norm(tilt)) / (0.9 * limit)) ** (1.0 / order)
                    for order, (peak, limit) in enumerate(zip(SEPTIC_PEAKS, most, strict=True), 1))
         held = replace(still, tilt=tilt, move=max(move, RAMP), hold=hold)
-        if max(all_ratios(held, limits, models, grip).values()) <= 1.0 - 2.0 * MARGIN:
+        if max(checks.ratios(held).values()) <= 1.0 - 2.0 * MARGIN:
             return held
         tilt = LESS_TILT * tilt
     return still
@@ -383,25 +397,6 @@ def _held(
 def cups_near(cup: Cup) -> list[Cup]:
     """Return the guessed cup, a softer one and a stiffer one."""
     return [replace(cup, stiffness=factor * cup.stiffness) for factor in GUESS_FACTORS]
-
-
-def all_ratios(
-    motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
-) -> dict[str, float]:
-    """Return the largest part of every limit that a motion takes, whatever model is right."""
-    worst = loads(motion, limits, models, grip).max(axis=0).tolist()
-    return limits.ratios(motion) | dict(zip(LOADS, worst, strict=False))
-
-
-def loads(
-    motion: Motion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
-) -> Array:
-    """Return the largest parts (M, 4) of limits `LOADS` with M models; (M, 2) without a grip."""
-    tool = motion.at_rate(CHECK_RATE)
-    found = [PlanSimulation(model, grip, tool).predict() for model in models]
-    return np.array([
-        [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
-         *(limits.safety * each.peaks[:2, 0] if grip else ())] for each in found])
 
 
 def load_rows(
@@ -432,16 +427,15 @@ def load_rows(
     return rows
 
 
-def _within(
-    motion: FourierMotion, limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None
-) -> tuple[FourierMotion, dict[str, float]]:
+def _within(motion: FourierMotion, checks: Checks) -> tuple[FourierMotion, dict[str, float]]:
     """Return a motion scaled up to the limits, or down until it is within, and its parts."""
     for attempt in range(20):
-        ratios = all_ratios(motion, limits, models, grip)
+        ratios = checks.ratios(motion)
         worst = max(ratios, key=lambda name: ratios[name])
         if ratios[worst] <= 1.0 and (attempt > 3 or ratios[worst] > 1.0 - 2.0 * MARGIN):
             return motion, ratios
-        motion = motion.scaled((1.0 - MARGIN) / min(ratios[worst], 4.0))
+        factor = (1.0 - MARGIN) / min(ratios[worst], 4.0)
+        motion = replace(motion, coefficients=factor * motion.coefficients)
     raise BellowsError(
         f'No motion meets the limits: even at rest, {worst} is {ratios[worst]:.3g} times its '
         'limit. Raise the limit, or start in another pose.')
@@ -459,8 +453,9 @@ SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
 SLOWER, MOST_SLOWER = 1.15, 30
 
 
-def standstills(limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None) -> Waypoints:
+def standstills(checks: Checks) -> Waypoints:
     """Return standstills upright and tilted to both sides, within the limits with any model."""
+    limits = checks.limits
     tilt = WORKSPACE_SHARE * limits.turn[:2]
     turns = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0)]
 
@@ -469,14 +464,12 @@ def standstills(limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | No
             [x * tilt[0] / factor, y * tilt[1] / factor, 0.0])) for x, y in turns]
         return _through(poses, limits, factor, itertools.repeat(STANDSTILL))
 
-    return _slowed_within(slowed, limits, models, grip)
+    return _slowed_within(slowed, checks)
 
 
-def everyday(
-    limits: ArmLimits, models: Sequence[ModelTuple], grip: Grip | None, duration: float, seed: int,
-) -> Waypoints:
+def everyday(checks: Checks, duration: float, seed: int) -> Waypoints:
     """Return moves from pose to pose, as quick as the limits let them be, for about a time (s)."""
-    rng = np.random.default_rng(seed)
+    rng, limits = np.random.default_rng(seed), checks.limits
     draws = rng.uniform(-1.0, 1.0, (500, 6))
     middle = 0.5 * (limits.lower + limits.upper)
     reach = 0.5 * (limits.upper - limits.lower)
@@ -491,7 +484,7 @@ def everyday(
         return _through(back, limits, factor, itertools.chain(
             itertools.islice(itertools.cycle(STOPS), count), [1.0]))
 
-    return _slowed_within(slowed, limits, models, grip)
+    return _slowed_within(slowed, checks)
 
 
 def _through(
@@ -513,15 +506,12 @@ def _through(
     return Waypoints(limits.start, REST, tuple(segments))
 
 
-def _slowed_within(
-    slowed: Callable[[float], Waypoints], limits: ArmLimits, models: Sequence[ModelTuple],
-    grip: Grip | None,
-) -> Waypoints:
+def _slowed_within(slowed: Callable[[float], Waypoints], checks: Checks) -> Waypoints:
     """Return the first of ever slower motions that is within the limits."""
     factor, ratios = 1.0, {'': 1.0}
     for _ in range(MOST_SLOWER):
         motion = slowed(factor)
-        ratios = all_ratios(motion, limits, models, grip)
+        ratios = checks.ratios(motion)
         if max(ratios.values()) <= 1.0:
             return motion
         factor *= SLOWER

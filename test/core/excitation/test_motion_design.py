@@ -5,7 +5,7 @@ from dataclasses import replace
 from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
 from bellows_ros.core.excitation.fisher import response, standard_errors
-from bellows_ros.core.excitation.motion_design import FourierMotion, MotionObjective
+from bellows_ros.core.excitation.motion_design import Checks, FourierMotion, MotionObjective
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, rpy_rotation
 from bellows_ros.core.model.cup_package import model_tuple
@@ -41,15 +41,21 @@ LIMITS = limits_from(CONTENT, 1.5)[0]
 
 
 def designed(guess=TRUTH, limits=LIMITS, duration=20.0, grip=None, seed=0):
-    return motion_design.design(cup_of(guess), PACKAGE, 9.81, grip, STRUCTURE, limits, TRACKING,
-                                duration, seed, lambda what, part: None)
+    return motion_design.design(
+        cup_of(guess), PACKAGE, 9.81, STRUCTURE, checks_of(guess, limits, grip), TRACKING,
+        duration, seed, lambda what, part: None)
+
+
+def checks_of(guess, limits, grip):
+    models = [model_tuple(cup, PACKAGE, 9.81) for cup in motion_design.cups_near(cup_of(guess))]
+    return Checks(limits, models, grip)
 
 
 @pytest.mark.parametrize('grip', [None, GRIP])
 def test_ends_with_a_hold_of_a_tilt_within_limits(grip):
     """Steady for its time, from rest to rest, with zero jerk; none where the tool may not tilt."""
-    models = [model_tuple(cup, PACKAGE, 9.81) for cup in motion_design.cups_near(cup_of(TRUTH))]
-    held = motion_design._held(LIMITS, models, grip, 5.0, 7.0)
+    checks = checks_of(TRUTH, LIMITS, grip)
+    held = motion_design._held(checks, 5.0, 7.0)
     assert held.hold == 7.0 and 0.1 < np.linalg.norm(held.tilt) and held.tilt[2] == 0.0
     begin = held.rest_duration + held.period + held.move
     *_, R, w = held.state(np.linspace(begin, begin + 7.0, 50))
@@ -64,9 +70,9 @@ def test_ends_with_a_hold_of_a_tilt_within_limits(grip):
     _, _, _, at = held.state(t)
     jerk = (far - 2.0 * at + near) / h**2
     assert np.abs(jerk).max() < 1e-2 * LIMITS.rates['angular_jerk']
-    assert max(motion_design.all_ratios(held, LIMITS, models, grip).values()) <= 1.0
+    assert max(checks.ratios(held).values()) <= 1.0
     rigid = replace(LIMITS, bending=1e-9)
-    assert motion_design._held(rigid, models, grip, 5.0, 7.0).hold == 0.0
+    assert motion_design._held(checks._replace(limits=rigid), 5.0, 7.0).hold == 0.0
 
 
 def errors_of(motion):
@@ -190,7 +196,7 @@ def test_slopes_of_the_search_are_its_differences():
     def responses(omega):
         return [response(model_of, TRUTH, TRUTH, at, omega, TRACKING)]
 
-    search = MotionObjective(LIMITS, 4.0, models, GRIP, responses, 360.0)
+    search = MotionObjective(Checks(LIMITS, models, GRIP), 4.0, responses, 360.0)
     shape = rng.standard_normal(2 * search.size.size)
     for power in (8, 60):
         value, slope = search(shape, power)
@@ -212,7 +218,7 @@ def test_small_loads_are_linear():
     wave = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     expected = [np.linalg.norm((np.outer(wave, row[0] @ c[27])).real, axis=1).max()
                 for row in rows]
-    found = motion_design.loads(motion, LIMITS, [model_of(TRUTH)], None)[0, :2]
+    found = Checks(LIMITS, [model_of(TRUTH)], None).loads(motion)[0, :2]
     assert_allclose(found, expected, rtol=0.1)  # the ramps add a little
 
 
@@ -253,5 +259,5 @@ def test_what_cannot_be_is_said():
     weak = (10.0, 0.03, 0.5)  # does not hold the package's weight
     with pytest.raises(BellowsError):
         motion_design._within(
-            FourierMotion(LIMITS.start, 4.0, np.full((2, 6), 1e-3 + 0j)), LIMITS,
-            [model_tuple(cup_of(TRUTH), PACKAGE, 9.81)], weak)
+            FourierMotion(LIMITS.start, 4.0, np.full((2, 6), 1e-3 + 0j)),
+            Checks(LIMITS, [model_of(TRUTH)], weak))
