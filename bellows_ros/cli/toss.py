@@ -99,7 +99,7 @@ def _print_result(result: 'TossResult', console: Console) -> None:
     x, y, _ = found.landing[0]
     std = np.sqrt(np.diag(result.covariance))
     console.line('Toss', 'bold')
-    mode = 'its lip peels' if found.release_mode == 'peel' else (
+    mode = 'its lip peels' if case.held.mode == 'peel' else (
         'its suction is blown off' if case.release.law[5] else 'after the delay')
     console.line(
         f'  valve     {case.switched:.4f} s; lets go {late:.1f} ms later ({mode}) at '

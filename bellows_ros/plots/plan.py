@@ -284,10 +284,10 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    found, tool = result.toss, result.case.tool
-    path = flight_path(result.case.model, found, PATH_POINTS)
-    held = result.held.states[result.held.times <= found.release_time]
-    valve = held[np.searchsorted(result.held.times[:len(held)], result.case.switched) - 1]
+    found, motion = result.toss, result.case.held
+    tool, path = motion.tool, flight_path(motion.model, found, PATH_POINTS)
+    held = motion.states[motion.times <= found.release_time]
+    valve = held[np.searchsorted(motion.times[:len(held)], result.case.switched) - 1]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
     x, y, _ = found.landing[0]
     note = (f'valve {result.case.switched:.3f} s, lets go {found.release_time:.3f} s, lands '

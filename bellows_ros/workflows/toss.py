@@ -49,7 +49,6 @@ class TossResult(CommandResult):
 
     source: plan.Source
     case: landing.TossProblem
-    held: HeldMotion
     toss: Toss
     parts: landing.Contributions
     aim: landing.Aim | None
@@ -99,7 +98,7 @@ class TossResult(CommandResult):
         content: dict[str, Any] = {
             'valve_time': self.case.switched,
             'release_time': found.release_time,
-            'release_mode': found.release_mode,
+            'release_mode': self.case.held.mode,
             'release_pose': [*found.release[0], *found.release[1]],
             'release_twist': [*found.release[2], *found.release[3]],
             'landing_time': found.landing_time,
@@ -143,25 +142,25 @@ class TossResult(CommandResult):
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
         found = [*self.source.notes, *implausible(self.source.values)]
-        lost = self.held.lost_before(self.case.switched)
+        held, values = self.case.held, self.source.values
+        lost = held.lost_before(self.case.switched)
         if lost is not None:
             found.append(
                 f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched '
                 f'at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
-        held = self.held.times <= self.toss.release_time
+        before = held.times <= self.toss.release_time
         angle = float(np.max(plan.bending(*(
-            quaternion_to_rotation(rows[held, 3:7]) for rows in (self.held.tools, self.held.states)
-        ))))
+            quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states)))))
         if angle > PEAK_MOMENT_BENDING:
             found.append(flip_sentence(angle, ' before it lets go'))
-        if self.held.mode == 'delay' and not self.case.release.law[5]:
+        if held.mode == 'delay' and not self.case.release.law[5]:
             found.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
                 'the valve, whatever the load; release.tau has no effect.')
-        if landing.beyond_masses(self.case.values):
-            lightest, heaviest = self.case.values['release.mass_range']
+        if landing.beyond_masses(values):
+            lightest, heaviest = values['release.mass_range']
             found.append(
-                f'package.mass is {self.case.values["package.mass"]:.3g} kg, but release.* was '
+                f'package.mass is {values["package.mass"]:.3g} kg, but release.* was '
                 f'identified with packages of {lightest:.3g} to {heaviest:.3g} kg: the release is '
                 'extrapolated, and its uncertainty enlarged. Identify it with drops of this mass.')
         if self.aim is not None and not self.reached:
@@ -191,7 +190,7 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
 
     """
     stamps_ns = sample_stamps(RATE, result.toss.landing_time, int(result.source.tool.stamps_ns[0]))
-    rows, states = result.held.along(
+    rows, states = result.case.held.along(
         result.case.release, result.case.switched, (stamps_ns - stamps_ns[0]) / NS_PER_S)
     plan.write_prediction(
         path, result.source, ToolRows(stamps_ns, rows).trajectory(), states, replace_bag)
@@ -254,11 +253,10 @@ def toss_plan(
         switched = found.switched
     assert switched is not None
     nominal = toss(held, release, switched)
-    case = landing.TossProblem(
-        source.values, source.model, source.grip, source.tool, release, switched)
+    case = landing.TossProblem(source.values, held, release, switched)
     progress('working out how sure the landing is')
-    parts = landing.contributions_to(case, held, nominal)
+    parts = landing.contributions_to(case, nominal)
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = landing.draw(case, nominal, monte_carlo) if monte_carlo else None
-    return TossResult(source, case, held, nominal, parts, found, asked, target, drawn)
+    return TossResult(source, case, nominal, parts, found, asked, target, drawn)

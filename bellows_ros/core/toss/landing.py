@@ -15,10 +15,8 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import perturbed
-from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.structure import places_of
-from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.release import (
     changed_law,
     Factor,
@@ -78,20 +76,19 @@ class TossProblem(NamedTuple):
     """A toss, and all that it depends on."""
 
     values: Mapping[str, Any]
-    model: ModelTuple
-    grip: Grip | None
-    tool: Trajectory
+    held: HeldMotion
     release: Release
     switched: float
     """Time of the valve, s since the first point of the plan."""
 
     def with_numbers(self, model: ModelTuple, release: Release, until: float) -> Toss:
         """Return the toss with another model and release, up to a time (s)."""
-        return toss(HeldMotion(model, self.grip, self.tool, until=until), release, self.switched)
+        held = HeldMotion(model, self.held.grip, self.held.tool, until=until)
+        return toss(held, release, self.switched)
 
     def error(self, found: Toss, nominal: Toss) -> Array:
         """Return by how much a landing differs from a nominal one (6,), m and rad."""
-        return np.concatenate(landing_error(found.landing, nominal.landing, self.model[2]))
+        return np.concatenate(landing_error(found.landing, nominal.landing, self.held.model[2]))
 
 
 def changed(release: Release, by: Array) -> Release:
@@ -136,20 +133,21 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
     return max(0.0, math.log(lightest / mass), math.log(mass / heaviest))
 
 
-def contributions_to(case: TossProblem, held: HeldMotion, nominal: Toss) -> Contributions:
+def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
     until = nominal.release_time + MARGIN
-    names, parts = perturbed.contributions(case.values, case.model, lambda model: case.error(
-        case.with_numbers(model, case.release, until), nominal))
+    names, parts = perturbed.contributions(
+        case.values, case.held.model,
+        lambda model: case.error(case.with_numbers(model, case.release, until), nominal))
     std, rows = [perturbed.deviations_of(case.values)[perturbed.NAMES.index(n)] for n in names], []
     factor, of_cup = release_factor(case.values), len(names)
     for name, sigma, unit in zip(
             RELEASE_NAMES, np.linalg.norm(factor, axis=1), np.eye(8), strict=True):
         if sigma > 0.0:
-            up, down = (
-                case.error(
-                    toss(held, changed(case.release, side * sigma * unit), case.switched), nominal)
-                for side in (LAW_STEP, -LAW_STEP))
+            releases = (changed(case.release, side * sigma * unit)
+                        for side in (LAW_STEP, -LAW_STEP))
+            up, down = (case.error(toss(case.held, release, case.switched), nominal)
+                        for release in releases)
             names.append(name)
             std.append(sigma)
             rows.append((up - down) / (2.0 * LAW_STEP))
@@ -183,7 +181,7 @@ def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCa
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):
         model = perturbed.model_with(
-            case.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
+            case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = changed(case.release, factor @ rng.standard_normal(8))
         try:
             found = case.with_numbers(model, release, until)

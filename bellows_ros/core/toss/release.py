@@ -410,8 +410,6 @@ class Toss(NamedTuple):
     release: State
     landing_time: float
     landing: State
-    release_mode: str = ''
-    """'peel', or 'delay' if the grip is unknown."""
 
     @property
     def tumbling(self) -> float:
@@ -438,6 +436,8 @@ class HeldMotion:
 
     Attributes
     ----------
+    mode : str
+        How it lets go: 'peel', or 'delay' if the grip is unknown.
     duration : float
         Of the plan, s.
     times, tools, states, loads : ndarray (M,), (M, 13), (M, 13), (M,)
@@ -456,7 +456,8 @@ class HeldMotion:
         start: State | None = None, until: float = math.inf,
     ) -> None:
         """Follow the plan."""
-        self.model, self.grip, self.mode = model, grip or NO_GRIP, 'peel' if grip else 'delay'
+        self.model, self.grip, self.tool = model, grip or NO_GRIP, tool
+        self.mode = 'delay' if self.grip == NO_GRIP else 'peel'
         rows, starts = simulation.tool_rows(tool), tool.seconds
         self.duration = float(starts[-1])
         self.ends_at_rest = simulation.stands(rows[-1])
@@ -578,7 +579,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
         raise NoLandingError(
             f'The package does not land within {free_flight.LONGEST_FLIGHT:g} s. Check gravity, '
             'landing.height and release.impulse.')
-    return Toss(released, body, landing, landed, held.mode)
+    return Toss(released, body, landing, landed)
 
 
 def release_of(values: Mapping[str, Any]) -> Release:

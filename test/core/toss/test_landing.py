@@ -22,25 +22,20 @@ PACKAGE_STD = {'package.mass_std': 0.005, 'package.com_std': (5e-4, 5e-4, 5e-4)}
 def case():
     """Return the throw, released in the middle."""
     values = resolve({**tosses.values(), **PACKAGE_STD})
-    return TossProblem(values, MODEL, tosses.GRIP, tosses.plan(), release_of(values), 0.5)
-
-
-@pytest.fixture(scope='module')
-def held(case):
-    """Return the package along the throw."""
-    return HeldMotion(case.model, case.grip, case.tool)
+    held = HeldMotion(MODEL, tosses.GRIP, tosses.plan())
+    return TossProblem(values, held, release_of(values), 0.5)
 
 
 @pytest.mark.parametrize(('count', 'inside', 'within'), [
     (200, 0.06, 0.15),  # four deviations of what chance does to so many
     pytest.param(1000, 0.02, 0.03, marks=pytest.mark.stress),
 ])
-def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, inside, within):
+def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, count, inside, within):
     """Of 1,000 tosses standard deviations within 3 %, and 93 to 97 % in the ellipse."""
     if not COMPILED:
         pytest.skip('a thousand interpreted tosses take too long; see numba')
-    nominal = toss(held, case.release, case.switched)
-    covariance = landing.contributions_to(case, held, nominal).covariance
+    nominal = toss(case.held, case.release, case.switched)
+    covariance = landing.contributions_to(case, nominal).covariance
     drawn = landing.draw(case, nominal, count)
     assert drawn.failed == 0
     assert abs(landing.coverage(covariance, drawn.errors) - 0.95) <= inside
@@ -49,13 +44,13 @@ def test_linear_against_monte_carlo_and_the_ellipse_is_true(case, held, count, i
     np.testing.assert_allclose(linear[[0, 1, 3, 4, 5]], counted[[0, 1, 3, 4, 5]], rtol=within)
 
 
-def test_a_millisecond_later_is_what_the_flight_makes_of_it(case, held):
+def test_a_millisecond_later_is_what_the_flight_makes_of_it(case):
     """The part of the delay is the difference of two tosses so far apart in time."""
-    nominal = toss(held, case.release, case.switched)
-    parts = landing.contributions_to(case, held, nominal)
+    nominal = toss(case.held, case.release, case.switched)
+    parts = landing.contributions_to(case, nominal)
     part = parts.parts[parts.names.index('release.delay')]
     late, early = (
-        toss(held, landing.changed(case.release, by * np.eye(8)[0]), case.switched)
+        toss(case.held, landing.changed(case.release, by * np.eye(8)[0]), case.switched)
         for by in (1e-5, -1e-5))
     slope = np.subtract(late.landing[0], early.landing[0]) / 2e-5
     np.testing.assert_allclose(part[:2], 5e-4 * slope[:2], rtol=1e-3)
@@ -66,8 +61,9 @@ def test_a_millisecond_later_is_what_the_flight_makes_of_it(case, held):
     ((1.3, 0.1), False), ((1.75, 0.15), True),
     pytest.param((1.3, 0.1), True, marks=pytest.mark.stress),
     pytest.param((1.75, 0.15), False, marks=pytest.mark.stress)])
-def test_aims_as_near_as_a_scan_of_all_times(case, held, target, turned):
+def test_aims_as_near_as_a_scan_of_all_times(case, target, turned):
     """Within 0.1 ms of the best of steps of 10 us."""
+    held = case.held
     wanted = quaternion_to_rotation(np.array(
         toss(held, case.release, 0.45).landing[1])) if turned else None
     reach = np.linalg.norm(np.abs(tosses.CENTRE) + tosses.HALF)
@@ -93,15 +89,15 @@ def test_aims_as_near_as_a_scan_of_all_times(case, held, target, turned):
         abs=1e-6)
 
 
-def test_refuses_to_aim_where_nothing_lands(case, held):
+def test_refuses_to_aim_where_nothing_lands(case):
     """The floor is above the package all the time."""
     with pytest.raises(BellowsError):
-        landing.aim(held, case.release._replace(height=5.0), (1.0, 0.0))
+        landing.aim(case.held, case.release._replace(height=5.0), (1.0, 0.0))
 
 
 def test_what_cannot_be_tossed_is_counted(case):
     """A valve that may not open in time fails now and then, and the rest counts."""
-    nominal = toss(HeldMotion(case.model, case.grip, case.tool), case.release, case.switched)
+    nominal = toss(case.held, case.release, case.switched)
     loose = case._replace(values={**case.values, 'release.delay_std': 0.4})
     drawn = landing.draw(loose, nominal, 12, seed=1)
     assert 0 < drawn.failed < 12
