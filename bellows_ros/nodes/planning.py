@@ -28,7 +28,6 @@ from ..core.live.samples import ORIGIN, ZERO
 from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.model.grip import Grip, grip_of, safety_sentence
 from ..core.model.simulation import tool_rows, ToolRows
-from ..core.model.validity_range import known_envelope
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.limits import NO_LIMITS, stretched
 from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation
@@ -293,7 +292,7 @@ class Planning:
         if found.grip_known:
             words.append(safety_sentence(
                 *found.smallest_safety, 0.0, self.values['safety.least']))
-        outside = found.outside(known_envelope(self.values), self.values['package.mass'])
+        outside = found.outside(self.values)
         if outside:
             words.append(f'Outside the validity range: {"; ".join(outside)}.')
         words.append(found.flips)

@@ -16,7 +16,6 @@ from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.perturbed import contributions
 from bellows_ros.core.model.simulation import stands, ToolRows
-from bellows_ros.core.model.validity_range import known_envelope
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.limits import Fastest, fastest
@@ -312,10 +311,7 @@ def plan(
                 'The shortest safe time cannot be found, because the plan begins or ends in '
                 'motion. Give a plan from rest to rest.')
         found = fastest(values, model, grip, source.tool, float(values['safety.least']))
-    return PlanReport(
-        source, prediction, std,
-        prediction.outside(known_envelope(values), float(values['package.mass'])), found,
-        seek_fastest)
+    return PlanReport(source, prediction, std, prediction.outside(values), found, seek_fastest)
 
 
 def _deviations(

@@ -7,7 +7,7 @@ Hermite curve, and stands still after the last one. Loads are 1 / safety factor 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
 import math
@@ -21,7 +21,7 @@ from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.validity_range import beyond, Envelope
+from bellows_ros.core.model.validity_range import beyond, Envelope, known_envelope
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
@@ -138,13 +138,14 @@ class PlanPrediction:
             'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
             'settled_after': self.settled_after if self.ends_at_rest else math.nan}
 
-    def outside(self, known: Envelope | None, mass: float) -> tuple[str, ...]:
-        """Return a phrase for each validity range (see `envelope`) that is exceeded."""
+    def outside(self, values: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return a phrase for each validity range among parameters that is exceeded."""
+        known = known_envelope(values)
         if known is None:
             return ()
         here = Envelope(
             self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
-            np.full(2, mass))
+            np.full(2, float(values['package.mass'])))
         return beyond(known, here)
 
 
