@@ -400,8 +400,8 @@ class JointPlanning:
         """Keep the arm, which is read when a plan needs it."""
         self._urdf = message.data
 
-    def _read(self, message: JointTrajectory) -> tuple[JointPlan, Joints, Trajectory]:
-        """Return a plan as received, its joints, and the motion of the tool."""
+    def _read(self, message: JointTrajectory) -> tuple[JointPlan, Trajectory, Joints]:
+        """Return a plan as received, the motion of the tool, and its joints."""
         values = self._planning.values
         if not (self._urdf and values['tool_link']):
             what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
@@ -411,19 +411,16 @@ class JointPlanning:
         arm: Arm = read_arm(self._urdf, values['tool_link']).with_tip(tip_of(values))
         self._planning.require_frame(arm.root)
         plan = plan_messages.joint_plan(message)
-        columns = arm.columns(plan.names, 'The plan')
-        parts = [None if part is None else part[:, columns] for part in plan[4:]]
-        tool = plan_of_joints(arm, plan.times_ns, *parts)  # type: ignore[arg-type]
-        return plan, Joints(arm, plan.times_ns, plan.position[:, columns]), tool
+        return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
 
     def read(self, message: JointTrajectory) -> tuple[JointPlan, ToolRows]:
         """Return a plan as received, and the tool by it."""
-        plan, _, tool = self._read(message)
+        plan, tool, _ = self._read(message)
         return plan, _rows(tool)
 
     def steer(self, message: JointTrajectory) -> None:
         """Publish a motion, steered, in the same joints."""
-        _, joints, tool = self._read(message)
+        _, tool, joints = self._read(message)
         path = steered_joints(joints, tool, self._planning.steered)
         answer = JointTrajectory(header=message.header, joint_names=joints.arm.moving)
         answer.points = [

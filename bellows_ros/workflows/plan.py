@@ -447,11 +447,8 @@ def _checked(
     stamps = read.times_ns + (read.stamp_ns or START_NS)
     if isinstance(read, JointPlan):
         arm = plans.arm_of(urdf, values['tool_link'], recording).with_tip(tip_of(values))
-        columns = arm.columns(read.names, 'The plan')
-        parts = [None if part is None else part[:, columns]
-                 for part in (read.position, read.velocity, read.acceleration)]
-        tool = plan_of_joints(arm, stamps, *parts)  # type: ignore[arg-type]
-        return Source(tool, arm.root, joints=Joints(arm, stamps, np.asarray(parts[0])))
+        tool, joints = plan_of_joints(arm, read.names, stamps, *read[4:])
+        return Source(tool, arm.root, joints=joints)
     tool = plan_of(
         stamps, read.poses[:, :3], read.poses[:, 3:], read.twists, read.accelerations,
         values['tool_twist.frame'])

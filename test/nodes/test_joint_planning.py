@@ -68,8 +68,8 @@ def test_a_plan_of_joints_is_answered_and_steered_in_them(planner):
     (answer,) = planner.steered
     assert tuple(answer.joint_names) == ARM.moving
     seconds = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in answer.points]
-    wanted = steer(
-        MODEL, plan_of_joints(ARM, np.round(1e9 * T).astype(np.int64), POSITION), 'inverse').tool
+    plan, _ = plan_of_joints(ARM, ARM.moving, np.round(1e9 * T).astype(np.int64), POSITION)
+    wanted = steer(MODEL, plan, 'inverse').tool
     rows = np.searchsorted(wanted.seconds, np.array(seconds) - 1e-6)
     found, _ = ARM.tool(np.array([p.positions for p in answer.points]))
     off = log_se3(np.linalg.inv(

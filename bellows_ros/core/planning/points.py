@@ -4,7 +4,7 @@ Conversion of the points of a plan to a trajectory of the tool, with checks, and
 The joints along a path of the tool are found by inverse kinematics, with rates and limits.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import Any, NamedTuple
@@ -110,11 +110,11 @@ def rows_of(
 
 
 def plan_of_joints(
-    arm: Arm, stamps_ns: Stamps, position: Array, velocity: Array | None = None,
-    acceleration: Array | None = None, name: str = 'The plan',
-) -> Trajectory:
+    arm: Arm, names: Sequence[str], stamps_ns: Stamps, position: Array,
+    velocity: Array | None = None, acceleration: Array | None = None,
+) -> tuple[Trajectory, 'Joints']:
     """
-    Check the points of a plan of an arm's joints, and return it as a plan of the tool.
+    Check the points of a plan of an arm's joints; return it as a plan of the tool, and its joints.
 
     Joints move as drivers of arms interpolate: along quintic polynomials where accelerations are
     given, cubic ones where velocities are, and a cubic spline from rest to rest otherwise.
@@ -123,35 +123,39 @@ def plan_of_joints(
     ----------
     arm : Arm
         Whose joints they are.
+    names : sequence of str
+        Of the joints, K, with all that move the tool among them.
     stamps_ns : int array (N,)
         ns.
-    position, velocity, acceleration : array (N, M)
-        Of the moving joints of the arm in their order, rad or m.
-    name : str
-        For messages.
+    position, velocity, acceleration : array (N, K)
+        Of the joints in the order of their names, rad or m.
 
     Raises
     ------
     BellowsError
-        As `plan_of`.
+        If a joint is missing, and as `plan_of`.
 
     """
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-    _require_points(stamps_ns, (position, velocity, acceleration), name)
+    columns = arm.columns(names, 'The plan')
+    q = position[:, columns]
+    rate, bend = (None if part is None else part[:, columns] for part in (velocity, acceleration))
+    _require_points(stamps_ns, (q, rate, bend), 'The plan')
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
     curve: Any
-    if velocity is None:
-        curve = CubicSpline(t, position, bc_type='clamped')
-    elif acceleration is None:
-        curve = CubicHermiteSpline(t, position, velocity)
+    if rate is None:
+        curve = CubicSpline(t, q, bc_type='clamped')
+    elif bend is None:
+        curve = CubicHermiteSpline(t, q, rate)
     else:
-        curve = quintic(t, position, velocity, acceleration)
+        curve = quintic(t, q, rate, bend)
     fine = _without_gaps(stamps_ns)
     at = (fine - stamps_ns[0]) / NS_PER_S
     T, twist = arm.tool(curve(at), curve(at, 1))
     poses = lie.rotation_to_quaternion(T[:, :3, :3])
-    return plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool', name=name)
+    tool = plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool')
+    return tool, Joints(arm, stamps_ns, q)
 
 
 def _without_gaps(stamps_ns: Stamps) -> Stamps:

@@ -76,13 +76,14 @@ def test_a_plan_of_joints_goes_through_its_points():
     truth = ARM.tool(fine)[0][:, :3, 3]
     errors = []
     for given in ((q, rate, bend), (q, rate), (q,)):
-        plan = plan_of_joints(ARM, stamps, *given)
+        plan, _ = plan_of_joints(ARM, ARM.moving, stamps, *given)
         assert len(plan) == 101
         assert_allclose(plan.position[::10], truth[::10], atol=1e-12)
         errors.append(np.abs(plan.position - truth).max())
     assert errors[0] < 1e-12 < errors[1] < 1e-4 and errors[2] < 1e-3
     with pytest.raises(BellowsError, match=r'\b3\b'):
-        plan_of_joints(ARM, stamps, np.where(np.arange(11)[:, None] == 3, np.nan, q))
+        broken = np.where(np.arange(11)[:, None] == 3, np.nan, q)
+        plan_of_joints(ARM, ARM.moving, stamps, broken)
 
 
 @pytest.mark.parametrize(('urdf', 'link', 'words'), [
