@@ -10,7 +10,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
-from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -21,7 +21,7 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
-from bellows_ros.core.recording.alignment import levelling, world_rotation
+from bellows_ros.core.recording.alignment import in_world, levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.signals.resampling import on_grid, timing
 from bellows_ros.core.signals.savgol import savgol
@@ -368,9 +368,7 @@ def plan_with_cup(
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
     values = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
     if isinstance(path, Trajectory):
-        return Source(plan_of(
-            path.stamps_ns, path.position, rotation_to_quaternion(path.rotation), path.twist,
-            twist_frame='tool', name='The motion'), '', path='a motion', values=values)
+        return Source(_checked_motion(path), '', path='a motion', values=values)
     if not os.path.exists(path):
         raise BellowsError(
             f"Plan '{path}' does not exist. Give a recording, or a YAML, TUM, KITTI or EuRoC "
@@ -466,12 +464,14 @@ def _motion(content: Mapping[str, Any], values: Mapping[str, Any]) -> Source:
     count = max(2, math.ceil(motion.duration * MOTION_RATE))
     stamps = recipe.start_ns + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
-    tool = motion.trajectory(stamps, recipe.start_ns)
-    checked = plan_of(
-        stamps, apply(R_world_level, tool.position),
-        rotation_to_quaternion(R_world_level @ tool.rotation), np.asarray(tool.twist),
-        twist_frame='tool', name='The motion')
-    return Source(checked, recipe.frame_id)
+    tool = in_world(motion.trajectory(stamps, recipe.start_ns), R_world_level)
+    return Source(_checked_motion(tool), recipe.frame_id)
+
+
+def _checked_motion(tool: Trajectory) -> Trajectory:
+    """Return a motion of E, checked as a plan."""
+    return plan_of(tool.stamps_ns, tool.position, rotation_to_quaternion(tool.rotation),
+                   tool.twist, twist_frame='tool', name='The motion')
 
 
 def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
