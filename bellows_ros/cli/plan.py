@@ -84,7 +84,7 @@ def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
     degrees = 180.0 / math.pi
     _, mode, time = report.prediction.smallest_safety
     rows = []
-    if report.prediction.grip_known:
+    if report.prediction.grip:
         rows.append(('smallest safety factor', value('smallest_safety_factor', 1.0, ''),
                      f'{mode}, at {time:.3f} s'))
     rows += [

@@ -289,7 +289,7 @@ class Planning:
         found, words = self._found, []
         if found is None or isinstance(found, Status):
             return found
-        if found.grip_known:
+        if found.grip:
             words.append(safety_sentence(
                 *found.smallest_safety, 0.0, self.values['safety.least']))
         outside = found.outside(self.values)
@@ -297,7 +297,7 @@ class Planning:
             words.append(f'Outside the validity range: {"; ".join(outside)}.')
         words.append(found.flips)
         said = ' '.join(word for word in words if word)
-        lost = found.grip_known and found.smallest_safety[0] < 1.0
+        lost = found.grip is not None and found.smallest_safety[0] < 1.0
         level = Level.ERROR if lost else Level.WARN if said else Level.OK
         seconds = float(found.tool.seconds[-1])
         values = {'left (s)': number(seconds)} | {

@@ -58,7 +58,7 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
         panels = figure.subplots(
             3, 2, sharex=True, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.2})
         _draw_path(panels[0, 0], curves, colours)
-        if report.prediction.grip_known:
+        if report.prediction.grip:
             _draw_margins(panels[0, 1], Margins(
                 curves.seconds, values[:, 4:6], std[:, 4:6],
                 report.prediction.smallest_safety, report.least), colours)

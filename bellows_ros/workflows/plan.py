@@ -200,7 +200,7 @@ class PlanReport(CommandResult):
     @property
     def holds(self) -> bool:
         """Whether the cup holds, as far as is known, and a safe time is found where sought."""
-        held = not self.prediction.grip_known or self.prediction.smallest_safety[0] >= 1.0
+        held = self.prediction.grip is None or self.prediction.smallest_safety[0] >= 1.0
         return held and (self.fastest is not None or not self.sought)
 
     @cached_property
@@ -232,7 +232,7 @@ class PlanReport(CommandResult):
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the motion."""
         found = [*self.source.notes, *implausible(self.source.values)]
-        if not self.prediction.grip_known:
+        if self.prediction.grip is None:
             found.append(NO_GRIP)
         elif sentence := safety_sentence(
                 *self.prediction.smallest_safety, self.std['smallest_safety_factor'], self.least):
@@ -252,7 +252,7 @@ class PlanReport(CommandResult):
         found, fastest = self.prediction, self.fastest
         return with_units({
             'duration': self.source.duration, **found.figures(),
-            'smallest_safety_mode': found.smallest_safety[1] if found.grip_known else None,
+            'smallest_safety_mode': found.smallest_safety[1] if found.grip else None,
             'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
             'outside_validity': list(self.outside),
             **({'fastest_scale': fastest and fastest.scale,

@@ -89,6 +89,7 @@ class PlanPrediction:
     rates : array (6,)
         Largest absolute twist of the lip in the tool, m/s and rad/s.
     grip : tuple or None
+        None where the safety factor is not known.
     ends_at_rest : bool
 
     """
@@ -103,11 +104,6 @@ class PlanPrediction:
     rates: Array
     grip: Grip | None
     ends_at_rest: bool
-
-    @property
-    def grip_known(self) -> bool:
-        """Whether the safety factor is known."""
-        return self.grip is not None
 
     @property
     def smallest_safety(self) -> Margin:
@@ -126,7 +122,7 @@ class PlanPrediction:
     def figures(self) -> dict[str, float]:
         """Return the figures of a summary, SI units; NaN for unknown ones."""
         peak = dict(zip(PEAKS, self.peaks[:, 0].tolist(), strict=True))
-        factor, _, time = self.smallest_safety if self.grip_known else (math.nan, '', math.nan)
+        factor, _, time = self.smallest_safety if self.grip else (math.nan, '', math.nan)
         return {
             'smallest_safety_factor': factor,
             'smallest_safety_time': time,
