@@ -19,21 +19,12 @@ from bellows_ros.core.identification.least_squares import (
     SIGNIFICANT,
 )
 from bellows_ros.core.identification.quantities import anything, Free, KINDS
-from bellows_ros.core.identification.result import (
-    condition,
-    excess,
-    Fit,
-    Freed,
-    Iteration,
-    LARGEST_ERROR,
-    left_out,
-    MEDIAN_OF_NORMAL,
-    misfit,
-)
+from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR
 from bellows_ros.core.identification.search import (
     Measured,
     Minimum,
     MOST_CHI2,
+    Part,
     Search,
     Segment,
     squares,
@@ -51,6 +42,24 @@ LARGEST_SHARE, MOST_OF_ERROR = 0.9, 0.5
 
 SEED, SHAKEN, LEAST_SHAKEN = 0, 3.0, 0.1
 """Of the noise with which that is looked at, and its sizes in that of the poses."""
+
+LARGEST_CHI2 = 1.2
+"""Chi^2 per degree of freedom above this triggers a warning."""
+
+CLUSTER = 1.0
+"""Length (s) of the segments whose gradients are kept."""
+
+COMMON = 10.0
+"""Weight of the scatter common to all parameters, in segments of the recordings."""
+
+LEAST_EXCESS = 0.25
+"""Scatter below this fraction of the noise model's belongs to directions without information."""
+
+LARGEST_LEVERAGE = 0.999
+"""Largest leverage of one second in the jackknife."""
+
+MEDIAN_OF_NORMAL = 0.6744897501960817
+"""Median of the absolute value of a standard normal variable."""
 
 ALSO_GIVEN = (
     'Measure them more exactly and state it (package.com_std, cup.length_std, '
@@ -184,13 +193,37 @@ def covariance_of(
     if noise is not None:
         shares, turn = np.linalg.eigh(directions.T @ noise @ directions)
         directions = directions @ turn
-    scatter = excess(np.array([
+    scatter = _excess(np.array([
         directions.T @ gradient for segment, own in zip(search.segments, found.parts, strict=True)
-        for gradient in left_out(found.information, own, segment.period)]))
+        for gradient in _left_out(found.information, own, segment.period)]))
     wide = directions / (1.0 - np.clip(shares, 0.0, LARGEST_SHARE))
     covariance = (wide * np.maximum(scatter, 1.0)) @ wide.T
     return (np.asarray(covariance * np.outer(search.units, search.units)),
             1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1)))
+
+
+def _left_out(information: Array, part: Part, period: float) -> Iterator[Array]:
+    """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
+    length = 6 * max(round(CLUSTER / period), 1)
+    for first in range(0, len(part.innovations), length):
+        J, r = part.jacobian[first:first + length], part.innovations[first:first + length]
+        rest = information - LARGEST_LEVERAGE * (J.T @ J)
+        yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
+
+
+def _excess(influences: Array) -> Array:
+    """
+    Return the variances (m,) along directions over those of the noise model.
+
+    Influences (c, m) are by how much each part of the recordings moves the estimates along them,
+    in standard deviations.
+    """
+    count = len(influences)
+    if count < 2:
+        return np.ones(influences.shape[1])
+    own = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), LEAST_EXCESS)
+    common = float(np.median(own))
+    return np.asarray((COMMON * common + count * own) / (COMMON + count))
 
 
 def _fit(
@@ -220,11 +253,11 @@ def _fit(
         from_given=from_given[:size, :size],
         samples_used=len(left),
         samples_rejected=total - len(left),
-        condition_number=condition(found.information[:size, :size]),
+        condition_number=_condition(found.information[:size, :size]),
         weight=np.diag(search.segments[0].std ** -2),
         residual_rms=np.sqrt(np.mean(left**2, axis=0)),
         notes=tuple(notes) if found.converged else (NOT_CONVERGED,),
-        misfit=misfit(robust_chi2),
+        misfit=_misfit(robust_chi2),
         chi2=squares(found.parts) / max(len(r) - len(x), 1),
         robust_chi2=robust_chi2,
         converged=found.converged,
@@ -241,6 +274,23 @@ def _fit(
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
     )
+
+
+def _misfit(chi2: float) -> str:
+    """Return a sentence if chi^2 per degree of freedom is too large."""
+    if chi2 <= LARGEST_CHI2:
+        return ''
+    return (
+        f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f}, '
+        'expected 1. Check package.mass, package.com, the frames and whether one clock stamped '
+        'both streams (else set fit.time_offset), or use a richer fit.structure.')
+
+
+def _condition(information: Array) -> float:
+    """Return the condition number of the scaled problem behind an information matrix."""
+    scale = np.sqrt(np.diag(information))
+    values = np.linalg.eigvalsh(information / np.outer(scale, scale))
+    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
 
 
 def _identifiable(

@@ -1,6 +1,6 @@
 """The result of a fit, frozen, with its uncertainty and its warnings."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -240,64 +240,3 @@ def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> t
                 'alignment, package.mass, package.com and cup.length.'
             )
     return tuple(messages)
-
-
-LARGEST_CHI2 = 1.2
-"""Chi^2 per degree of freedom above this triggers a warning."""
-
-
-def misfit(chi2: float) -> str:
-    """Return a sentence if chi^2 per degree of freedom is too large."""
-    if chi2 <= LARGEST_CHI2:
-        return ''
-    return (
-        f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f}, '
-        'expected 1. Check package.mass, package.com, the frames and whether one clock stamped '
-        'both streams (else set fit.time_offset), or use a richer fit.structure.')
-
-
-def condition(information: Array) -> float:
-    """Return the condition number of the scaled problem behind an information matrix."""
-    scale = np.sqrt(np.diag(information))
-    values = np.linalg.eigvalsh(information / np.outer(scale, scale))
-    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-
-
-CLUSTER = 1.0
-"""Length (s) of the segments whose gradients are kept."""
-
-COMMON = 10.0
-"""Weight of the scatter common to all parameters, in segments of the recordings."""
-
-LEAST_EXCESS = 0.25
-"""Scatter below this fraction of the noise model's belongs to directions without information."""
-
-LARGEST_LEVERAGE = 0.999
-"""Largest leverage of one second in the jackknife."""
-
-MEDIAN_OF_NORMAL = 0.6744897501960817
-"""Median of the absolute value of a standard normal variable."""
-
-
-def left_out(information: Array, part: Any, period: float) -> Iterator[Array]:
-    """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
-    length = 6 * max(round(CLUSTER / period), 1)
-    for first in range(0, len(part.innovations), length):
-        J, r = part.jacobian[first:first + length], part.innovations[first:first + length]
-        rest = information - LARGEST_LEVERAGE * (J.T @ J)
-        yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
-
-
-def excess(influences: Array) -> Array:
-    """
-    Return the variances (m,) along directions over those of the noise model.
-
-    Influences (c, m) are by how much each part of the recordings moves the estimates along them,
-    in standard deviations.
-    """
-    count = len(influences)
-    if count < 2:
-        return np.ones(influences.shape[1])
-    own = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), LEAST_EXCESS)
-    common = float(np.median(own))
-    return np.asarray((COMMON * common + count * own) / (COMMON + count))
