@@ -275,6 +275,10 @@ R2_ASSUMED = (
     'The rubber relaxes, but nothing was held for long enough to tell how slowly: r2 follows from '
     'r1 as in rubber with a constant loss factor. Record a hold of a tilt for 5 to 10 s.')
 
+NOT_RELAXING = (
+    'fit.relaxation: the recordings show no relaxation that exceeds its standard error. Record a '
+    'hold of a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
+
 RELAXATION_STEPS = 20
 """Most steps of the search; a handful suffice."""
 
@@ -353,10 +357,7 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
         found = found._replace(by=simplest.within(structure) @ found.by)
     if not any(found.strengths):
         if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
-            raise UndeterminedError(
-                'fit.relaxation: the recordings show no relaxation that exceeds its standard '
-                'error. Record a hold of a tilt for 5 to 10 s beside the motion, or set '
-                'fit.relaxation: auto.')
+            raise UndeterminedError(NOT_RELAXING)
         return list(recordings)
     return [replace(own, relaxation=found) for own in recordings]  # type: ignore[arg-type]
 

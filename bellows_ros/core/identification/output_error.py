@@ -14,6 +14,7 @@ from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import (
     DEFAULT_RATIO,
     MOST_LEFT,
+    NOT_RELAXING,
     R2_ASSUMED,
     RATIO_STD,
     SIGNIFICANT,
@@ -36,6 +37,8 @@ from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
+
+NOTHING: Free = MappingProxyType({})
 
 LARGEST_SHARE, MOST_OF_ERROR = 0.9, 0.5
 """Most noise in information that errors allow for, and in the error of what is identifiable."""
@@ -65,10 +68,6 @@ ALSO_GIVEN = (
     'Measure them more exactly and state it (package.com_std, cup.length_std, '
     'recording.marker_std)')
 
-NO_RELAXATION = (
-    'fit.relaxation: the recordings show no relaxation that exceeds its standard error. Record a '
-    'hold of a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
-
 NOT_CONVERGED = (
     'The search for K and P did not converge: they must not be used, and there are no standard '
     'errors. Check package.mass, package.com, the frames and the clocks, or use a simpler '
@@ -80,10 +79,10 @@ def output_error(
     structure: Structure,
     start: Cup,
     progress: Callable[[Iteration], None] | None = None,
-    free: Free | None = None,
+    free: Free = NOTHING,
     named: Sequence[str] = (),
     relaxation: str = 'off',
-    given: Free | None = None,
+    given: Free = NOTHING,
 ) -> Fit:
     """
     Fit K and P so that the model, moved as the tool was, meets the package's poses.
@@ -114,15 +113,7 @@ def output_error(
         If relaxation is 'on' and none is significant.
 
     """
-    search = Search([Segment(own) for own in measured], structure, start, free or {})
-    return fit_of(search, named, progress, relaxation, given or {})
-
-
-def fit_of(
-    search: Search, named: Sequence[str], progress: Callable[[Iteration], None] | None = None,
-    relaxation: str = 'off', given: Free = MappingProxyType({}),
-) -> Fit:
-    """Return the fit of a search; see `output_error`."""
+    search = Search([Segment(own) for own in measured], structure, start, free)
     iterations: list[Iteration] = []
 
     def note(cup: Cup, chi2: float) -> None:
@@ -138,7 +129,7 @@ def fit_of(
             search, near = search.without_relaxation(found)
             found = search.found(note, near)
         if relaxation == 'on' and 'relaxation' not in search.places:
-            raise UndeterminedError(NO_RELAXATION)
+            raise UndeterminedError(NOT_RELAXING)
     reasons = causes(search, found, stated(given))
     search.take(found.parts)
     return _fit(
