@@ -18,7 +18,7 @@ from bellows_ros.core.recording.alignment import (
     rough_offsets,
     shifted_pose,
 )
-from bellows_ros.core.recording.preparation import align_streams, AlignedStreams
+from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
 from bellows_ros.core.recording.recording import (
     PackageWorld,
     PrepareSettings,
@@ -27,6 +27,7 @@ from bellows_ros.core.recording.recording import (
     TimeOffset,
 )
 from bellows_ros.core.signals.trajectory import (
+    earlier,
     NS_PER_S,
     PoseStream,
     streams_at_tip,
@@ -182,7 +183,7 @@ def _prepared(
     for rough_s in rough_offsets(tool.trajectory(), package.trajectory()):
         try:
             return _registered(
-                _earlier(tool, rough_s), package, twist and _earlier(twist, rough_s), settings,
+                earlier(tool, rough_s), package, twist and earlier(twist, rough_s), settings,
                 values, rough_s)
         except UndeterminedError as error:
             failure = failure or error
@@ -199,30 +200,29 @@ def _registered(
     late, marked = values['fit.time_offset'], _is_marked(settings, values)
     pose, alignment = _first_guess(tool, package, settings, values)
 
-    def filtered(alignment: Alignment | None) -> AlignedStreams:
+    def filtered(alignment: Alignment | None) -> Recording:
         """Return the streams in the world of the tool, filtered."""
         there = package if pose is None else in_tool_world(package, pose, tool.frame_id)
-        return align_streams(tool, there, settings, twist, alignment)
+        return prepare(tool, there, settings, twist, alignment)
 
-    streams = filtered(alignment)
+    recording = filtered(alignment)
     names = [name for name, wanted in (
         ('time_offset', late), ('package_world', estimate), ('package_marker', marked)) if wanted]
     if not names:
-        return streams.joined()
+        return recording
     from bellows_ros.core.identification.registration import registered
 
     changes = dict[str, Any]()
-    found = registered(streams.joined(), given_structure(values), one_cup_of(values), names)
+    found = registered(recording, given_structure(values), one_cup_of(values), names)
     if values['fit.method'] == 'least_squares':
         found.require_world()
     if found.world is not None and pose is not None:
         pose = shifted_pose(pose, settings.R_world_recorded, found.middle, found.world)
         changes['package_world'] = PackageWorld(pose, found.world_std)
-    streams = filtered(found.alignment)
+    recording = filtered(found.alignment)
     if found.offset is not None:
-        streams = streams.earlier(found.offset)
+        recording = with_tool_earlier(recording, found.offset.value)
         changes['time_offset'] = TimeOffset(rough_s + found.offset.value, found.offset.std)
-    recording = streams.joined()
     if late and found.offset is None:
         changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
     return replace(recording, report=replace(recording.report, **changes))
@@ -251,11 +251,6 @@ def _first_guess(
         origin = np.zeros(3) if settings.package_frame == 'lip' else -com
         pose = closed_form(*poses, length, origin)
     return pose, None
-
-
-def _earlier(stream: Any, seconds: float) -> Any:
-    """Return a stream with earlier stamps."""
-    return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:

@@ -47,7 +47,7 @@ from bellows_ros.core.recording.conventions import (
 from bellows_ros.core.recording.preparation import lasting_steps, prepare
 from bellows_ros.core.recording.recording import ENOUGH, Recording
 from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -313,10 +313,9 @@ def _by_convention(own: Recording, found: Finding) -> Recording:
 
 def _by_one_clock(own: Recording, found: Finding) -> Recording:
     """Return a recording with the stamps of the tool earlier by what was found."""
-    shift, twist = round(float(found.theta[0]) * NS_PER_S), own.tool_twist
-    tool = replace(own.tool_pose, stamps_ns=own.tool_pose.stamps_ns - shift)
-    return _prepared(
-        own, tool=tool, tool_twist=twist and replace(twist, stamps_ns=twist.stamps_ns - shift))
+    seconds, twist = float(found.theta[0]), own.tool_twist
+    return _prepared(own, tool=earlier(own.tool_pose, seconds),
+                     tool_twist=twist and earlier(twist, seconds))
 
 
 def _in_other_units(own: Recording, found: Finding) -> Recording:

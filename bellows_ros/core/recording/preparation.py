@@ -8,8 +8,7 @@ package's stamps. Nothing is repaired in silence: all that is left out is in the
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
@@ -35,11 +34,11 @@ from bellows_ros.core.recording.recording import (
     Recording,
     Report,
     StreamReport,
-    TimeOffset,
 )
 from bellows_ros.core.signals import resampling
 from bellows_ros.core.signals.savgol import weights_for
 from bellows_ros.core.signals.trajectory import (
+    earlier,
     frozen,
     NS_PER_S,
     PoseStream,
@@ -66,79 +65,12 @@ OFTEN = 99.0
 STEP_JITTERS = 10.0
 
 
-@dataclass(frozen=True, eq=False)
-class AlignedStreams:
-    """Cleaned and aligned streams, each at its own stamps, and their filters."""
-
-    recorded: tuple[PoseStream, PoseStream, TwistStream | None]
-    tracked_package: Trajectory
-    settings: PrepareSettings
-    report: Report
-    alignment: Alignment
-    filters: tuple[Filter, Filter]
-
-    def earlier(self, offset: TimeOffset) -> 'AlignedStreams':
-        """Return them with the stamps of the tool earlier by an offset."""
-        (tool, package, twist), shift = self.recorded, round(offset.value * NS_PER_S)
-
-        def earlier(stamped: Any) -> Any:
-            """Return the stream shifted to earlier stamps."""
-            return stamped and replace(stamped, stamps_ns=stamped.stamps_ns - shift)
-
-        of_tool, of_package = self.filters
-        return replace(
-            self, recorded=(earlier(tool), package, earlier(twist)),
-            filters=(replace(of_tool, poses=earlier(of_tool.poses)), of_package))
-
-    def joined(self) -> Recording:
-        """
-        Return the recording, the tool brought to the stamps of the package.
-
-        Raises
-        ------
-        BellowsError
-            If the streams do not overlap by the windows of the filters, or nothing valid is left.
-
-        """
-        tool, package, tool_twist = self.recorded
-        of_tool, of_package = self.filters
-        common = _common(of_tool.stamps_ns, of_package.stamps_ns, (tool, package))
-        longest_ns = self.report.tool.timing.longest_step_ns
-        measured_tool = resampling.resample(of_tool.poses, common, longest_ns)
-        if tool_twist is not None:
-            measured_tool = _with_twist(measured_tool, tool_twist, self.alignment, self.settings)
-        recording = Recording(
-            self.settings, tool, package, tool_twist, self.filters, measured_tool,
-            of_package.poses.between(*common[[0, -1]]), self.tracked_package, self.alignment,
-            self.report)
-        if not recording.whole.any():
-            found = '; '.join(
-                f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
-                f'{len(r.timing.gaps)} gaps, '
-                f'{r.overlapping_gap} filtered samples touch one of these'
-                for r in (self.report.tool, self.report.package))
-            remedy = burst_sentence(
-                *((r.recorded, r.timing) for r in (self.report.tool, self.report.package))) or (
-                'Use smaller half windows, or a recording with fewer gaps and outliers.')
-            raise BellowsError(
-                f'None of the {len(common)} common samples is left: {found}. {remedy}')
-        return recording
-
-
 def prepare(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings,
     tool_twist: TwistStream | None = None, alignment: Alignment | None = None
 ) -> Recording:
-    """Prepare recorded streams: `align_streams`, then `AlignedStreams.joined`."""
-    return align_streams(tool, package, settings, tool_twist, alignment).joined()
-
-
-def align_streams(
-    tool: PoseStream, package: PoseStream, settings: PrepareSettings,
-    tool_twist: TwistStream | None = None, alignment: Alignment | None = None
-) -> AlignedStreams:
     """
-    Clean and align recorded streams, and choose their filters.
+    Clean and align recorded streams, choose their filters, and join them to a recording.
 
     Parameters
     ----------
@@ -157,8 +89,8 @@ def align_streams(
     Raises
     ------
     BellowsError
-        If the streams do not overlap, are too short for the filters, or do not begin at rest
-        where they should.
+        If the streams do not overlap by the windows of the filters, are too short for them, or do
+        not begin at rest where they should, or nothing valid is left.
 
     """
     turn, of_tool_ns = settings.R_world_recorded, tool.stamps_ns
@@ -186,10 +118,45 @@ def align_streams(
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
-    return AlignedStreams(
-        (tool, package, tool_twist),
-        filters[1].poses if of_package.timing.uniform else alignment.package(tracked),
-        settings, report, alignment, filters)
+    return _joined(
+        tool, package, tool_twist, filters, settings, alignment, report,
+        filters[1].poses if of_package.timing.uniform else alignment.package(tracked))
+
+
+def with_tool_earlier(own: Recording, seconds: float) -> Recording:
+    """Return a recording with the stamps of the tool earlier by so many seconds."""
+    twist, (of_tool, of_package) = own.tool_twist, own.filters
+    return _joined(
+        earlier(own.tool_pose, seconds), own.package_pose, twist and earlier(twist, seconds),
+        (replace(of_tool, poses=earlier(of_tool.poses, seconds)), of_package), own.settings,
+        own.alignment, own.report, own.tracked_package)
+
+
+def _joined(
+    tool: PoseStream, package: PoseStream, tool_twist: TwistStream | None,
+    filters: tuple[Filter, Filter], settings: PrepareSettings, alignment: Alignment,
+    report: Report, tracked_package: Trajectory,
+) -> Recording:
+    """Return a recording of aligned streams, the tool brought to the stamps of the package."""
+    of_tool, of_package = filters
+    common = _common(of_tool.stamps_ns, of_package.stamps_ns, (tool, package))
+    measured_tool = resampling.resample(
+        of_tool.poses, common, report.tool.timing.longest_step_ns)
+    if tool_twist is not None:
+        measured_tool = _with_twist(measured_tool, tool_twist, alignment, settings)
+    recording = Recording(
+        settings, tool, package, tool_twist, filters, measured_tool,
+        of_package.poses.between(*common[[0, -1]]), tracked_package, alignment, report)
+    if not recording.whole.any():
+        both = report.tool, report.package
+        found = '; '.join(
+            f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
+            f'{len(r.timing.gaps)} gaps, {r.overlapping_gap} filtered samples touch one of these'
+            for r in both)
+        remedy = burst_sentence(*((r.recorded, r.timing) for r in both)) or (
+            'Use smaller half windows, or a recording with fewer gaps and outliers.')
+        raise BellowsError(f'None of the {len(common)} common samples is left: {found}. {remedy}')
+    return recording
 
 
 def _alignment(

@@ -8,7 +8,7 @@ tool_pose.offset is set, the tool tip E is at that pose in the frame that is rec
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
@@ -271,6 +271,14 @@ def any_within(mask: Mask, width: int) -> Mask:
     """Return whether any of each `width` neighbours is set (N - width + 1,)."""
     total = np.concatenate([[0], np.cumsum(mask)])
     return np.asarray(total[width:] > total[:-width])
+
+
+Stamped = TypeVar('Stamped', PoseStream, TwistStream, Trajectory)
+
+
+def earlier(stream: Stamped, seconds: float) -> Stamped:
+    """Return a stream with stamps that are earlier by so many seconds."""
+    return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
 
 
 def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
