@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.geometry.lie import (
     adjoint,
     dexp_inverse,
@@ -39,7 +39,7 @@ from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError, UnstableError
+from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
 import numpy as np
 from scipy.special import chdtrc
 
@@ -161,17 +161,17 @@ def nominal_length(
 
     """
     upright = [still for still in standstills if still.tilt <= UPRIGHT_WITHIN]
-    loads = np.array([still.payload.mass * gravity for still in upright])
+    masses = np.array([still.payload.mass for still in upright])
     lengths = np.array([-still.lip[2] for still in upright])
     errors = np.array([max(still.error.position, 1e-9) for still in upright])
-    different = _different([still.payload.mass for still in upright], SAME_MASS_WITHIN)
+    groups = _groups(masses, SAME_MASS_WITHIN)
+    loads, different = masses * gravity, len(set(groups.tolist()))
     if different < 2:
         raise UndeterminedError(
             'The nominal length needs two or more different masses, held with the tool '
             f'vertical, but there {"is" if different == 1 else "are"} {different}. Record '
             'standstills with other known masses, and give each its own --mass.'
         )
-    groups = _groups(loads, SAME_MASS_WITHIN * gravity)
     pick = _pick_scatter(lengths, errors, groups)
     scattered = np.hypot(errors, np.nan_to_num(pick))
     degree = STRAIGHT
@@ -202,15 +202,15 @@ def nominal_length(
     )
 
 
-def _groups(loads: Array, within: float) -> Array:
-    """Return the number of the mass of each load (N,)."""
-    order = np.argsort(loads)
-    number = np.empty(len(loads), dtype=int)
-    number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order[0]]) > within)
+def _groups(values: Array, within: float) -> Places:
+    """Return the number (N,) of the group that each value is in, by its place among them."""
+    order = np.argsort(values)
+    number = np.empty(len(values), dtype=np.int64)
+    number[order] = np.cumsum(np.diff(values[order], prepend=values[order][:1]) > within)
     return number
 
 
-def _pick_scatter(lengths: Array, errors: Array, groups: Array) -> float:
+def _pick_scatter(lengths: Array, errors: Array, groups: Places) -> float:
     """Return by how much lengths of the same mass scatter beyond their errors, or NaN."""
     means = np.array([lengths[groups == group].mean() for group in groups])
     freedom = len(lengths) - len(set(groups.tolist()))
@@ -220,7 +220,7 @@ def _pick_scatter(lengths: Array, errors: Array, groups: Array) -> float:
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def _left_out(loads: Array, lengths: Array, errors: Array, groups: Array, degree: int) -> float:
+def _left_out(loads: Array, lengths: Array, errors: Array, groups: Places, degree: int) -> float:
     """Return the mean squared error (m^2) of predicting each mass from the others."""
     total = 0.0
     for group in set(groups.tolist()):
@@ -322,12 +322,6 @@ def _cause(poses: Sequence[PoseCheck]) -> str:
         'directions, check their stiffness, or the alignment.')
 
 
-def _different(values: Sequence[float] | Array, within: float) -> int:
-    """Return how many different values there are."""
-    ordered = np.sort(np.asarray(values, dtype=float))
-    return int(np.count_nonzero(np.diff(ordered) > within) + 1) if len(ordered) else 0
-
-
 def _polynomial(
     loads: Array, lengths: Array, errors: Array, degree: int
 ) -> tuple[Array, float, float, int]:
@@ -340,7 +334,7 @@ def _polynomial(
     largest = float(loads.max())
     powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
     found, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
-    tested = _different(loads, SAME_LOAD_WITHIN) > degree + 1
+    tested = _groups(loads, SAME_LOAD_WITHIN).max() > degree
     spare = len(loads) - degree - 1 if tested else 0
     chi2 = float(np.sum((lengths / errors - powers @ found) ** 2))
     scatter = max(chi2 / spare, 1.0) if spare else np.inf
@@ -458,14 +452,7 @@ def static_equations(
     stiffness : ndarray (6, 6)
         A guess of K, by which errors of poses become errors of wrenches.
 
-    Raises
-    ------
-    BellowsError
-        If there is no standstill.
-
     """
-    if not standstills:
-        raise BellowsError('Static equations need at least one standstill.')
     parts = [_equations(still, cup_length, structure, gravity, stiffness) for still in standstills]
     A, b, by_length = (np.concatenate(part) for part in zip(*parts, strict=True))
     errors = np.array([still.error for still in standstills])

@@ -367,8 +367,3 @@ def test_a_better_mean_counts_more():
     better = [replace(still, error=Noise(*(0.5 * e for e in still.error))) for still in found]
     first, second = (whitened(part)[0] for part in (found, better))
     assert_allclose(second[:, :3], 2.0 * first[:, :3], rtol=1e-9)
-
-
-def test_none_is_a_mistake():
-    with pytest.raises(BellowsError, match='at least one standstill'):
-        static_equations([], L0, ROUND, G, simulated.CUP.stiffness)
