@@ -11,7 +11,7 @@ Without a hold of some seconds r2 is not identifiable.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -283,16 +283,8 @@ RELAXATION_STEPS = 20
 """Most steps of the search; a handful suffice."""
 
 
-@dataclass(frozen=True, eq=False)
-class Products:
-    """Sums of products (q, q) of whitened rows [L, L1, L2, c], of each cluster, less the noise."""
-
-    clusters: Array
-    noise: Array
-
-
 def relaxation_of(
-    recordings: Sequence[Samples], noises: Sequence[FilterNoise | None], cup_length: float,
+    recordings: Sequence[Samples], noises: Sequence[FilterNoise], cup_length: float,
     structure: Structure,
 ) -> Relaxation:
     """
@@ -302,8 +294,8 @@ def relaxation_of(
     ----------
     recordings : sequence of Samples
         Of one cup.
-    noises : sequence of FilterNoise or None
-        Of each; where one is not known, none is taken out.
+    noises : sequence of FilterNoise
+        Of each.
     cup_length : float
         Nominal length l0, m.
     structure : Structure
@@ -311,8 +303,7 @@ def relaxation_of(
 
     """
     products = _products(recordings, noises, cup_length, structure)
-    moved = np.diag(products.clusters.sum(axis=0) - products.noise)[:2 * structure.size]
-    if not moved.min() > 0.0:  # nothing but noise moves the cup
+    if not np.diag(products[1])[:2 * structure.size].min() > 0.0:  # nothing but noise moves it
         return NO_RELAXATION
     _, unexplained = _minimum(products, structure.size, ())
     for free in ((0, 1), (0,), (1,)):
@@ -379,10 +370,14 @@ def _relaxing_rows(
 
 
 def _products(
-    recordings: Sequence[Samples], noises: Sequence[FilterNoise | None], cup_length: float,
+    recordings: Sequence[Samples], noises: Sequence[FilterNoise], cup_length: float,
     structure: Structure,
-) -> Products:
-    """Return the products of all recordings."""
+) -> tuple[Array, Array]:
+    """
+    Return the products of whitened rows [L, L1, L2, c] of all recordings.
+
+    Those of each cluster (C, q, q), and their sum (q, q) less what noise adds.
+    """
     moments = joined(Moments.of(samples.lip.wrench) for samples in recordings)
     whitening = whitening_of(regular(moments.covariance(structure)))
     size, clusters = 4 * structure.size + 1, []
@@ -392,18 +387,18 @@ def _products(
         for rows, parts in _relaxing_rows(lips, cup_length, structure):
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
-        if noise is not None:
-            some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(ENOUGH), draws(1)
-            part = max(some.count, 1) / max(samples.count, 1)
-            lips = [lip.thinned(max(len(samples.tool) // ENOUGH, 1)) for lip in lips]
-            for start, block in zip(range(0, some.count, BLOCK), some.blocks(), strict=True):
-                noisy = _branches(with_noise(block, noise, draw).relaxing((0.0, 0.0)))
-                exact = [lip.select(slice(start, start + BLOCK)) for lip in lips]
-                for (own, _), (other, _) in zip(
-                        _relaxing_rows(exact, cup_length, structure),
-                        _relaxing_rows(noisy, cup_length, structure, keep=False), strict=True):
-                    added += _square(whitening @ (other - own)) / part
-    return Products(np.array(clusters), added)
+        some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(ENOUGH), draws(1)
+        part = max(some.count, 1) / max(samples.count, 1)
+        lips = [lip.thinned(max(len(samples.tool) // ENOUGH, 1)) for lip in lips]
+        for start, block in zip(range(0, some.count, BLOCK), some.blocks(), strict=True):
+            noisy = _branches(with_noise(block, noise, draw).relaxing((0.0, 0.0)))
+            exact = [lip.select(slice(start, start + BLOCK)) for lip in lips]
+            for (own, _), (other, _) in zip(
+                    _relaxing_rows(exact, cup_length, structure),
+                    _relaxing_rows(noisy, cup_length, structure, keep=False), strict=True):
+                added += _square(whitening @ (other - own)) / part
+    products = np.array(clusters)
+    return products, products.sum(axis=0) - added
 
 
 def _square(rows: Array) -> Array:
@@ -413,7 +408,7 @@ def _square(rows: Array) -> Array:
 
 
 def _minimum(
-    products: Products, n: int, free: Sequence[int], ratio: float = 0.0
+    products: tuple[Array, Array], n: int, free: Sequence[int], ratio: float = 0.0
 ) -> tuple[Relaxation, float]:
     """
     Return r1 and r2, zero where not free, by Gauss-Newton, and the squares that are left.
@@ -426,7 +421,7 @@ def _minimum(
     by = np.zeros((2, len(free)))
     by[list(free), range(len(free))] = 1.0
     by[1] += ratio * by[0]
-    G = products.clusters.sum(axis=0) - products.noise
+    clusters, G = products
     scale = 1.0 / np.sqrt(np.diag(G)[:2 * n])
     x = np.append(np.linalg.solve(G[:2 * n, :2 * n] * np.outer(scale, scale),
                                   scale * G[:2 * n, -1]) * scale, np.zeros(len(free)))
@@ -439,7 +434,7 @@ def _minimum(
         if np.abs(step[2 * n:]).max(initial=0.0) < 1e-9:
             break
     y, Y = _combined(x, n, by)
-    scores = (products.clusters @ y) @ (Y * unit)
+    scores = (clusters @ y) @ (Y * unit)
     scores = scores - scores.mean(axis=0)
     H = (Y * unit).T @ G @ (Y * unit)
     gain = by @ np.linalg.inv(H)[2 * n:]
