@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import joined, Solution, without
-from bellows_ros.core.identification.least_squares import noise_bias, structure_of, weighted
+from bellows_ros.core.identification.least_squares import noise_bias, weighted
 from bellows_ros.core.identification.reduction import Movement, Reduced
 from bellows_ros.core.identification.samples import PassBand
 from bellows_ros.core.model.structure import AXES, Structure
@@ -278,7 +278,7 @@ def excitation_of(
 
     """
     statistics, movements = [own.statistics for own in parts], [own.movement for own in parts]
-    structure = structure_of(statistics)
+    structure = statistics[0].structure
     whitening, found, noise = weighted(statistics)
     axes, filtered = _axes(movements), method == 'least_squares'
     shares = bias = np.full(len(found.x), np.nan)

@@ -46,7 +46,7 @@ from bellows_ros.core.recording.recording import (
     Recording,
     Relaxation,
 )
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import UndeterminedError
 import numpy as np
 
 SHOWN = 4
@@ -93,11 +93,10 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     Raises
     ------
     BellowsError
-        If there are none or too few samples, the parts differ in structure or length, or no
-        parameter is identifiable.
+        If there are too few samples, or no parameter is identifiable.
 
     """
-    structure = structure_of(parts)
+    structure = parts[0].structure
     used, rejected = sum(part.used for part in parts), sum(part.rejected for part in parts)
     if 6 * used <= 2 * structure.size:
         raise UndeterminedError(
@@ -138,25 +137,13 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     )
 
 
-def structure_of(parts: Sequence[Statistics]) -> Structure:
-    """Return the structure of all parts, or raise BellowsError if they are not of one cup."""
-    kinds = {(part.structure.name, part.cup_length) for part in parts}
-    if len(kinds) != 1:
-        found = ', '.join(f'{name} with {length:g} m' for name, length in sorted(kinds))
-        raise BellowsError(
-            'Recordings can be fitted together only with the same fit.structure and cup.length; '
-            f'these have {found or "none"}. Use one parameter file for all of them.'
-        )
-    return parts[0].structure
-
-
 def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None]:
     """
     Return the whitening (6, 6), the solution as it is with noise, and what this adds to products.
 
     The last (6, q, 6, q) is that of all parts (see `noise_products`), None where one lacks it.
     """
-    structure = structure_of(parts)
+    structure = parts[0].structure
     whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
     known = [part.noise for part in parts if part.noise is not None]
     R = r_factor((own.stacked for own in _rows(parts, whitening)), 2 * structure.size + 1)
