@@ -6,7 +6,7 @@ that, AIC and BIC guess from the number of independent samples, and held-out par
 recordings show: a cup found without them has to simulate their motion.
 
 Noise biases least squares, and a rich structure can mend with couplings that are not there what
-the bias spoils. Where the noise is known, its bias is therefore subtracted before cups simulate.
+the bias spoils. Its bias is therefore subtracted before cups simulate.
 """
 
 from collections.abc import Iterator, Sequence
@@ -146,7 +146,7 @@ class StructureSelection:
 
 
 def select_structure(
-    recordings: Sequence[Samples], cup_length: float, noises: Sequence[FilterNoise] = (),
+    recordings: Sequence[Samples], cup_length: float, noises: Sequence[FilterNoise],
     of_gripper: Structure | None = None,
 ) -> StructureSelection:
     """
@@ -158,8 +158,8 @@ def select_structure(
         Prepared recordings of one cup.
     cup_length : float
         Nominal length l0, m.
-    noises : sequence of FilterNoise, optional
-        Of each recording; without them nothing is corrected for noise.
+    noises : sequence of FilterNoise
+        Of each recording.
     of_gripper : Structure, optional
         That of one cup of the gripper that was recorded.
 
@@ -174,16 +174,12 @@ def select_structure(
     fitted = [(s, fit) for s, (fit, _) in zip(structures, fits, strict=True) if fit is not None]
     if not fitted:
         raise BellowsError(f'No structure can be fitted. {fits[0][1]}')
-    if noises and len(noises) != len(recordings):
-        raise BellowsError(f'{len(recordings)} recordings need as many noise estimates, got '
-                           f'{len(noises)}.')
     whitening, effective = _common_weight(recordings, cup_length, *fitted[-1])
     problem = _Problem(
         recordings, cup_length, whitening, effective, sum(own.count for own in recordings),
         # With other draws than those of the fit, which subtracts what it sees in its own.
         np.sum([noise_products(samples, noise, cup_length, structures[-1], SEED + 1)
-                for samples, noise in zip(recordings, noises, strict=True)], axis=0)
-        if noises else None)
+                for samples, noise in zip(recordings, noises, strict=True)], axis=0))
     marked = [_candidate(problem, s, *fit) for s, fit in zip(structures, fits, strict=True)]
     aic, bic = min(own.aic for own in marked), min(own.bic for own in marked)
     candidates = [replace(own, aic=own.aic - aic, bic=own.bic - bic) for own in marked]
@@ -196,7 +192,7 @@ class _Problem(NamedTuple):
     What all structures have in common.
 
     Recordings; length (m); whitening (6, 6); effective and all samples; what noise adds to the
-    products of the richest structure's rows (see `noise_products`), where it is known.
+    products of the richest structure's rows (see `noise_products`).
     """
 
     recordings: Sequence[Samples]
@@ -204,7 +200,7 @@ class _Problem(NamedTuple):
     whitening: Array
     effective: float
     used: int
-    noise: Array | None
+    noise: Array
 
     def folds(self) -> Iterator[list[tuple[Samples, slice]]]:
         """Yield each recording with its samples that are in a fold, fold by fold."""
@@ -286,15 +282,13 @@ def _candidate(
             (rows.whitened(problem.whitening).stacked for lip in lips
              for rows in lip.equations(problem.cup_length, structure, keep=False)), size + 1))
     T = block_diag(structure.within(list(STRUCTURES.values())[-1]), np.eye(1))
-    noise = None if problem.noise is None else np.einsum(
-        'ipjq,pa,qb->iajb', problem.noise, T, T, optimize=True)
+    noise = np.einsum('ipjq,pa,qb->iajb', problem.noise, T, T, optimize=True)
     simulated = []
     for number, fold in enumerate(problem.folds()):
         others = r_factor(parts[:number] + parts[number + 1:], size + 1)
         x, inverse, *_ = solution(others, structure)
-        if noise is not None:
-            part_of_it = (1.0 - counts[number] / problem.used) * noise
-            x = x - noise_bias(part_of_it, problem.whitening, x, inverse)[0]
+        part_of_it = (1.0 - counts[number] / problem.used) * noise
+        x = x - noise_bias(part_of_it, problem.whitening, x, inverse)[0]
         simulated.append(_simulated_errors(
             gripper_of(Cup(*structure.matrices(x), problem.cup_length,
                            problem.recordings[0].relaxation), structure.places),

@@ -106,7 +106,7 @@ def test_effective_samples_of_an_autoregression(a):
     assert_allclose(effective_samples([(values, valid)], 100), expected * part, rtol=0.05)
 
 
-def test_gaps_are_left_out_and_without_noises_nothing_is_corrected():
+def test_gaps_are_left_out():
     recording = simulated.record(simulated.shake(duration=12.0), rate_hz=120.0)
     samples = samples_of(recording)
     valid = np.ones(len(samples.tool), dtype=bool)
@@ -114,7 +114,7 @@ def test_gaps_are_left_out_and_without_noises_nothing_is_corrected():
     tool = Trajectory(*[getattr(samples.tool, name) for name in (
         'stamps_ns', 'position', 'rotation', 'twist', 'acceleration')], valid)
     gappy = Samples(tool, samples.package, samples.payload, samples.gravity, samples.window)
-    selection = select_structure([gappy], simulated.CUP.length)
+    selection = select_structure([gappy], simulated.CUP.length, [recording.noise])
     assert selection.samples == len(samples.tool) - 30
     assert selection.advised == 'axisymmetric'
 
