@@ -3,7 +3,7 @@
 from dataclasses import replace
 from itertools import product
 import os
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
@@ -47,11 +47,14 @@ def reordered(rotation: Array) -> Array:
     return lie.quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(rotation), -1, axis=-1))
 
 
-def converted(stream: PoseStream, own: Convention) -> PoseStream:
+Poses = TypeVar('Poses', PoseStream, Trajectory)
+
+
+def converted(poses: Poses, own: Convention) -> Poses:
     """Return poses in metres, with w last, that were recorded by a convention."""
     return replace(
-        stream, position=stream.position * (1e-3 if own.millimetres else 1.0),
-        rotation=reordered(stream.rotation) if own.w_first else stream.rotation)
+        poses, position=poses.position * (1e-3 if own.millimetres else 1.0),
+        rotation=reordered(poses.rotation) if own.w_first else poses.rotation)
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
@@ -91,9 +94,8 @@ def _distance(
     bodies: list[Trajectory], units: tuple[Convention, Convention]
 ) -> tuple[float, float]:
     """Return the median distance of the bodies, m, and by which part it varies."""
-    tool, package = (own.position * (1e-3 if unit.millimetres else 1.0)
-                     for own, unit in zip(bodies, units, strict=True))
-    distance = np.linalg.norm(package - tool, axis=1)
+    tool, package = map(converted, bodies, units)
+    distance = np.linalg.norm(package.position - tool.position, axis=1)
     low, middle, high = np.percentile(distance, (25, 50, 75))
     return float(middle), float((high - low) / max(middle, 1e-12))
 
@@ -104,11 +106,9 @@ def _motion(bodies: list[Trajectory], given: tuple[Convention, Convention]) -> t
 
     The first is a turn (rad) and a way in parts of the distance, the second of two cosines.
     """
-    (p, R), (q, Q) = ((own.position * (1e-3 if unit.millimetres else 1.0),
-                       reordered(own.rotation) if unit.w_first else own.rotation)
-                      for own, unit in zip(bodies, given, strict=True))
-    back = np.swapaxes(R, 1, 2)
-    way, turned = lie.apply(back, q - p), back @ Q
+    tool, package = map(converted, bodies, given)
+    back = np.swapaxes(tool.rotation, 1, 2)
+    way, turned = lie.apply(back, package.position - tool.position), back @ package.rotation
     way = way / np.median(np.linalg.norm(way, axis=1))
     turn = lie.log_so3(turned[len(turned) // 2].T @ turned)
     spread = sum(float(np.linalg.norm(np.subtract(*np.percentile(x, (75, 25), axis=0))))
