@@ -62,16 +62,15 @@ class Noise(NamedTuple):
     rotation: float
 
 
-def ripple(poses: Trajectory, enough: float = np.inf) -> tuple[Array, Array]:
+def ripple(poses: Trajectory) -> tuple[Array, Array]:
     """
     Return what quartics through nine poses leave of the middle ones, and these rotations.
 
     Parameters
     ----------
     poses : Trajectory
-        At a uniform rate, some of them not valid.
-    enough : float
-        Where there are more windows than that, every second is enough, or every third, ...
+        At a uniform rate, some of them not valid. Of many windows every second is enough, or every
+        third, ...
 
     Returns
     -------
@@ -86,7 +85,7 @@ def ripple(poses: Trajectory, enough: float = np.inf) -> tuple[Array, Array]:
     """
     n = HALF_WINDOW
     whole = ~trajectory.any_within(~poses.valid, 2 * n + 1)
-    step = int(max(len(whole) // enough, 1))
+    step = max(len(whole) // ENOUGH, 1)
     centres = n + step * np.flatnonzero(whole[::step])
     if not len(centres):
         raise UndeterminedError(
@@ -116,7 +115,7 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
 
     Of first-order noise that keeps a part of itself from pose to pose. Errors as of `ripple`.
     """
-    left, rotation = ripple(poses, ENOUGH)
+    left, rotation = ripple(poses)
     left[:, :3] = apply(np.swapaxes(rotation, 1, 2), left[:, :3])
     return np.asarray(_clipped_rms(left) / np.sqrt(ripple_part(ar1)))
 
@@ -143,7 +142,7 @@ def noise_of(poses: Trajectory) -> Noise:
     It is the median size of what a local polynomial leaves of each sample, so that outliers do
     not count. Noise-free recordings give what rounding leaves. Errors as those of `ripple`.
     """
-    left = np.abs(ripple(poses, ENOUGH)[0])
+    left = np.abs(ripple(poses)[0])
     scale = MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of its own fit
     return Noise(*(float(scale * np.median(part)) for part in np.hsplit(left, 2)))
 
