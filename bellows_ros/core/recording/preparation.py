@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import apply, log_so3
+from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
     Alignment,
@@ -314,27 +314,20 @@ def lasting_steps(
     poses: PoseStream, time: resampling.Timing, outliers: Outliers
 ) -> list[LastingStep]:
     """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
-    return [step for step in outliers.steps
-            if not (_is_of_jitter(poses, time, step) or _is_of_motion(poses, time, step))]
+    if not outliers.steps:
+        return []
+    ways = [np.linalg.norm(own, axis=1) for own in increments_of(poses).values()]
+    slow = time.rate_hz < LOW_RATE_HZ  # then a body moves far between two poses
+    often = [float(np.percentile(own, OFTEN)) if slow else 0.0 for own in ways]
+    return [step for step in outliers.steps if not any(
+        step.position < way and step.rotation < angle
+        for way, angle in (often, _ways_of_jitter(poses, time, step, ways)))]
 
 
-def _is_of_motion(poses: PoseStream, time: resampling.Timing, step: LastingStep) -> bool:
-    """Return whether a body moves as far elsewhere between two poses of a slow camera."""
-    if time.rate_hz >= LOW_RATE_HZ:
-        return False
-    ways = (np.linalg.norm(own, axis=1) for own in increments_of(poses).values())
-    way, angle = (float(np.percentile(own, OFTEN)) for own in ways)
-    return bool(step.position < way and step.rotation < angle)
-
-
-def _is_of_jitter(poses: PoseStream, time: resampling.Timing, step: LastingStep) -> bool:
-    """Return whether jitter of the stamps explains a step at the body's speed."""
+def _ways_of_jitter(
+    poses: PoseStream, time: resampling.Timing, step: LastingStep, ways: list[Array]
+) -> list[float]:
+    """Return how far jitter of the stamps moves a body near a step (m, rad), by its ways (M,)."""
     near = slice(max(step.before - 5, 0), step.before + 6)
-    seconds = np.ptp(poses.stamps_ns[near]) / NS_PER_S
-    R = poses.rotation[near]
-    turns = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-    way, angle = (
-        float(np.linalg.norm(part, axis=1).sum())
-        for part in (np.diff(poses.position[near], axis=0), turns))
-    part = STEP_JITTERS * time.jitter_s / seconds
-    return bool(step.position < part * way and step.rotation < part * angle)
+    part = STEP_JITTERS * time.jitter_s / (np.ptp(poses.stamps_ns[near]) / NS_PER_S)
+    return [float(part * own[near.start:near.stop - 1].sum()) for own in ways]
