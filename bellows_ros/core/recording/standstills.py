@@ -81,9 +81,7 @@ class Standstill:
         return float(np.arccos(np.clip(self.tool.rotation[0, 2, 2], -1.0, 1.0)))
 
 
-def standstills_of(
-    recording: Recording, shortest: float = SHORTEST
-) -> tuple[tuple[Standstill, ...], int]:
+def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
     """
     Return the standstills of a recording, in the order of time, and how often one failed.
 
@@ -100,16 +98,16 @@ def standstills_of(
     """
     bodies, noise = (recording.measured_tool, recording.measured_package), recording.measured_noise
     spans = _blocks(*bodies)
-    found = _still(bodies, noise, spans, shortest)
+    found = _still(bodies, noise, spans)
     if not found:
         raise BellowsError(
-            f'The recording contains no standstill of {shortest:g} s or more: the tool and the '
+            f'The recording contains no standstill of {SHORTEST:g} s or more: the tool and the '
             'package must both come to rest. Hold each pose until the package has stopped '
             'swinging, some 3 s.')
     settled = np.array([span[0] for span in found], dtype=np.int64)
     failed = sum(
         not np.any((settled >= span[0] - len(spans[0])) & (settled <= span[-1]))
-        for span in _still(bodies[:1], noise[:1], spans, shortest))
+        for span in _still(bodies[:1], noise[:1], spans))
     tool, package = bodies
     return tuple(
         _standstill(tool.select(span), package.select(span), noise, recording.payload)
@@ -147,7 +145,7 @@ def _standstill(
 
 
 def _still(
-    bodies: Sequence[Trajectory], noise: Sequence[Noise], spans: list[Stamps], shortest: float
+    bodies: Sequence[Trajectory], noise: Sequence[Noise], spans: list[Stamps]
 ) -> list[Stamps]:
     """Return the samples of every standstill of all bodies, in the order of time."""
     stamps = bodies[0].stamps_ns
@@ -163,7 +161,7 @@ def _still(
         # The first and the last block may have a little of the moves before and after in them.
         inner = slice(first + 1, last) if last - first > 3 else slice(first, last + 1)
         span = np.concatenate(spans[inner])
-        long_enough = _seconds(stamps, span) >= shortest
+        long_enough = _seconds(stamps, span) >= SHORTEST
         if long_enough:
             found.append(span)
         last = first - 1 if long_enough else last - 1
