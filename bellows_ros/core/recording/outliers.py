@@ -228,13 +228,6 @@ GAPS_SAMPLED = 2000
 MIN_GAPS_SAMPLED = 20
 
 
-class SampleRange(NamedTuple):
-    """The first and the last of some samples in a row."""
-
-    first: int
-    last: int
-
-
 class LastingStep(NamedTuple):
     """A jump without a return: the sample before it, and its size, m and rad."""
 
@@ -369,11 +362,11 @@ def _thresholds_over(
     return np.asarray(GAP_THRESHOLD_FACTOR * np.linalg.norm(jumps, axis=2).max(axis=1))
 
 
-def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[SampleRange], list[LastingStep]]:
+def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[LastingStep]]:
     """Return the excursions between jumps that cancel, and the remaining steps."""
     edges = sorted(edges, key=lambda edge: edge.before)
     flickers = _flicker(edges)
-    excursions: list[SampleRange] = []
+    excursions: list[slice] = []
     used: set[int] = set()
     single = []
     for k, edge in enumerate(edges):
@@ -387,16 +380,16 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[SampleRange], lis
             continue
         first, last = min(ends, key=lambda end: edges[end[1]].before - edges[end[0]].before)
         used.update(range(first, last + 1))
-        excursions.append(SampleRange(edges[first].before + 1, edges[last].before))
+        excursions.append(slice(edges[first].before + 1, edges[last].before + 1))
     steps = []
     for edge, flickering in single:
-        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else SampleRange(
-            edge.before, edge.before + 1)
+        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else slice(
+            edge.before, edge.before + 2)
         if run is None:
             steps.append(LastingStep(edge.before, *_sizes(edge.forms)))
         else:
             excursions.append(run)
-    return sorted(excursions), steps
+    return excursions, steps
 
 
 def _flicker(edges: list[Edge]) -> Mask:
@@ -479,15 +472,15 @@ def _sizes(forms: Array) -> Array:
     return np.asarray(np.linalg.norm(forms[:, 0], axis=1))
 
 
-def _to_the_end(edge: Edge, poses: Trajectory) -> SampleRange | None:
+def _to_the_end(edge: Edge, poses: Trajectory) -> slice | None:
     """Return the part between a jump and an end of the recording, if short, else nothing."""
     seconds = poses.seconds
     first = edge.before + 1
     before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[first])
     if before < min(after, LONGEST_AT_END):
-        return SampleRange(0, edge.before)
+        return slice(0, edge.before + 1)
     if after < min(before, LONGEST_AT_END):
-        return SampleRange(first, len(poses) - 1)
+        return slice(first, len(poses))
     return None
 
 
@@ -511,13 +504,8 @@ class Outliers:
     Parameters
     ----------
     good : bool array (N,)
-        False for the samples marked.
-    excursions : tuple of SampleRange
-        Jumps away and back.
-    isolated : tuple of SampleRange
-        Single samples between others marked or missing.
-    frozen : tuple of SampleRange
-        Exact repeats of a pose while the body moved.
+        False for the samples marked: jumps away and back, exact repeats of a pose while the body
+        moved, and single samples between others marked or missing.
     steps : tuple of LastingStep
         Jumps without a return; only the samples beside one are marked.
     noise : dict of str to array (3,)
@@ -528,9 +516,6 @@ class Outliers:
     """
 
     good: Mask
-    excursions: tuple[SampleRange, ...]
-    isolated: tuple[SampleRange, ...]
-    frozen: tuple[SampleRange, ...]
     steps: tuple[LastingStep, ...]
     noise: dict[str, Array]
 
@@ -551,12 +536,11 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     Outliers
 
     """
-    frozen = _frozen(poses)
     moving = np.full(len(poses), True)
-    _exclude(moving, frozen)
+    _exclude(moving, _frozen(poses))
     kept = np.flatnonzero(moving)
     if len(kept) < 2 * SHORTEST_RUN:
-        return Outliers(moving, (), (), frozen, (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
+        return Outliers(moving, (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
     poses = poses.select(kept)
     steps_ns = np.diff(poses.stamps_ns)
     gap = steps_ns > longest_step_ns
@@ -571,15 +555,11 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _exclude(good, excursions)
     for step in steps:
         good[step.before:step.before + 2] = False
-    isolated = _isolated(good, gap)
-    _exclude(good, isolated)
+    _exclude(good, _isolated(good, gap))
     moving[kept] = good
     deviations = (jumps.typical / MEDIAN_PER_DEVIATION for jumps in short)
-    away, alone = (tuple(SampleRange(*kept[list(run)].tolist()) for run in runs)
-                   for runs in (excursions, isolated))
     return Outliers(
-        moving, away, alone, frozen,
-        tuple(step._replace(before=int(kept[step.before])) for step in steps),
+        moving, tuple(step._replace(before=int(kept[step.before])) for step in steps),
         dict(zip(increments, deviations, strict=True)))
 
 
@@ -623,21 +603,21 @@ def _repeats(poses: Trajectory | PoseStream) -> Mask:
     return same
 
 
-def _exclude(good: Mask, runs: Iterable[SampleRange]) -> None:
+def _exclude(good: Mask, runs: Iterable[slice]) -> None:
     """Take the samples of runs out of the good ones."""
     for run in runs:
-        good[run.first:run.last + 1] = False
+        good[run] = False
 
 
-def _isolated(good: Mask, gap: Mask) -> tuple[SampleRange, ...]:
+def _isolated(good: Mask, gap: Mask) -> list[slice]:
     """Return the runs of good samples, without a gap in them, that are too short to be judged."""
     begins = np.concatenate([[True], gap | (good[1:] != good[:-1])])
     first = np.append(np.flatnonzero(begins), len(good)).tolist()
-    return tuple(SampleRange(i, after - 1) for i, after in pairwise(first)
-                 if good[i] and after - i < SHORTEST_RUN)
+    return [slice(i, after) for i, after in pairwise(first)
+            if good[i] and after - i < SHORTEST_RUN]
 
 
-def _frozen(poses: Trajectory) -> tuple[SampleRange, ...]:
+def _frozen(poses: Trajectory) -> list[slice]:
     """
     Return the exact repeats that end with a step too large for the motion around.
 
@@ -647,7 +627,7 @@ def _frozen(poses: Trajectory) -> tuple[SampleRange, ...]:
     repeats = _repeats(poses)
     moves = np.flatnonzero(~repeats)
     if len(moves) in (0, len(repeats)):
-        return ()
+        return []
     lengths = [np.linalg.norm(increment, axis=1) for increment in increments_of(poses).values()]
     found = []
     for (run,) in find_objects(label(repeats)[0]):
@@ -658,8 +638,8 @@ def _frozen(poses: Trajectory) -> tuple[SampleRange, ...]:
         k = int(np.searchsorted(moves, last))
         excess = [_catch_up(length, moves, k, last - first + 1) for length in lengths]
         if any(e > floor for e, floor in zip(excess, SMALLEST_JUMP.values(), strict=True)):
-            found.append(SampleRange(first + 1, last + 1))
-    return tuple(found)
+            found.append(slice(first + 1, last + 2))
+    return found
 
 
 def _catch_up(length: Array, moves: Indices, k: int, repeats: int) -> float:

@@ -318,7 +318,7 @@ class StreamReport:
     timing : Timing
         Rate, jitter, and gaps by sample.
     outliers : Outliers
-        Excursions, frozen poses and steps, by sample, and the noise.
+        Which poses are marked, steps by sample, and the noise.
     overlapping_gap : int
         Filtered samples left out because their windows touch invalid ones.
     arrivals : ArrivalStamps or None
