@@ -122,7 +122,7 @@ def _near_with_given(
     size = len(search.units)
     wide = search.beside(found, more)
     std = wide.weights[size:] ** -0.5
-    parts, H, g = wide.system(wide.at(found.theta), 0.0)
+    parts, H, g = wide.system(wide.at(search, found.theta), 0.0)
     if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
         return search, found._replace(converged=False), np.zeros((size, size))
     S = H[size:, size:] - H[size:, :size] @ np.linalg.solve(H[:size, :size], H[:size, size:])
@@ -131,7 +131,7 @@ def _near_with_given(
     held = vectors[:, :len(std) - free] / std[:, None]
     wide.held = np.zeros_like(H)
     wide.held[size:, size:] = HELD * held @ held.T
-    again = wide.found(note, wide.at(found.theta), (parts, H + wide.held, g))
+    again = wide.found(note, wide.at(search, found.theta), (parts, H + wide.held, g))
     if again.converged:
         search, found, H = wide, again, again.information - wide.held
     else:
@@ -296,7 +296,7 @@ def _freed(search: Search, found: Minimum, name: str, noise: list[Array]) -> _Fr
     """Return the search from a minimum with one quantity more, and what that explains."""
     _restore(search, found, noise)
     wide = search.beside(found, anything([name]))
-    again = wide.found(lambda cup, chi2: None, wide.at(found.theta))
+    again = wide.found(lambda cup, chi2: None, wide.at(search, found.theta))
     gain = _gain(found, again) if again.converged else -np.inf
     return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
 
@@ -322,7 +322,7 @@ def _scores(
     """Yield by how much the squares would fall with each quantity free."""
     names = [name for name in CANDIDATES if name not in (*search.places, *known)]
     wide = search.beside(found, anything(names))
-    _, H, g = wide.system(wide.at(found.theta), 0.0)
+    _, H, g = wide.system(wide.at(search, found.theta), 0.0)
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
     for name in names:

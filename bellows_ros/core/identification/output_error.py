@@ -126,8 +126,8 @@ def output_error(
         if 'relaxation' not in search.places:
             search, found = _with_relaxation(search, found, note)
         elif not _relaxes(search, found):  # as least squares, which noise disturbs, has it
-            search, near = search.without_relaxation(found)
-            found = search.found(note, near)
+            stiff = search.beside(found, {}, relaxes=False)
+            search, found = stiff, stiff.found(note, stiff.at(search, found.theta))
         if relaxation == 'on' and 'relaxation' not in search.places:
             raise UndeterminedError(NOT_RELAXING)
     reasons = causes(search, found, stated(given))
@@ -141,7 +141,7 @@ def _with_relaxation(
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else as it is."""
     more = search.beside(found, anything(['relaxation']))
-    (own,), theta = more.places['relaxation'], more.at(found.theta)
+    (own,), theta = more.places['relaxation'], more.at(search, found.theta)
     _, H, g = more.system(theta, 0.0)
     base = np.arange(own[0])
     H_own, slope = H[np.ix_(own, base)], g[own]

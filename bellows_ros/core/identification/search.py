@@ -421,28 +421,20 @@ class Search:
         return {name: rows[segment.measured.recording if KINDS[name].each else 0]
                 for name, rows in self.places.items()}
 
-    def at(self, theta: Array) -> Array:
-        """Return the unknowns at those of a search with the same cup and fewer free quantities."""
+    def at(self, other: 'Search', theta: Array) -> Array:
+        """Return the unknowns at those of another search with the same cup."""
         there = self.start.copy()
-        there[self.count:len(theta)] = theta[self.count:]
+        for name in self.places.keys() & other.places:
+            there[self.places[name]] = theta[other.places[name]]
         return there
 
-    def beside(self, found: 'Minimum', more: Free) -> 'Search':
-        """Return a search about a minimum in which more is free, by its standard deviations."""
+    def beside(self, found: 'Minimum', more: Free, relaxes: bool = True) -> 'Search':
+        """Return a search about a minimum in which more is free, or no relaxation."""
         known = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
-                 for name, rows in self.places.items()}
-        return Search(self.segments, self.structure, self.cup(found.theta), {**known, **more})
-
-    def without_relaxation(self, found: 'Minimum') -> 'tuple[Search, Array]':
-        """Return a search about a minimum, of a cup that does not relax, and its unknowns."""
-        free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
-                for name, rows in self.places.items() if name != 'relaxation'}
-        fewer = Search(self.segments, self.structure, replace(
-            self.cup(found.theta), relaxation=(0.0, 0.0)), free)
-        near = fewer.start.copy()
-        for name, rows in fewer.places.items():
-            near[rows] = found.theta[self.places[name]]
-        return fewer, near
+                 for name, rows in self.places.items() if relaxes or name != 'relaxation'}
+        cup = self.cup(found.theta)
+        return Search(self.segments, self.structure, cup if relaxes else replace(
+            cup, relaxation=(0.0, 0.0)), {**known, **more})
 
     def found(
         self, note: Callable[[Cup, float], None], near: Array | None = None,
