@@ -18,6 +18,7 @@ from .cases import (
     NOISE,
     observer,
     PACKAGE,
+    pick_and_place,
     tool_motion,
     truth,
     with_noise,
@@ -70,11 +71,13 @@ CONDITIONS = {
     'com 2 mm': {'com': 2e-3},
     'camera 1 mm, 2 mrad': {'offset': (1e-3, 2e-3)},
     'mass 2 %': {'mass': 0.02},
-    'jitter 3 ms': {'late': 5e-3, 'jitter': 3e-3},
+    'jitter 3 ms, moves and rests': {
+        'late': 5e-3, 'jitter': 3e-3, 'motion': pick_and_place},
     'all, small': {'stiffness': 0.01, 'damping': 0.05, 'com': 1e-3, 'late': 0.003,
                    'offset': (5e-4, 0.0), 'memory': 0.033},
 }
-"""What is wrong in sound work: by how much, in either direction."""
+CONDITIONS['all, small, moves and rests'] = {**CONDITIONS['all, small'], 'motion': pick_and_place}
+"""What is wrong in sound work: by how much, in either direction; and how the tool moves."""
 
 
 class Cell:
@@ -101,22 +104,21 @@ class Cell:
         How long a package slips, s.
     numbers : ndarray
         Of a slip or a payload (m), or a camera (m, rad); drawn if None.
-    motion : callable
-        Gives stamps and states of the tool.
     more : parameters of the observer
 
     """
 
     def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0,
-                 lost=None, lasts=0.0, numbers=None, motion=tool_motion, **more):
+                 lost=None, lasts=0.0, numbers=None, **more):
         """Simulate the package and its measured poses."""
         self.rng = rng = np.random.default_rng(seed)
         self.at, self.fault, self.size, self.lost, self.numbers = at, fault, size, lost, numbers
         self.steps = max(round(lasts * 1e9 / PERIOD_NS), 1)
         self.nominal = PACKAGE if lost is None else HEAVY
         self.wrong = wrong = {
-            'memory': 0.0, 'late': 0.0, 'jitter': 0.0, 'offset': (0.0, 0.0), **wrong}
-        self.stamps, self.tool = motion(rng, seconds, period_ns=PERIOD_NS)
+            'memory': 0.0, 'late': 0.0, 'jitter': 0.0, 'offset': (0.0, 0.0),
+            'motion': tool_motion, **wrong}
+        self.stamps, self.tool = wrong['motion'](rng, seconds, period_ns=PERIOD_NS)
         self.tool = [(tuple(np.add(o, WORKPLACE).tolist()), *rest) for o, *rest in self.tool]
         self.package, self.one_cup = self._true()
         self.cup = self.one_cup if lost is None else gripper_of(self.one_cup)
@@ -125,7 +127,7 @@ class Cell:
                           period_ns=PERIOD_NS)
         given = {**ORDINARY, **stated(self.nominal, **{
             name: value for name, value in wrong.items()
-            if name not in ('memory', 'late', 'jitter', 'offset')}), **more}
+            if name not in ('memory', 'late', 'jitter', 'offset', 'motion')}), **more}
         self.made = observer(**given) if lost is None else observer(
             HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))

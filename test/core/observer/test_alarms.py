@@ -43,7 +43,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from .cases import CUP, pick_and_place
+from .cases import CUP
 from .cell import Cell, CONDITIONS, errors_around_slips, EXACT, gripper_of, LAYOUT
 
 EXACTLY = {**EXACT, 'payload__estimate': False}
@@ -304,7 +304,7 @@ def test_camera_that_moved_is_not_followed():
 @pytest.mark.parametrize('seed', [114, 117])
 def test_fault_taken_for_another_raises_no_second_alarm(seed):
     """Allow for the second likeliest cause, too, where the odds to it are low."""
-    cell = Cell(seed, 13.0, CONDITIONS['all, small'], 'leak', at=8.0, motion=pick_and_place)
+    cell = Cell(seed, 13.0, CONDITIONS['all, small, moves and rests'], 'leak', at=8.0)
     ((cause, after),) = cell.run()
     (alarm,) = cell.made.alarms
     assert after > 0.0
