@@ -100,8 +100,12 @@ TOGETHER = 2e-4
 """Poses of the package this close (s) to a sample of the tool count as simultaneous, so that a
 small change of the clock does not change which comes first. The twist bridges the rest."""
 
-LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
-"""Longest steps of the linearised model, and of the integrator (s)."""
+LONGEST_STEP, LONGEST_INTEGRATION, SHORTEST_INTEGRATION = 0.01, 0.005, 5e-6
+"""
+Longest steps of the linearised model, and of the integrator, and the shortest of that (s).
+
+No package moves so fast on a cup (20,000/s) that it needs shorter ones: a search turns back there.
+"""
 
 FORGETS = 30.0
 """What the unknown acceleration forgets per second while a start is brought near; nothing then."""
@@ -490,7 +494,7 @@ class Search:
             try:
                 new = self.system(there, forgets)
                 is_worse = not squares(new[0]) < RISES * max(squares(parts), expected)  # or nan
-            except BellowsError:  # no cup is that short, no clock that far off
+            except BellowsError:  # no cup is that short or fast, no clock that far off
                 is_worse = True
             if is_worse:
                 damping = max(10.0 * damping, 1e-2)
@@ -663,7 +667,13 @@ class Search:
         out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
         T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
         gains = np.zeros((size, 6, states + 1))
-        steps = substeps_of(lengths, min(largest_step(model), LONGEST_INTEGRATION))
+        longest = min(largest_step(model), LONGEST_INTEGRATION)
+        if longest < SHORTEST_INTEGRATION:
+            raise BellowsError(
+                f'With this cup the package needs integration steps of {longest:.2g} s, expected '
+                f'{SHORTEST_INTEGRATION:g} s at least: check the units of package.mass, '
+                'package.inertia, cup.stiffness and cup.damping.')
+        steps = substeps_of(lengths, longest)
         scales, beyond, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
         if not self.places.keys().isdisjoint(OF_CUP):
             bent = _bent(model, tool, simulate_rows(model, first, tool, lengths, steps))

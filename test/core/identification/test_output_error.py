@@ -12,7 +12,7 @@ from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import UndeterminedError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -63,6 +63,15 @@ def test_a_step_to_a_cup_shorter_than_nothing_is_rejected():
                     anything(['length']))
     length = (search.units * search.found(lambda cup, chi2: None).theta)[-1]
     assert -TRUTH.length < length < -0.02
+
+
+@pytest.mark.parametrize('damping', [1e5, 1e8])
+def test_a_cup_with_which_a_package_would_need_endless_steps_is_no_cup(damping):
+    """As a wrong recording leads to: its simulation would take minutes."""
+    segment = Segment(measured(3, duration=2.0))
+    damped = replace(TRUTH, damping=TRUTH.damping * (damping / TRUTH.damping[2, 2]))
+    with pytest.raises(BellowsError, match='package.mass'):
+        Search([segment], AXISYMMETRIC, damped, {}).found(lambda cup, chi2: None)
 
 
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
