@@ -91,7 +91,8 @@ def fit(
             'centre of mass), or record a richer motion.')
     std = dict(zip(found.labels, np.sqrt(np.diag(found.covariance)), strict=True))
     largest = SURE if found.method == 'output_error' else math.inf
-    explained = (found.robust_chi2 or 0.0) <= MISFIT**2  # else errors are of the misfit
+    explained = (found.robust_chi2 or 0.0) <= MISFIT**2 and not any(
+        own.certain for own in found.causes)  # else errors are of the misfit
     if found.converged and explained and not any(
             own.identifiable and std[own.label] <= largest * abs(own.value)
             for own in excitation.parameters if own.label.startswith('P')):

@@ -4,6 +4,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 from bellows_ros.core.identification import methods
+from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.methods import (
     are_differentiable,
     fit,
@@ -54,14 +55,18 @@ def test_slow_poses_and_a_marker_anywhere_are_not_differentiated(rate, free, dif
     assert are_differentiable([recording], {'fit.free': free}) is differentiable
 
 
-@pytest.mark.parametrize(('chi2', 'ends'), [
-    (1.0, pytest.raises(BellowsError, match='too little motion')), (5.0, nullcontext())])
-def test_a_misfit_that_hides_the_damping_is_not_called_too_little_motion(chi2, ends, monkeypatch):
+@pytest.mark.parametrize(('chi2', 'certain', 'ends'), [
+    (1.0, False, pytest.raises(BellowsError, match='too little motion')),
+    (5.0, False, nullcontext()), (3.9, True, nullcontext())])
+def test_a_misfit_that_hides_the_damping_is_not_called_too_little_motion(
+    chi2, certain, ends, monkeypatch
+):
     recording = simulated.record(simulated.shake(seed=3))
     values = resolve({'fit.method': 'least_squares', 'cup.length': simulated.CUP.length,
                       'package.mass': simulated.HELD.mass})
     found = methods.fitted([recording], values)
     unknown = replace(found, method='output_error', robust_chi2=chi2,
+                      causes=(Finding('drift', certain=certain),),
                       covariance=np.diag(np.full(len(found.parameters), np.inf)))
     monkeypatch.setattr(methods, 'fitted', lambda *own: unknown)
     with ends:
