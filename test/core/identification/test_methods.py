@@ -66,7 +66,7 @@ def test_a_misfit_that_hides_the_damping_is_not_called_too_little_motion(
                       'package.mass': simulated.HELD.mass})
     found = methods.fitted([recording], values)
     unknown = replace(found, method='output_error', robust_chi2=chi2,
-                      causes=(Finding('drift', certain=certain),),
+                      causes=(Finding('drift', '', certain=certain),),
                       covariance=np.diag(np.full(len(found.parameters), np.inf)))
     monkeypatch.setattr(methods, 'fitted', lambda *own: unknown)
     with ends:
