@@ -29,8 +29,12 @@ TYPICAL_STEPS = 12
 LEAST_NOISE = Noise(1e-5, 5e-5)
 """Noise (m, rad) below which its bias is negligible."""
 
-SURE = 0.25
-"""Standard error of the best known damping, in its size, with which a cup counts as moved."""
+SURE, UNLOADED = 0.25, 'K rz'
+"""
+Standard error of the best known damping, in its size, with which a cup counts as moved.
+
+Or of the stiffness that no weight loads: at rest nothing is known of it.
+"""
 
 MISFIT = 2.0
 """Times the noise by which output error may be off: a free simulation, and what it leaves."""
@@ -95,12 +99,11 @@ def fit(
         own.certain for own in found.causes)  # else errors are of the misfit
     if found.converged and explained and not any(
             own.identifiable and std[own.label] <= largest * abs(own.value)
-            for own in excitation.parameters if own.label.startswith('P')):
+            for own in excitation.parameters if own.label[0] == 'P' or own.label == UNLOADED):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
-            'nor any stiffness that the weight does not load. Move the tool in all directions '
-            "at 1-3 Hz, and along the cup at 4-6 Hz; standstills are for 'bellows static' and "
-            'static.bags.'
+            f'nor {UNLOADED}, which no weight loads. Move the tool in all directions at 1-3 Hz, '
+            "and along the cup at 4-6 Hz; standstills are for 'bellows static' and static.bags."
         )
     if found.method == 'least_squares':
         found = _with_relaxation(

@@ -71,3 +71,19 @@ def test_a_misfit_that_hides_the_damping_is_not_called_too_little_motion(
     monkeypatch.setattr(methods, 'fitted', lambda *own: unknown)
     with ends:
         assert not any(own.identifiable for own in fit([recording], values).excitation.parameters)
+
+
+@pytest.mark.parametrize(('std', 'ends'), [
+    (0.2, nullcontext()), (0.3, pytest.raises(BellowsError, match='too little motion'))])
+def test_stiffness_that_no_weight_loads_is_enough_motion(std, ends, monkeypatch):
+    """Noise may hide the damping of a stiff cup that is known otherwise."""
+    recording = simulated.record(simulated.shake(seed=3))
+    values = resolve({'fit.method': 'least_squares', 'cup.length': simulated.CUP.length,
+                      'package.mass': simulated.HELD.mass})
+    found = methods.fitted([recording], values)
+    known = np.array([label == 'K rz' for label in found.labels])
+    noisy = replace(found, method='output_error', robust_chi2=1.0, covariance=np.diag(
+        np.where(known, (std * found.parameters) ** 2, np.inf)))
+    monkeypatch.setattr(methods, 'fitted', lambda *own: noisy)
+    with ends:
+        assert fit([recording], values).fit is noisy
