@@ -280,12 +280,13 @@ def verdict_of(
 
 
 def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
-    """Return cups with K and P drawn from the covariance of a fit."""
-    known = np.isfinite(np.diag(fit.covariance))
+    """Return cups with K and P drawn from the covariance of a fit, what is unknown from wide."""
+    known, rng = np.isfinite(np.diag(fit.covariance)), np.random.default_rng(0)
     if not known.any():
         return []
-    thetas = np.tile(fit.parameters, (DRAWN, 1))
-    thetas[:, known] = np.random.default_rng(0).multivariate_normal(
+    thetas = fit.parameters * np.where(
+        known, 1.0, np.exp(rng.standard_normal((DRAWN, len(known)))))
+    thetas[:, known] = rng.multivariate_normal(
         fit.parameters[known], fit.covariance[np.ix_(known, known)], DRAWN, method='eigh')
     matrices = (structure.matrices(theta) for theta in thetas)
     return [gripper_of(Cup(K, P, cup.length, fit.relaxation), structure.places)

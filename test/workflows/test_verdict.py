@@ -94,6 +94,24 @@ def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
     assert refused in ' '.join(found.refusals)
 
 
+@pytest.mark.parametrize(('std', 'refused'), [(1e-3, True), (np.inf, False)])
+def test_what_is_not_identifiable_refuses_no_cup(monkeypatch, std, refused):
+    """Neither its stiffness, here 5 % too small, nor its damping."""
+    laboratory = Laboratory(4, seconds=4.0)
+    monkeypatch.setattr(verdict, 'diagnose', lambda *given: Diagnosis(0.0, ()))
+    structure = STRUCTURES['axisymmetric']
+    about_z = np.array(['rz' in label for label in structure.labels])
+    x = structure.parameters(np.diag(laboratory.K), laboratory.P) * np.where(about_z, 0.95, 1.0)
+    made = Fit(
+        method='output_error', structure='axisymmetric', parameters=x,
+        covariance=np.diag((np.where(about_z, std, 1e-3) * x) ** 2), samples_used=1,
+        samples_rejected=0, condition_number=1.0, weight=np.eye(6), residual_rms=np.ones(6),
+        chi2=1.0, robust_chi2=1.0)
+    found = verdict.verdict_of(
+        made, laboratory.recordings(), laboratory.length, parameters(laboratory))
+    assert bool(found.refusals) is refused
+
+
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
 def test_what_else_is_wrong_is_said_of_a_recording_that_was_misread(tmp_path):
     laboratory = Laboratory(321, rate_hz=240.0)
