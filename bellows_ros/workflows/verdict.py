@@ -130,6 +130,12 @@ class FitVerdict(NamedTuple):
         return (*self.cause, *self.doubts, *(own.sentence for own in self.simulated))
 
     @property
+    def is_at_noise(self) -> bool:
+        """Whether free simulations are as good as the poses."""
+        return bool(self.simulated) and all(
+            (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated)
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """A sentence where the fit has corrected the inertia, as the mass may be wrong instead."""
         if abs(self.heavier) < causes.MATERIAL or self.refusals:
@@ -152,8 +158,7 @@ class FitVerdict(NamedTuple):
         if first.certain:
             allowed = [ALLOWED_FOR] if self.allows_for(first) else []
             return (causes.finding_sentence(first, self.given), *allowed, *besides)
-        if self.simulated and all(
-                (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated):
+        if self.is_at_noise:
             return ()
         if first.likely:
             more = () if besides or first.rest < causes.DOUBTED else (
@@ -273,6 +278,10 @@ def verdict_of(
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
     found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
                        diagnosis, given, fit.robust_chi2, allowed, expected, heavier)
+    if slow is False and fit.method == 'output_error' and not fit.causes and found.is_at_noise:
+        diagnosis = diagnosis._replace(  # wrenches know nothing that the fit would not
+            findings=tuple(own for own in diagnosis.findings if own.is_fact or not own.datum))
+        found = found._replace(diagnosis=diagnosis)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
             findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))

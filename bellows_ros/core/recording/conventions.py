@@ -25,8 +25,9 @@ convention."""
 BETTER = 0.4
 """Part of the motion of the package in the tool that is left with another order, at most ..."""
 
-HANGING = 0.5
-"""... or how far from hanging a package is at most that hangs (see `_motion`)."""
+HANGING, ASKEW = 0.2, 0.5
+"""... or how far from hanging it is at most where it hangs, and beyond which it does not (see
+`_motion`): poses of two worlds come near to hanging by chance."""
 
 
 class Convention(NamedTuple):
@@ -80,7 +81,7 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     seen = [_motion(bodies, own) for own in orders]
     best = int(np.argmin([sum(own) for own in seen]))
     (moves, hangs), (before, hung) = seen[best], seen[0]
-    upright = moves < before and hangs < HANGING < hung
+    upright = moves < before and hangs < HANGING and ASKEW < hung
     return orders[best] if moves < BETTER * before or upright else units
 
 

@@ -1,7 +1,9 @@
 """Units and orders of quaternions are found from how two bodies move."""
 
+from dataclasses import replace
 from itertools import product
 
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.recording.conventions import Convention, convention_sentence, conventions_of
 from bellows_ros.core.signals.trajectory import PoseStream
 import numpy as np
@@ -37,6 +39,19 @@ def test_each_stream_has_its_own(tool, package):
     said = convention_sentence(*both, 'bag')
     assert said.count('bellows convert') == len({own for own in (tool, package) if own.words})
     assert ('--unit mm' in said) == (tool.millimetres or package.millimetres)
+
+
+@pytest.mark.parametrize('seed', [17, 108, 146, 165])
+def test_poses_of_two_worlds_are_of_no_other_convention(seed):
+    """Although with quaternions of another order the package would happen to hang nearly."""
+    tool, package = streams(*ALL[:1] * 2)
+    rng = np.random.default_rng(seed)
+    turn = rng.normal(size=3)
+    R = exp_so3(np.radians(rng.uniform(10.0, 180.0)) * turn / np.linalg.norm(turn))
+    middle = tool.position.mean(axis=0) + 0.1 * rng.normal(size=3)
+    turned = replace(package, position=middle + (package.position - middle) @ R.T,
+                     rotation=R @ package.rotation)
+    assert conventions_of(tool, turned) == (ALL[0], ALL[0])
 
 
 def test_streams_that_do_not_overlap_say_nothing():
