@@ -396,7 +396,9 @@ def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
             excess < _chance(before) and other.solved.excess - excess > least)
 
     if before.excess < DOUBTED:
-        certain = trial.is_all and before.excess - trial.solved.excess > least and all(
+        # Another setting, without any number that is significant, must explain more than chance.
+        rest = least if len(theta) or own.name == 'structure' else _chance(before)
+        certain = trial.is_all and before.excess - trial.solved.excess > rest and all(
             _score(t) - _score(trial) > least for t in tried
             if t.is_significant and t.hypothesis.name != own.name
             and not any(t is i for i in instead))
