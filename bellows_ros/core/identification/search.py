@@ -128,8 +128,11 @@ LOSS_FACTOR = 0.25
 LONGEST_WAY = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
-MOST_MIXED = 0.9
-"""Largest part of a step that is taken back or added, as where it is 10 times too long."""
+MIXED, MOST_MIXED, LEAST_TURN = 3, 0.9, 0.1
+"""
+Steps before one with which it is mixed, largest part that is taken back or added, as where a step
+is 10 times too long, and the smallest turn that counts, in the largest.
+"""
 
 SETTLED = 0.03
 """Part by which the noise of slow poses may change in the last step."""
@@ -478,7 +481,7 @@ class Search:
             return Minimum(theta, nothing, np.eye(len(theta)), False)
         least = LEAST_DAMPING if forgets else 0.0
         damping, settled = least, True
-        before: tuple[Array, Array] | None = None
+        history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         end = NEAR if forgets else ENOUGH
         expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
         for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
@@ -489,7 +492,7 @@ class Search:
                 D = directions[:, ~np.any(directions[~self.unbounded(theta, step)], axis=0)]
                 step = D @ np.linalg.solve(
                     D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
-            way = _mixed(step, H, *before) if before else step
+            way = _mixed(step, H, history)
             there, length = self.moved(theta, way), self.length_of(step, H)
             try:
                 new = self.system(there, forgets)
@@ -498,9 +501,10 @@ class Search:
                 is_worse = True
             if is_worse:
                 damping = max(10.0 * damping, 1e-2)
-                before = None
+                history = []
                 continue
-            before, theta, (parts, H, g) = (step, there - theta), there, new
+            history = [*history, (step, there - theta)][-MIXED:]
+            theta, (parts, H, g) = there, new
             self.take(parts)
             settled = forgets > 0.0 or self.take_noise(parts)
             settled &= damping <= MOST_DAMPED
@@ -739,16 +743,21 @@ def squares(parts: Sequence[Part]) -> float:
     return float(sum(own.innovations @ own.innovations for own in parts))
 
 
-def _mixed(step: Array, H: Array, last: Array, gone: Array) -> Array:
+def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:
     """
-    Return the way to go where the last step turned into this one while so far was gone.
+    Return the way to go after steps before this one, and how far the search went after each.
 
     Mixed by Anderson's method (1965). Where K and P are known badly, derivatives have noise and
     change from step to step: a step is too short, or so long that the next turns back.
     """
-    turned = step - last
-    part = (step @ H @ turned) / max(float(turned @ H @ turned), 1e-99)
-    return np.asarray(step - np.clip(part, -MOST_MIXED, MOST_MIXED) * (gone + turned))
+    if not history:
+        return step
+    root = np.linalg.cholesky(H).T
+    steps, gone = (np.array(own) for own in zip(*history, strict=True))
+    turned = np.diff(np.vstack([steps, step]), axis=0)
+    part = np.linalg.lstsq(root @ turned.T, root @ step, rcond=LEAST_TURN)[0]
+    part *= min(1.0, MOST_MIXED / max(np.abs(part).max(), 1e-99))
+    return np.asarray(step - part @ (gone + turned))
 
 
 def _roots(M: Array) -> tuple[Array, Array]:
@@ -775,7 +784,9 @@ def _shrunk(model: ModelTuple, tool: Array, first: State, std: Array) -> State:
 
 
 def _bent(model: ModelTuple, tool: Array, body: Array) -> Array:
-    """Return the displacements (M, 6) of the lip in `BENT`, of rows of tool and package."""
+    """Return the displacements (M, 6) of the lip in `BENT`, nan of a simulation that diverges."""
+    if not np.isfinite(body).all():
+        return np.full((len(body), 6), np.nan)
     back, R = (quaternion_to_rotation(own[:, 3:7]) for own in (tool, body))
     back = np.swapaxes(back, 1, 2)
     o = apply(back, body[:, :3] - apply(R, np.array(model[1][1])) - tool[:, :3])

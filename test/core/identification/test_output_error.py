@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification import search as module_of_search
+from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import anything, KINDS
 from bellows_ros.core.identification.search import Measured, Search, Segment
@@ -84,6 +86,32 @@ def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     assert segment.path is path and segment.first is first
     search.take([part])
     assert segment.path is not path and segment.first is part.first
+
+
+def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
+    """As of poses in a wrong world with exchanged topics: it ended as a quaternion of nan."""
+    search = Search([Segment(measured(3, duration=2.0))], AXISYMMETRIC, TRUTH, {})
+    found = search.found(lambda cup, chi2: None)
+
+    def diverging(model, first, tool, *steps):
+        return np.full((len(tool), 13), np.nan)
+
+    monkeypatch.setattr(module_of_search, 'simulate_rows', diverging)
+    assert causes(search, found) == ()
+
+
+def test_steps_that_turn_in_a_circle_end_in_its_middle():
+    """As those of a cup that swings fast, seen by an exact camera in a world of its own."""
+    x, H = np.array([1.0, 0.0, 0.3]), np.diag([1.0, 4.0, 2.0])
+    c, s = 1.02 * np.cos(np.radians(33.0)), 1.02 * np.sin(np.radians(33.0))
+    G = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 0.1]])
+    history, circling = [], x
+    for _ in range(12):
+        step = G @ x - x
+        way = module_of_search._mixed(step, H, history)
+        history, x = [*history, (step, way)][-module_of_search.MIXED:], x + way
+        circling = G @ circling
+    assert np.linalg.norm(circling) > 1.0 and np.linalg.norm(x) < 1e-4
 
 
 def require_white(parts):
