@@ -43,6 +43,9 @@ NOTHING: Free = MappingProxyType({})
 LARGEST_SHARE, MOST_OF_ERROR = 0.9, 0.5
 """Most noise in information that errors allow for, and in the error of what is identifiable."""
 
+ANOTHER = 0.2
+"""Part by which K moves to another minimum, which has causes of its own."""
+
 SEED, SHAKEN, LEAST_SHAKEN = 0, 3.0, 0.1
 """Of the noise with which that is looked at, and its sizes in that of the poses."""
 
@@ -132,8 +135,13 @@ def output_error(
             raise UndeterminedError(NOT_RELAXING)
     reasons = causes(search, found, stated(given))
     search.take(found.parts)
-    return _fit(
-        *with_given(search, found, given, note, bool(reasons)), iterations, named, reasons)
+    wide, there, from_given = with_given(search, found, given, note, bool(reasons))
+    before, after = (np.diag(own.cup(minimum.theta).stiffness)
+                     for own, minimum in ((search, found), (wide, there)))
+    if reasons and np.any(np.abs(after - before) > ANOTHER * before):
+        reasons = tuple(own for own in reasons if own.name in wide.places) or causes(
+            wide, there, stated(given))
+    return _fit(wide, there, from_given, iterations, named, reasons)
 
 
 def _with_relaxation(

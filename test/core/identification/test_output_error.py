@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification import output_error as module
 from bellows_ros.core.identification import search as module_of_search
+from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import anything, KINDS
@@ -364,3 +366,21 @@ def test_a_kelvin_voigt_cup_shows_no_relaxation():
     assert np.all(apart < 0.1 * np.sqrt(np.diag(off.covariance)))
     with pytest.raises(UndeterminedError, match='fit.relaxation'):
         output_error([own], AXISYMMETRIC, TRUTH, relaxation='on')
+
+
+@pytest.mark.parametrize(('factor', 'named'), [(1.0, ['cubic', 'com']), (1.5, ['com'])])
+def test_causes_of_one_minimum_are_not_said_of_another(factor, named, monkeypatch):
+    """But of what is free there, which has moved to it."""
+    def with_given(search, found, *others):
+        size = search.count // 2
+        theta = found.theta.copy()
+        theta[:size] *= factor
+        wide = search.beside(found._replace(theta=theta), anything(['com']))
+        return wide, found._replace(theta=wide.start), np.zeros((len(wide.units),) * 2)
+
+    monkeypatch.setattr(module, 'with_given', with_given)
+    monkeypatch.setattr(module, 'causes', lambda *own: (
+        Finding('cubic', 'K x'), Finding('com', '')))
+    monkeypatch.setattr(module, '_fit', lambda *own: own[-1])
+    reasons = output_error([measured(3, duration=3.0)], AXISYMMETRIC, TRUTH)
+    assert [own.name for own in reasons] == named
