@@ -34,6 +34,7 @@ from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.core.synthetic.motion import motion_from
 import numpy as np
@@ -116,9 +117,7 @@ def seen(
     e = (rng.standard_t(4.0, (count, 6)) / np.sqrt(2.0) if cell.heavy_tails
          else rng.standard_normal((count, 6)))
     kept = float(np.exp(-1.0 / (rate * cell.memory))) if cell.memory else 0.0
-    for k in range(1, count if kept else 0):
-        e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * e[k]
-    e *= noise * std
+    e = noise * std * correlated(e, kept)
     return there, Trajectory(stamps, there.position + e[:, :3],
                              there.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, kept)
 

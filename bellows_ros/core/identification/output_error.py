@@ -33,7 +33,7 @@ from bellows_ros.core.identification.search import (
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import BodyNoise
-from bellows_ros.core.signals.savgol import first_order
+from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
@@ -355,9 +355,7 @@ def _shaken(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
     """Return poses with noise of a size in their own."""
-    white = draw.standard_normal((len(body), 6))
-    e = size * noise.std * first_order(
-        np.sqrt(1.0 - noise.correlation**2) * white, noise.correlation)
+    e = size * noise.std * correlated(draw.standard_normal((len(body), 6)), noise.correlation)
     return replace(body, position=body.position + e[:, :3],
                    rotation=body.rotation @ exp_so3(e[:, 3:]))
 

@@ -19,7 +19,7 @@ from bellows_ros.core.recording.alignment import Alignment, rest_of, world_rotat
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import ArrivalStamps, MAD_TO_STD, resample, Timing
-from bellows_ros.core.signals.savgol import first_order, savgol, weights, whole_windows
+from bellows_ros.core.signals.savgol import correlated, savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
@@ -155,11 +155,7 @@ class AR1Noise(NamedTuple):
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
         """Return samples of this noise in three axes (N, 3)."""
-        white = self.size * draw.standard_normal((count, 3))
-        if not self.correlation:
-            return white
-        white[1:] *= np.sqrt(1.0 - self.correlation**2)
-        return first_order(white, self.correlation)
+        return correlated(self.size * draw.standard_normal((count, 3)), self.correlation)
 
 
 def ar1_noise_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:

@@ -270,12 +270,9 @@ def with_filtered_noise(
 
     """
     at = period * np.arange(int(motion.seconds[-1] / period) + 2)
-    drawn = draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
-    drawn *= np.repeat(np.asarray(noise), 3)
-    for part, own in zip((slice(0, 3), slice(3, 6)), ar1.tolist(), strict=True):
-        if own > 0.0:
-            drawn[1:, part] *= np.sqrt(1.0 - own**2)
-            drawn[:, part] = first_order(drawn[:, part], own)
+    white = np.repeat(noise, 3) * draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
+    drawn = np.hstack([correlated(part, own) for part, own in zip(
+        np.hsplit(white, 2), ar1.tolist(), strict=True)])
     filtered = np.array([
         np.column_stack([np.interp(motion.seconds, at, np.correlate(column, row))
                          for column in drawn.T]) for row in weights])
@@ -318,6 +315,13 @@ def bridged(poses: Trajectory) -> Trajectory:
     position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
     position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
     return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+
+
+def correlated(white: Array, ar1: float) -> Array:
+    """Return white noise (N, C) as noise of first order, as large from the first sample on."""
+    inputs = np.sqrt(1.0 - ar1**2) * white
+    inputs[:1] = white[:1]
+    return first_order(inputs, ar1) if ar1 else inputs
 
 
 def first_order(inputs: Array, ar1: float) -> Array:
