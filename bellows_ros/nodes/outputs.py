@@ -23,7 +23,7 @@ from . import conversions
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import Prediction
 from ..core.live.load import deflection, deflection_rotation, equivalent_box, lip_position
-from ..core.live.samples import ORIGIN, ZERO
+from ..core.live.samples import STILL
 from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT, warm_up_uncertainty
 from ..core.model.cup_package import cup_of
 from ..core.model.kernels import ModelTuple
@@ -166,10 +166,9 @@ class Outputs:
         self._values = values
         self.uncertainty = Uncertainty(model, values)
         self._picture = Picture(values)
-        still = Prediction(1, *ORIGIN, ZERO, ZERO)
-        deflection(model, still)
-        deflection_rotation(still)
-        Picture(values).of('', model, still)
+        deflection(model, STILL)
+        deflection_rotation(STILL)
+        Picture(values).of('', model, STILL)
 
     def publish(self, prediction: Prediction, frame_id: str) -> None:
         """

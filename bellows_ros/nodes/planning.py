@@ -21,10 +21,11 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJ
 from .conversions import stamp_to_ns, write_odometry
 from .guarding import Worker
 from .outputs import Topic
+from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import Level, number, Status
 from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
-from ..core.live.samples import ORIGIN, ZERO
+from ..core.live.samples import STILL
 from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.model.grip import Grip, grip_of, safety_sentence
 from ..core.model.simulation import tool_rows, ToolRows
@@ -61,9 +62,6 @@ LONGEST_STEERED = 60.0
 
 PLAN, STEERING = 'plan', 'steering'
 """Kinds of work of which only the newest is wanted."""
-
-STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
-"""Stands for a package of unknown state."""
 
 
 class Planning:

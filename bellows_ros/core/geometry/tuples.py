@@ -20,6 +20,8 @@ Vector = tuple[float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Quaternion = tuple[float, float, float, float]
 
+ZERO: Vector = (0.0, 0.0, 0.0)
+
 SMALL_ANGLE_SQUARED = 0.25
 """
 Below this squared angle (rad^2) sine and cosine ratios come from their series (to 1e-17).
@@ -104,16 +106,7 @@ def apply_transposed(A: Matrix, v: Vector) -> Vector:
 @kernel
 def multiply_transposed(A: Matrix, B: Matrix) -> Matrix:
     """Return A^T B; for rotations ``R_a_c = R_b_a^T R_b_c``."""
-    return (
-        A[0] * B[0] + A[3] * B[3] + A[6] * B[6],
-        A[0] * B[1] + A[3] * B[4] + A[6] * B[7],
-        A[0] * B[2] + A[3] * B[5] + A[6] * B[8],
-        A[1] * B[0] + A[4] * B[3] + A[7] * B[6],
-        A[1] * B[1] + A[4] * B[4] + A[7] * B[7],
-        A[1] * B[2] + A[4] * B[5] + A[7] * B[8],
-        A[2] * B[0] + A[5] * B[3] + A[8] * B[6],
-        A[2] * B[1] + A[5] * B[4] + A[8] * B[7],
-        A[2] * B[2] + A[5] * B[5] + A[8] * B[8])
+    return multiply(transposed(A), B)
 
 
 @kernel
@@ -240,6 +233,12 @@ def log_quaternion(q: Quaternion) -> Vector:
         sine = math.sqrt(squared)
         factor = 2.0 * math.atan2(sine, w) / sine
     return (factor * x, factor * y, factor * z)
+
+
+@kernel
+def turn_between(p: Quaternion, q: Quaternion) -> Vector:
+    """Return the rotation vector (rad) from one orientation to another, in axes of the first."""
+    return log_quaternion(quaternion_product(quaternion_conjugate(p), q))
 
 
 @kernel

@@ -8,12 +8,12 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import scale
+from bellows_ros.core.geometry.tuples import scale, ZERO
 from bellows_ros.core.live.payload import MOST_SUBSTEPS
-from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
+from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import Grip, grip_of
-from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, State
+from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import diverged, require_steps, row_state, ToolRows
 from bellows_ros.core.toss import release
 from bellows_ros.core.toss.free_flight import COARSE_ROTATION_PER_STEP, flight, upward

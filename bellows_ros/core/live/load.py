@@ -11,7 +11,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.payload import prepared
-from bellows_ros.core.live.samples import ORIGIN, Prediction, ZERO
+from bellows_ros.core.live.samples import Prediction, STILL
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
@@ -261,12 +261,11 @@ def check_live(values: Mapping[str, Any]) -> None:
             'seven numbers, from the file of bellows identify --out.'
         )
     model = prepared(cup_of(values), package_of(values), gravity_of(values)).model
-    still = Prediction(1, *ORIGIN, ZERO, ZERO)
     load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is known yet
     try:
         with np.errstate(all='ignore'):
-            load.watch_force(model, still)
-            load.watch_deflection(model, still)
+            load.watch_force(model, STILL)
+            load.watch_deflection(model, STILL)
             Uncertainty(model, values)
             equivalent_box(values)
     except (ArithmeticError, ValueError) as error:

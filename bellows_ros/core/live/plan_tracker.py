@@ -103,7 +103,7 @@ def locate(
     if speed <= slow * slow:
         return nearest, seconds[found], math.inf
     R = t3.rotation_matrix(point[1])
-    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(point[1]), q))
+    turn = t3.turn_between(point[1], q)
     way = along(t3.apply_transposed(R, t3.subtract(o, point[0])), turn, point[2], point[3])
     return (
         nearest, min(max(seconds[found] + way / speed, 0.0), seconds[last]),

@@ -15,12 +15,12 @@ from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, deflection
 from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
-from bellows_ros.core.live.samples import ORIGIN, PoseSample, Prediction, TwistSample
+from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import Screen, TwistScreen
 from bellows_ros.core.live.tool_twist import ToolMotion
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 import numpy as np
 from numpy.typing import ArrayLike
@@ -405,7 +405,7 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
     """Compile everything, by predicting made-up data in a temporary predictor."""
     live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)
     safety_factors((ratio(1.0, 1.0), 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
-    still, upright, arrival_ns = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0
+    (still, upright, *_), arrival_ns = ORIGIN, 0
     for arrival_ns in range(10_000_000, 150_000_000, 10_000_000):  # until it has settled
         live.on_pose(arrival_ns, 'world', still, upright, arrival_ns)
         if arrival_ns > 60_000_000:  # first without twists, then with

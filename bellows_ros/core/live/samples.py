@@ -6,11 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.model.kernels import State, Strains
-
-ZERO: Vector = (0.0, 0.0, 0.0)
-ORIGIN: tuple[Vector, Quaternion, Vector, Vector] = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)
+from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
+from bellows_ros.core.model.kernels import ORIGIN, State, Strains
 
 
 class PoseSample(NamedTuple):
@@ -76,3 +73,7 @@ class Prediction(NamedTuple):
     def body(self) -> State:
         """Pose and body twist of the package, as the kernels take them."""
         return (self.position, self.quaternion_xyzw, self.linear, self.angular, *self.strains)
+
+
+STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
+"""Stands for a package of unknown state."""

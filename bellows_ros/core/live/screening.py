@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.live.samples import ZERO
+from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen, Verdict
 
@@ -117,7 +116,7 @@ def step_after(
     so that neither bursts nor stamps with jitter make jumps of it.
     """
     shift = t3.subtract(other_o, o)
-    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(q), other_q))
+    turn = t3.turn_between(q, other_q)
     v, w = t3.scale(1.0 / seconds, shift), t3.scale(1.0 / seconds, turn)
     velocity_change, speed = change(velocity, v)
     rate_change, turn_speed = change(rate, w)

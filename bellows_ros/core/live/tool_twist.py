@@ -14,8 +14,8 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.live.samples import PoseSample, TwistSample, ZERO
+from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
+from bellows_ros.core.live.samples import PoseSample, TwistSample
 from bellows_ros.core.model.kernels import State
 import numpy as np
 
@@ -85,7 +85,7 @@ def pose_with_slope(rows: Any, count: int, at: int) -> State:
         s = (rows[i][0] - rows[at][0]) / span
         d = t3.subtract((rows[i][1], rows[i][2], rows[i][3]), o)
         qi = (rows[i][4], rows[i][5], rows[i][6], rows[i][7])
-        p = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(q), qi))
+        p = t3.turn_between(q, qi)
         s1, s2, s3, s4 = s1 + s, s2 + s * s, s3 + s * s * s, s4 + s * s * s * s
         d0, d1, d2 = t3.add(d0, d), t3.add_scaled(d1, s, d), t3.add_scaled(d2, s * s, d)
         p0, p1, p2 = t3.add(p0, p), t3.add_scaled(p1, s, p), t3.add_scaled(p2, s * s, p)
@@ -245,7 +245,7 @@ def misfit(
     R_before, R_now = t3.rotation_matrix(before[1]), t3.rotation_matrix(now[1])
     mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R_now, now[2])))
     off = t3.subtract(t3.subtract(now[0], before[0]), t3.scale(seconds, mean))
-    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(before[1]), now[1]))
+    turn = t3.turn_between(before[1], now[1])
     turn_off = t3.subtract(turn, t3.scale(0.5 * seconds, t3.add(before[3], now[3])))
     shift, angle = math.sqrt(t3.dot(off, off)), math.sqrt(t3.dot(turn_off, turn_off))
     cubed = seconds * seconds * seconds / 12.0

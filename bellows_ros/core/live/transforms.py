@@ -7,7 +7,8 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.live.samples import PoseSample, ZERO
+from bellows_ros.core.live.samples import PoseSample
+from bellows_ros.core.model.kernels import ORIGIN
 
 KEPT = 500
 """Transforms kept for each moving link."""
@@ -18,7 +19,7 @@ LARGEST_TREE = 10_000
 STATIC = 0
 """Stamp of static transforms."""
 
-IDENTITY = PoseSample(STATIC, ZERO, (0.0, 0.0, 0.0, 1.0))
+IDENTITY = PoseSample(STATIC, *ORIGIN[:2])
 
 
 class Chain:

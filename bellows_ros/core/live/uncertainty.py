@@ -33,13 +33,13 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
-from bellows_ros.core.geometry.tuples import rotation_matrix, Vector
-from bellows_ros.core.live.samples import ORIGIN, Prediction, Unsettled, ZERO
+from bellows_ros.core.geometry.tuples import rotation_matrix, Vector, ZERO
+from bellows_ros.core.live.samples import Prediction, STILL, Unsettled
 from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.grip import cup_of_gripper
 from bellows_ros.core.model.jacobians import parameter_jacobian
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.perturbed import capped_std
 from bellows_ros.core.model.structure import composition, matrix, places_of, UPPER
 from bellows_ros.errors import BellowsError
@@ -247,7 +247,7 @@ def warm_up_uncertainty(relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
         'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,
     }
     strains = equilibrium.adapted(model, ORIGIN, ORIGIN)[4:]
-    Uncertainty(model, values).covariance(Prediction(1, *ORIGIN, ZERO, ZERO, strains=strains))
+    Uncertainty(model, values).covariance(STILL._replace(strains=strains))
 
 
 def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float]) -> Array:
@@ -381,12 +381,10 @@ def motion_through(
 
     Of quadratics through three poses, s and t seconds after the start.
     """
-    back = t3.quaternion_conjugate(start[1])
     v, a = quadratic(
         t3.subtract(middle[0], start[0]), t3.subtract(end[0], start[0]), s, t)
     w, b = quadratic(
-        t3.log_quaternion(t3.quaternion_product(back, middle[1])),
-        t3.log_quaternion(t3.quaternion_product(back, end[1])), s, t)
+        t3.turn_between(start[1], middle[1]), t3.turn_between(start[1], end[1]), s, t)
     return t3.norm(v), t3.norm(w), t3.norm(a), t3.norm(b)
 
 

@@ -13,25 +13,23 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.jacobians import Square
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.errors import UnstableError
 import numpy as np
 
 PHASE_PER_STEP = 0.1
 """Largest |eigenvalue| * step (rad) of one integration step: RK4 is accurate and stable there."""
 
-_ORIGIN: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
 
 def resting_on_tool(model: ModelTuple, tool: State) -> State:
     """Return the package at the cup's nominal pose, [B] = [S] = [E], at rest."""
-    com, zero = model[1][1], (0.0, 0.0, 0.0)
+    com = model[1][1]
     offset = t3.apply(t3.rotation_matrix(tool[1]), (com[0], com[1], com[2] - model[0][1]))
-    body: State = t3.add(tool[0], offset), tool[1], zero, zero
-    return kernels.relaxed(model[0], (zero, zero), body) if model[0][4:] else body
+    body: State = t3.add(tool[0], offset), tool[1], ZERO, ZERO
+    return kernels.relaxed(model[0], (ZERO, ZERO), body) if model[0][4:] else body
 
 
 def adapted(model: ModelTuple, tool: State, body: State) -> State:
@@ -67,7 +65,7 @@ def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Ve
     """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
     return (
         t3.apply_transposed(t3.rotation_matrix(body[1]), t3.subtract(position, body[0])),
-        t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(body[1]), q)))
+        t3.turn_between(body[1], q))
 
 
 class Jacobian(NamedTuple):
@@ -186,18 +184,18 @@ def static_equilibrium(model: ModelTuple, tool: State, near: State | None = None
     """
     if near is None:
         (_, length, *_), (_, com, *_), _ = model
-        shift, turn, loads = (com[0], com[1], com[2] - length), _ORIGIN[1], _LOADS
+        shift, turn, loads = (com[0], com[1], com[2] - length), ORIGIN[1], _LOADS
     else:
         shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(near[0], tool[0]))
         turn, loads = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1]), 1
     body, found = _loaded(
-        model, tool, (shift, turn, *_ORIGIN[2:]), loads, np.zeros((6, 6)), np.zeros(6))
+        model, tool, (shift, turn, *ORIGIN[2:]), loads, np.zeros((6, 6)), np.zeros(6))
     if not found:
         raise UnstableError(
             f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
             'without tipping over. Check package.mass, package.com, cup.stiffness and their '
             'units.')
-    return adapted(model, (tool[0], tool[1], *_ORIGIN[2:]), body)
+    return adapted(model, (tool[0], tool[1], *ORIGIN[2:]), body)
 
 
 @kernel
@@ -265,6 +263,6 @@ def _solve(A: Any, x: Any) -> tuple[float, bool]:
 def _unbalance(model: ModelTuple, body: State) -> tuple[float, float, float, float, float, float]:
     """Return force and moment that accelerate a package at rest under a tool at rest."""
     package = model[1]
-    dv, dw = kernels.body_acceleration(model, _ORIGIN, body)
+    dv, dw = kernels.body_acceleration(model, ORIGIN, body)
     f, m = t3.scale(package[0], dv), t3.apply(package[2], dw)
     return f[0], f[1], f[2], m[0], m[1], m[2]

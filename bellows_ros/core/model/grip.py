@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, State, Strains, Wrench
 from bellows_ros.core.model.simulation import row_state
@@ -69,7 +69,7 @@ def one_of(M: Blocks, places: Array) -> Blocks:
     """Return the blocks of one cup from those of the gripper, the inverse of `composed`."""
     n = float(len(places))
     oo = t3.scale_matrix(1.0 / n, M[0])
-    total, squares = (0.0, 0.0, 0.0), t3.scale_matrix(0.0, M[0])
+    total, squares = ZERO, t3.scale_matrix(0.0, M[0])
     for k in range(len(places)):
         a = t3.hat((places[k, 0], places[k, 1], places[k, 2]))
         total = t3.add(total, (places[k, 0], places[k, 1], places[k, 2]))

@@ -15,7 +15,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import (
     Blocks,
@@ -40,7 +40,6 @@ inertia (xx, yy, zz, xy, xz, yz), the gravity vector in A, the mass, the centre 
 wrench on the package at the lip, in S axes, beside the cup's.
 """
 
-ZERO = (0.0, 0.0, 0.0)
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NOTHING = (0.0,) * 9
 

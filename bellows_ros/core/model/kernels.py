@@ -19,7 +19,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
+from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector, ZERO
 import numpy as np
 
 Blocks = tuple[Matrix, Matrix, Matrix]
@@ -36,6 +36,9 @@ Strains = tuple[Strain, ...]
 """Of the two branches, or none."""
 State = tuple[Vector, Quaternion, Vector, Vector, *Strains]
 """Position (m), orientation, linear and angular body twist (m/s, rad/s) of a frame in A."""
+
+ORIGIN: tuple[Vector, Quaternion, Vector, Vector] = (ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO)
+"""A still frame that is A."""
 
 
 @kernel
@@ -302,7 +305,7 @@ def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     a1 = t3.scale(duration, t3.apply(t3.rotation_matrix(start[1]), start[2]))
     a1_end = t3.scale(duration, t3.apply(t3.rotation_matrix(end[1]), end[2]))
     step = t3.subtract(end[0], start[0])
-    phi = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(start[1]), end[1]))
+    phi = t3.turn_between(start[1], end[1])
     c1 = t3.scale(duration, start[3])
     c1_end = t3.scale(duration, t3.rotation_vector_rate(phi, end[3]))
     return (
@@ -427,43 +430,32 @@ def renormalised(q: Quaternion) -> Quaternion:
 
 
 @kernel
+def rates(
+    model: ModelTuple, tool: State, body: State, w: Vector
+) -> tuple[Vector, Vector, Vector, Vector, Strains]:
+    """Return how a package's state changes, as `stage_state` takes it, w being the rotation's."""
+    dv, dw = body_acceleration(model, tool, body)
+    do = t3.apply(t3.rotation_matrix(body[1]), body[2])
+    return do, w, dv, dw, strain_rates(model, tool, body)
+
+
+@kernel
 def stages(
     model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
 ) -> tuple[State, State, State, State]:
     """Return the package's states at the second to fourth stage of a step, and at its end."""
     half = 0.5 * h
-    do1 = t3.apply(t3.rotation_matrix(body[1]), body[2])
-    ds1 = body[3]
-    dv1, dw1 = body_acceleration(model, tool, body)
-    dz1 = strain_rates(model, tool, body)
-
-    body2 = stage_state(body, half, do1, ds1, dv1, dw1, dz1)
-    do2 = t3.apply(t3.rotation_matrix(body2[1]), body2[2])
-    ds2 = rotation_rate(t3.scale(half, ds1), body2[3])
-    dv2, dw2 = body_acceleration(model, tool_middle, body2)
-    dz2 = strain_rates(model, tool_middle, body2)
-
-    body3 = stage_state(body, half, do2, ds2, dv2, dw2, dz2)
-    do3 = t3.apply(t3.rotation_matrix(body3[1]), body3[2])
-    ds3 = rotation_rate(t3.scale(half, ds2), body3[3])
-    dv3, dw3 = body_acceleration(model, tool_middle, body3)
-    dz3 = strain_rates(model, tool_middle, body3)
-
-    body4 = stage_state(body, h, do3, ds3, dv3, dw3, dz3)
-    do4 = t3.apply(t3.rotation_matrix(body4[1]), body4[2])
-    ds4 = rotation_rate(t3.scale(h, ds3), body4[3])
-    dv4, dw4 = body_acceleration(model, tool_end, body4)
-    dz4 = strain_rates(model, tool_end, body4)
-
+    a = rates(model, tool, body, body[3])
+    body2 = stage_state(body, half, *a)
+    b = rates(model, tool_middle, body2, rotation_rate(t3.scale(half, a[1]), body2[3]))
+    body3 = stage_state(body, half, *b)
+    c = rates(model, tool_middle, body3, rotation_rate(t3.scale(half, b[1]), body3[3]))
+    body4 = stage_state(body, h, *c)
+    d = rates(model, tool_end, body4, rotation_rate(t3.scale(h, c[1]), body4[3]))
     end = stage_state(
-        body,
-        h,
-        weighted(do1, do2, do3, do4),
-        weighted(ds1, ds2, ds3, ds4),
-        weighted(dv1, dv2, dv3, dv4),
-        weighted(dw1, dw2, dw3, dw4),
-        weighted_strains(dz1, dz2, dz3, dz4),
-    )
+        body, h, weighted(a[0], b[0], c[0], d[0]), weighted(a[1], b[1], c[1], d[1]),
+        weighted(a[2], b[2], c[2], d[2]), weighted(a[3], b[3], c[3], d[3]),
+        weighted_strains(a[4], b[4], c[4], d[4]))
     return body2, body3, body4, with_rotation(end, renormalised(end[1]))
 
 

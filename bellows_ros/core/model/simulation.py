@@ -91,7 +91,7 @@ def steady_start(
 
     def with_offset(offset: Array) -> tuple[State, Array]:
         x, y, z, rx, ry, rz = offset.tolist()
-        state = equilibrium.moved(hanging, (x, y, z), (rx, ry, rz), still, still)
+        state = equilibrium.moved(hanging, (x, y, z), (rx, ry, rz), t3.ZERO, t3.ZERO)
         T_world_package = lie.transform(lie.quaternion_to_rotation(np.array(state[1])), state[0])
         T_package_tool = lie.inverse_transform(T_world_package) @ T_world_tool
         at_package = lie.apply(lie.adjoint(T_package_tool), rates)
@@ -101,7 +101,6 @@ def steady_start(
         state, needed = with_offset(offset)
         return np.ravel(kernels.body_acceleration(model, first, state)) - needed
 
-    still = (0.0, 0.0, 0.0)
     offset, shifts = np.zeros(6), 1e-6 * np.eye(6)
     for _ in range(NEWTON_STEPS):
         J = np.column_stack([

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.model.grip import one_of
-from bellows_ros.core.model.kernels import Blocks, model_row, ModelTuple, State
+from bellows_ros.core.model.kernels import Blocks, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
 from bellows_ros.core.observer.alarms import Alarm, Alarms, processed
 from bellows_ros.core.observer.filter import (
@@ -51,7 +51,7 @@ WRONG_GATE, WRONG_NS = 8, 100_000_000
 """Consecutive measurements outside the gate, and their time (ns), after which the filter restarts
 from them."""
 
-NOTHING_SEEN = Measurement(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), np.zeros((6, 6)))
+NOTHING_SEEN = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
 """Stands for a measurement where there is none."""
 
 LEAST_ROOM = 4096

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.geometry.tuples import Matrix, Vector
+from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import linearise, moved, substeps_for
@@ -60,8 +60,6 @@ ONSETS = 12
 
 FALLEN = 7
 """Rows of what falls, after those of the error: see `alarms`."""
-
-ZERO = (0.0, 0.0, 0.0)
 
 COARSE = 12
 """The covariance is propagated in steps up to this many times longer than the state's."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.equilibrium import moved, pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -31,7 +31,6 @@ Marker = tuple[Vector, Quaternion, bool, float]
 Position (m) and orientation of what is measured, in axes of B; whether it is measured from the
 lip and not from B; standard deviation (s) of the random part of the stamps' error.
 """
-ZERO = (0.0, 0.0, 0.0)
 
 WHITE = 0.05
 """Part of the noise's variance that has no memory."""

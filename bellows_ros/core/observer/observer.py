@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model.equilibrium import resting_on_tool, substeps_for
-from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
+from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.correction import (
     Correction,
@@ -361,10 +361,9 @@ def warm_up_observer(values: Mapping[str, Any], model: ModelTuple) -> None:
     """Compile all that an observer needs, with a model."""
     made = Observer(values)
     made.set_model(model, math.inf, math.inf)
-    tool = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    made.start(1, tool, resting_on_tool(model, tool))
+    made.start(1, ORIGIN, resting_on_tool(model, ORIGIN))
     made.see(Measurement(500_000, *made.body[:2], np.eye(6)))
-    made.follow(1_000_000, tool, tool)
-    made.drifted(made.body, tool, tool, 1e-3)
+    made.follow(1_000_000, ORIGIN, ORIGIN)
+    made.drifted(made.body, ORIGIN, ORIGIN, 1e-3)
     estimate = made._known[-1]
     changed_by(made.body, estimate.theta, np.zeros(len(estimate.covariance)))

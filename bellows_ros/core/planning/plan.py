@@ -274,10 +274,9 @@ def rest_after(
     if t3.norm(t3.subtract(gravity, gravity_end)) <= SAME_TILT * t3.norm(model[2]):
         shift = t3.apply_transposed(R, t3.subtract(start[0], tuple(first[:3].tolist())))
         turn = t3.quaternion_product(t3.quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
-        still = (0.0, 0.0, 0.0)
         near = (
             t3.add(tuple(last[:3].tolist()), t3.apply(R_end, shift)),
-            t3.quaternion_product(tuple(last[3:7].tolist()), turn), still, still)
+            t3.quaternion_product(tuple(last[3:7].tolist()), turn), t3.ZERO, t3.ZERO)
     try:
         return simulation.rest(model, last, near)
     except UnstableError:
@@ -302,12 +301,6 @@ def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
     mass, com, _, _ = model[1]
     return mass * t3.norm(
         t3.cross(t3.apply(t3.rotation_matrix(tool[1]), com), t3.subtract(acceleration, model[2])))
-
-
-@kernel
-def turn_between(p: Quaternion, q: Quaternion) -> float:
-    """Return the angle (rad) from one orientation to another."""
-    return t3.norm(t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(p), q)))
 
 
 @kernel
@@ -345,7 +338,7 @@ def record_sample(
     wrench[0], wrench[1], wrench[2] = f
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
-    turn = t3.log_quaternion(t3.quaternion_product(t3.quaternion_conjugate(tool[1]), body[1]))
+    turn = t3.turn_between(tool[1], body[1])
     before = peaks[0, 0], peaks[1, 0]
     update_peak(peaks, past, 0, t, loads[0])
     update_peak(peaks, past, 1, t, loads[1])
@@ -422,13 +415,13 @@ def _simulate_decay(
     """
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
-    settled, turn = 0.0, turn_between(hanging, body[1])
+    settled, turn = 0.0, t3.norm(t3.turn_between(hanging, body[1]))
     update_peak(peaks, past, 7, t, turn)
     for i in range(count):
         before, since = turn, (i + 1.0) * h
         body = kernels.step(model, body, tool, tool, tool, h)
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
-        turn = turn_between(hanging, body[1])
+        turn = t3.norm(t3.turn_between(hanging, body[1]))
         update_peak(peaks, past, 7, t + since, turn)
         if load > ceiling or turn > OVERTURNED or stop[0]:
             return math.inf

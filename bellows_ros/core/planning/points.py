@@ -314,8 +314,7 @@ def _write_motion(
         sizes[k, 3], sizes[k, 4] = math.sqrt(tuples.dot(v, v)), math.sqrt(tuples.dot(w, w))
         if k > 0:
             step = tuples.subtract(o, o_before)
-            turn = tuples.log_quaternion(
-                tuples.quaternion_product(tuples.quaternion_conjugate(q_before), q))
+            turn = tuples.turn_between(q_before, q)
             moved, turned = tuples.dot(step, step), tuples.dot(turn, turn)
             sizes[k - 1, 1], sizes[k - 1, 2] = math.sqrt(moved), math.sqrt(turned)
             h = durations[k - 1]

@@ -113,15 +113,15 @@ def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw
     internal strains of a cup that relaxes are those of the tool here, as they follow from its way.
     """
     cup, package, _ = model
-    l1, zero = cup[0], (0.0, 0.0, 0.0)
+    l1 = cup[0]
     f, m = needed_wrench(model, body, dv, dw)
     o_E_S, R, v_S, w_S = kernels.lip_relative_to_tool(
-        package[1], kernels.with_twist(tool, zero, zero), body)
+        package[1], kernels.with_twist(tool, t3.ZERO, t3.ZERO), body)
     o = kernels.spring_frames(cup, o_E_S, R)
     spring_f, spring_m = kernels.spring_wrench(o, R, cup[2], cup[4:], tool[4:])
     a = t3.subtract(spring_f, f)
     b = t3.subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
-    D = damper_jacobians(o, R, zero, zero, cup[3])[1]  # -D1, by blocks
+    D = damper_jacobians(o, R, t3.ZERO, t3.ZERO, cup[3])[1]  # -D1, by blocks
     near = inverse3(D[0])
     cross_part = t3.multiply(D[2], near)
     w = t3.apply(
@@ -323,7 +323,7 @@ def _tool_above(model: ModelTuple, body: Array) -> State:
     (l1, l0, K, P, *_), package, gravity = model
     model = (l1, l0, K, P), package, gravity
     rates = relaxation_rates(model)
-    shift = resting_on_tool(model, simulation.state_row(np.zeros(3), [0, 0, 0, 1]))[0]
+    shift = resting_on_tool(model, kernels.ORIGIN)[0]
     o = body[:3] - lie.quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
     out = np.empty((2, 2 + round((2.0 * LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))

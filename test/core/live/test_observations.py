@@ -2,6 +2,7 @@
 
 import math
 
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import health, REFUSALS, RESTARTS
 from bellows_ros.core.live.health import (
     Arrivals,
@@ -24,7 +25,7 @@ from bellows_ros.core.live.load import (
     Safety,
     Vacuum,
 )
-from bellows_ros.core.live.samples import ORIGIN, Prediction
+from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
@@ -33,7 +34,6 @@ from numpy.testing import assert_allclose
 import pytest
 
 MS = 1_000_000
-ZERO = (0.0, 0.0, 0.0)
 PACKAGE = {
     'package.mass': 2.0, 'package.inertia': (0.01, 0.02, 0.025, 0.0, 0.0, 0.0),
     'package.com': (0.0, 0.0, -0.03)}
@@ -91,7 +91,7 @@ def test_vacuum_of_each_cup():
 def prediction(force=(0.0, 0.0, 20.0), moment=ZERO, tilt=0.0):
     """Return a package that hangs below the origin, tilted about x."""
     q = (math.sin(tilt / 2), 0.0, 0.0, math.cos(tilt / 2))
-    return Prediction(1, (0.0, 0.0, -0.08), q, ZERO, ZERO, force, moment, ORIGIN)
+    return Prediction(1, (0.0, 0.0, -0.08), q, ZERO, ZERO, force, moment)
 
 
 MODEL = model_tuple(Cup.thesis(), Package(2.0, np.diag([0.01, 0.02, 0.025]), (0, 0, -0.03)), 9.81)

@@ -1,10 +1,10 @@
 """Where on its plan the tool is, however it is driven, and what is left of the plan then."""
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import LivePredictor, Prediction
 from bellows_ros.core.live.flight import at_constant_velocity, Flight
 from bellows_ros.core.live.plan_tracker import PlanTracker
-from bellows_ros.core.live.samples import ZERO
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.kernels import advance

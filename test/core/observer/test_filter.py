@@ -1,6 +1,6 @@
 """The filter against a dense one of its own making, by differences."""
 
-from bellows_ros.core.geometry.tuples import exp_quaternion, quaternion_product
+from bellows_ros.core.geometry.tuples import exp_quaternion, quaternion_product, ZERO
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, pose_error, static_equilibrium
 from bellows_ros.core.model.kernels import advance, model_row
@@ -27,7 +27,7 @@ from bellows_ros.core.observer.filter import (
     with_theta,
     WRENCH,
 )
-from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE, ZERO
+from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE
 import numpy as np
 import pytest
 
