@@ -93,10 +93,10 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
         com = model[1][1]
         position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
         exposed = when_exposed(model, known.tool, body, theta)
-        y, _, whitener, *_ = innovation(
+        whitened, _, whitener, *_ = innovation(
             exposed, theta, known.covariance, position, q, noise, marker)
         stamps.append(stamp_ns)
-        ys.append(y)
+        ys.append(np.linalg.solve(whitener, whitened))
         whiteners.append(whitener)
 
     cell.run(before=before)

@@ -4,7 +4,7 @@ import time
 
 from bellows_ros.core.live.health import Level
 from bellows_ros.core.model.cup_package import Cup, package_of
-from bellows_ros.core.observer.filter import changed
+from bellows_ros.core.model.equilibrium import moved_by
 from bellows_ros.nodes.observing import KINDS
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, PoseStamped
@@ -26,7 +26,7 @@ def swinging():
     tool = [(ORIGIN, UPRIGHT, ORIGIN, ORIGIN)] * 120
     package = package_of(PACKAGE)
     rest = truth(tool[:1], package, Cup.thesis())[0]
-    start = changed(rest, np.r_[0.0, 0.0, 0.0, 0.0, TURN, np.zeros(7)])
+    start = moved_by(rest, np.r_[0.0, 0.0, 0.0, 0.0, TURN, np.zeros(7)])
     return truth(tool, package, Cup.thesis(), start)
 
 

@@ -26,16 +26,15 @@ from bellows_ros.core.geometry.tuples import (
     add_product,
     add_scaled_matrix,
     apply,
-    hat,
     multiply,
     product,
     scale,
     scale_matrix,
+    ZERO,
 )
-from bellows_ros.core.model.equilibrium import moved, pose_error
+from bellows_ros.core.model.equilibrium import moved_by, pose_error
 from bellows_ros.core.model.jacobians import (
     add_scaled_square,
-    body_jacobians,
     COM,
     ends_of_spring,
     LENGTH,
@@ -43,6 +42,7 @@ from bellows_ros.core.model.jacobians import (
     parameter_jacobian,
     PARAMETERS,
     relaxation_jacobian,
+    scale_square,
     shift_right,
     Square,
     strain_jacobian,
@@ -52,6 +52,7 @@ from bellows_ros.core.model.jacobians import (
     turn_right,
     write_block,
     write_column,
+    write_slope,
     write_square,
 )
 from bellows_ros.core.model.kernels import advance, ModelTuple, State, with_strains
@@ -73,21 +74,13 @@ def _derivatives(
     model: ModelTuple, tool: State, body: State, last: int, A: Any, C: Any, B: Any
 ) -> None:
     """Write the slope of x by x (m, m) and by `NUMBERS` (m, 64), and B (m, 6)."""
-    by_pose, by_twist = body_jacobians(model, tool, body)
-    v_hat, w_hat = hat(body[2]), hat(body[3])
-    write_block(A, 0, 0, scale_matrix(-1.0, w_hat))
-    write_block(A, 0, 3, scale_matrix(-1.0, v_hat))
-    write_block(A, 3, 3, scale_matrix(-1.0, w_hat))
-    write_square(A, 6, 0, by_pose)
-    write_square(A, 6, 6, by_twist)
+    by_twist = write_slope(model, tool, body, A)
     parameter_jacobian(model, tool, body, 0, last, C[6:], 0)
     of_pose, of_twist = tool_jacobians(model, tool, body)
     write_square(B, 0, 0, of_twist)
     write_square(B, 6, 0, add_scaled_square(add_scaled_square(
         of_pose, 1.0, times_twist(of_twist, tool[2], tool[3])), 1.0,
         multiply_squares(by_twist, of_twist)))
-    for i in range(6):
-        A[i, 6 + i] = 1.0
     if len(body) == 6:
         _strain_derivatives(model, tool, body, A, C, B)
 
@@ -117,19 +110,13 @@ def _strain_derivatives(
     for b in range(2):
         (strength, time), first = branches[b], 12 + 6 * b
         rate = 1.0 / time
-        write_square(A, 6, first, _scaled(strength, by_strain))
-        write_square(A, first, 0, _scaled(rate, by_pose))
-        write_square(B, first, 0, _scaled(-rate, by_tool))
-        write_column(C[first:], LENGTH.start, scale(rate, apply(J_oo, along)), (0.0, 0.0, 0.0))
+        write_square(A, 6, first, scale_square(strength, by_strain))
+        write_square(A, first, 0, scale_square(rate, by_pose))
+        write_square(B, first, 0, scale_square(-rate, by_tool))
+        write_column(C[first:], LENGTH.start, scale(rate, apply(J_oo, along)), ZERO)
         write_block(C, first, COM.start, scale_matrix(-rate, J_oo))
         for i in range(6):
             A[first + i, first + i] = -rate
-
-
-@kernel
-def _scaled(factor: float, A: Square) -> Square:
-    """Return factor * A."""
-    return add_scaled_square(A, factor - 1.0, A)
 
 
 @kernel
@@ -228,8 +215,7 @@ def whiten(
 def with_mean(body: State, S: Any) -> State:
     """Return a package moved by the mean of x, the last column, which becomes zero."""
     x = S[:, S.shape[1] - 1]
-    there = moved(
-        body, (x[0], x[1], x[2]), (x[3], x[4], x[5]), (x[6], x[7], x[8]), (x[9], x[10], x[11]))
+    there = moved_by(body, x)
     if len(body) == 4:
         x[:12] = 0.0
         return there

@@ -16,7 +16,13 @@ from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.kernels import State
-from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows, write_row
+from bellows_ros.core.model.simulation import (
+    first_after,
+    row_state,
+    tool_rows,
+    ToolRows,
+    write_row,
+)
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
@@ -66,14 +72,7 @@ def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
 @kernel
 def index_at(seconds: Any, t: float) -> int:
     """Return the index of the last time that is not after t (s), or of the first."""
-    low, high = 0, len(seconds) - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if seconds[middle] <= t:
-            low = middle
-        else:
-            high = middle - 1
-    return low
+    return max(first_after(seconds, t, len(seconds)) - 1, 0)
 
 
 @kernel

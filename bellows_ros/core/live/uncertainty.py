@@ -37,11 +37,11 @@ from bellows_ros.core.geometry.tuples import rotation_matrix, Vector, ZERO
 from bellows_ros.core.live.samples import Prediction, STILL, Unsettled
 from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.grip import cup_of_gripper
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
-from bellows_ros.core.model.perturbed import capped_std
-from bellows_ros.core.model.structure import composition, matrix, places_of, UPPER
+from bellows_ros.core.model.perturbed import deviations_of
+from bellows_ros.core.model.structure import composition, places_of
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -88,12 +88,9 @@ class Uncertainty:
         self.known = True
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
-        places = places_of(values)
-        one = cup_of_gripper(model[0], places)
-        std = np.concatenate([  # of the upper triangles of K and of P of one cup
-            capped_std(matrix(values[f'cup.{name}_std']), [*oo[::4], *RR[::4]])[UPPER]
-            for name, (oo, _, RR) in (('stiffness', one[2]), ('damping', one[3]))])
-        self._factor = (np.kron(np.eye(2), composition(places)) * std)[:, std > 0.0]
+        std = deviations_of(values)[:42]  # of the upper triangles of K and of P of one cup
+        of_gripper = np.kron(np.eye(2), composition(places_of(values)))
+        self._factor = (of_gripper * std)[:, std > 0.0]
         self._sensitivity: Array | None = None
         self._left: Array = np.eye(12)
         self._left_since_ns = -1
@@ -242,10 +239,9 @@ def warm_up_uncertainty(relaxation: tuple[float, float] = (0.0, 0.0)) -> None:
     """Compile all that a covariance needs, with a model that has one."""
     package = Package(1.0, 0.01 * np.eye(3), np.array([0.0, 0.0, -0.03]))
     model = model_tuple(replace(Cup.thesis(), relaxation=relaxation), package, 9.81)
-    values = {
+    values = resolve({
         'cup.stiffness_std': (1.0,) * 36, 'cup.damping_std': (1.0,) * 36,
-        'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0,
-    }
+        'tool_noise.position': 1.0, 'tool_noise.rotation': 1.0})
     strains = equilibrium.adapted(model, ORIGIN, ORIGIN)[4:]
     Uncertainty(model, values).covariance(STILL._replace(strains=strains))
 

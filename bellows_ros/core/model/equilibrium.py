@@ -61,6 +61,13 @@ def moved(body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vec
 
 
 @kernel
+def moved_by(body: State, e: Any) -> State:
+    """Return a state moved by the first twelve numbers of an error, as by `moved`."""
+    return moved(
+        body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11]))
+
+
+@kernel
 def pose_error(body: State, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
     """Return shift and turn that `moved` takes from a body to a pose: log(T_hat^-1 Z)."""
     return (

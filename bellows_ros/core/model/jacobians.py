@@ -53,6 +53,14 @@ def add_scaled_square(A: Square, factor: float, B: Square) -> Square:
 
 
 @kernel
+def scale_square(factor: float, A: Square) -> Square:
+    """Return factor * A."""
+    return (
+        t3.scale_matrix(factor, A[0]), t3.scale_matrix(factor, A[1]),
+        t3.scale_matrix(factor, A[2]), t3.scale_matrix(factor, A[3]))
+
+
+@kernel
 def apply_square(A: Square, a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return A [a; b]."""
     return (
@@ -135,11 +143,9 @@ def spring_jacobian(
     Ro = t3.add_scaled_matrix(t3.multiply_transposed(J_RR, Z_Ro), 1.0, t3.hat(s_o))
     oR = t3.add_scaled_matrix(
         t3.multiply_transposed(J_oo, Z_oR), 1.0, t3.hat(t3.apply_transposed(R, s_o)))
-    return (
-        t3.scale_matrix(-0.25, t3.multiply_transposed(J_oo, Z_oo)),
-        t3.scale_matrix(-0.25, oR),
-        t3.scale_matrix(-0.25, t3.add_scaled_matrix(Ro, -1.0, far[0])),
-        t3.scale_matrix(-0.25, t3.add_scaled_matrix(RR, -1.0, far[1])))
+    return scale_square(-0.25, (
+        t3.multiply_transposed(J_oo, Z_oo), oR,
+        t3.add_scaled_matrix(Ro, -1.0, far[0]), t3.add_scaled_matrix(RR, -1.0, far[1])))
 
 
 @kernel
@@ -152,32 +158,16 @@ def damper_jacobians(
     By twist it is -D1 = -1/2 (P + G), G = X^T P X; by shift and turn, with F = G v1,
     -1/2 ([[0, F_o^], [F_o^, F_R^]] - G ad(v1)).
     """
-    o_R = t3.multiply(t3.hat(o), R)
-    P_R = (t3.multiply(P[0], R), t3.multiply(P[1], R),
-           t3.multiply(t3.transposed(P[1]), R), t3.multiply(P[2], R))
-    right = (
-        P_R[0], t3.add_scaled_matrix(P_R[1], 1.0, t3.multiply(P[0], o_R)),
-        P_R[2], t3.add_scaled_matrix(P_R[3], 1.0, t3.multiply_transposed(P[1], o_R)),
-    )  # P X
-    G = (
-        t3.multiply_transposed(R, right[0]), t3.multiply_transposed(R, right[1]),
-        t3.add_scaled_matrix(
-            t3.multiply_transposed(R, right[2]), 1.0, t3.multiply_transposed(o_R, right[0])),
-        t3.add_scaled_matrix(
-            t3.multiply_transposed(R, right[3]), 1.0, t3.multiply_transposed(o_R, right[1])))
+    whole = P[0], P[1], t3.transposed(P[1]), P[2]
+    back = t3.transposed(R)
+    at_S2 = turn_right(shift_left(o, shift_right(whole, o)), back)
+    G = (t3.multiply(back, at_S2[0]), t3.multiply(back, at_S2[1]),
+         t3.multiply(back, at_S2[2]), t3.multiply(back, at_S2[3]))
     F_o, F_R = apply_square(G, v, w)
-    turning = times_twist(G, v, w)
-    by_pose = (
-        t3.scale_matrix(0.5, turning[0]),
-        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[1], -1.0, t3.hat(F_o))),
-        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[2], -1.0, t3.hat(F_o))),
-        t3.scale_matrix(0.5, t3.add_scaled_matrix(turning[3], -1.0, t3.hat(F_R))))
-    by_twist = (
-        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[0], 1.0, G[0])),
-        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[1], 1.0, G[1])),
-        t3.scale_matrix(-0.5, t3.add_scaled_matrix(t3.transposed(P[1]), 1.0, G[2])),
-        t3.scale_matrix(-0.5, t3.add_scaled_matrix(P[2], 1.0, G[3])))
-    return by_pose, by_twist
+    force = t3.hat(F_o)
+    by_pose = add_scaled_square(
+        times_twist(G, v, w), -1.0, (NOTHING, force, force, t3.hat(F_R)))
+    return scale_square(0.5, by_pose), scale_square(-0.5, add_scaled_square(whole, 1.0, G))
 
 
 @kernel
@@ -268,9 +258,8 @@ def strain_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Squar
     c, o, R, _, _, _, _, _ = ends_of_spring(model, tool, body)
     J_oo, J_oR, J_RR = strain_jacobian(o, R)
     Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, model[0][2], (), ())
-    quarter = (
-        t3.scale_matrix(0.25, t3.transposed(Z_oo)), t3.scale_matrix(0.25, t3.transposed(Z_Ro)),
-        t3.scale_matrix(0.25, t3.transposed(Z_oR)), t3.scale_matrix(0.25, t3.transposed(Z_RR)))
+    quarter = scale_square(0.25, (
+        t3.transposed(Z_oo), t3.transposed(Z_Ro), t3.transposed(Z_oR), t3.transposed(Z_RR)))
     return accelerations(model[1], shift_left(c, quarter)), shift_right(
         (J_oo, J_oR, NOTHING, J_RR), c)
 
@@ -304,7 +293,7 @@ def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
     far = t3.scale(-1.0, o_E_S1)
     pose = accelerations(model[1], shift_left(c, shift_right(turn_right(by_pose, R), far)))
     twist = accelerations(model[1], shift_left(c, shift_right(turn_right(by_twist, R), far)))
-    return add_scaled_square(pose, -2.0, pose), add_scaled_square(twist, -2.0, twist)
+    return scale_square(-1.0, pose), scale_square(-1.0, twist)
 
 
 @kernel
@@ -349,6 +338,23 @@ def write_column(out: Any, column: int, a: Vector, b: Vector) -> None:
     """Write two vectors into a column (6,)."""
     out[0, column], out[1, column], out[2, column] = a
     out[3, column], out[4, column], out[5, column] = b
+
+
+@kernel
+def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> Square:
+    """
+    Write the slope of a small change of the state by itself; return that of the twist by itself.
+
+    Pose and twist change in axes that turn with the body.
+    """
+    by_pose, by_twist = body_jacobians(model, tool, body)
+    v_hat, w_hat = t3.hat(body[2]), t3.hat(body[3])
+    write_square(A, 0, 0, scale_square(-1.0, (w_hat, v_hat, NOTHING, w_hat)))
+    write_square(A, 6, 0, by_pose)
+    write_square(A, 6, 6, by_twist)
+    for i in range(6):
+        A[i, 6 + i] = 1.0
+    return by_twist
 
 
 @kernel

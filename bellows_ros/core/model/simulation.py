@@ -90,8 +90,7 @@ def steady_start(
     T_world_tool = lie.transform(lie.quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
 
     def with_offset(offset: Array) -> tuple[State, Array]:
-        x, y, z, rx, ry, rz = offset.tolist()
-        state = equilibrium.moved(hanging, (x, y, z), (rx, ry, rz), t3.ZERO, t3.ZERO)
+        state = equilibrium.moved_by(hanging, np.pad(offset, (0, 6)))
         T_world_package = lie.transform(lie.quaternion_to_rotation(np.array(state[1])), state[0])
         T_package_tool = lie.inverse_transform(T_world_package) @ T_world_tool
         at_package = lie.apply(lie.adjoint(T_package_tool), rates)
@@ -269,6 +268,19 @@ def write_row(row: Array, state: State) -> None:
             row[16], row[17], row[18] = state[4][1]
             row[19], row[20], row[21] = state[5][0]
             row[22], row[23], row[24] = state[5][1]
+
+
+@kernel
+def first_after(times: Any, time: float, count: int) -> int:
+    """Return the number of the first of the samples after a time."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if times[middle] > time:
+            high = middle
+        else:
+            low = middle + 1
+    return low
 
 
 @kernel

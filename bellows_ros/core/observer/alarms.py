@@ -34,12 +34,12 @@ from bellows_ros.core.geometry.tuples import (
     Vector,
 )
 from bellows_ros.core.model.kernels import Branch, model_of, State
+from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.observer.filter import (
     CAMERA,
     COM,
     Evidence,
     FALLEN,
-    first_after,
     LENGTHENING,
     MARKER,
     MASS,
@@ -477,12 +477,11 @@ def _step(
         others in both.
 
     """
-    y, H, root, distance, whitened = found
+    z, H, root, distance, whitened = found
     n, C = H.shape[1], H.astype(np.float32)
     made = observed(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
     add_product(C[:3, CAMERA:CAMERA + 3], E[n + 4:], made[:3])  # as a shift in the world
     seen = product(root.astype(np.float32), made, np.empty((6, E.shape[1]), np.float32))
-    z = product(root, y.reshape((6, 1)), np.empty((6, 1)))
     counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
     for k in range(1 + ONSETS):
         if onsets[1, k] >= 0:
@@ -493,7 +492,7 @@ def _step(
     for k in range(E.shape[1] - COLUMNS[-1] if counts[0] > SETTLING else 0):
         made_k, d, J = COLUMNS[-1] + k, 0.0, 0.0
         for i in range(6):
-            d += seen[i, made_k] * z[i, 0]
+            d += seen[i, made_k] * z[i]
             J += seen[i, made_k] ** 2
         numbers[INFORMATION[-1] + k] += d
         numbers[INFORMATION[-1] + E.shape[1] - COLUMNS[-1] + k] += J
@@ -561,8 +560,8 @@ def _compare(seen: Array, z: Array, what: int, numbers: Array) -> None:
         d = numbers[i:i + m]
         for k in range(m):
             d[k] += (
-                seen[0, i + k] * z[0, 0] + seen[1, i + k] * z[1, 0] + seen[2, i + k] * z[2, 0]
-                + seen[3, i + k] * z[3, 0] + seen[4, i + k] * z[4, 0] + seen[5, i + k] * z[5, 0])
+                seen[0, i + k] * z[0] + seen[1, i + k] * z[1] + seen[2, i + k] * z[2]
+                + seen[3, i + k] * z[3] + seen[4, i + k] * z[4] + seen[5, i + k] * z[5])
         for b in range(a + 1 - first):
             j, row = COLUMNS[first + b], m * ((a - first) * (a - first + 1) // 2 + b)
             for k in range(m):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
@@ -11,8 +10,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import Blocks, model_row, ModelTuple, ORIGIN, State
+from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
-from bellows_ros.core.observer.alarms import Alarm, Alarms, processed
+from bellows_ros.core.observer.alarms import Alarm, Alarms, Likeliest, processed
 from bellows_ros.core.observer.filter import (
     ALL_ROWS,
     body_ahead,
@@ -179,7 +179,7 @@ class Track:
 
     def after(self, stamp_ns: int) -> int:
         """Return the number of the first sample after a stamp."""
-        return bisect_right(self.rows[0], stamp_ns, 0, self.count)
+        return int(first_after(self.rows[0], stamp_ns, self.count))
 
     def make_room(self, since_ns: int) -> None:
         """Make room for another sample; discard those before a stamp."""
@@ -272,15 +272,18 @@ class Correction:
     def _processed(
         self, known: Estimate, track: Track, stamp_ns: int, is_known: bool,
         seen: Measurement = NOTHING_SEEN, gate: float = 0.0,
-    ) -> Any:
-        """Return what `processed` does of an estimate; nothing is seen with a gate of zero."""
+    ) -> tuple[int, Estimate, Likeliest]:
+        """Return verdict, estimate and faults by `processed`; a gate of zero sees nothing."""
         opened, evidence = known.opened, known.evidence
-        return processed(
+        verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome = processed(
             self.row(opened), self.branches, known.theta, known.tool, known.body,
             known.covariance, known.memory, *track.rows, is_known, track.count, known.stamp_ns,
             stamp_ns, self.longest, self._drive, self._walk, evidence.signatures,
             evidence.numbers, evidence.onsets, evidence.is_first, self._steps,
             self._holding(opened), gate > 0.0, *seen[1:], self._marker, self.reach, gate)
+        return verdict, known._replace(
+            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
+            evidence=Evidence(E, numbers, onsets, evidence.half_way, evidence.is_first)), outcome
 
     def carried(
         self, known: Estimate, track: Track, stamp_ns: int, with_evidence: bool = True
@@ -288,10 +291,7 @@ class Correction:
         """Return an estimate carried along with the tool, where the package has been before."""
         if not with_evidence:
             known = known._replace(evidence=NO_EVIDENCE)
-        _, tool, body, theta, P, memory, E, *_ = self._processed(known, track, stamp_ns, True)
-        return known._replace(
-            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            evidence=known.evidence._replace(signatures=E))
+        return self._processed(known, track, stamp_ns, True)[1]
 
     def body_at_end(self, known: Estimate, track: Track) -> State:
         """Return the package at the newest sample of the tool, and write it into the samples."""
@@ -305,9 +305,8 @@ class Correction:
         self, before: Estimate, track: Track, seen: Measurement, is_known: bool
     ) -> Outcome:
         """Return the estimate after a measurement: the one before it where that is no package."""
-        stamp_ns, opened, (*_, half_way, is_first) = seen.stamp_ns, before.opened, before.evidence
-        verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome = self._processed(
-            before, track, stamp_ns, is_known, seen, GATE)
+        stamp_ns, opened, half_way = seen.stamp_ns, before.opened, before.evidence.half_way
+        verdict, after, outcome = self._processed(before, track, stamp_ns, is_known, seen, GATE)
         if verdict == OUT_OF_REACH:
             return Outcome(before, 'out_of_reach')
         refused = (*before.refused, stamp_ns) if verdict == OUTSIDE else ()
@@ -316,18 +315,17 @@ class Correction:
         if self.alarms is not None:  # what came back within the gate confirms nothing before
             is_back = before.refused and not refused
             half_way = self.alarms.half_way(() if is_back else half_way, stamp_ns, outcome[0])
-        after = Estimate(
-            stamp_ns, tool, body, theta, P, memory,
-            Evidence(E, numbers, onsets, half_way, is_first), opened, refused,
-            before.away_ns if refused else 0)
+        after = after._replace(
+            evidence=after.evidence._replace(half_way=half_way), refused=refused,
+            away_ns=before.away_ns if refused else 0)
         if self.alarms is not None and (
                 fault := self.alarms.found(after.evidence, stamp_ns, outcome, opened)):
             opened += (fault.cup,) if fault.cup >= 0 else ()
-            body, theta = changed_by(body, theta, fault.error)
+            body, theta = changed_by(after.body, after.theta, fault.error)
             return Outcome(after._replace(  # the fault was taken for noise, too
                 body=body, theta=theta, memory=self.first_memory, refused=(), opened=opened,
                 evidence=self._evidence(stamp_ns, opened, False),
-                covariance=P + fault.spread @ fault.spread.T), name, fault.alarm)
+                covariance=after.covariance + fault.spread @ fault.spread.T), name, fault.alarm)
         if name == 'recovered':
             return Outcome(self._restarted(after, before.memory, track, seen), name)
         return Outcome(after, name)
@@ -340,8 +338,7 @@ class Correction:
         P = known.covariance.copy()
         P[rows, rows] += np.square(self.prior[rows])
         restarted = known._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
-        _, tool, body, theta, P, *_ = self._processed(
-            restarted, track, seen.stamp_ns, True, seen, math.inf)
-        return known._replace(
-            tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            evidence=self._evidence(seen.stamp_ns, known.opened, False), refused=(), away_ns=0)
+        _, after, _ = self._processed(restarted, track, seen.stamp_ns, True, seen, math.inf)
+        return after._replace(
+            memory=memory, refused=(), away_ns=0,
+            evidence=self._evidence(seen.stamp_ns, known.opened, False))

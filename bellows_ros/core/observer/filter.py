@@ -22,10 +22,10 @@ from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.equilibrium import linearise, moved, substeps_for
+from bellows_ros.core.model.equilibrium import linearise, substeps_for
 from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import Blocks, Branch, ModelTuple, State, Wrench
-from bellows_ros.core.model.simulation import body_row, row_state, write_row
+from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
 import numpy as np
 
 SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH = 0, 3, 6, 9, 12, 13, 16
@@ -139,20 +139,6 @@ def model_with(row: Any, branches: tuple[Branch, ...], theta: Array) -> ModelTup
 
 
 @kernel
-def scaled_cups(cups: Array, theta: Array) -> Array:
-    """Return K and P (n, 54) of cups with the changes that `with_theta` makes to their sum."""
-    out = cups.copy()
-    for c in range(len(cups)):
-        for first in range(0, 54 if len(theta) > DAMPING - STATE else 27, 27):
-            s = theta[(STIFFNESS if first == 0 else DAMPING) - STATE:]
-            for block in range(3):
-                for i in range(9):
-                    row, column = 3 * (block > 1) + i // 3, 3 * (block > 0) + i % 3
-                    out[c, first + 9 * block + i] *= math.exp(0.5 * (s[row] + s[column]))
-    return out
-
-
-@kernel
 def _scaled(M: Blocks, s: Array) -> Blocks:
     """Return exp(s / 2) M exp(s / 2), with s (6,) on a diagonal."""
     a = math.exp(0.5 * s[0]), math.exp(0.5 * s[1]), math.exp(0.5 * s[2])
@@ -175,12 +161,6 @@ def wrench_of(theta: Array) -> Wrench:
     k = math.exp(theta[0])
     return t3.scale(k, (theta[4], theta[5], theta[6])), t3.scale(
         k, (theta[7], theta[8], theta[9]))
-
-
-def changed(body: State, error: Array) -> State:
-    """Return a state changed by an error (12,)."""
-    a, b, c, d, e, f, g, h, i, j, k, m = error.tolist()
-    return moved(body, (a, b, c), (d, e, f), (g, h, i), (j, k, m))
 
 
 def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
@@ -229,15 +209,7 @@ def slopes(
 
     """
     package, com, turning = model[1], model[1][1], body[3]
-    v_hat, w_hat = t3.hat(body[2]), t3.hat(turning)
-    by_pose, by_twist = jac.body_jacobians(model, tool, body)
-    jac.write_block(A, 0, 0, t3.scale_matrix(-1.0, w_hat))
-    jac.write_block(A, 0, 3, t3.scale_matrix(-1.0, v_hat))
-    jac.write_block(A, 3, 3, t3.scale_matrix(-1.0, w_hat))
-    for i in range(6):
-        A[i, 6 + i] = 1.0
-    jac.write_square(A, 6, 0, by_pose)
-    jac.write_square(A, 6, 6, by_twist)
+    jac.write_slope(model, tool, body, A)
     f, m = kernels.lip_wrench(model, tool, body)
     c, o, R, v, w, _, _, _ = jac.ends_of_spring(model, tool, body)
     B[:, STIFFNESS:] = 0.0
@@ -307,7 +279,7 @@ def _add_block(
 
 @array_kernel
 def write_losses(
-    model: ModelTuple, cups: Array, tool: State, body: State, out: Array
+    nominal: ModelTuple, theta: Array, cups: Array, tool: State, body: State, out: Array
 ) -> None:
     """
     Write M^-1 [W_i, w_i] of each cup into (n, 6, 13): accelerations by error, and without.
@@ -318,14 +290,14 @@ def write_losses(
     last column is what the loss has made.
     """
     for i in range(len(cups)):
-        cup = model[0]
+        cup = nominal[0]
         K, P = kernels.blocks_of(cups[i][:27]), kernels.blocks_of(cups[i][27:])
-        one = (cup[0], cup[1], K, P, *cup[4:]), model[1], model[2]
+        one = with_theta(((cup[0], cup[1], K, P, *cup[4:]), nominal[1], nominal[2]), theta)
         by_pose, by_twist = jac.cup_accelerations(one, tool, body)
         jac.write_square(out[i], 0, 0, by_pose)
         jac.write_square(out[i], 0, 6, by_twist)
         f, m = kernels.lip_wrench(one, tool, body)
-        dv, dw = jac.acceleration_at(model[1], model[1][1], f, m)
+        dv, dw = jac.acceleration_at(one[1], one[1][1], f, m)
         jac.write_column(out[i], 12, dv, dw)
 
 
@@ -481,19 +453,6 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
 
 
 @kernel
-def first_after(stamps: Any, stamp_ns: int, count: int) -> int:
-    """Return the number of the first of the samples after a stamp."""
-    low, high = 0, count
-    while low < high:
-        middle = (low + high) // 2
-        if stamps[middle] > stamp_ns:
-            high = middle
-        else:
-            low = middle + 1
-    return low
-
-
-@kernel
 def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
     """Return whether a covariance step ends at a sample, regardless of where it began."""
     length_ns = int(1e9 * min(COARSE * longest, 1.0))
@@ -546,16 +505,15 @@ def propagated(
 
     """
     push, follows, fresh, h, held = wrench_of(theta), T.shape[0] > 0, True, 0.0, 0.0
-    model = with_theta(model, theta)
+    nominal, model = model, with_theta(model, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     losses0, losses1 = np.zeros((len(lost), 6, 13)), np.zeros((len(lost), 6, 13))
-    scaled = scaled_cups(cups[:len(lost)], theta)
     while True:
         if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or is_coarse(
                 now_ns, stamps[k], longest)):
             force = slopes(model, push, math.exp(theta[0]), tool, body, A1, B1)
-            write_losses(model, scaled, tool, body, losses1)
+            write_losses(nominal, theta, cups[:len(lost)], tool, body, losses1)
             if not fresh:
                 accumulate(
                     averaged(A0, A1), averaged(B0, B1), h, 0.5 * held * drive, T, Q,

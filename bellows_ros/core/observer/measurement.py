@@ -11,7 +11,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import array_kernel, COMPILED, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
-from bellows_ros.core.model.equilibrium import moved, pose_error
+from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.observer.filter import (
     CAMERA,
@@ -183,10 +183,10 @@ def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length:
 
 Innovation = tuple[Array, Array, Array, float, Array]
 """
-The difference of a measured pose from an estimate, with its covariance: shift (m) and turn (rad)
-from the estimated to the measured pose, in B axes (6,); its derivative by the error (6, n); a
-triangular whitener (6, 6), which makes its covariance the identity; its squared Mahalanobis
-distance; and the whitener times H P (6, n), whose square is what a measurement takes from P.
+The difference of a measured pose from an estimate, shift (m) and turn (rad) in B axes, times its
+whitener (6,); the derivative H of the difference by the error (6, n); the triangular whitener
+(6, 6), which makes its covariance the identity; its squared Mahalanobis distance; and the whitener
+times H P (6, n), whose square is what a measurement takes from P.
 """
 
 
@@ -274,13 +274,11 @@ def innovation(
         for j in range(6):
             S[i, j] += WHITE * noise[i, j] + jitter * H[i, LATENCY] * H[j, LATENCY]
     _, W = cholesky(S)
-    distance = 0.0
+    z = np.zeros(6)
     for i in range(6):
-        z = 0.0
         for j in range(i + 1):
-            z += W[i, j] * y[j]
-        distance += z * z
-    return y, H, W, distance, t3.product(W, HP, np.empty((6, n)))
+            z[i] += W[i, j] * y[j]
+    return z, H, W, (z * z).sum(), t3.product(W, HP, np.empty((6, n)))
 
 
 @kernel
@@ -289,9 +287,7 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
     theta = theta.copy()
     for i in range(len(theta)):
         theta[i] += e[STATE + i]
-    return moved(
-        body, (e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]), (e[9], e[10], e[11])
-    ), theta
+    return moved_by(body, e), theta
 
 
 @array_kernel
@@ -299,14 +295,11 @@ def corrected(
     body: State, theta: Array, P: Array, found: Innovation
 ) -> tuple[State, Array]:
     """Return state and theta after a measurement, by its `Innovation`; P is changed in place."""
-    y, _, W, _, Z = found
+    z, _, _, _, Z = found
     error = np.zeros(len(P))
     for i in range(6):
-        z = 0.0
-        for j in range(i + 1):
-            z += W[i, j] * y[j]
         for j in range(len(P)):
-            error[j] += Z[i, j] * z
+            error[j] += Z[i, j] * z[i]
     body, theta = changed_by(body, theta, error)
     for i in range(len(P)):
         P[i, i] *= 1.0 + ROUNDING

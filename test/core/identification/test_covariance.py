@@ -6,10 +6,9 @@ from bellows_ros.core.identification.equations import covariance_of, information
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.search import Measured
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.equilibrium import static_equilibrium
+from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium
 from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
-from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.recording.recording import BodyNoise
 import numpy as np
 from numpy.testing import assert_allclose
@@ -102,7 +101,7 @@ def test_with_an_exact_tool_it_is_the_cramer_rao_bound():
         """Return positions and rotations, by K, P and what the start is off by."""
         cup = Cup(*AXISYMMETRIC.matrices(x[:8]), TRUTH.length)
         states = simulate_rows(
-            model_tuple(cup, PLATE, GRAVITY), changed(start, x[8:]), rows,
+            model_tuple(cup, PLATE, GRAVITY), moved_by(start, x[8:]), rows,
             np.full(len(steps), 1.0 / rate_hz), steps)
         return states[:, :3], quaternion_to_rotation(states[:, 3:7])
 

@@ -7,6 +7,7 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -26,9 +27,9 @@ SETTLED = 450
 
 def values(stiffness_std=NO_STD, damping_std=NO_STD, position=0.0, rotation=0.0):
     """Return parameters of the uncertainty."""
-    return {
-        'cup.stiffness_std': tuple(np.ravel(stiffness_std)), 'tool_noise.rotation': rotation,
-        'cup.damping_std': tuple(np.ravel(damping_std)), 'tool_noise.position': position}
+    return resolve({
+        'cup.stiffness_std': np.ravel(stiffness_std).tolist(), 'tool_noise.rotation': rotation,
+        'cup.damping_std': np.ravel(damping_std).tolist(), 'tool_noise.position': position})
 
 
 def tool_poses():

@@ -4,13 +4,13 @@ from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import (
     largest_step,
+    moved_by,
     pose_error,
     static_equilibrium,
     substeps_for,
 )
 from bellows_ros.core.model.kernels import advance, tool_at, tool_segment
 from bellows_ros.core.observer import Observer
-from bellows_ros.core.observer.filter import changed
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 
@@ -119,15 +119,15 @@ def later(state, theta, start, end, seconds):
     segment = tool_segment(start, end, seconds)
     tools = [start, *(tool_at(segment, (i + 1) / steps) for i in range(steps))]
     for i in range(steps):
-        state = changed(state, np.concatenate([np.zeros(6), 0.5 * push * seconds / steps]))
+        state = moved_by(state, np.concatenate([np.zeros(6), 0.5 * push * seconds / steps]))
         state = advance(model, state, tools[i], tools[i + 1], seconds / steps, 1)
-        state = changed(state, np.concatenate([np.zeros(6), 0.5 * push * seconds / steps]))
+        state = moved_by(state, np.concatenate([np.zeros(6), 0.5 * push * seconds / steps]))
     return state
 
 
 def with_noise(rng, body, std):
     """Give a pose of a body with noise in its own axes."""
-    return changed(body, np.concatenate([rng.normal(size=6) * std, np.zeros(6)]))
+    return moved_by(body, np.concatenate([rng.normal(size=6) * std, np.zeros(6)]))
 
 
 def error_of(made, body):

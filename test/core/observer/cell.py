@@ -8,8 +8,8 @@ memory, stamps are late, K, P, mass, centre of mass, inertia and the camera's po
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.equilibrium import moved_by
 from bellows_ros.core.model.structure import composed
-from bellows_ros.core.observer.filter import changed
 import numpy as np
 
 from .cases import (
@@ -182,7 +182,7 @@ class Cell:
                 return body, before
             if self.fault == 'slip':
                 steps, n = k - self.first + 1, self.steps
-                body = changed(body, np.r_[by / n, np.zeros(9)]) if steps <= n else body
+                body = moved_by(body, np.r_[by / n, np.zeros(9)]) if steps <= n else body
                 return body, model(self.package.com + min(steps / n, 1.0) * by)
             if self.fault == 'leak':
                 return body, model(longer=rate * since)
@@ -214,14 +214,14 @@ class Cell:
                 step = (1.0 - w % 1.0) * np.concatenate([a[2], a[3]]) * PERIOD_NS * 1e-9
                 mean = (1.0 - w % 1.0) * (np.r_[a[2], a[3]] + np.r_[b[2], b[3]]) / 2
                 step = mean * PERIOD_NS * 1e-9
-                body = changed(a, np.r_[step, np.zeros(6)])
+                body = moved_by(a, np.r_[step, np.zeros(6)])
             after = k >= self.first
             if after and self.fault in ('drop', 'peel') and (
                     np.linalg.norm(np.subtract(body[0], self.tool[k][0])) > 0.55):
                 break
             if after and self.fault == 'turn':
-                body = changed(body, np.r_[np.zeros(3), self.turn, np.zeros(6)])
-            pose = changed(body, np.r_[n, np.zeros(6)])[:2]
+                body = moved_by(body, np.r_[np.zeros(3), self.turn, np.zeros(6)])
+            pose = moved_by(body, np.r_[n, np.zeros(6)])[:2]
             pose = _from_elsewhere(pose, *offset, pivot=WORKPLACE)
             if after and self.fault == 'camera':
                 pose = _from_elsewhere(pose, *moved, pivot=WORKPLACE)

@@ -5,6 +5,7 @@ import re
 
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.kernels import model_of
+from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import SINGLE
 from bellows_ros.core.observer import correction as module
 from bellows_ros.core.observer.alarms import (
@@ -29,7 +30,6 @@ from bellows_ros.core.observer.correction import NO_CUPS
 from bellows_ros.core.observer.filter import (
     CAMERA,
     DAMPING,
-    first_after,
     identity_transition,
     LENGTH,
     LENGTHENING,
@@ -185,7 +185,7 @@ def _dense_total(given):
                 'count': 0, 'distance': 0.0}
 
     known, ratios = [begun(k) for k in range(AT_START)], []
-    for count, (F, (y, H, root, distance, whitened), used, now_ns) in enumerate(given, 1):
+    for count, (F, (z, H, root, distance, whitened), used, now_ns) in enumerate(given, 1):
         C, update = np.hstack([H, np.zeros((6, 7))]), np.eye(n + 7)
         C[:3, n + 4:] = H[:3, CAMERA:CAMERA + 3]
         update[:n] -= used * whitened.T @ root @ C
@@ -195,7 +195,7 @@ def _dense_total(given):
             each['count'] += 1
             if count > SETTLING:
                 each['J'] = each['J'] + made.T @ made
-                each['d'] = each['d'] + made.T @ root @ y
+                each['d'] = each['d'] + made.T @ z
                 each['distance'] += distance
         known += [{**begun(k), 'ns': now_ns} for k in range(AT_START, len(HYPOTHESES)) if (
             count >= SETTLING and (count - SETTLING) % HYPOTHESES[k].every == 0)]

@@ -3,10 +3,10 @@
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.equilibrium import largest_step, pose_error, substeps_for
+from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.observer.correction import bias_walk, prior_std
-from bellows_ros.core.observer.filter import changed, DAMPING
+from bellows_ros.core.observer.filter import DAMPING
 from bellows_ros.core.observer.measurement import at_com
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def scene(seed, seconds=2.0, every=8):
 
 def shifted(pose, *by):
     """Give a pose that is off by a shift (m) and a turn (rad) in its own axes."""
-    return changed(pose, np.concatenate([by, np.zeros(12 - len(by))]))
+    return moved_by(pose, np.concatenate([by, np.zeros(12 - len(by))]))
 
 
 def numbers(made):
@@ -130,7 +130,7 @@ def test_error_is_what_the_covariance_says(runs):
         made = observer(tool_noise__position=0.0, tool_noise__rotation=0.0)
         made.start(int(stamps[0]), tool[0], truth(tool[:1])[0])
         std = np.sqrt(np.diag(made.estimate.covariance))
-        body = [changed(made.estimate.body, rng.normal(size=12) * std[:12])]
+        body = [moved_by(made.estimate.body, rng.normal(size=12) * std[:12])]
         theta = rng.normal(size=10) * std[12:22]
         for k in range(1, len(tool)):
             body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
@@ -138,7 +138,7 @@ def test_error_is_what_the_covariance_says(runs):
         seen, noise = {}, rng.normal(size=6)
         for k in range(8, len(tool), 8):  # with the memory that is expected at the beginning
             noise = 0.5 * noise + np.sqrt(0.75) * rng.normal(size=6)
-            seen[k] = changed(body[k], np.r_[noise * NOISE, np.zeros(6)])
+            seen[k] = moved_by(body[k], np.r_[noise * NOISE, np.zeros(6)])
         follow(made, stamps, tool, None, at_once(stamps, seen))
         error = error_of(made, body[-1])
         total.append(error @ np.linalg.solve(made.estimate.covariance[:12, :12], error))
