@@ -26,7 +26,7 @@ TOOL_POSES = {
         geometry.PoseWithCovarianceStamped,
         attrgetter('pose.pose.position', 'pose.pose.orientation')),
     'odometry': (Odometry, attrgetter('pose.pose.position', 'pose.pose.orientation'))}
-"""By the parameter tool_pose.type: the message type, and what it contains."""
+"""By the parameters tool_pose.type and measured.type: the message, and its parts."""
 
 NO_STAMP = 0
 
@@ -73,11 +73,16 @@ def write_header(message: Any, stamp_ns: int, frame_id: str) -> None:
     message.header.frame_id = frame_id
 
 
+def write_place(pose: geometry.Pose, position: Vector, xyzw: Quaternion) -> None:
+    """Write position and orientation."""
+    write_vector(pose.position, position)
+    write_quaternion(pose.orientation, xyzw)
+
+
 def write_pose(message: geometry.PoseStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the package's pose in the frame of the tool's poses."""
     write_header(message, prediction.stamp_ns, frame_id)
-    write_vector(message.pose.position, prediction.position)
-    write_quaternion(message.pose.orientation, prediction.quaternion_xyzw)
+    write_place(message.pose, prediction.position, prediction.quaternion_xyzw)
 
 
 def write_twist(message: geometry.TwistStamped, frame_id: str, prediction: Prediction) -> None:
@@ -105,8 +110,7 @@ def write_odometry(
     """
     write_header(message, prediction.stamp_ns, frame_id)
     message.child_frame_id = child_frame_id
-    write_vector(message.pose.pose.position, prediction.position)
-    write_quaternion(message.pose.pose.orientation, prediction.quaternion_xyzw)
+    write_place(message.pose.pose, prediction.position, prediction.quaternion_xyzw)
     write_vector(message.twist.twist.linear, prediction.linear)
     write_vector(message.twist.twist.angular, prediction.angular)
     message.pose.covariance = in_world_axes(root[:6], prediction.quaternion_xyzw).ravel()

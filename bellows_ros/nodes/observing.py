@@ -6,11 +6,10 @@ import gc
 import time
 from typing import Any
 
-from geometry_msgs.msg import InertiaStamped, PoseStamped, PoseWithCovarianceStamped
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import InertiaStamped
 import numpy as np
 
-from .conversions import quaternion_xyzw, stamp_to_ns, vector, write_payload
+from .conversions import quaternion_xyzw, stamp_to_ns, TOOL_POSES, vector, write_payload
 from .outputs import Topic
 from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
@@ -18,10 +17,6 @@ from ..core.live.health import input_status, Level, Status
 from ..core.model.kernels import ModelTuple
 from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
 from ..core.parameters.table import short
-
-KINDS = {
-    'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped, 'odometry': Odometry}
-"""By the name of the parameter measured.type."""
 
 ALARM_SHOWN_NS = 5_000_000_000
 """How long (ns) an alarm stays in the diagnostics and as the state."""
@@ -36,7 +31,7 @@ class Observing:
     node : PredictorNode
         Subscribes, and starts afresh where a measured pose fails.
     kind : str
-        Of `KINDS`.
+        Of `TOOL_POSES`.
 
     Attributes
     ----------
@@ -49,10 +44,11 @@ class Observing:
         """Subscribe; nothing changes before the first message."""
         self._with_covariance = kind != 'pose'
         self._live: LivePredictor | None = None
+        message_type, self._pose_of = TOOL_POSES[kind]
         self._node, self._is_warm, self._reported = node, False, 0
         self.lost_cups: set[int] = set()
         self._measured_in = SensorInput(
-            node, KINDS[kind], 'package/measured', self._on_measured, self._on_publishers)
+            node, message_type, 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(node, InertiaStamped, 'package/estimated')
 
     def set_values(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
@@ -89,12 +85,11 @@ class Observing:
             live.package.observe(observer := Observer(self._values))
         stamp_ns = stamp_to_ns(header.stamp)
         self._measured_in.note(arrival_ns, stamp_ns)
-        pose, covariance = message.pose, None
-        if self._with_covariance:
-            pose, covariance = pose.pose, np.reshape(pose.covariance, (6, 6))
+        position, orientation = self._pose_of(message)
+        covariance = np.reshape(message.pose.covariance, (6, 6)) if self._with_covariance else None
         self._node.advance(
-            live.on_measured, stamp_ns, header.frame_id, vector(pose.position),
-            quaternion_xyzw(pose.orientation), covariance)
+            live.on_measured, stamp_ns, header.frame_id, vector(position),
+            quaternion_xyzw(orientation), covariance)
         if header.frame_id != live.frame_id and not observer.sensor.has_own_world:
             self._node.get_logger().warning(
                 f"package/measured is in frame '{short(header.frame_id)}', the tool in "

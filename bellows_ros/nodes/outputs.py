@@ -218,8 +218,8 @@ class Outputs:
         if self._deflection.wanted and not prediction.flies:
             lip = self._deflection.message
             conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
-            conversions.write_vector(lip.pose.position, deflection(model, prediction).shift)
-            conversions.write_quaternion(lip.pose.orientation, deflection_rotation(prediction))
+            conversions.write_place(
+                lip.pose, deflection(model, prediction).shift, deflection_rotation(prediction))
             self._deflection.publish(lip)
         if self._markers.wanted and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, model, prediction))
@@ -288,8 +288,8 @@ class Picture:
         lip = lip_position(model, prediction)
         R_world_package = rotation_matrix(prediction.quaternion_xyzw)
         tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
-        conversions.write_vector(self._box.pose.position, prediction.position)
-        conversions.write_quaternion(self._box.pose.orientation, prediction.quaternion_xyzw)
+        conversions.write_place(
+            self._box.pose, prediction.position, prediction.quaternion_xyzw)
         tool, R_world_tool = prediction.tool[0], rotation_matrix(prediction.tool[1])
         self._cup.points = []
         for place in self._places:

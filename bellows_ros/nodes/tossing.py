@@ -9,7 +9,7 @@ import numpy as np
 from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from .conversions import write_header, write_quaternion, write_stamp, write_vector
+from .conversions import write_header, write_place, write_stamp
 from .guarding import Worker
 from .outputs import marker, NAMESPACE, Topic
 from .planning import Planning
@@ -105,8 +105,7 @@ def _write(
 ) -> None:
     """Write the pose of B at landing, stamped as the prediction that it was made from."""
     write_header(message, stamp_ns, frame_id)
-    write_vector(message.pose.pose.position, found.toss.landing[0])
-    write_quaternion(message.pose.pose.orientation, found.toss.landing[1])
+    write_place(message.pose.pose, *found.toss.landing[:2])
     message.pose.covariance = found.covariance.ravel()
 
 

@@ -559,7 +559,7 @@ def _equations(
         step *= min(1.0, LARGEST_MOVE / max(float(np.abs(step).max()), 1e-12))
         body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
     changes: Array = np.empty((6, 43))  # by the entries of K and P, and by the length
-    parameter_jacobian(model, tool, body, 0, 43, changes, 0)
+    parameter_jacobian(model, tool, body, 0, 43, changes)
     of_body = np.linalg.solve(linearise(model, tool, body).body_pose, -changes)
     of_lip = adjoint(transform(np.eye(3), still.payload.com)) @ of_body
     R, R_there = still.package.rotation[0], quaternion_to_rotation(np.array(body[1]))

@@ -22,7 +22,6 @@ from typing import Any
 
 from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.geometry.tuples import (
-    add,
     add_product,
     add_scaled_matrix,
     apply,
@@ -55,7 +54,14 @@ from bellows_ros.core.model.jacobians import (
     write_slope,
     write_square,
 )
-from bellows_ros.core.model.kernels import advance, ModelTuple, State, with_strains
+from bellows_ros.core.model.kernels import (
+    advance,
+    ModelTuple,
+    moved_strains,
+    State,
+    strains_of,
+    with_strains,
+)
 from bellows_ros.core.model.simulation import row_state
 import numpy as np
 
@@ -75,7 +81,7 @@ def _derivatives(
 ) -> None:
     """Write the slope of x by x (m, m) and by `NUMBERS` (m, 64), and B (m, 6)."""
     by_twist = write_slope(model, tool, body, A)
-    parameter_jacobian(model, tool, body, 0, last, C[6:], 0)
+    parameter_jacobian(model, tool, body, 0, last, C[6:])
     of_pose, of_twist = tool_jacobians(model, tool, body)
     write_square(B, 0, 0, of_twist)
     write_square(B, 6, 0, add_scaled_square(add_scaled_square(
@@ -219,10 +225,7 @@ def with_mean(body: State, S: Any) -> State:
     if len(body) == 4:
         x[:12] = 0.0
         return there
-    (a, b), (c, d) = body[4:]
-    there = with_strains(there, (
-        (add(a, (x[12], x[13], x[14])), add(b, (x[15], x[16], x[17]))),
-        (add(c, (x[18], x[19], x[20])), add(d, (x[21], x[22], x[23])))))
+    there = with_strains(there, moved_strains(body[4:], 1.0, strains_of(x[12:])))
     x[:24] = 0.0
     return there
 

@@ -8,7 +8,6 @@ import re
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.payload import prepared
 from bellows_ros.core.live.samples import Prediction, STILL
@@ -165,9 +164,9 @@ class Load:
         self._bending = max(self._bending, bending(lip))
         if self._envelope is None:
             return
-        vector = log_so3(np.reshape(lip.rotation, (3, 3)))
+        turn = t3.turn_between(prediction.tool[1], prediction.quaternion_xyzw)
         now = distance(
-            self._envelope, (*lip.shift, *vector), (*lip.linear, *lip.angular), self._mass)
+            self._envelope, (*lip.shift, *turn), (*lip.linear, *lip.angular), self._mass)
         if self._distance is None or now.value > self._distance.value:
             self._distance = now
 

@@ -41,11 +41,10 @@ def advance_and_hold(
     """
     Return the package at the newest tool sample, and what `kernels.checked_wrench` does.
 
-    Takes the model as `kernels.model_of` does. With no substeps the package stays as it is.
+    Takes the model as `kernels.model_of` does.
     """
     model = kernels.model_of(row, branches)
-    if substeps > 0:
-        body = kernels.advance(model, body, before, now, duration, substeps)
+    body = kernels.advance(model, body, before, now, duration, substeps)
     wrench, is_sound = kernels.checked_wrench(model, now, body, reach)
     return body, wrench, is_sound
 
@@ -252,16 +251,10 @@ class LivePayload:
             else:
                 body = (self.observer.body if kept_ns
                         else self.observer.drifted(body, start, end, duration))
-                wrench, sound = self._held(body, end, self._reach)
+                wrench, sound = kernels.checked_wrench(self.model, end, body, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             return None
         return (body, wrench) if sound else None
-
-    def _held(self, body: State, tool: State, reach: float) -> tuple[Wrench, bool]:
-        """Return what `kernels.checked_wrench` does, of a package as it is."""
-        row = self._row if self.observer is None else kernels.model_row(self.observer.model)
-        _, wrench, sound = advance_and_hold(row, self._branches, body, tool, tool, 0.0, 0, reach)
-        return wrench, sound
 
     def _start(self, stamp_ns: int, tool: State) -> Prediction | None:
         """Let the package hang at rest from the tool, if it can."""
@@ -273,7 +266,7 @@ class LivePayload:
         try:
             body = equilibrium.static_equilibrium(self.model, tool)
             still: State = tool[0], tool[1], ZERO, ZERO
-            (force, moment), _ = self._held(body, still, math.inf)
+            (force, moment), _ = kernels.checked_wrench(self.model, still, body, math.inf)
         except (BellowsError, ArithmeticError, ValueError):
             return None
         if not all(map(math.isfinite, (*body[0], *body[1], *force, *moment))):

@@ -190,7 +190,7 @@ class Uncertainty:
         count = len(self._factor)
         pushes = np.zeros((12 + 6 * len(self._model[0][4:]), count))
         parameter_jacobian(
-            self._model, prediction.tool, prediction.body, 0, count, pushes[6:12], 0)
+            self._model, prediction.tool, prediction.body, 0, count, pushes[6:12])
         return np.asarray(pushes @ self._factor)
 
     def _step(self, duration_ns: int) -> tuple[Array, Array]:

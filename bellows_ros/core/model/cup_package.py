@@ -10,7 +10,7 @@ from typing import Any
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import kernels, structure
-from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple, Strains
+from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ STANDARD_GRAVITY = 9.81
 """Gravitational acceleration of the source, m/s^2."""
 
 
-def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
+def frozen_array(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
     """Return a read-only copy of the given shape, or raise an error that names the quantity."""
     array = np.array(values, dtype=np.float64)
     if array.shape != shape:
@@ -74,7 +74,7 @@ class Cup:
     def __post_init__(self) -> None:
         """Check and freeze."""
         for name in ('stiffness', 'damping'):
-            matrix = _frozen(getattr(self, name), (6, 6), name)
+            matrix = frozen_array(getattr(self, name), (6, 6), name)
             structure.require_symmetric(matrix, f'The {name}')
             object.__setattr__(self, name, matrix)
         if not (np.isfinite(self.length) and self.length > 0.0):
@@ -140,8 +140,8 @@ class Package:
 
     def __post_init__(self) -> None:
         """Check and freeze."""
-        object.__setattr__(self, 'inertia', _frozen(self.inertia, (3, 3), 'package inertia'))
-        object.__setattr__(self, 'com', _frozen(self.com, (3,), 'package centre of mass'))
+        object.__setattr__(self, 'inertia', frozen_array(self.inertia, (3, 3), 'package inertia'))
+        object.__setattr__(self, 'com', frozen_array(self.com, (3,), 'package centre of mass'))
         if not (np.isfinite(self.mass) and self.mass > 0.0):
             raise BellowsError(f'The package mass must be above 0 kg, got {self.mass}.')
         structure.check_inertia(self.inertia)
@@ -149,11 +149,7 @@ class Package:
     @cached_property
     def as_tuple(self) -> PackageTuple:
         """The package as the kernels take it."""
-        return (
-            float(self.mass),
-            _tuple(self.com),
-            _tuple(self.inertia),
-            _tuple(np.linalg.inv(self.inertia)))
+        return package_tuple(self.mass, self.com, self.inertia)
 
 
 def is_gripper(values: Mapping[str, Any]) -> bool:
@@ -212,6 +208,11 @@ def package_of(values: Mapping[str, Any]) -> Package:
         com=values['package.com'])
 
 
+def package_tuple(mass: float, com: Array, inertia: Array) -> PackageTuple:
+    """Return a package as the kernels take it."""
+    return float(mass), _tuple(com), _tuple(inertia), _tuple(np.linalg.inv(inertia))
+
+
 def _tuple(values: NDArray[Any]) -> Any:
     """Return an array as a flat tuple of Python floats."""
     return tuple(float(value) for value in values.ravel())
@@ -231,7 +232,7 @@ def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> Model
     vector = np.asarray(gravity, dtype=np.float64)
     if vector.ndim == 0:
         vector = np.array([0.0, 0.0, -float(vector)])
-    return cup.as_tuple, package.as_tuple, _tuple(_frozen(vector, (3,), 'gravity'))
+    return cup.as_tuple, package.as_tuple, _tuple(frozen_array(vector, (3,), 'gravity'))
 
 
 def unit_cups(
@@ -299,19 +300,9 @@ def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, z: Array, o
             (R[0, k], R[1, k], R[2, k], R[3, k], R[4, k], R[5, k], R[6, k], R[7, k], R[8, k]),
             (v[0, k], v[1, k], v[2, k]),
             (w[0, k], w[1, k], w[2, k]),
-            strains_of(cup, z, k))
+            kernels.strains_of(z[:, k]) if len(cup) > 4 else ())
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m
-
-
-@jit.kernel
-def strains_of(cup: CupTuple, z: Array, k: int) -> Strains:
-    """Return the internal strains in column k of an array (12, N), for a cup that relaxes."""
-    if len(cup) == 4:
-        return ()
-    return (
-        ((z[0, k], z[1, k], z[2, k]), (z[3, k], z[4, k], z[5, k])),
-        ((z[6, k], z[7, k], z[8, k]), (z[9, k], z[10, k], z[11, k])))
 
 
 def box_inertia(mass: float, depth: float, width: float, height: float) -> Array:

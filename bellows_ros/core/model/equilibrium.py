@@ -44,11 +44,8 @@ def adapted(model: ModelTuple, tool: State, body: State) -> State:
 def displaced(body: State, delta: Vector, phi: Vector) -> State:
     """Return the body at rest, moved by R delta and rotated by exp(phi) in its own axes."""
     move = t3.apply(t3.rotation_matrix(body[1]), delta)
-    o = body[0]
-    return (
-        (o[0] + move[0], o[1] + move[1], o[2] + move[2]),
-        t3.quaternion_product(body[1], t3.exp_quaternion(phi)),
-        *body[2:])
+    turned = t3.quaternion_product(body[1], t3.exp_quaternion(phi))
+    return t3.add(body[0], move), turned, *body[2:]
 
 
 @kernel

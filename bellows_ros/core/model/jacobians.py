@@ -279,8 +279,7 @@ def relaxation_jacobian(
     h, strains = kernels.strain(o, R), body[4:]
     for b in range(2):
         z = strains[b]
-        f, m = kernels.strain_wrench(
-            o, R, model[0][2], (t3.subtract(h[0], z[0]), t3.subtract(h[1], z[1])))
+        f, m = kernels.strain_wrench(o, R, model[0][2], kernels.add_scaled_strain(h, -1.0, z))
         dv, dw = acceleration_at(model[1], c, f, m)
         write_column(out, column + b, dv, dw)
 
@@ -359,7 +358,7 @@ def write_slope(model: ModelTuple, tool: State, body: State, A: Any) -> Square:
 
 @kernel
 def parameter_jacobian(
-    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any, column: int
+    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any
 ) -> None:
     """
     Write the derivatives of `body_acceleration` by some of the parameters.
@@ -371,21 +370,19 @@ def parameter_jacobian(
     first, last : int
         The parameters, of `PARAMETERS`: those from first to before last.
     out : ndarray (6, n)
-        What is written to: m/s^2 and rad/s^2 per SI unit of the parameter.
-    column : int
-        Where the column of the first of them is.
+        What is written to, from its first column on: m/s^2 and rad/s^2 per SI unit of the
+        parameter.
 
     """
-    column -= first
     if first < 42:
-        _entries(model, tool, body, first, last, out, column)
+        _entries(model, tool, body, first, last, out)
     if last > 42:
-        _others(model, tool, body, first, last, out, column)
+        _others(model, tool, body, first, last, out)
 
 
 @kernel
 def _entries(
-    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any, column: int
+    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any
 ) -> None:
     """
     Write the columns of K and P: the wrench is linear in their entries (4.67).
@@ -409,11 +406,11 @@ def _entries(
             half = 0.5 if j == k else 1.0
             if first <= number < last:
                 a, b = _pair(-0.25 * half, s[j], h[k], s[k], h[j])
-                write_column(out, column + number, a, b)
+                write_column(out, number - first, a, b)
             if first <= number + 21 < last:
                 a, b = _pair(-0.5 * half, e[j], near[k], e[k], near[j])
                 a_far, b_far = _pair(-0.5 * half, x[j], far[k], x[k], far[j])
-                write_column(out, column + number + 21, t3.add(a, a_far), t3.add(b, b_far))
+                write_column(out, number + 21 - first, t3.add(a, a_far), t3.add(b, b_far))
             number += 1
 
 
@@ -439,7 +436,7 @@ def _pair(factor: float, A: Wrench, a: float, B: Wrench, b: float) -> Wrench:
 
 @kernel
 def _others(
-    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any, column: int
+    model: ModelTuple, tool: State, body: State, first: int, last: int, out: Any
 ) -> None:
     """
     Write the columns of all parameters but K and P.
@@ -467,7 +464,7 @@ def _others(
             a, b = by_com(package, c, by_pose, by_twist, w, f, t3.unit(i - 53, 1.0))
         else:
             a, b = acceleration_at(package, package[1], t3.unit(i - 56, 1.0), t3.unit(i - 59, 1.0))
-        write_column(out, column + i, a, b)
+        write_column(out, i - first, a, b)
 
 
 @kernel

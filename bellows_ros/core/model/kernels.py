@@ -55,6 +55,14 @@ def blocks_of(numbers: Any) -> Blocks:
     return matrix_of(numbers[:9]), matrix_of(numbers[9:18]), matrix_of(numbers[18:])
 
 
+@kernel
+def strains_of(numbers: Any) -> Strains:
+    """Return the internal strains of twelve numbers."""
+    return (
+        ((numbers[0], numbers[1], numbers[2]), (numbers[3], numbers[4], numbers[5])),
+        ((numbers[6], numbers[7], numbers[8]), (numbers[9], numbers[10], numbers[11])))
+
+
 def model_row(model: ModelTuple) -> Any:
     """Return the numbers of a model but those of relaxation: read from Python at once."""
     cup, (mass, com, *inertia), gravity = model
@@ -91,16 +99,19 @@ def strain(o: Vector, R: Matrix) -> tuple[Vector, Vector]:
 
 
 @kernel
+def add_scaled_strain(a: Strain, factor: float, b: Strain) -> Strain:
+    """Return a + factor * b."""
+    return t3.add_scaled(a[0], factor, b[0]), t3.add_scaled(a[1], factor, b[1])
+
+
+@kernel
 def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) -> Strain:
     """Return h + sum_b r_b (h - z_b), on which K acts."""
     if len(strains) == 0:
         return h
     r, s = branches[0][0], branches[1][0]
-    y, z = strains
-    return (
-        t3.add_scaled(t3.add_scaled(t3.scale(1.0 + r + s, h[0]), -r, y[0]), -s, z[0]),
-        t3.add_scaled(t3.add_scaled(t3.scale(1.0 + r + s, h[1]), -r, y[1]), -s, z[1]),
-    )
+    whole = t3.scale(1.0 + r + s, h[0]), t3.scale(1.0 + r + s, h[1])
+    return add_scaled_strain(add_scaled_strain(whole, -r, strains[0]), -s, strains[1])
 
 
 @kernel
@@ -151,13 +162,8 @@ def damper_wrench(o: Vector, R: Matrix, v: Vector, w: Vector, P: Blocks) -> Wren
 @kernel
 def spring_frames(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix) -> Vector:
     """Return the origin of S1 in S2, o = l2 z + l1 R z + E_o_S (3.13); its rotation is R_E_S."""
-    l1, l0 = cup[0], cup[1]
-    l2 = l0 - l1
-    return (
-        o_E_S[0] + l1 * R_E_S[2],
-        o_E_S[1] + l1 * R_E_S[5],
-        o_E_S[2] + l1 * R_E_S[8] + l2,
-    )
+    o = t3.add_scaled(o_E_S, cup[0], (R_E_S[2], R_E_S[5], R_E_S[8]))
+    return o[0], o[1], o[2] + (cup[1] - cup[0])
 
 
 @kernel
@@ -385,11 +391,8 @@ def moved_strains(strains: Strains, h: float, rates: Strains) -> Strains:
     """Return internal strains moved by h along their rates."""
     if len(strains) == 0:
         return ()
-    (a, b), (c, d) = strains
-    (e, f), (g, i) = rates
     return (
-        (t3.add_scaled(a, h, e), t3.add_scaled(b, h, f)),
-        (t3.add_scaled(c, h, g), t3.add_scaled(d, h, i)))
+        add_scaled_strain(strains[0], h, rates[0]), add_scaled_strain(strains[1], h, rates[1]))
 
 
 @kernel

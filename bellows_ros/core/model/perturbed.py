@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model.cup_package import blocks
+from bellows_ros.core.model.cup_package import blocks, package_tuple
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.structure import (
     composed,
@@ -71,11 +71,8 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     K, P = np.zeros((2, 6, 6))
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
     K, P = (composed(np.triu(M) + np.triu(M, 1).T, places) for M in (K, P))
-    inertia = inertia_matrix(numbers[46:])
     cup = (*model[0][:2], blocks(K), blocks(P), *model[0][4:])
-    package: Any = (
-        float(numbers[42]), tuple(numbers[43:46].tolist()), tuple(inertia.ravel().tolist()),
-        tuple(np.linalg.inv(inertia).ravel().tolist()))
+    package = package_tuple(numbers[42], numbers[43:46], inertia_matrix(numbers[46:]))
     return cup, package, model[2]
 
 

@@ -243,11 +243,7 @@ def body_row(row: Array, body: State) -> State:
     """Return the state in one row of `row_length` numbers, for a body of the same kind."""
     if len(body) == 4:
         return row_state(row)
-    o, q, v, w = row_state(row)[:4]
-    return (
-        o, q, v, w,
-        ((row[13], row[14], row[15]), (row[16], row[17], row[18])),
-        ((row[19], row[20], row[21]), (row[22], row[23], row[24])))
+    return kernels.with_strains(row_state(row), kernels.strains_of(row[13:]))
 
 
 def row_length(body: State) -> int:

@@ -12,6 +12,7 @@ from decimal import Context, ROUND_CEILING, ROUND_FLOOR
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model.cup_package import frozen_array
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,12 +73,7 @@ class Envelope:
     def __post_init__(self) -> None:
         """Check and freeze."""
         for name, shape in zip(FIELDS, ((6,), (6,), (6,), (2, 2), (2,)), strict=True):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise BellowsError(
-                    f'Envelope: {name} must be finite numbers of shape {shape}, not '
-                    f'{array.tolist()}.')
-            array.setflags(write=False)
+            array = frozen_array(getattr(self, name), shape, f"envelope's {name}")
             object.__setattr__(self, name, array)
         ordered = (
             (self.deflection_low <= self.deflection_high).all()

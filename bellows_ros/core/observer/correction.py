@@ -281,9 +281,10 @@ class Correction:
             stamp_ns, self.longest, self._drive, self._walk, evidence.signatures,
             evidence.numbers, evidence.onsets, evidence.is_first, self._steps,
             self._holding(opened), gate > 0.0, *seen[1:], self._marker, self.reach, gate)
-        return verdict, known._replace(
-            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            evidence=Evidence(E, numbers, onsets, evidence.half_way, evidence.is_first)), outcome
+        evidence = Evidence(E, numbers, onsets, evidence.half_way, evidence.is_first)
+        return verdict, Estimate(
+            stamp_ns, tool, body, theta, P, memory, evidence, opened, known.refused,
+            known.away_ns), outcome
 
     def carried(
         self, known: Estimate, track: Track, stamp_ns: int, with_evidence: bool = True

@@ -227,7 +227,7 @@ def slopes(
         _by_axes(-0.25, model[0][3], jac.accelerations(package, jac.shift_left(c, at_S2)),
                  t3.add(t3.apply(R, v), t3.cross(o, far)), far, B[:, MARKER:])
         by_inertia = B[:, MARKER + INERTIA - DAMPING:]
-        jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia, 0)
+        jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia)
         for i in range(6):
             for j in range(3):
                 by_inertia[i, j] *= grown

@@ -175,10 +175,8 @@ def when_exposed(model: ModelTuple, tool: State, body: State, theta: Array) -> S
 @kernel
 def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length: float) -> float:
     """Return the displacement (m) of the lip from its place without load, for a package pose."""
-    lip = t3.subtract(position, t3.apply(t3.rotation_matrix(q), com))
-    free = t3.add(tool[0], t3.apply(t3.rotation_matrix(tool[1]), (0.0, 0.0, -length)))
-    away = t3.subtract(lip, free)
-    return math.sqrt(t3.dot(away, away))
+    o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
+    return t3.norm((o[0], o[1], o[2] + length))
 
 
 Innovation = tuple[Array, Array, Array, float, Array]

@@ -19,7 +19,6 @@ from bellows_ros.core.synthetic.motion import (
     MoveAndHold,
     Oscillation,
     Pose,
-    sample_stamps,
     Waypoints,
 )
 import numpy as np
@@ -59,7 +58,7 @@ def standstills(rotation_vectors, hold=2.0):
 @functools.cache
 def truth_of(motion, cup_and_held, rate_hz):
     """Return the true motions of tool and package."""
-    tool = motion.trajectory(sample_stamps(rate_hz, motion.duration, 0), 0)
+    tool = motion.at_rate(rate_hz, 0)
     return tool, simulate(*cup_and_held.both, tool, gravity=GRAVITY)
 
 

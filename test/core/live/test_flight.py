@@ -1,12 +1,13 @@
 """The live package from the valve to the floor against the toss of the whole plan."""
 
-from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.flight import at_constant_velocity, Flight
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.equilibrium import largest_step, moved
-from bellows_ros.core.model.simulation import tool_rows, ToolRows
+from bellows_ros.core.model.equilibrium import largest_step, moved_by
+from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss.landing import changed, release_factor
 from bellows_ros.core.toss.release import (
@@ -32,6 +33,13 @@ START_NS, PERIOD_NS, VALVE = 1_000_000_000, 2_000_000, 0.5
 def plan():
     """Return the throw at the rate of a robot driver."""
     return tosses.plan(500)
+
+
+def held_at(held, seconds):
+    """Return the prediction of a held package at a time."""
+    i = int(np.searchsorted(held.times, seconds))
+    return Prediction(
+        START_NS, *row_state(held.states[i]), ZERO, ZERO, row_state(held.tools[i]))
 
 
 def played(plan, flight, poses):
@@ -86,8 +94,7 @@ def worked_out(flight, now, std):
 
     nominal, by = landing(now.body, release), []
     for size, push in zip(DIFFERENCE_STEPS, axes, strict=True):
-        by_state = (tuple(part.tolist()) for part in np.split(size * push[:12], 4))
-        found = landing(moved(now.body, *by_state),
+        found = landing(moved_by(now.body, size * push),
                         changed(release, release_factor(VALUES) @ (size * push[12:])))
         by.append(np.concatenate(landing_error(found, nominal, MODEL[2])) / size)
     J = np.transpose(by) * np.append(std, np.ones(8))
@@ -97,13 +104,7 @@ def worked_out(flight, now, std):
 def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     """The landing of a toss with the tool going on steadily; J Sigma J^T of state and release."""
     held = HeldMotion(MODEL, tosses.GRIP, plan)
-    i = int(np.searchsorted(held.times, VALVE))
-    o, q, v = held.states[i, :3], held.states[i, 3:7], held.states[i, 7:]
-    tool = (plan.position[250], rotation_to_quaternion(plan.rotation[250]), plan.twist[250])
-    now = Prediction(
-        START_NS, tuple(o.tolist()), tuple(q.tolist()), tuple(v[:3].tolist()),
-        tuple(v[3:].tolist()), (0.0,) * 3, (0.0,) * 3,
-        (tuple(tool[0]), tuple(tool[1]), tuple(tool[2][:3]), tuple(tool[2][3:])))
+    now = held_at(held, VALVE)
     flight = Flight(VALUES)
     std = np.repeat([1e-4, 1e-3, 2e-3, 1e-2], 3)
     found = flight.landing(MODEL, now, lambda _: np.diag(std**2))
@@ -121,14 +122,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     rng = np.random.default_rng(3)
     landings = []
     for _ in range(400):
-        push = std * rng.standard_normal(12)
-        twists = tuple(
-            (np.array(part) + by).tolist() for part, by in (
-                (now.linear, push[6:9]), (now.angular, push[9:])))
-        R = exp_so3(push[3:6])
-        turned = rotation_to_quaternion(quaternion_to_rotation(q) @ R)
-        o_moved = o + quaternion_to_rotation(q) @ push[:3]
-        start = (tuple(o_moved.tolist()), tuple(turned.tolist()), *map(tuple, twists))
+        start = moved_by(now.body, std * rng.standard_normal(12))
         release = changed(
             release_of(VALUES), release_factor(VALUES) @ rng.standard_normal(8))
         held = HeldMotion(MODEL, tosses.GRIP, tool, start, 0.5)
@@ -164,13 +158,7 @@ def test_says_where_it_will_be_once_the_valve_is_switched(plan, asked):
 def test_says_when_to_release_for_a_target(plan):
     """In so many seconds, where the target lies ahead; nothing without one."""
     held = HeldMotion(MODEL, tosses.GRIP, plan)
-    i = int(np.searchsorted(held.times, 0.3))
-    rows = held.states[i].tolist()
-    tool = (plan.position[150], rotation_to_quaternion(plan.rotation[150]), plan.twist[150])
-    now = Prediction(
-        START_NS, tuple(rows[:3]), tuple(rows[3:7]), tuple(rows[7:10]), tuple(rows[10:]),
-        (0.0,) * 3, (0.0,) * 3,
-        (tuple(tool[0]), tuple(tool[1]), tuple(tool[2][:3]), tuple(tool[2][3:])))
+    now = held_at(held, 0.3)
     steady = HeldMotion(MODEL, tosses.GRIP, at_constant_velocity(now, None, 0.8), now.body, 0.8)
     target = toss(steady, release_of(VALUES), 0.123).landing[0][:2]
     aimed = Flight({**VALUES, 'landing.aim': True, 'landing.target': target})

@@ -132,7 +132,7 @@ def test_accelerations_follow_states_and_parameters(relaxes, seed):
         near(six_by_six(pose), expected[:, :6], 1e-12)
         near(six_by_six(twist), expected[:, 6:], 1e-12)
     out = np.zeros((6, PARAMETERS))
-    parameter_jacobian(*rows, 0, PARAMETERS, out, 0)
+    parameter_jacobian(*rows, 0, PARAMETERS, out)
     expected = complex_step.derivative(accelerate, case.numbers)
     for column in range(PARAMETERS):
         near(out[:, column], expected[:, column], 1e-11)

@@ -141,7 +141,7 @@ def test_a_file_holds_at_least_what_was_seen():
 ])
 def test_what_is_no_range_is_refused(change):
     """Check on construction."""
-    with pytest.raises(BellowsError, match='Envelope'):
+    with pytest.raises(BellowsError, match='nvelope'):
         Envelope(**{**vars(KNOWN), **change})
 
 

@@ -130,9 +130,8 @@ def with_noise(rng, body, std):
     return moved_by(body, np.concatenate([rng.normal(size=6) * std, np.zeros(6)]))
 
 
-def error_of(made, body):
-    """Give the change (12,) that leads from what an observer says to a true state."""
-    known = made.body
+def error_of(known, body):
+    """Give the change (12,) that leads from one state, as of an observer, to another."""
     return np.concatenate([
         *pose_error(known, body[0], body[1]),
         np.subtract(body[2], known[2]), np.subtract(body[3], known[3])])

@@ -265,7 +265,7 @@ def errors_around_slips(seeds, wrong, lasts=0.0, **more):
         cell = Cell(seed, 7.0, wrong, 'slip', 4.0, size=size, lasts=lasts, **more)
         of_cell = [np.zeros(6)]
         found = cell.run(lambda k, cell=cell, to=of_cell: to.append(
-            error_of(cell.made, cell.body[k])[:6]))
+            error_of(cell.made.body, cell.body[k])[:6]))
         right += [cause for cause, _ in found][:1] == ['slip']
         errors.append(of_cell)
     ends = np.ceil(np.arange(0.5, 7.0, 0.5) / (PERIOD_NS * 1e-9)).astype(int)

@@ -5,7 +5,6 @@ from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import (
     largest_step,
     moved_by,
-    pose_error,
     static_equilibrium,
 )
 from bellows_ros.core.model.kernels import advance, model_row
@@ -35,7 +34,7 @@ from bellows_ros.core.observer.measurement import corrected, innovation, updated
 import numpy as np
 import pytest
 
-from .cases import CUP, later, PACKAGE, tool_motion, truth, with_noise
+from .cases import CUP, error_of, later, PACKAGE, tool_motion, truth, with_noise
 from .cases import NOISE as NOISE_STD
 from .cell import gripper_of, HEAVY, LAYOUT
 
@@ -47,13 +46,6 @@ OF_MOTION = [*range(MARKER), *range(DAMPING, ALL_ROWS)]
 MEMORY = first_memory(0.03 / np.log(2.0))
 
 pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled by one worker alone
-
-
-def difference(one, other):
-    """Give the change (12,) that leads from one state to another."""
-    return np.concatenate([
-        *pose_error(one, other[0], other[1]),
-        np.subtract(other[2], one[2]), np.subtract(other[3], one[3])])
 
 
 def theta_of(rng):
@@ -78,7 +70,7 @@ def test_transition_is_that_by_differences(is_off):
         model, theta, start, body, T, Q, stamps[250:252], *rows, False, 1,
         stamps[250], stamps[251], largest_step(model), drive, NO_CUPS, np.zeros((0, 12, 13)))
     middle = later(body, theta, start, end, h)
-    np.testing.assert_allclose(difference(middle, found), 0.0, atol=2e-6)
+    np.testing.assert_allclose(error_of(middle, found), 0.0, atol=2e-6)
     F, memory, step = np.eye(ALL_ROWS), MEMORY, 1e-4
     for row in OF_MOTION:
         ends = []
@@ -86,7 +78,7 @@ def test_transition_is_that_by_differences(is_off):
             by = np.zeros(ALL_ROWS)
             by[row] = sign * SIZES[row]
             ends.append(later(moved_by(body, by[:12]), theta + by[12:], start, end, h))
-        F[:12, row] = (difference(middle, ends[0]) - difference(middle, ends[1])) / (
+        F[:12, row] = (error_of(middle, ends[0]) - error_of(middle, ends[1])) / (
             2 * step * SIZES[row])
     F[:12, LENGTHENING] = F[:12, LENGTH] * h / 2
     F[LENGTH, LENGTHENING] = h
@@ -127,7 +119,7 @@ def test_transition_without_a_cup_is_that_of_the_others():
         body = moved_by(start, e)
         for k in range(first, last):
             body = advance(others, body, tool[k], tool[k + 1], 1e-3, 8)
-        made = difference(found, body)
+        made = error_of(found, body)
         made_here = losses[lost, :, :12] @ e + losses[lost, :, 12]
         np.testing.assert_allclose(
             made_here / SIZES[:12], made / SIZES[:12], atol=0.01 * np.abs(made / SIZES[:12]).max())
@@ -228,7 +220,7 @@ def test_common_scale_is_not_observable():
     seen, by_mass = (times_transition(T, e, np.empty((12, 1)))[:, 0] for e in (error, alone))
     assert np.abs(by_mass[6:]).max() > 1e-3
     np.testing.assert_allclose(seen, 0.0, atol=1e-12)
-    np.testing.assert_allclose(difference(
+    np.testing.assert_allclose(error_of(
         later(body, theta, start, end, h), later(body, theta + error[12:, 0], start, end, h)),
         0.0, atol=1e-12)
 

@@ -113,7 +113,7 @@ def test_posterior_is_far_below_the_noise_of_the_camera():
         made, errors = observer(), []
         follow(made, stamps, tool, body[0], at_once(stamps, seen),
                after=lambda k, made=made, body=body, errors=errors: errors.append(
-                   error_of(made, body[k])[:6]))
+                   error_of(made.body, body[k])[:6]))
         squares.append(np.square(errors[500:]).mean(axis=0))
     rms = np.sqrt(np.mean(squares, axis=0))
     assert rms[:3].max() < 2e-3 / 10
@@ -140,7 +140,7 @@ def test_error_is_what_the_covariance_says(runs):
             noise = 0.5 * noise + np.sqrt(0.75) * rng.normal(size=6)
             seen[k] = moved_by(body[k], np.r_[noise * NOISE, np.zeros(6)])
         follow(made, stamps, tool, None, at_once(stamps, seen))
-        error = error_of(made, body[-1])
+        error = error_of(made.body, body[-1])
         total.append(error @ np.linalg.solve(made.estimate.covariance[:12, :12], error))
     low, high = chi2.ppf([0.025, 0.975], 12 * len(total)) / len(total)
     assert low < np.mean(total) < high
@@ -156,7 +156,7 @@ def test_outliers_are_left_out():
     follow(made, stamps, tool, body[0], at_once(stamps, seen))
     assert made.counts['gate'] == len(wild)
     assert made.counts['used'] == len(seen) - len(wild)
-    assert np.linalg.norm(error_of(made, body[-1])[:3]) < 5e-4
+    assert np.linalg.norm(error_of(made.body, body[-1])[:3]) < 5e-4
 
 
 def test_wrong_gate_opens_again():
@@ -166,7 +166,7 @@ def test_wrong_gate_opens_again():
     seen = {k: shifted(pose, 0.0, 0.0, 0.0, 0.3) if k >= 240 else pose
             for k, pose in seen.items()}
     follow(made, stamps, tool, body[0], at_once(stamps, seen), after=lambda k: worst.append(
-        error_of(made, body[k])[3]))
+        error_of(made.body, body[k])[3]))
     assert made.counts['recovered'] >= 1
     assert made.counts['gate'] >= 4
     assert max(np.abs(worst[:230])) < 0.05 < 0.1 < max(np.abs(worst[270:]))

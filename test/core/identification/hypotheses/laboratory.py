@@ -17,7 +17,6 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
-from bellows_ros.core.synthetic.motion import sample_stamps
 import numpy as np
 from scipy.signal import butter, lfilter
 
@@ -135,7 +134,7 @@ class Laboratory:
 
     def recording(self):
         """Return the recording, prepared by what is said."""
-        tool = self.motion.trajectory(sample_stamps(self.rate_hz, self.motion.duration, 0), 0)
+        tool = self.motion.at_rate(self.rate_hz, 0)
         cup = Cup(np.diag(self.K), self.P, self.length)
         tool = _turned(self.level, tool)
         body = moved(cup, self.package, tool, self.law, self.friction)
