@@ -5,7 +5,7 @@ import time
 from bellows_ros.core.live.health import Level
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.equilibrium import moved_by
-from bellows_ros.nodes.observing import KINDS
+from bellows_ros.nodes.conversions import TOOL_POSES
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, PoseStamped
 import numpy as np
@@ -38,7 +38,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
         **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-3],
         'payload.estimate': True,
         'recording.package_world': ' '.join(map(str, WORLD)) if apart else ''})
-    writer = partner.writes(KINDS[kind], 'package/measured')
+    writer = partner.writes(TOOL_POSES[kind][0], 'package/measured')
     payloads = partner.hears(InertiaStamped, 'package/estimated')
     reports = partner.hears(DiagnosticArray, '/diagnostics')
     partner.connect()
@@ -47,7 +47,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     start_ns, swing = time.time_ns(), swinging()
 
     def see(stamp_ns, body, frame_id='world', variance=1e-08):
-        message = stamped(KINDS[kind](), stamp_ns, frame_id)
+        message = stamped(TOOL_POSES[kind][0](), stamp_ns, frame_id)
         pose = message.pose if kind == 'pose' else message.pose.pose
         position, q_xyzw = body[:2]
         if apart:
