@@ -32,7 +32,7 @@ _ROW_UNITS = {
     'cup.stiffness': ('N/m, N', 'N, N m/rad'), 'cup.damping': ('N s/m, N s', 'N s, N m s/rad')}
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
-NamedValue = tuple[str, Any, int]
+NamedValue = tuple[str, Any, tuple[str, ...]]
 Group = dict[str, Any]
 """Parameters and further groups whose names begin alike."""
 
@@ -77,8 +77,8 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
 
     """
     file = Path(path)
-    content, lines = safe_yaml.load_with_lines(file)
-    if not isinstance(content, dict):
+    content = safe_yaml.load(file)
+    if not isinstance(content, safe_yaml.Content):
         raise BellowsError(
             f"Parameter file '{file}' holds no parameters. Give 'name: value' lines.")
     if other := next((what for key, what in OTHER_FILES.items() if key in content), ''):
@@ -87,16 +87,17 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
             "'bellows parameters --yaml' begins, or that --out or --write-params wrote.")
     values: dict[str, Value] = {}
     for keys, section in _sections(file, content, node):
-        for name, value, line in _flattened(section, keys, lines):
+        for name, value, where in _flattened(section, keys):
             if any(fnmatchcase(name, form) for form in _OF_ROS):
                 continue
             try:
                 checked = validate(name, value)
             except BellowsError as error:
-                raise BellowsError(f'{file}, line {line}: {error}') from None
+                raise BellowsError(f'{content.where(where)}{error}') from None
             if node is None and values.get(name, checked) != checked:
                 raise BellowsError(
-                    f"{file}, line {line}: '{name}' is given before with another value. Keep one.")
+                    f"{content.where(where)}'{name}' is given before with another value. "
+                    'Keep one.')
             values[lookup(name).name] = checked
     return values
 
@@ -176,16 +177,16 @@ def _ros_sections(content: Mapping[str, Any], keys: tuple[str, ...]) -> Iterator
 
 
 def _flattened(
-    part: Mapping[str, Any], keys: tuple[str, ...], lines: safe_yaml.Lines, prefix: str = ''
+    part: Mapping[str, Any], keys: tuple[str, ...], prefix: str = ''
 ) -> Iterator[NamedValue]:
-    """Yield the dotted names, values and lines of nested mappings."""
+    """Yield the dotted names and values of nested mappings, with the keys that lead to each."""
     for key, value in part.items():
         where = (*keys, str(key))
         name = f'{prefix}{key}'
         if isinstance(value, dict):
-            yield from _flattened(value, where, lines, f'{name}.')
+            yield from _flattened(value, where, f'{name}.')
         else:
-            yield name, value, lines.get(where, 0)
+            yield name, value, where
 
 
 def _body(values: Mapping[str, Value]) -> Iterator[str]:

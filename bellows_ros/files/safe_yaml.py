@@ -102,33 +102,12 @@ def load(path: Path, aliases: bool = False) -> Any:
     """
     Return the content of a YAML file: dicts, lists, strings, numbers, booleans and None.
 
-    A mapping is returned as `Content`.
+    A mapping is returned as `Content`, which knows no lines with aliases.
 
     Raises
     ------
     BellowsError
         If the file cannot be read, is too large, or is not the YAML described above.
-
-    """
-    return _located(path, *load_with_lines(path, aliases))
-
-
-def load_with_lines(path: Path, aliases: bool = False) -> tuple[Any, Lines]:
-    """
-    Return the content of a YAML file, and the line of each key.
-
-    Returns
-    -------
-    content
-        As from `load`.
-    lines : dict
-        From the keys that lead to a value, outermost first, to the line of the last, from 1; empty
-        with aliases.
-
-    Raises
-    ------
-    BellowsError
-        As `load`.
 
     """
     return _parsed(_text(path, LARGEST_FILE), path, aliases)
@@ -155,7 +134,7 @@ def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
         end = after.start() if after else len(text)
         records = _records(text[found.end():end].rstrip('\n').split('\n' + found[2]))
         if records:
-            content = _parsed(text[:found.end()] + '0\n' + text[end:], path, False)[0]
+            content = dict(_parsed(text[:found.end()] + '0\n' + text[end:], path, False))
             content[found[1]] = records
             return content
     if len(text) > LARGEST_FILE:
@@ -163,12 +142,7 @@ def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
             f'{path} is larger than {LARGEST_FILE} bytes; expected so much only of '
             f'{" or ".join(names)} that differ in nothing but plain numbers. Give a recording of '
             "the message: 'ros2 bag record'.")
-    return _located(path, *_parsed(text, path, False))
-
-
-def _located(path: Path, content: Any, lines: Lines) -> Any:
-    """Return the content of a file with the lines of its keys, if it has any."""
-    return Content(content, path, lines) if isinstance(content, dict) else content
+    return _parsed(text, path, False)
 
 
 _NEXT_KEY = re.compile(r'^[^\s#-]', re.MULTILINE)
@@ -204,15 +178,17 @@ def _text(path: Path, largest: int) -> str:
     return read_text(path, largest).removesuffix('---\n')
 
 
-def _parsed(text: str, path: Path, aliases: bool) -> tuple[Any, Lines]:
-    """Return what `load_with_lines` does, of a text in a file."""
+def _parsed(text: str, path: Path, aliases: bool) -> Any:
+    """Return what `load` does, of a text in a file; with aliases no key knows its line."""
     try:
         loader = _Loader(text)
         loader.aliases_allowed = aliases  # in files that other programs write
         node = loader.get_single_node()
         if node is None:
-            return None, {}
-        return loader.construct_document(node), {} if aliases else dict(_lines(node, ()))
+            return None
+        content = loader.construct_document(node)
+        lines = {} if aliases else dict(_lines(node, ()))
+        return Content(content, path, lines) if isinstance(content, dict) else content
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f', line {mark.line + 1}' if mark else ''
