@@ -361,8 +361,6 @@ def to_tum(
                 f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.')
         topic = fitting[0]
     stream = part_of(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
-    if not isinstance(stream, PoseStream):
-        raise BellowsError(f"Topic '{topic}' has no poses.")
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     trajectory_files.write_tum(out, stream.stamps_ns, values)
     left_out = {reason: len(where) for reason, where in stream.refused.items()}
