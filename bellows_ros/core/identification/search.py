@@ -107,6 +107,9 @@ Longest steps of the linearised model, and of the integrator, and the shortest o
 No package moves so fast on a cup (20,000/s) that it needs shorter ones: a search turns back there.
 """
 
+COARSE = 4.0
+"""Times that steps are longer while a start is brought near: fast modes need no accuracy there."""
+
 FORGETS = 30.0
 """What the unknown acceleration forgets per second while a start is brought near; nothing then."""
 
@@ -671,7 +674,8 @@ class Search:
         out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
         T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
         gains = np.zeros((size, 6, states + 1))
-        longest = min(largest_step(model), LONGEST_INTEGRATION)
+        longest = min(
+            largest_step(model) * (COARSE if forgets else 1.0), LONGEST_INTEGRATION)
         if longest < SHORTEST_INTEGRATION:
             raise BellowsError(
                 f'With this cup the package needs integration steps of {longest:.2g} s, expected '
