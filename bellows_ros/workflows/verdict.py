@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes
-from bellows_ros.core.identification.given import as_found, given_std
+from bellows_ros.core.identification.given import as_found, given_std, stated
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
 from bellows_ros.core.identification.methods import are_differentiable, MISFIT
 from bellows_ros.core.identification.quantities import Free
@@ -267,7 +267,7 @@ def verdict_of(
         diagnosis = diagnose(some, length, given_structure(given), known)
     if fit is None:
         return FitVerdict((), diagnosis, given)
-    expected = allowances(values)
+    expected, uncertain = allowances(values), stated(given_std(values))
     allowed = {name: std for name, std in expected.items() if name in fit.found}
     heavier = float(np.mean(fit.found['inertia']) - np.mean(fit.found.get('mass', 0.0))) if (
         'inertia' in fit.found) else 0.0
@@ -278,9 +278,12 @@ def verdict_of(
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
     found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
                        diagnosis, given, fit.robust_chi2, allowed, expected, heavier)
-    if slow is False and fit.method == 'output_error' and not fit.causes and found.is_at_noise:
-        diagnosis = diagnosis._replace(  # wrenches know nothing that the fit would not
-            findings=tuple(own for own in diagnosis.findings if own.is_fact or not own.datum))
+    if fit.method == 'output_error' and not fit.causes and found.is_at_noise:
+        # Wrenches know no more than the fit, which tests all but what has a stated error.
+        findings, besides = (
+            tuple(own for own in each if own.is_fact or not own.datum or own.name in uncertain)
+            for each in (diagnosis.findings, diagnosis.besides))
+        diagnosis = diagnosis._replace(findings=findings, besides=besides)
         found = found._replace(diagnosis=diagnosis)
     if not found.cause:  # wrenches show none
         found = found._replace(diagnosis=diagnosis._replace(
@@ -289,7 +292,7 @@ def verdict_of(
 
 
 def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
-    """Return cups with K and P drawn from the covariance of a fit, what is unknown from wide."""
+    """Return cups with K and P drawn from the covariance of a fit, and widely without one."""
     known, rng = np.isfinite(np.diag(fit.covariance)), np.random.default_rng(0)
     if not known.any():
         return []

@@ -1,5 +1,7 @@
 """What is said of residuals: no doubt where a free simulation is as good as the poses."""
 
+from dataclasses import replace
+
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.hypotheses import Diagnosis, Finding
@@ -94,22 +96,42 @@ def test_a_fit_that_leaves_more_than_noise_is_refused_whatever_its_structure(
     assert refused in ' '.join(found.refusals)
 
 
+def made_for(laboratory, factor=1.0, std=1e-3):
+    """Return a fit that found the true cup, but for a factor and a part of K rz and P rz."""
+    structure = STRUCTURES['axisymmetric']
+    about_z = np.array(['rz' in label for label in structure.labels])
+    x = structure.parameters(np.diag(laboratory.K), laboratory.P) * np.where(about_z, factor, 1.0)
+    return Fit(
+        method='output_error', structure='axisymmetric', parameters=x,
+        covariance=np.diag((np.where(about_z, std, 1e-3) * x) ** 2), samples_used=1,
+        samples_rejected=0, condition_number=1.0, weight=np.eye(6), residual_rms=np.ones(6),
+        chi2=1.0, robust_chi2=1.0)
+
+
 @pytest.mark.parametrize(('std', 'refused'), [(1e-3, True), (np.inf, False)])
 def test_what_is_not_identifiable_refuses_no_cup(monkeypatch, std, refused):
     """Neither its stiffness, here 5 % too small, nor its damping."""
     laboratory = Laboratory(4, seconds=4.0)
     monkeypatch.setattr(verdict, 'diagnose', lambda *given: Diagnosis(0.0, ()))
-    structure = STRUCTURES['axisymmetric']
-    about_z = np.array(['rz' in label for label in structure.labels])
-    x = structure.parameters(np.diag(laboratory.K), laboratory.P) * np.where(about_z, 0.95, 1.0)
-    made = Fit(
-        method='output_error', structure='axisymmetric', parameters=x,
-        covariance=np.diag((np.where(about_z, std, 1e-3) * x) ** 2), samples_used=1,
-        samples_rejected=0, condition_number=1.0, weight=np.eye(6), residual_rms=np.ones(6),
-        chi2=1.0, robust_chi2=1.0)
-    found = verdict.verdict_of(
-        made, laboratory.recordings(), laboratory.length, parameters(laboratory))
+    found = verdict.verdict_of(made_for(laboratory, 0.95, std), laboratory.recordings(),
+                               laboratory.length, parameters(laboratory))
     assert bool(found.refusals) is refused
+
+
+@pytest.mark.parametrize(('seen', 'stated', 'said'), [
+    ((), 0.0, []), ((), 1e-3, ['com']),
+    ((cause('com', [3e-3, 0.0, 0.0]),), 0.0, ['com', 'length'])])
+def test_wrenches_know_no_more_than_the_fit(monkeypatch, seen, stated, said):
+    """But of what a user has stated an error for, which the fit takes for no cause."""
+    laboratory = Laboratory(4, seconds=4.0)
+    wrong = Diagnosis(0.1, (cause('com', [3e-3, 0.0, 0.0]),), (cause('length', [2e-3]),))
+    monkeypatch.setattr(verdict, 'diagnose', lambda *given: wrong)
+    values = {**parameters(laboratory), 'package.com_std': (stated,) * 3}
+    found = verdict.verdict_of(
+        replace(made_for(laboratory), causes=seen), laboratory.recordings(), laboratory.length,
+        values)
+    assert found.is_at_noise
+    assert [own.name for own in (*found.diagnosis.findings, *found.diagnosis.besides)] == said
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')

@@ -38,7 +38,6 @@ from bellows_ros.core.identification.search import (
     squares,
 )
 from bellows_ros.core.model.cup_package import Cup, package_of
-from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
@@ -227,8 +226,7 @@ def causes(
     if np.max(np.abs(theta) / std) < SIGNIFICANT:
         return ()
     left = float(np.sqrt(_rest(again) / _rest(found)))
-    moved = _moved(search.structure, search.units[:search.count] * found.theta[:search.count],
-                   freed.units[:search.count] * again.theta[:search.count])
+    moved = moved_between((search, found), (freed, again))
     gains = {other: score for score, other in scored} | {own.name: own.gain for own in tried}
     clear = SIGNIFICANT**2 * KINDS['com'].size  # as it has more numbers
     instead = next((other for other in ('com', 'length') if {name, other} == {'com', 'length'}
@@ -339,7 +337,7 @@ def _rest(found: Minimum) -> float:
     return float(np.sum(np.mean(left, axis=0) / [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]))
 
 
-def _moved(structure: Structure, before: Array, after: Array) -> float:
-    """Return the largest part by which the diagonal of K moves."""
-    first, second = (np.diag(structure.matrices(x)[0]) for x in (before, after))
+def moved_between(*ends: tuple[Search, Minimum]) -> float:
+    """Return the largest part by which the diagonal of K moves from one minimum to another."""
+    first, second = (np.diag(search.cup(found.theta).stiffness) for search, found in ends)
     return float(np.max(np.abs(second / first - 1.0)))

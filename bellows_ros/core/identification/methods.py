@@ -1,9 +1,10 @@
 """The fit of a cup to recordings, by the method in `fit.method`."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
@@ -15,11 +16,10 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
 from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
+from bellows_ros.core.recording.standstills import Standstill, standstills_of
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 import numpy as np
-
-if TYPE_CHECKING:
-    from bellows_ros.core.recording.standstills import Standstill
 
 Progress = Callable[[str, float], None]
 
@@ -33,8 +33,11 @@ SURE, UNLOADED = 0.25, 'K rz'
 """
 Standard error of the best known damping, in its size, with which a cup counts as moved.
 
-Or of the stiffness that no weight loads: at rest nothing is known of it.
+Or of the stiffness that no weight loads, where tool or package moves: at rest it is of noise.
 """
+
+AT_REST = 0.5
+"""Part of the time that recordings of standstills stand still, at least."""
 
 MISFIT = 2.0
 """Times the noise by which output error may be off: a free simulation, and what it leaves."""
@@ -55,7 +58,7 @@ def fit(
     recordings: Sequence[Recording | Reduced],
     values: Mapping[str, Any],
     progress: Progress | None = None,
-    standstills: 'Sequence[Standstill]' = (),
+    standstills: Sequence[Standstill] = (),
     length_std: float = 0.0,
 ) -> Result:
     """
@@ -99,7 +102,8 @@ def fit(
         own.certain for own in found.causes)  # else errors are of the misfit
     if found.converged and explained and not any(
             own.identifiable and std[own.label] <= largest * abs(own.value)
-            for own in excitation.parameters if own.label[0] == 'P' or own.label == UNLOADED):
+            for own in excitation.parameters
+            if own.label[0] == 'P' or own.label == UNLOADED and not _rest(recordings)):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED}, which no weight loads. Move the tool in all directions at 1-3 Hz, '
@@ -124,6 +128,16 @@ def fit(
             found, standstills, length, values['gravity.magnitude'], one_cup_of(values).stiffness,
             given_structure(values).places)
     return Result(found, excitation)
+
+
+def _rest(recordings: Sequence[Recording | Reduced]) -> bool:
+    """Return whether tool and package stand still for most of the time, as far as is known."""
+    still = total = 0.0
+    for own in _whole(recordings):
+        total += float(np.ptp(own.measured_package.stamps_ns)) / NS_PER_S
+        with suppress(BellowsError):  # no standstill
+            still += sum(each.duration for each in standstills_of(own)[0])
+    return still >= AT_REST * total
 
 
 def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:

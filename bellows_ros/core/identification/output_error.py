@@ -9,7 +9,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.equations import without
-from bellows_ros.core.identification.given import causes, stated, with_given
+from bellows_ros.core.identification.given import causes, moved_between, stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import (
     DEFAULT_RATIO,
@@ -136,9 +136,7 @@ def output_error(
     reasons = causes(search, found, stated(given))
     search.take(found.parts)
     wide, there, from_given = with_given(search, found, given, note, bool(reasons))
-    before, after = (np.diag(own.cup(minimum.theta).stiffness)
-                     for own, minimum in ((search, found), (wide, there)))
-    if reasons and np.any(np.abs(after - before) > ANOTHER * before):
+    if reasons and moved_between((search, found), (wide, there)) > ANOTHER:
         reasons = tuple(own for own in reasons if own.name in wide.places) or causes(
             wide, there, stated(given))
     return _fit(wide, there, from_given, iterations, named, reasons)

@@ -100,11 +100,14 @@ TOGETHER = 2e-4
 """Poses of the package this close (s) to a sample of the tool count as simultaneous, so that a
 small change of the clock does not change which comes first. The twist bridges the rest."""
 
-LONGEST_STEP, LONGEST_INTEGRATION, SHORTEST_INTEGRATION = 0.01, 0.005, 5e-6
-"""
-Longest steps of the linearised model, and of the integrator, and the shortest of that (s).
+LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
+"""Longest steps of the linearised model, and of the integrator (s)."""
 
-No package moves so fast on a cup (20,000/s) that it needs shorter ones: a search turns back there.
+SHORTEST_INTEGRATION = 5e-6
+"""
+Shortest step of the integrator (s).
+
+A cup that needs shorter ones, for modes faster than 20,000/s, is no cup: the search turns back.
 """
 
 COARSE = 4.0
@@ -131,10 +134,10 @@ LOSS_FACTOR = 0.25
 LONGEST_WAY = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
-MIXED, MOST_MIXED, LEAST_TURN = 3, 0.9, 0.1
+MIXED, MOST_MIXED, SMALLEST_TURN = 3, 0.9, 0.1
 """
-Steps before one with which it is mixed, largest part that is taken back or added, as where a step
-is 10 times too long, and the smallest turn that counts, in the largest.
+How many earlier steps a step is mixed with, the largest weight of one of them (a step 10 times
+too long has 0.9), and the smallest singular value, in the largest, that counts.
 """
 
 SETTLED = 0.03
@@ -674,14 +677,7 @@ class Search:
         out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
         T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
         gains = np.zeros((size, 6, states + 1))
-        longest = min(
-            largest_step(model) * (COARSE if forgets else 1.0), LONGEST_INTEGRATION)
-        if longest < SHORTEST_INTEGRATION:
-            raise BellowsError(
-                f'With this cup the package needs integration steps of {longest:.2g} s, expected '
-                f'{SHORTEST_INTEGRATION:g} s at least: check the units of package.mass, '
-                'package.inertia, cup.stiffness and cup.damping.')
-        steps = substeps_of(lengths, longest)
+        steps = substeps_of(lengths, _longest_integration(model, COARSE if forgets else 1.0))
         scales, beyond, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
         if not self.places.keys().isdisjoint(OF_CUP):
             bent = _bent(model, tool, simulate_rows(model, first, tool, lengths, steps))
@@ -747,6 +743,17 @@ def squares(parts: Sequence[Part]) -> float:
     return float(sum(own.innovations @ own.innovations for own in parts))
 
 
+def _longest_integration(model: ModelTuple, coarse: float) -> float:
+    """Return the longest step (s) of the integrator, or refuse a cup that needs too short ones."""
+    longest = min(coarse * largest_step(model), LONGEST_INTEGRATION)
+    if longest < SHORTEST_INTEGRATION:
+        raise BellowsError(
+            f'With this cup the simulation needs integration steps of {longest:.2g} s; at least '
+            f'{SHORTEST_INTEGRATION:g} s is expected. Check the units of package.mass, '
+            'package.inertia, cup.stiffness and cup.damping.')
+    return longest
+
+
 def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:
     """
     Return the way to go after steps before this one, and how far the search went after each.
@@ -759,7 +766,7 @@ def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Arr
     root = np.linalg.cholesky(H).T
     steps, gone = (np.array(own) for own in zip(*history, strict=True))
     turned = np.diff(np.vstack([steps, step]), axis=0)
-    part = np.linalg.lstsq(root @ turned.T, root @ step, rcond=LEAST_TURN)[0]
+    part = np.linalg.lstsq(root @ turned.T, root @ step, rcond=SMALLEST_TURN)[0]
     part *= min(1.0, MOST_MIXED / max(np.abs(part).max(), 1e-99))
     return np.asarray(step - part @ (gone + turned))
 

@@ -114,6 +114,13 @@ def test_of_two_faults_both_are_named(first, second, seed):
     assert len(named) == 2 == len(found.cause) and 'Besides' in found.cause[1]
 
 
+def test_no_frame_is_wrong_beside_friction_that_explains_all():
+    own = laboratory.Laboratory(3008)
+    FAULTS['friction'][0](own)
+    found = diagnose(own.recordings(), own.said_length, STRUCTURES['axisymmetric'])
+    assert found.findings[0].name == 'friction' and not found.besides
+
+
 def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_did():
     laboratory = Laboratory(903, seconds=12.0)
     FAULTS['clocks far apart'][0](laboratory)
