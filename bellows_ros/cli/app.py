@@ -5,8 +5,8 @@ A command is a module of this package with its name, which has
 
 - a docstring: what it does, and examples, each a command line and what it is for, as `--help`
   shows them;
-- `FOUND`, where it can end with 1: what it has found then;
-- `add_arguments(parser)`: its arguments;
+- `NEGATIVE_RESULT`, where it can end with 1: what that means;
+- `ARGUMENTS`: its arguments, of `options.argument`;
 - `run(arguments, console)`: its work; returns the exit code.
 
 Modules import what takes long to load (NumPy, recordings) inside `run` and below it.
@@ -123,7 +123,7 @@ def _run(arguments: list[str], console: Console) -> int:
            for value in vars(parsed).values()):
         console.keep_stdout_free()
     code: int = parsed.run(parsed, console)
-    console.warn(*console.remarks)
+    console.warn(*console.final_warnings)
     return code
 
 
@@ -135,7 +135,7 @@ def _complete() -> None:
     commands = parser.add_subparsers()
     for name, text in COMMANDS.items():
         command = commands.add_parser(name, help=text)
-        importlib.import_module(f'{__package__}.{name}').add_arguments(command)
+        add_arguments(command, name)
         for action in command._actions:
             if action.dest == 'overrides':
                 action.completer = (  # type: ignore[attr-defined]
@@ -170,14 +170,21 @@ def described(module: Any) -> tuple[str, list[tuple[str, str]]]:
     return text, re.findall(r'(bellows (?:.*\\\n)*.*)\n +(.+)', examples)
 
 
+def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
+    """Add the arguments of a command to a parser."""
+    for argument, settings in importlib.import_module(f'{__package__}.{name}').ARGUMENTS:
+        parser.add_argument(argument, **settings)
+
+
 def command_parser(name: str) -> Parser:
     """Return the parser of a command."""
     module = importlib.import_module(f'{__package__}.{name}')
     text, pairs = described(module)
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in pairs)
-    found = f'1 if {module.FOUND}, ' if hasattr(module, 'FOUND') else ''
-    ends = textwrap.fill(f'Ends with 0 when done, {found}2 if something must be put right.', WIDTH)
+    negative = f'1 if {module.NEGATIVE_RESULT}, ' if hasattr(module, 'NEGATIVE_RESULT') else ''
+    ends = textwrap.fill(
+        f'Ends with 0 when done, {negative}2 if something must be put right.', WIDTH)
     parser = Parser(f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
-    module.add_arguments(parser)
+    add_arguments(parser, name)
     parser.set_defaults(run=module.run)
     return parser

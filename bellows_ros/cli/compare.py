@@ -28,17 +28,14 @@ if TYPE_CHECKING:
     from bellows_ros.core.identification.comparison import Change
     from bellows_ros.workflows.compare import ResultComparison
 
-FOUND = 'a change matters'
+NEGATIVE_RESULT = 'a change matters'
 SETTING_WIDTH = 60  # characters of a setting
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument('before', metavar='FIT_A', type=Path,
-                        help='result file, written by bellows identify --json')
-    parser.add_argument('after', metavar='FIT_B', type=Path,
-                        help='the result file to compare it with')
-    options.add_json_option(parser, 'the comparison')
+ARGUMENTS = (
+    options.argument('before FIT_A', 'result file, written by bellows identify --json', type=Path),
+    options.argument('after FIT_B', 'the result file to compare it with', type=Path),
+    options.json_output('the comparison'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -46,13 +43,13 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.compare import compare_files
 
     result = compare_files(arguments.before, arguments.after)
-    options.put_json(arguments.json, result)
-    _print_result(result, console)
+    options.write_result(arguments.json, result)
+    print_result(result, console)
     console.wrote(arguments.json)
     return NOT_USABLE if result.fits.matters else OK
 
 
-def _print_result(result: 'ResultComparison', console: Console) -> None:
+def print_result(result: 'ResultComparison', console: Console) -> None:
     """Print the tables and the verdict."""
     from bellows_ros.core.parameters.table import short
 

@@ -59,8 +59,8 @@ class Console:
 
     Attributes
     ----------
-    remarks : list of str
-        Warnings for when the work has been done.
+    final_warnings : list of str
+        Printed when the work has been done.
 
     """
 
@@ -68,7 +68,7 @@ class Console:
         """Remember the streams, and where signals are noted."""
         self._out, self._err, self._signals = out, err, signals
         self._gap = self._begun = False
-        self.remarks: list[str] = []
+        self.final_warnings: list[str] = []
 
     def keep_stdout_free(self) -> None:
         """Print results on stderr from now on: stdout takes a file's content."""

@@ -37,48 +37,38 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument(
-        'sources', metavar='SOURCE', nargs='+', type=Path,
-        help='Motive or EuRoC .csv, TUM or KITTI .tum, .kitti or .txt; or one recording, to '
-             'write a TUM file or, with --tool-link or --tool-frame, a recording with poses')
-    parser.add_argument(
-        '--out', metavar='NAME', required=True, type=options.Folder,
-        help='recording to write; from a recording also a file that ends in .tum or .txt')
-    parser.add_argument(
-        '--topic', metavar='TOPIC', action='append', default=[],
-        help='topic for each source, in the same order (default: /NAME/pose); for a recording, '
-             'the topic to write')
-    parser.add_argument(
-        '--markers', metavar='N', type=int, default=3,
-        help='leave out poses of Motive with fewer visible markers than this (default: 3)')
-    parser.add_argument(
-        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='storage of the recording')
-    options.add_force_option(parser)
-    options.add_span_options(parser)
-    options.add_arm_options(parser)
-    for body, what in (('tool', 'the tool tip E'), ('package', 'the package')):
-        parser.add_argument(
-            f'--{body}-frame', metavar='FRAME', default='',
-            help=f'frame of {what} in the transforms (/tf, /tf_static) of a recording')
-    parser.add_argument(
-        '--world-frame', metavar='FRAME', default='',
-        help='frame of the poses to write (default: the farthest frame above the tool)')
-    parser.add_argument(
-        '--unit', choices=('m', 'mm'), default='m',
-        help='unit of the positions in a recording, of --topic or of all poses (default: m)')
-    parser.add_argument(
-        '--quaternion', choices=('xyzw', 'wxyz'), default='xyzw',
-        help='order of the quaternions there (default: xyzw, as in ROS)')
-    options.add_json_option(parser, 'what was converted')
+ARGUMENTS = (
+    options.argument(
+        'sources SOURCE', 'Motive or EuRoC .csv, TUM or KITTI .tum, .kitti or .txt; or one '
+        'recording, to write a TUM file or, with --tool-link or --tool-frame, a recording with '
+        'poses', [], nargs='+', type=Path),
+    options.output('--out NAME', 'recording to write; from a recording also a file that ends in '
+                   '.tum or .txt', options.Folder, required=True),
+    options.argument('--topic TOPIC', 'topic for each source, in the same order (default: '
+                     '/NAME/pose); for a recording, the topic to write', []),
+    options.argument('--markers N', 'leave out poses of Motive with fewer visible markers than '
+                     'this (default: 3)', 3),
+    options.argument('--storage', 'storage of the recording', 'mcap',
+                     choices=('mcap', 'sqlite3')),
+    options.force(), *options.interval(), *options.ARM,
+    options.argument('--tool-frame FRAME', 'frame of the tool tip E in the transforms (/tf, '
+                     '/tf_static) of a recording'),
+    options.argument('--package-frame FRAME', 'frame of the package in the transforms (/tf, '
+                     '/tf_static) of a recording'),
+    options.argument('--world-frame FRAME', 'frame of the poses to write (default: the farthest '
+                     'frame above the tool)'),
+    options.argument('--unit', 'unit of the positions in a recording, of --topic or of all '
+                     'poses (default: m)', 'm', choices=('m', 'mm')),
+    options.argument('--quaternion', 'order of the quaternions there (default: xyzw, as in '
+                     'ROS)', 'xyzw', choices=('xyzw', 'wxyz')),
+    options.json_output('what was converted'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Convert and report."""
     from bellows_ros.workflows import convert
 
-    span = options.given_span(arguments)
+    span = options.interval_settings(arguments)
     text = arguments.out.lower().endswith(convert.TEXT_ENDINGS)
     frames = bool(arguments.tool_frame or arguments.package_frame) and not text
     _require_possible(arguments, text, frames)
@@ -102,8 +92,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             else:
                 bodies = convert.bodies_in_files(arguments.sources, topics, arguments.markers)
             done = convert.to_bag(bodies, arguments.out, arguments.storage, arguments.force, span)
-    options.put_json(arguments.json, done)
-    _print_result(done, console)
+    options.write_result(arguments.json, done)
+    print_result(done, console)
     console.wrote(arguments.json)
     console.wrote(done.out, then=() if text else (
         'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
@@ -140,7 +130,7 @@ def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -
                 'the link of the tool: --tool-link LINK.')
 
 
-def _print_result(done: 'Conversion', console: Console) -> None:
+def print_result(done: 'Conversion', console: Console) -> None:
     """Print what was converted and what was left out."""
     for body in done.bodies:
         left = ', '.join(f'{count} {reason}' for reason, count in body.left_out.items())

@@ -27,50 +27,34 @@ from bellows_ros.report import column, with_error
 
 from . import options
 from .console import Console
-from .options import run_plan_command
+from .options import argument, output, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import DesignedMotion
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_parameter_options(parser, span=False)
-    parser.add_argument(
-        '--limits', metavar='FILE', required=True, type=Path,
-        help='limits of the arm, and noise and rates of the tracking (YAML); '
-             'config/limits_example.yaml explains every setting')
-    parser.add_argument(
-        '--time', metavar='S', required=True, type=float,
-        help='duration, s: 2 s of standstill, then the motion with ramps of 1 s at both ends')
-    parser.add_argument(
-        '--hold', metavar='S', type=float, default=7.0,
-        help='then hold a tilt for this time, s, beside --time: rubber relaxes in it, which '
-             'bellows identify fits (default: 7; 0 for none)')
-    options.add_output(
-        parser, '--out', kind=options.Folder, required=True,
-        what='recording to write, with the plan on /tool_arm/plan')
-    options.add_output(
-        parser, '--csv',
-        what='also write the motion as text: EuRoC columns with velocities, 1000 lines per second')
-    options.add_output(
-        parser, '--urscript', 'also write it as a program for a Universal Robots arm')
-    options.add_output(parser, '--plot', 'picture to write: .png, .svg or .pdf', options.Binary)
-    parser.add_argument(
-        '--beside', metavar='PLAN', action='append', default=[], type=Path,
-        help='compare with another motion, a plan as for bellows plan; may be repeated. --from '
-             'and --to apply to these')
-    options.add_span_options(parser, '0')
-    parser.add_argument(
-        '--series', action='store_true',
-        help='write everything to record for a new cup into the folder --out: standstills, this '
-             'motion, and one for validation; report what each identifies')
-    parser.add_argument(
-        '--seed', metavar='N', type=int, default=0,
-        help='seed of the random start; another seed gives another motion')
-    options.add_force_option(parser)
-    options.add_arm_options(parser)
-    options.add_json_option(parser, 'what to expect')
+ARGUMENTS = (
+    *options.PARAMETERS,
+    argument('--limits FILE', 'limits of the arm, and noise and rates of the tracking (YAML); '
+             'config/limits_example.yaml explains every setting', None, required=True, type=Path),
+    argument('--time S', 'duration, s: 2 s of standstill, then the motion with ramps of 1 s at '
+             'both ends', None, required=True, type=float),
+    argument('--hold S', 'then hold a tilt for this time, s, beside --time: rubber relaxes in it, '
+             'which bellows identify fits (default: 7; 0 for none)', 7.0),
+    output('--out BAG', 'recording to write, with the plan on /tool_arm/plan', options.Folder,
+           required=True),
+    output('--csv FILE', 'also write the motion as text: EuRoC columns with velocities, 1000 '
+           'lines per second'),
+    output('--urscript FILE', 'also write it as a program for a Universal Robots arm'),
+    output('--plot FILE', 'picture to write: .png, .svg or .pdf', options.Binary),
+    argument('--beside PLAN', 'compare with another motion, a plan as for bellows plan; may be '
+             'repeated. --from and --to apply to these', [], type=Path),
+    *options.interval('0'),
+    argument('--series', 'write everything to record for a new cup into the folder --out: '
+             'standstills, this motion, and one for validation; report what each identifies',
+             False),
+    argument('--seed N', 'seed of the random start; another seed gives another motion', 0),
+    options.force(), *options.ARM, options.json_output('what to expect'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -82,11 +66,11 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: excite(
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
             arguments.beside, arguments.seed, progress, arguments.series, arguments.hold),
-        _print_result, lambda found: write_motion(
+        print_result, lambda found: write_motion(
             arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
 
 
-def _print_result(found: 'DesignedMotion', console: Console) -> None:
+def print_result(found: 'DesignedMotion', console: Console) -> None:
     """Print the expected errors and the active limits."""
     from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
 

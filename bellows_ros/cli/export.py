@@ -24,22 +24,17 @@ from .console import Console, OK
 FORMATS = ('mjcf', 'sdf', 'c')
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument(
-        'params', metavar='CUP', type=Path, nargs=1, help='parameter file with cup and package')
-    parser.add_argument(
-        '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
-        help='set one parameter, overriding the file; may be repeated')
-    parser.add_argument(
-        '--to', choices=FORMATS, required=True,
-        help='mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in C99')
-    parser.add_argument(
-        '--name', default='bellows_exported',
-        help='of the numbers in the header in C, and prefix of their names (default: '
-             '%(default)s); another one for each cup of a program')
-    options.add_output(parser, '--out', 'model to write', required=True)
-    options.add_json_option(parser, 'what the format cannot express')
+ARGUMENTS = (
+    options.argument('params CUP', 'parameter file with cup and package', nargs=1, type=Path),
+    options.argument('--set NAME=VALUE', 'set one parameter, overriding the file; may be repeated',
+                     [], dest='overrides'),
+    options.argument('--to', 'mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in '
+                     'C99', None, choices=FORMATS, required=True),
+    options.argument('--name', 'of the numbers in the header in C, and prefix of their names '
+                     '(default: %(default)s); another one for each cup of a program',
+                     'bellows_exported'),
+    options.output('--out FILE', 'model to write', required=True),
+    options.json_output('what the format cannot express'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -50,16 +45,16 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.atomic import write_text
     from bellows_ros.files.exports import limits, TARGETS
 
-    values = options.cup_parameters(arguments, console)
+    values = options.read_settings(arguments, cup_for=console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
-    console.remarks += checks.implausible(settings)
+    console.final_warnings += checks.implausible(settings)
     cup, package = cup_of(settings), package_of(settings)
     target = TARGETS[arguments.to]
     lost = limits(target, cup)
     gravity = tuple(checks.gravity_of(settings).tolist())
     write_text(arguments.out, target.write(
         cup, package, gravity, grip_of(settings), arguments.name))
-    options.put_json(arguments.json, {
+    options.write_result(arguments.json, {
         'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
     console.wrote(arguments.out, arguments.json)
     console.line(f'What differs or is left out in {target.name}:')

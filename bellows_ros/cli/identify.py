@@ -38,32 +38,25 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.release import ReleaseResult
 
 
-FOUND = 'the fit cannot be used'
+NEGATIVE_RESULT = 'the fit cannot be used'
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_bags_argument(parser)
-    options.add_parameter_options(parser)
-    options.add_output(
-        parser, '--out', 'write the cup as a parameter file, for the predictor and bellows replay')
-    options.add_json_option(parser, 'the result with its uncertainties')
-    options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
-    parser.add_argument(
-        '--force', action='store_true',
-        help='also write the cup file of a refused cup; its header says so')
-    parser.add_argument(
-        '--jobs', metavar='N', type=int, default=None,
-        help='read N recordings in parallel, -1 for one per core (extra parallel); unusable '
-             'recordings are then reported and left out')
-    parser.add_argument(
-        '--dask', metavar='ADDRESS', default='',
-        help='read them on the workers of a Dask scheduler instead (extra dask), for example '
-             'tcp://host:8786; the workers must see the recordings under the same paths')
-    parser.add_argument(
-        '--release', action='store_true',
-        help='identify release.* instead, from tosses with the cup given by the parameters; the '
-             "valve is on 'topics.valve'")
+ARGUMENTS = (
+    options.bags(), *options.PARAMETERS, *options.interval(),
+    options.output('--out FILE', 'write the cup as a parameter file, for the predictor and '
+                   'bellows replay'),
+    options.json_output('the result with its uncertainties'),
+    options.output('--report FILE', 'write a page with plots (HTML; extra plot)'),
+    options.argument('--force', 'also write the cup file of a refused cup; its header says so',
+                     False),
+    options.argument('--jobs N', 'read N recordings in parallel, -1 for one per core (extra '
+                     'parallel); unusable recordings are then reported and left out', None,
+                     type=int),
+    options.argument('--dask ADDRESS', 'read them on the workers of a Dask scheduler instead '
+                     '(extra dask), for example tcp://host:8786; the workers must see the '
+                     'recordings under the same paths'),
+    options.argument('--release', 'identify release.* instead, from tosses with the cup given by '
+                     "the parameters; the valve is on 'topics.valve'", False))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -125,11 +118,11 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
 
     with console.progress() as progress:
         result = identify_release(settings, progress)
-    with uninterrupted(), options.naming_written() as written:
+    with uninterrupted(), options.naming_partial_output() as written:
         if arguments.out:
             write_parameters(arguments.out, result.parameters())
             written += [arguments.out]
-        options.put_json(arguments.json, {
+        options.write_result(arguments.json, {
             **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
     _print_release(result, console)
     console.wrote(arguments.out, arguments.json)
@@ -175,8 +168,8 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
 
 def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Return the parameters of files and --set, with those that have an argument of their own."""
-    values = options.cup_parameters(arguments, console, 'identifier') if arguments.release \
-        else options.given_parameters(arguments, 'identifier')
+    values = options.read_settings(
+        arguments, 'identifier', console if arguments.release else None)
     named = {
         'bags': [str(bag) for bag in arguments.bags], 'output.parameters': str(arguments.out),
         'output.json': str(arguments.json), 'output.report': str(arguments.report)}

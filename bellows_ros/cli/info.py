@@ -34,33 +34,29 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
 """What the recording cannot tell: comments of the file, to fill in."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_bag_argument(parser)
-    options.add_span_options(parser)
-    options.add_output(
-        parser, '--write-params',
-        what='write a parameter file for this recording, for bellows identify and the nodes')
-    options.add_force_option(parser, 'a parameter file')
-    options.add_json_option(parser, 'what was found')
+ARGUMENTS = (
+    options.BAG, *options.interval(),
+    options.output('--write-params FILE', 'write a parameter file for this recording, for bellows '
+                   'identify and the nodes'),
+    options.force('a parameter file'), options.json_output('what was found'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
-    options.require_free(arguments.write_params, arguments.force)
+    options.require_absent(arguments.write_params, arguments.force)
     from bellows_ros.core.parameters.table import PARAMETERS
     from bellows_ros.files.atomic import write_text
     from bellows_ros.workflows.info import info
 
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        found = info(arguments.bag, options.given_span(arguments))
-    options.put_json(arguments.json, found)
+        found = info(arguments.bag, options.interval_settings(arguments))
+    options.write_result(arguments.json, found)
     if arguments.write_params:
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in UNKNOWN], found.settings,
             [f'How to read {found.path}, as found by bellows info; check it.']))
-    _print_result(found, console)
+    print_result(found, console)
     console.wrote(arguments.json)
     console.wrote(arguments.write_params, then=(
         'Fill in the package there, then:',
@@ -68,7 +64,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
-def _print_result(found: 'Info', console: Console) -> None:
+def print_result(found: 'Info', console: Console) -> None:
     """Print the topics, their roles and notes."""
     from bellows_ros.core.recording.alignment import SHORTEST_REST
 

@@ -7,7 +7,7 @@ from itertools import permutations
 import os
 from pathlib import Path
 import re
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError, require_pictures
 
@@ -22,7 +22,7 @@ STDOUT = '-'
 INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
 """Parameters that name inputs."""
 
-SPAN = {'from': 'recording.start', 'to': 'recording.end'}
+INTERVAL = {'from': 'recording.start', 'to': 'recording.end'}
 """The parameters that options for a part of a recording set."""
 
 
@@ -38,75 +38,91 @@ class Folder(Binary):
     """The name of a folder to write."""
 
 
-BAG = 'recording: a rosbag2 folder, or a .mcap or .db3 file'
+class Argument(NamedTuple):
+    """What `add_argument` of a parser takes."""
+
+    name: str
+    settings: Mapping[str, Any]
 
 
-def add_bag_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the recording as a positional argument."""
-    parser.add_argument('bag', metavar='BAG', type=Path, help=BAG)
+def argument(words: str, meaning: str, default: Any = '', **settings: Any) -> Argument:
+    """
+    Return an argument of a command.
+
+    Parameters
+    ----------
+    words : str
+        Its name, and what stands for its values in the help.
+    meaning : str
+        For the help.
+    default
+        Also tells the type: of False a switch, of [] an option that may be repeated.
+    settings
+        More for `add_argument`.
+
+    """
+    name, *metavars = words.split()
+    if default is False:
+        settings['action'] = 'store_true'
+    else:
+        if default == [] and name.startswith('-'):
+            settings['action'] = 'append'
+        elif isinstance(default, int | float):
+            settings['type'] = type(default)
+        if len(metavars) > 1:
+            settings |= {'nargs': len(metavars), 'metavar': tuple(metavars)}
+        elif metavars:
+            settings['metavar'] = metavars[0]
+        settings['default'] = default
+    return Argument(name, {**settings, 'help': meaning})
 
 
-def add_bags_argument(parser: argparse.ArgumentParser, parameter: str = 'bags') -> None:
-    """Add the recordings as positional arguments; without any, a parameter names them."""
-    parser.add_argument(
-        'bags', metavar='BAG', nargs='*', type=Path,
-        help=f"{BAG}; overrides the parameter '{parameter}'")
+def output(words: str, meaning: str, kind: type[Output] = Output, **settings: Any) -> Argument:
+    """Return an option that names what is written."""
+    return argument(words, meaning, type=kind, **settings)
 
 
-def add_parameter_options(parser: argparse.ArgumentParser, span: bool = True) -> None:
-    """Add --params and --set, and --from and --to unless they have another meaning."""
-    parser.add_argument(
-        '--params', metavar='FILE', action='append', default=[], type=Path,
-        help='parameter file (YAML, as for ROS nodes); may be repeated, later files override '
-             'earlier ones')
-    parser.add_argument(
-        '--set', metavar='NAME=VALUE', action='append', default=[], dest='overrides',
-        help="set one parameter, overriding the files; may be repeated. 'bellows parameters' "
-             'lists all, with units and defaults')
-    if span:
-        add_span_options(parser)
+def json_output(what: str) -> Argument:
+    """Return --json."""
+    return output(
+        '--json FILE', f"write {what} as JSON; '-' for stdout (all else then goes to stderr)")
 
 
-def add_span_options(parser: argparse.ArgumentParser, default: str = '') -> None:
-    """Add --from and --to, which set recording.start and recording.end, by default too."""
-    for name, which in (('from', 'earlier'), ('to', 'later')):
-        parser.add_argument(
-            f'--{name}', metavar='S', dest=SPAN[name], default=default,
-            help=f'leave out data {which} than this, in s from the start of the data')
+def force(what: str = 'a recording') -> Argument:
+    """Return --force, which replaces existing output."""
+    return argument('--force', f'replace {what} that already exists', False)
 
 
-def add_output(
-    parser: argparse.ArgumentParser, name: str, what: str, kind: type[Output] = Output,
-    required: bool = False,
-) -> None:
-    """Add an option that names what is written."""
-    parser.add_argument(
-        name, metavar='BAG' if kind is Folder else 'FILE', default='', required=required,
-        type=kind, help=what)
+def interval(default: str = '') -> tuple[Argument, ...]:
+    """Return --from and --to, which set recording.start and recording.end, by default too."""
+    return tuple(argument(
+        f'--{name} S', f'leave out data {which} than this, in s from the start of the data',
+        default, dest=INTERVAL[name]) for name, which in (('from', 'earlier'), ('to', 'later')))
 
 
-def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add --json."""
-    add_output(
-        parser, '--json', f"write {what} as JSON; '-' for stdout (all else then goes to stderr)")
+RECORDING = 'recording: a rosbag2 folder, or a .mcap or .db3 file'
+BAG = argument('bag BAG', RECORDING, type=Path)
 
 
-def add_force_option(parser: argparse.ArgumentParser, what: str = 'a recording') -> None:
-    """Add --force, which replaces existing output."""
-    parser.add_argument('--force', action='store_true', help=f'replace {what} that already exists')
+def bags(parameter: str = 'bags') -> Argument:
+    """Return the recordings as positional arguments; without any, a parameter names them."""
+    return argument(
+        'bags BAG', f"{RECORDING}; overrides the parameter '{parameter}'", [], nargs='*',
+        type=Path)
 
 
-def add_arm_options(parser: argparse.ArgumentParser) -> None:
-    """Add --urdf and --tool-link."""
-    parser.add_argument(
-        '--urdf', metavar='FILE', type=Path,
-        help="URDF of the arm, if the source has joint positions; default: the recording's "
-             '/robot_description')
-    parser.add_argument(
-        '--tool-link', metavar='LINK', default='', help='link of the arm at the tool tip E')
+PARAMETERS = (
+    argument('--params FILE', 'parameter file (YAML, as for ROS nodes); may be repeated, later '
+             'files override earlier ones', [], type=Path),
+    argument('--set NAME=VALUE', 'set one parameter, overriding the files; may be repeated. '
+             "'bellows parameters' lists all, with units and defaults", [], dest='overrides'))
+ARM = (
+    argument('--urdf FILE', 'URDF of the arm, if the source has joint positions; default: the '
+             "recording's /robot_description", None, type=Path),
+    argument('--tool-link LINK', 'link of the arm at the tool tip E'))
 
 
-def require_free(output: str, force: bool) -> None:
+def require_absent(output: str, force: bool) -> None:
     """Refuse an output that exists, unless it may be replaced."""
     if output and os.path.exists(output) and not force:
         raise BellowsError(
@@ -114,7 +130,7 @@ def require_free(output: str, force: bool) -> None:
             'holds is then lost.')
 
 
-def put_json(target: str, content: Any) -> None:
+def write_result(target: str, content: Any) -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
         from bellows_ros.files.results import write_json
@@ -123,7 +139,7 @@ def put_json(target: str, content: Any) -> None:
 
 
 @contextmanager
-def naming_written() -> Iterator[list[str]]:
+def naming_partial_output() -> Iterator[list[str]]:
     """Let an error while outputs are written say which of them are written already."""
     written: list[str] = []
     try:
@@ -134,7 +150,9 @@ def naming_written() -> Iterator[list[str]]:
         raise
 
 
-def given_parameters(arguments: argparse.Namespace, node: str | None = None) -> 'dict[str, Value]':
+def read_settings(
+    arguments: argparse.Namespace, node: str | None = None, cup_for: Console | None = None
+) -> 'dict[str, Value]':
     """
     Return the parameters of the files and, over them, those of the command line.
 
@@ -145,6 +163,8 @@ def given_parameters(arguments: argparse.Namespace, node: str | None = None) -> 
         'name=value'; `tool_link`, if there is one, overrides both.
     node : str, optional
         Only what a file holds for this node.
+    cup_for : Console, optional
+        Warns at the end if there is no cup among them.
 
     Raises
     ------
@@ -159,20 +179,12 @@ def given_parameters(arguments: argparse.Namespace, node: str | None = None) -> 
     for file in arguments.params:
         values.update(read_parameters(file, node))
     values |= [parse_override(override) for override in arguments.overrides]
-    values |= given_span(arguments)
+    values |= interval_settings(arguments)
     if link := getattr(arguments, 'tool_link', ''):
         values['tool_link'] = link
     require_named_outputs(arguments, inputs_of(values))
-    return values
-
-
-def cup_parameters(
-    arguments: argparse.Namespace, console: Console, node: str | None = None
-) -> 'dict[str, Value]':
-    """Return the `given_parameters`; a cup that is not among them will be remarked."""
-    values = given_parameters(arguments, node)
-    if 'cup.stiffness' not in values:
-        console.remarks.append(
+    if cup_for and 'cup.stiffness' not in values:
+        cup_for.final_warnings.append(
             'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).')
     return values
 
@@ -182,17 +194,10 @@ def inputs_of(values: Mapping[str, Any]) -> list[str]:
     return [file for name in INPUTS for file in values.get(name, ())]
 
 
-def given_span(arguments: argparse.Namespace) -> 'dict[str, Value]':
+def interval_settings(arguments: argparse.Namespace) -> 'dict[str, Value]':
     """Return the parameters that --from and --to set."""
-    found: dict[str, Value] = {}
-    for option, name in SPAN.items():
-        if text := getattr(arguments, name, ''):
-            try:
-                found |= [parse_override(f'{name}={text}')]
-            except BellowsError as error:
-                why = str(error).removeprefix(f'--set {name}: ')
-                raise BellowsError(f'--{option}: {why}') from None
-    return found
+    return dict(parse_override(f'{name}={text}', f'--{option}')
+                for option, name in INTERVAL.items() if (text := getattr(arguments, name, '')))
 
 
 def parameter_assignments(**_: object) -> 'dict[str, str]':
@@ -202,9 +207,9 @@ def parameter_assignments(**_: object) -> 'dict[str, str]':
     return {f'{name}=': each.description for name, each in PARAMETERS.items()}
 
 
-def parse_override(text: str) -> 'tuple[str, Value]':
+def parse_override(text: str, option: str = '') -> 'tuple[str, Value]':
     """
-    Return name and checked value of 'name=value'.
+    Return name and checked value of 'name=value', as --set or another option has it.
 
     Lists are written as in YAML or without brackets: `package.com=[0, 0, -0.03]` or
     `package.com=0,0,-0.03`.
@@ -226,7 +231,7 @@ def parse_override(text: str) -> 'tuple[str, Value]':
         parameter = lookup(name)
         return parameter.name, validate(name, _parsed(parameter.kind, value))
     except BellowsError as error:
-        raise BellowsError(f'--set {name}: {error}') from None
+        raise BellowsError(f'{option or f"--set {name}"}: {error}') from None
 
 
 def _parsed(kind: str, text: str) -> object:
@@ -258,9 +263,9 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
         or lies in what is read, or what is no text is for stdout.
 
     """
-    files = [output for output in outputs if output and output != STDOUT]
-    to_stdout = [output for output in outputs if output == STDOUT]
-    if any(isinstance(output, Binary) for output in to_stdout):
+    files = [name for name in outputs if name and name != STDOUT]
+    to_stdout = [name for name in outputs if name == STDOUT]
+    if any(isinstance(name, Binary) for name in to_stdout):
         raise BellowsError(
             f"'{STDOUT}' is stdout, which is for text, and this output is a recording or a binary "
             'file. Give it a name.')
@@ -274,10 +279,10 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
     from bellows_ros.files.bag_folder import require_no_input
 
     read, targets = list(inputs), []
-    for output in files:
-        require_no_input(output, read)
-        require = require_folder_target if isinstance(output, Folder) else require_file_target
-        targets.append(Path(os.path.realpath(require(output))))
+    for name in files:
+        require_no_input(name, read)
+        require = require_folder_target if isinstance(name, Folder) else require_file_target
+        targets.append(Path(os.path.realpath(require(name))))
     for target, other in permutations(targets, 2):
         if target == other or other in target.parents:
             raise BellowsError(
@@ -294,32 +299,26 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
         [*inputs, *(item for item in named if isinstance(item, Path))])
 
 
-def add_plan_options(
-    parser: argparse.ArgumentParser, numbers: str, picture: str, recording: str
-) -> None:
-    """Add the options for a plan, its parameters and its outputs."""
-    parser.add_argument(
-        'plan', metavar='PLAN', type=Path,
-        help='a recording with a MultiDOFJointTrajectory, Path or JointTrajectory, with tool '
-             'poses, joint states or transforms; a YAML file with such a message or with a '
-             'motion for bellows simulate; or a TUM, KITTI or EuRoC file')
-    parser.add_argument(
-        '--topic', metavar='TOPIC', default='',
-        help='topic of the plan, if the recording has several plans')
-    add_span_options(parser, '0')  # a file may hold the part of another recording
-    add_arm_options(parser)
-    add_parameter_options(parser, span=False)
-    add_json_option(parser, numbers)
-    add_output(parser, '--plot', f'picture to write: {picture}', Binary)
-    add_output(parser, '--out', f'recording to write: {recording}', Folder)
-    add_force_option(parser)
+def plan_arguments(numbers: str, picture: str, recording: str) -> tuple[Argument, ...]:
+    """Return the arguments for a plan, its parameters and its outputs."""
+    return (
+        argument('plan PLAN', 'a recording with a MultiDOFJointTrajectory, Path or '
+                 'JointTrajectory, with tool poses, joint states or transforms; a YAML file with '
+                 'such a message or with a motion for bellows simulate; or a TUM, KITTI or EuRoC '
+                 'file', type=Path),
+        argument('--topic TOPIC', 'topic of the plan, if the recording has several plans'),
+        *interval('0'),  # a file may hold the part of another recording
+        *ARM, *PARAMETERS, json_output(numbers),
+        output('--plot FILE', f'picture to write: {picture}', Binary),
+        output('--out BAG', f'recording to write: {recording}', Folder), force())
 
 
 def run_plan_command(
     arguments: argparse.Namespace, console: Console,
     work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
     print_result: Callable[[Any, Console], None], write: Callable[[Any], None],
-    film: Callable[[Any], None] | None = None, good: Callable[[Any], bool] = lambda result: True
+    film: Callable[[Any], None] | None = None,
+    succeeded: Callable[[Any], bool] = lambda result: True
 ) -> int:
     """
     Read, work, write, report.
@@ -330,18 +329,18 @@ def run_plan_command(
         Of the command.
     work : callable
         From parameters by name and a progress to a `workflows.result.CommandResult`.
+    print_result : callable
+        Prints the result.
     write : callable
         Writes a result as the recording `out`.
-    print_result : callable
-        Print the result.
     film : callable
         Writes a film of a result as `plot`.
-    good : callable
-        Whether the answer is yes.
+    succeeded : callable
+        Whether the command ends with 0.
 
     """
-    values = cup_parameters(arguments, console)
-    require_free(arguments.out, arguments.force)
+    values = read_settings(arguments, cup_for=console)
+    require_absent(arguments.out, arguments.force)
     from bellows_ros.plots import style
 
     if arguments.plot:
@@ -350,7 +349,7 @@ def run_plan_command(
     with console.progress() as progress:
         progress('planning')
         result = work(values, progress)
-        with naming_written() as written:
+        with naming_partial_output() as written:
             if arguments.out:
                 write(result)
                 written += [arguments.out]
@@ -364,10 +363,10 @@ def run_plan_command(
                 from bellows_ros.files.results import provenance
 
                 plans = [arguments.plan] if 'plan' in arguments else []
-                put_json(arguments.json, {
+                write_result(arguments.json, {
                     **result.as_json(), 'version': __version__,
                     'provenance': provenance(plans, arguments.params)})
     print_result(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))
-    return OK if good(result) else NOT_USABLE
+    return OK if succeeded(result) else NOT_USABLE

@@ -31,13 +31,10 @@ INDENT = '    '
 EXAMPLE_LIST = "['recording']"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument('names', metavar='NAME', nargs='*', help='list only names that begin '
-                                                                 'with this')
-    parser.add_argument(
-        '--yaml', action='store_true', help='print a parameter file with the defaults, to fill in')
-    options.add_json_option(parser, 'the table')
+ARGUMENTS = (
+    options.argument('names NAME', 'list only names that begin with this', [], nargs='*'),
+    options.argument('--yaml', 'print a parameter file with the defaults, to fill in', False),
+    options.json_output('the table'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -48,7 +45,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         return OK
     if arguments.json:
         content = {p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen}
-        options.put_json(arguments.json, content)
+        options.write_result(arguments.json, content)
         console.wrote(arguments.json)
         return OK
     for parameter in chosen:

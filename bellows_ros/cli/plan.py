@@ -23,24 +23,21 @@ from typing import TYPE_CHECKING
 from bellows_ros.report import with_error
 
 from .console import Console
-from .options import add_plan_options, run_plan_command
+from .options import argument, plan_arguments, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport
 
 
-FOUND = 'the cup lets go, or --fastest finds no time that is safe'
+NEGATIVE_RESULT = 'the cup lets go, or --fastest finds no time that is safe'
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_plan_options(
-        parser, 'all figures', '.png, .svg or .pdf; bands are two standard deviations',
-        'the plan, and the package along it')
-    parser.add_argument(
-        '--fastest', action='store_true',
-        help='find the shortest time in which the safety factor, less two standard deviations, '
-             'stays above safety.least')
+ARGUMENTS = (
+    *plan_arguments(
+        'all figures', '.png, .svg or .pdf; bands are two standard deviations',
+        'the plan, and the package along it'),
+    argument('--fastest', 'find the shortest time in which the safety factor, less two standard '
+             'deviations, stays above safety.least', False))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -50,12 +47,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return run_plan_command(
         arguments, console, lambda values, progress: plan(
             arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest),
-        _print_result, lambda report: write_prediction(
+        print_result, lambda report: write_prediction(
             arguments.out, report.source, report.driven[0], report.driven[1], arguments.force),
-        good=lambda report: report.holds)
+        succeeded=lambda report: report.holds)
 
 
-def _print_result(report: 'PlanReport', console: Console) -> None:
+def print_result(report: 'PlanReport', console: Console) -> None:
     """Print the figures and their meaning."""
     source = report.source
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''

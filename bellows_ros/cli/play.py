@@ -7,8 +7,8 @@ Examples
 --------
 bellows play bags/validation --topic /tool_arm/pose --topic /tool_arm/twist
     the tool's messages, for a predictor that runs beside it
-bellows play bags/validation --stamps now --rate 0.5 --loop
-    forever, at half the speed, with stamps of the current time
+bellows play bags/validation --stamps now --rate 0.5
+    at half the speed, with stamps of the current time
 bellows play recording --topic /mocap/tool/pose:=/tool_arm/pose
     one topic, under another name
 
@@ -27,20 +27,14 @@ if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_bag_argument(parser)
-    options.add_span_options(parser)
-    parser.add_argument(
-        '--topic', metavar='TOPIC[:=NAME]', action='append', default=[], dest='topics',
-        help='topic to play, and the name to play it under; may be repeated (default: all with '
-             'poses or twists)')
-    parser.add_argument(
-        '--rate', metavar='R', type=float, default=1.0, help='times the recorded speed')
-    parser.add_argument(
-        '--stamps', choices=('recorded', 'now'), default='recorded',
-        help='stamps of the headers: as recorded, or the current time')
-    options.add_json_option(parser, 'what was played')
+ARGUMENTS = (
+    options.BAG, *options.interval(),
+    options.argument('--topic TOPIC[:=NAME]', 'topic to play, and the name to play it under; may '
+                     'be repeated (default: all with poses or twists)', [], dest='topics'),
+    options.argument('--rate R', 'times the recorded speed', 1.0),
+    options.argument('--stamps', 'stamps of the headers: as recorded, or the current time',
+                     'recorded', choices=('recorded', 'now')),
+    options.json_output('what was played'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -64,17 +58,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         progress(f'reading {arguments.bag}')
         messages, notes = read_messages(arguments.bag, renamed)
         stamps = [np.array([m.log_time_ns for m in messages])]
-        chosen, = inside(stamps, options.given_span(arguments))
+        chosen, = inside(stamps, options.interval_settings(arguments))
         messages = [message for message, here in zip(messages, chosen, strict=True) if here]
         names = {m.topic.name: m.topic.name for m in messages} | renamed
         console.warn(*notes)
         played = play(messages, names, arguments.rate, arguments.stamps == 'now', progress)
-    options.put_json(arguments.json, with_units({'bag': str(arguments.bag), **vars(played)}))
-    _print_result(played, console)
+    options.write_result(arguments.json, with_units({'bag': str(arguments.bag), **vars(played)}))
+    print_result(played, console)
     return OK
 
 
-def _print_result(played: 'Played', console: Console) -> None:
+def print_result(played: 'Played', console: Console) -> None:
     """Print what was sent."""
     width = max(map(len, played.messages))
     for name, count in played.messages.items():

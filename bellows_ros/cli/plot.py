@@ -47,29 +47,20 @@ FASTEST = 100.0
 FULL_RANGE = (float('-inf'), float('inf'))  # s
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument(
-        'what', metavar='WHAT', choices=WHAT,
-        help='; '.join(f'{name}: {text}' for name, text in WHAT.items()))
-    options.add_bag_argument(parser)
-    options.add_parameter_options(parser, span=False)
-    options.add_output(
-        parser, '--out', kind=options.Binary, required=True,
-        what='picture to write: .png, .svg or .pdf; of an animation .gif or .mp4')
-    options.add_json_option(parser, 'the numbers that are drawn, in SI units,')
-    parser.add_argument(
-        '--theme', choices=('light', 'dark'), default='light',
-        help='colours on a light or dark background')
-    parser.add_argument(
-        '--speed', metavar='S', type=float, default=0.25,
-        help='speed of an animation: seconds of the recording per second (default: %(default)s)')
-    parser.add_argument(
-        '--from', metavar='S', type=float, dest='first', default=FULL_RANGE[0],
-        help="start of the picture, in s after the recording's first stamp; not for spectra")
-    parser.add_argument(
-        '--to', metavar='S', type=float, dest='last', default=FULL_RANGE[1],
-        help='end of the picture')
+ARGUMENTS = (
+    options.argument('what WHAT', '; '.join(f'{name}: {text}' for name, text in WHAT.items()),
+                     choices=WHAT),
+    options.BAG, *options.PARAMETERS,
+    options.output('--out FILE', 'picture to write: .png, .svg or .pdf; of an animation .gif or '
+                   '.mp4', options.Binary, required=True),
+    options.json_output('the numbers that are drawn, in SI units,'),
+    options.argument('--theme', 'colours on a light or dark background', 'light',
+                     choices=('light', 'dark')),
+    options.argument('--speed S', 'speed of an animation: seconds of the recording per second '
+                     '(default: %(default)s)', 0.25),
+    options.argument('--from S', "start of the picture, in s after the recording's first stamp; "
+                     'not for spectra', FULL_RANGE[0], dest='first'),
+    options.argument('--to S', 'end of the picture', FULL_RANGE[1], dest='last'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -79,8 +70,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.workflows.plot import data_json
 
     tracked = arguments.what in OF_THE_RECORDING
-    values = options.given_parameters(arguments) if tracked \
-        else options.cup_parameters(arguments, console)
+    values = options.read_settings(arguments, cup_for=None if tracked else console)
     given = 'cup.stiffness' in values
     settings = resolve(values, () if tracked and not (arguments.what == 'spectra' and given)
                        else PACKAGE_PARAMETERS)
@@ -100,7 +90,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         progress(f'reading {arguments.bag}')
         shown = _drawn(arguments, settings, given, note, progress)
     about = {'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out}
-    options.put_json(arguments.json, {**about, **data_json(shown)})
+    options.write_result(arguments.json, {**about, **data_json(shown)})
     console.wrote(arguments.out, arguments.json)
     return OK
 

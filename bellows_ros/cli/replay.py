@@ -42,34 +42,27 @@ from . import options
 from .console import Console, NOT_USABLE, OK
 
 PERCENT = 100.0
-FOUND = ('an axis that moves is above --limit; without it, above 5 % and 3 times what noise '
-         'explains')
+NEGATIVE_RESULT = (
+    'an axis that moves is above --limit; without it, above 5 % and 3 times what noise explains')
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_bag_argument(parser)
-    options.add_parameter_options(parser)
-    options.add_json_option(parser, 'all figures')
-    options.add_output(parser, '--report', 'write a page with plots (HTML; extra plot)')
-    parser.add_argument(
-        '--view', metavar='FILE', nargs='?', default=None, const='', type=options.Binary,
-        help='show tool, cup and package (predicted, and measured as an outline), deflection and '
-             'errors in the viewer Rerun (extra view), or write an .rrd file that it opens')
-    parser.add_argument(
-        '--observe', metavar='TOPIC', default='',
-        help='poses of the package from a camera, which correct a second live prediction; see '
-             'measured.*')
-    parser.add_argument(
-        '--calibrate-alarms', action='store_true',
-        help='take the recording for sound work: find noise, its memory, and errors of pose and '
-             'stamps of the camera, and count the false alarms to expect with and without them')
-    options.add_output(
-        parser, '--out', 'write what was found of the camera as parameters (with --observe, and '
-        '--calibrate-alarms or measured.calibrate)')
-    parser.add_argument(
-        '--limit', metavar='PERCENT', type=float, default=None,
-        help='exit with 1 if the NRMSE of an axis that moves is above this')
+ARGUMENTS = (
+    options.BAG, *options.PARAMETERS, *options.interval(), options.json_output('all figures'),
+    options.output('--report FILE', 'write a page with plots (HTML; extra plot)'),
+    options.output(
+        '--view FILE', 'show tool, cup and package (predicted, and measured as an outline), '
+        'deflection and errors in the viewer Rerun (extra view), or write an .rrd file that it '
+        'opens', options.Binary, default=None, nargs='?', const=''),
+    options.argument('--observe TOPIC', 'poses of the package from a camera, which correct a '
+                     'second live prediction; see measured.*'),
+    options.argument(
+        '--calibrate-alarms', 'take the recording for sound work: find noise, its memory, and '
+        'errors of pose and stamps of the camera, and count the false alarms to expect with and '
+        'without them', False),
+    options.output('--out FILE', 'write what was found of the camera as parameters (with '
+                   '--observe, and --calibrate-alarms or measured.calibrate)'),
+    options.argument('--limit PERCENT', 'exit with 1 if the NRMSE of an axis that moves is above '
+                     'this', None, type=float))
 
 
 def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
@@ -92,7 +85,7 @@ def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
-    settings = options.cup_parameters(arguments, console)
+    settings = options.read_settings(arguments, cup_for=console)
     from bellows_ros.core.identification.validation import LIMIT
     from bellows_ros.report.text import print_replay
     from bellows_ros.workflows.replay import replay
@@ -102,7 +95,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         result = replay(
             arguments.bag, settings, progress, arguments.observe, arguments.calibrate_alarms)
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
-    with options.naming_written() as written:
+    with options.naming_partial_output() as written:
         if result.observed and arguments.out:
             from bellows_ros.files.parameter_files import write_parameters
 
@@ -123,7 +116,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             if arguments.view:
                 write_view(arguments.view, shown, result.bag)
                 written += [arguments.view]
-        options.put_json(arguments.json, result.as_json(limit, arguments.params))
+        options.write_result(arguments.json, result.as_json(limit, arguments.params))
     print_replay(result, console, limit)
     if result.live:
         console.paragraph(

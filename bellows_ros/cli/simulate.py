@@ -31,20 +31,15 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.simulate import SimulationReport
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_parameter_options(parser, span=False)
-    parser.add_argument(
-        '--motion', metavar='FILE', required=True, type=Path,
-        help='motion file (YAML): the motion of the tool and the tracking; '
-             'config/motion_example.yaml explains every setting')
-    parser.add_argument(
-        '--plan', metavar='PLAN', type=Path,
-        help='move the tool along this plan, as of bellows plan or bellows excite; then only the '
-             'rest of --motion counts')
-    options.add_output(parser, '--out', 'recording to write, a folder', options.Folder, True)
-    options.add_force_option(parser)
-    options.add_json_option(parser, 'what was recorded')
+ARGUMENTS = (
+    *options.PARAMETERS,
+    options.argument('--motion FILE', 'motion file (YAML): the motion of the tool and the '
+                     'tracking; config/motion_example.yaml explains every setting', None,
+                     required=True, type=Path),
+    options.argument('--plan PLAN', 'move the tool along this plan, as of bellows plan or bellows '
+                     'excite; then only the rest of --motion counts', None, type=Path),
+    options.output('--out BAG', 'recording to write, a folder', options.Folder, required=True),
+    options.force(), options.json_output('what was recorded'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -52,19 +47,19 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from bellows_ros.files.safe_yaml import load
     from bellows_ros.workflows.simulate import simulate_recording
 
-    values = options.cup_parameters(arguments, console)
-    options.require_free(arguments.out, arguments.force)
+    values = options.read_settings(arguments, cup_for=console)
+    options.require_absent(arguments.out, arguments.force)
     motion = load(arguments.motion)
     with console.progress() as progress:
         report = simulate_recording(
             values, motion, arguments.out, progress, arguments.force, arguments.plan or '')
-    options.put_json(arguments.json, report)
-    _print_result(report, console)
+    options.write_result(arguments.json, report)
+    print_result(report, console)
     console.wrote(arguments.json)
     return OK
 
 
-def _print_result(report: 'SimulationReport', console: Console) -> None:
+def print_result(report: 'SimulationReport', console: Console) -> None:
     """Print what was recorded."""
     console.line(f'Recorded {report.duration_s:g} s to {report.bag}', 'bold')
     width = max(map(len, report.messages))

@@ -40,21 +40,19 @@ MILLIMETRES, DEGREES = (1e3, 'mm', 'position'), (math.degrees(1.0), 'deg', 'rota
 """Factor from SI and name of a unit, and the standard error of a standstill in it."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_bags_argument(parser, 'static.bags')
-    parser.add_argument(
-        '--mass', metavar='KG', action='append', type=float, default=[], dest='masses',
-        help='mass in a recording, once for each BAG in the same order; overrides package.mass')
-    options.add_parameter_options(parser)
-    options.add_output(
-        parser, '--out', 'write the parameters of --params and --set with the new nominal length')
-    options.add_json_option(parser, 'all results')
+ARGUMENTS = (
+    options.bags('static.bags'),
+    options.argument('--mass KG', 'mass in a recording, once for each BAG in the same order; '
+                     'overrides package.mass', [], type=float, dest='masses'),
+    *options.PARAMETERS, *options.interval(),
+    options.output('--out FILE', 'write the parameters of --params and --set with the new '
+                   'nominal length'),
+    options.json_output('all results'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Find, write, report."""
-    settings = options.given_parameters(arguments)
+    settings = options.read_settings(arguments)
     from bellows_ros import __version__
     from bellows_ros.workflows.static import save_length, static_check
 
@@ -62,13 +60,13 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
     with console.progress() as progress:
         result = static_check(bags, settings, progress)
-    with options.naming_written() as written:
+    with options.naming_partial_output() as written:
         if arguments.out:
             save_length(result, arguments.out)
             written += [arguments.out]
-        options.put_json(
+        options.write_result(
             arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
-    _print_result(result, console)
+    print_result(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK if result.spring is None or result.spring.passed else NOT_USABLE
 
@@ -87,7 +85,7 @@ def _bags(arguments: argparse.Namespace, settings: Mapping[str, 'Value']) -> 'li
     return list(zip(map(str, bags), each, strict=True)) or static_bags(resolve(settings))
 
 
-def _print_result(result: 'StaticResult', console: Console) -> None:
+def print_result(result: 'StaticResult', console: Console) -> None:
     """Print standstills, length and spring."""
     console.table(_standstill_rows(result), right=True, title='Standstills')
     if result.creep:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .console import Console
-from .options import add_plan_options, run_plan_command
+from .options import argument, plan_arguments, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.steer import SteerReport
@@ -31,20 +31,14 @@ if TYPE_CHECKING:
 SLOWER = 4.0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_plan_options(
-        parser, 'all figures',
-        '.png, .svg or .pdf: tilt of the package over time; .gif or .mp4: planned and steered '
-        'motion',
-        'the steered motion, and the package along it')
-    parser.add_argument(
-        '--method', required=True, choices=('inverse', 'zv', 'zvd'),
-        help='the inverse of cup and package, or input shaping for their modes at rest')
-    parser.add_argument(
-        '--limits', metavar='FILE', type=Path,
-        help='limits of the arm: the motion is slowed down until it meets all of them; '
-             'config/limits_example.yaml explains every setting')
+ARGUMENTS = (
+    *plan_arguments(
+        'all figures', '.png, .svg or .pdf: tilt of the package over time; .gif or .mp4: planned '
+        'and steered motion', 'the steered motion, and the package along it'),
+    argument('--method', 'the inverse of cup and package, or input shaping for their '
+             'modes at rest', None, required=True, choices=('inverse', 'zv', 'zvd')),
+    argument('--limits FILE', 'limits of the arm: the motion is slowed down until it meets all '
+             'of them; config/limits_example.yaml explains every setting', None, type=Path))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -66,10 +60,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: steer_plan(
             arguments.plan, values, arguments.method, arguments.limits or '',
             str(arguments.urdf or ''), arguments.topic),
-        _print_result, write, film)
+        print_result, write, film)
 
 
-def _print_result(report: 'SteerReport', console: Console) -> None:
+def print_result(report: 'SteerReport', console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows = [('motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled', 'safety')]

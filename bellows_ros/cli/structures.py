@@ -27,32 +27,29 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.identify import StructureAdvice
 
 
-FOUND = 'no structure fits'
+NEGATIVE_RESULT = 'no structure fits'
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    options.add_bags_argument(parser)
-    options.add_parameter_options(parser)
-    options.add_json_option(parser, 'all figures')
+ARGUMENTS = (
+    options.bags(), *options.PARAMETERS, *options.interval(), options.json_output('all figures'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, compare, report."""
-    settings: dict[str, Any] = options.given_parameters(arguments, 'identifier')
+    settings: dict[str, Any] = options.read_settings(arguments, 'identifier')
     if arguments.bags:
         settings['bags'] = [str(bag) for bag in arguments.bags]
     from bellows_ros.workflows.identify import structures
 
     with console.progress() as progress:
         result = structures(settings, progress)
-    options.put_json(arguments.json, result)
-    _print_result(result, console)
+    options.write_result(arguments.json, result)
+    print_result(result, console)
     console.wrote(arguments.json)
     return OK if result.selection.fits else NOT_USABLE
 
 
-def _print_result(result: 'StructureAdvice', console: Console) -> None:
+def print_result(result: 'StructureAdvice', console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
     from bellows_ros.report.text import print_relaxation
     from bellows_ros.workflows.identification import excitation_json, selection_json

@@ -21,12 +21,12 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.report import column, with_error
 
 from .console import Console
-from .options import add_plan_options, run_plan_command
+from .options import argument, plan_arguments, run_plan_command
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import TossResult
 
-FOUND = 'no release of the plan lands, or none at the target'
+NEGATIVE_RESULT = 'no release of the plan lands, or none at the target'
 MILLI = 1e3
 FARTHEST = 100.0
 """Largest coordinate of a target, m."""
@@ -37,24 +37,19 @@ UNITS = {
 """In which units a standard deviation is printed."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_plan_options(
-        parser, 'the toss', '.png, .svg or .pdf; the toss from the side and from above',
-        'tool and package, held, parting and flying until it lands')
-    parser.add_argument(
-        '--release', metavar='T', type=float,
-        help='when to switch the valve, in s from the beginning of the plan')
-    parser.add_argument(
-        '--target', metavar=('X', 'Y'), type=float, nargs=2,
-        help='find the time of release whose landing is nearest to this point, m in the world')
-    parser.add_argument(
-        '--target-rotation', metavar=('QX', 'QY', 'QZ', 'QW'), type=float, nargs=4,
-        help='with --target: also match this orientation (quaternion); an angle counts as the '
-             'distance it moves the farthest corner')
-    parser.add_argument(
-        '--monte-carlo', metavar='N', type=int, default=0,
-        help='also draw this many random tosses, beside the linear ellipse')
+ARGUMENTS = (
+    *plan_arguments(
+        'the toss', '.png, .svg or .pdf; the toss from the side and from above',
+        'tool and package, held, parting and flying until it lands'),
+    argument('--release T', 'when to switch the valve, in s from the beginning of the plan', None,
+             type=float),
+    argument('--target X Y', 'find the time of release whose landing is nearest to this point, m '
+             'in the world', None, type=float),
+    argument('--target-rotation QX QY QZ QW', 'with --target: also match this orientation '
+             '(quaternion); an angle counts as the distance it moves the farthest corner', None,
+             type=float),
+    argument('--monte-carlo N', 'also draw this many random tosses, beside the linear ellipse',
+             0))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -67,8 +62,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.plan, values, arguments.release, arguments.target,
             arguments.target_rotation, arguments.monte_carlo, progress,
             str(arguments.urdf or ''), arguments.topic),
-        _print_result, lambda result: write_toss(arguments.out, result, arguments.force),
-        good=lambda result: result.reached)
+        print_result, lambda result: write_toss(arguments.out, result, arguments.force),
+        succeeded=lambda result: result.reached)
 
 
 def _require_numbers(arguments: argparse.Namespace) -> None:
@@ -89,7 +84,7 @@ def _require_numbers(arguments: argparse.Namespace) -> None:
                 f'--target is {given} m; expected at most {FARTHEST:g} m. Is it in mm?')
 
 
-def _print_result(result: 'TossResult', console: Console) -> None:
+def print_result(result: 'TossResult', console: Console) -> None:
     """Print release, landing, its uncertainty, and the largest contribution."""
     import numpy as np
 

@@ -1,13 +1,12 @@
 """What holds for all commands: help, versions, exit codes, streams, start-up."""
 
 import argparse
-import importlib
 from pathlib import Path
 import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.cli.app import command_parser, COMMANDS
+from bellows_ros.cli.app import add_arguments, command_parser, COMMANDS
 from bellows_ros.cli.options import Output
 import pytest
 
@@ -131,7 +130,7 @@ def test_every_output_is_known_as_one():
     outputs = {}
     for command in COMMANDS:
         parser = argparse.ArgumentParser()
-        importlib.import_module(f'bellows_ros.cli.{command}').add_arguments(parser)
+        add_arguments(parser, command)
         for action in parser._actions:
             if action.metavar in ('FILE', 'NAME', 'BAG') and action.type not in (Path, None):
                 assert isinstance(action.type, type) and issubclass(action.type, Output)

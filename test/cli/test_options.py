@@ -5,7 +5,7 @@ import os
 import signal
 
 from bellows_ros.cli.console import progress_line, uninterrupted
-from bellows_ros.cli.options import given_span, parse_override
+from bellows_ros.cli.options import interval_settings, parse_override
 from bellows_ros.errors import BellowsError
 import pytest
 
@@ -62,4 +62,4 @@ def test_an_end_that_is_none_is_named_as_it_was_given():
     """Name the option, not the parameter behind it alone."""
     arguments = argparse.Namespace(**{'recording.start': '0', 'recording.end': '-1'})
     with pytest.raises(BellowsError, match=r'^--to: recording.end must be'):
-        given_span(arguments)
+        interval_settings(arguments)

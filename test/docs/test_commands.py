@@ -1,13 +1,12 @@
 """Every command on every page: run, with the output that the page shows, or at least checked."""
 
 import argparse
-import importlib
 from pathlib import Path
 import re
 import shlex
 import subprocess
 
-from bellows_ros.cli.app import COMMANDS
+from bellows_ros.cli.app import add_arguments, COMMANDS
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.table import PARAMETERS
 import pytest
@@ -111,9 +110,8 @@ def check_bellows(rest):
     if not rest or rest[0].startswith('-'):
         return
     assert rest[0] in COMMANDS, rest
-    module = importlib.import_module(f'bellows_ros.cli.{rest[0]}')
     parser = argparse.ArgumentParser(exit_on_error=False, allow_abbrev=False)
-    module.add_arguments(parser)
+    add_arguments(parser, rest[0])
     redirected = [i for i, word in enumerate(rest) if re.match(r'\d?[<>]', word)]
     arguments = rest[1:min(redirected, default=len(rest))]
     if '--help' not in arguments:
