@@ -38,9 +38,10 @@ QUEUE = 1000
 LISTENER_TIMEOUT = 5.0
 """How long (s) to wait for a subscriber."""
 
-LOOK_EVERY = 0.05
+POLL_PERIOD = 0.05
+"""Longest wait (s) for a callback before a condition is checked again."""
 
-LAST_MOMENT = 200e-6
+BUSY_WAIT = 200e-6
 """Nothing else is done within this time (s) before a message is due."""
 
 LEAD_TIME = 0.2
@@ -76,7 +77,7 @@ class Played:
 
 def play(
     messages: Sequence[Message], names: Mapping[str, str], rate: float = 1.0,
-    stamps_now: bool = False, say: Progress = silent
+    stamps_now: bool = False, progress: Progress = silent
 ) -> Played:
     """
     Send recorded messages, byte by byte as they were recorded, in their time.
@@ -91,18 +92,18 @@ def play(
         Seconds of the recording per second.
     stamps_now : bool
         Whether headers are stamped with the current time; else as recorded.
-    say : callable
+    progress : callable
         Called with what is being done and the part (0 to 1) that is done.
 
     """
     first_ns = messages[0].log_time_ns
-    with playing('bellows_player') as (node, executor):
+    with player_node('bellows_player') as (node, executor):
         qos = QoSProfile(depth=QUEUE)
-        out = {topic: publisher(node, topic, names[topic.name], qos)
-               for topic in dict.fromkeys(m.topic for m in messages)}
-        say('waiting for a subscriber', 0.0)
+        publishers = {topic: publisher(node, topic, names[topic.name], qos)
+                      for topic in dict.fromkeys(m.topic for m in messages)}
+        progress('waiting for a subscriber', 0.0)
         has_subscriber = spin_until(
-            executor, lambda: any(p.get_subscription_count() for p in out.values()),
+            executor, lambda: any(p.get_subscription_count() for p in publishers.values()),
             LISTENER_TIMEOUT)
         begin_ns = time.time_ns() + round(LEAD_TIME * NS_PER_S)
 
@@ -111,10 +112,10 @@ def play(
             data = message.data
             if stamps_now:
                 data = stamped(data, lambda ns: begin_ns + round((ns - first_ns) / rate))
-            out[message.topic].publish(data)
+            publishers[message.topic].publish(data)
 
-        latest = send_all(executor, messages, send, say, rate)
-        for each in out.values():  # let what is on its way arrive before the topics vanish
+        latest = send_all(executor, messages, send, progress, rate)
+        for each in publishers.values():  # let what is on its way arrive before the topics vanish
             each.wait_for_all_acked(Duration(seconds=LISTENER_TIMEOUT))
     return Played(
         Counter(names[message.topic.name] for message in messages),
@@ -123,7 +124,7 @@ def play(
 
 def send_all(
     executor: SingleThreadedExecutor, messages: Sequence[Message],
-    send: Callable[[Message], None], say: Progress, rate: float = 1.0,
+    send: Callable[[Message], None], progress: Progress, rate: float = 1.0,
 ) -> float:
     """
     Send messages when they are due, with no garbage collected between them.
@@ -136,7 +137,7 @@ def send_all(
         In the order of their times.
     send : callable
         Takes each.
-    say : callable
+    progress : callable
         Called once a second with what is being done and the part (0 to 1) that is done.
     rate : float
         Seconds of the recording per second.
@@ -147,7 +148,7 @@ def send_all(
         By how much a message was sent later than due, at most, s.
 
     """
-    latest = shown = 0.0
+    max_delay = reported = 0.0
     first_ns = messages[0].log_time_ns
     duration = (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate
     start = time.monotonic() + LEAD_TIME
@@ -156,22 +157,22 @@ def send_all(
     try:
         for message in messages:
             due = (message.log_time_ns - first_ns) / NS_PER_S / rate
-            if due > shown:
-                say('playing the recording', due / duration)
-                shown += 1.0
-            while (left := start + due - time.monotonic()) > LAST_MOMENT:
-                executor.spin_once(timeout_sec=left - LAST_MOMENT)
-            while (late := time.monotonic() - start - due) < 0.0:
+            if due > reported:
+                progress('playing the recording', due / duration)
+                reported += 1.0
+            while (remaining := start + due - time.monotonic()) > BUSY_WAIT:
+                executor.spin_once(timeout_sec=remaining - BUSY_WAIT)
+            while (delay := time.monotonic() - start - due) < 0.0:
                 pass
-            latest = max(latest, late)
+            max_delay = max(max_delay, delay)
             send(message)
     finally:
         gc.enable()
-    return latest
+    return max_delay
 
 
 @contextmanager
-def playing(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+def player_node(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
     """Provide a node in a ROS context of its own, and the executor that spins it."""
     context = Context()
     rclpy.init(args=[], context=context)
@@ -194,7 +195,7 @@ def spin_until(
     deadline = time.monotonic() + timeout
     while not (is_done := done()) and time.monotonic() < deadline:
         meanwhile()
-        executor.spin_once(timeout_sec=LOOK_EVERY)
+        executor.spin_once(timeout_sec=POLL_PERIOD)
     return is_done
 
 
@@ -226,6 +227,7 @@ PROBE_LEAD_NS = 3_600_000_000_000
 """Probes are stamped an hour before the recording, so that they can be recognised."""
 
 POSES, TWISTS = 'tool_arm/pose', 'tool_arm/twist'
+POSE_TYPE = 'geometry_msgs/msg/PoseStamped'
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +253,7 @@ class Exchange:
 
 def converse(
     messages: Sequence[Message], names: Mapping[str, str], require_alive: Callable[[], None],
-    say: Progress = silent,
+    progress: Progress = silent,
 ) -> Exchange:
     """
     Wait for the predictor, play at recorded speed, and wait for its last answer.
@@ -268,7 +270,7 @@ def converse(
         `POSES` or `TWISTS`, by the topic of a message.
     require_alive : callable
         Raises BellowsError when the predictor has ended; asked while it is waited for.
-    say : callable
+    progress : callable
         As `send_all` takes it.
 
     Raises
@@ -278,9 +280,9 @@ def converse(
 
     """
     sent_ns: dict[bytes, int] = {}
-    heard: dict[bytes, tuple[int, bytes]] = {}  # when it came, and the answer, by its stamp
-    firsts = {names[message.topic.name]: message for message in reversed(messages)}
-    stamps = count(messages[0].log_time_ns - PROBE_LEAD_NS, round(LOOK_EVERY * 1e9))
+    answers: dict[bytes, tuple[int, bytes]] = {}  # arrival (ns) and message, by stamp
+    first = {names[message.topic.name]: message for message in reversed(messages)}
+    probe_stamps = count(messages[0].log_time_ns - PROBE_LEAD_NS, round(POLL_PERIOD * 1e9))
 
     def wait(
         timeout: float, failure: str, done: Callable[[], bool],
@@ -295,49 +297,39 @@ def converse(
         name = names[message.topic.name]
         if name == POSES:
             sent_ns[message.data[STAMP]] = time.monotonic_ns()
-        out[name].publish(message.data)
+        publishers[name].publish(message.data)
 
     def receive(data: bytes) -> None:
-        heard.setdefault(data[STAMP], (time.monotonic_ns(), data))
+        answers.setdefault(data[STAMP], (time.monotonic_ns(), data))
 
     def probe() -> None:
         require_alive()
-        stamp_ns = next(stamps)
-        for name, message in firsts.items():
-            out[name].publish(stamped(message.data, lambda _: stamp_ns))
+        stamp_ns = next(probe_stamps)
+        for name, message in first.items():
+            publishers[name].publish(stamped(message.data, lambda _: stamp_ns))
 
-    with playing('demo_player') as (node, executor):
+    with player_node('demo_player') as (node, executor):
         qos = QoSProfile(depth=LONG_QUEUE)
         node.create_subscription(PoseStamped, 'package/pose', receive, qos, raw=True)
-        out = {name: publisher(node, firsts[name].topic, name, qos)
-               for name in (TWISTS, POSES) if name in firsts}
+        publishers = {name: publisher(node, first[name].topic, name, qos)
+                      for name in (TWISTS, POSES) if name in first}
         reset = node.create_client(Trigger, 'predictor/reset')
         wait(DISCOVERY_TIMEOUT, 'does not appear', lambda: reset.service_is_ready() and all(
-            topic.get_subscription_count() for topic in out.values()))
-        wait(ANSWER_TIMEOUT, 'does not answer', lambda: bool(heard), probe)
+            each.get_subscription_count() for each in publishers.values()))
+        wait(ANSWER_TIMEOUT, 'does not answer', lambda: bool(answers), probe)
         future = reset.call_async(Trigger.Request())
         wait(ANSWER_TIMEOUT, 'does not answer its reset', future.done)
-        send_all(executor, messages, send, say)
-        spin_until(executor, lambda: sent_ns.keys() <= heard.keys(), ANSWER_TIMEOUT)
-    counts = Counter(names[message.topic.name] for message in messages)
-    return _exchange(counts, sent_ns, heard)
-
-
-def _exchange(
-    counts: Mapping[str, int], sent_ns: Mapping[bytes, int],
-    heard: Mapping[bytes, tuple[int, bytes]],
-) -> Exchange:
-    """Return the outcome, from when (ns) poses were sent and answers arrived, by stamp."""
-    answered = [stamp for stamp in sent_ns if stamp in heard]
-    if not answered:
+        send_all(executor, messages, send, progress)
+        spin_until(executor, lambda: sent_ns.keys() <= answers.keys(), ANSWER_TIMEOUT)
+    predictions = [(*answers[stamp], sent) for stamp, sent in sent_ns.items() if stamp in answers]
+    if not predictions:
         raise BellowsError('The predictor did not answer. See its log.')
-    answers = Batch.of(
-        Channel('package/pose', 'geometry_msgs/msg/PoseStamped', 'cdr'),
-        [heard[stamp][0] for stamp in answered], [heard[stamp][1] for stamp in answered])
-    found = decode(answers, LAYOUTS[answers.topic.type_name], slice(0, 7))
-    order = np.argsort(found.stamps_ns)
-    values = found.values[order]
+    arrived_ns, data, poses_ns = zip(*predictions, strict=True)
+    decoded = decode(
+        Batch.of(Channel('package/pose', POSE_TYPE, 'cdr'), arrived_ns, data),
+        LAYOUTS[POSE_TYPE], slice(0, 7))
     return Exchange(
-        counts,
-        Trajectory(found.stamps_ns[order], values[:, :3], quaternion_to_rotation(values[:, 3:])),
-        1e-9 * np.array([heard[stamp][0] - sent_ns[stamp] for stamp in answered]))
+        Counter(names[message.topic.name] for message in messages),
+        Trajectory(decoded.stamps_ns, decoded.values[:, :3],
+                   quaternion_to_rotation(decoded.values[:, 3:])),
+        1e-9 * np.subtract(arrived_ns, poses_ns))
