@@ -101,8 +101,8 @@ setup(
     ],
     entry_points={
         'console_scripts': [
-            f'predictor = {PACKAGE}.nodes.predictor:main',
-            f'identifier = {PACKAGE}.nodes.identifier:main',
+            f'predictor = {PACKAGE}.nodes.command:predictor',
+            f'identifier = {PACKAGE}.nodes.command:identifier',
             f'bellows = {PACKAGE}.cli:main',
         ],
     },

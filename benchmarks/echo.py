@@ -32,4 +32,4 @@ class Echo(Node):
 
 
 if __name__ == '__main__':
-    sys.exit(run('echo', 'benchmarks.echo:Echo', ()))
+    sys.exit(run('echo', (), 'benchmarks.echo:Echo'))

@@ -32,7 +32,7 @@ PARAMETERS = (
 )
 NODES: Mapping[str, tuple[str, ...]] = {
     BARE: ('benchmarks.echo',),
-    PREDICTOR: ('bellows_ros.nodes.predictor', '--ros-args', *PARAMETERS),
+    PREDICTOR: ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS),
 }
 
 

@@ -16,8 +16,8 @@ from bellows_ros.errors import install, PACKAGES
 import pytest
 
 COMMANDS = {
-    'predictor': 'bellows_ros.nodes.predictor:main',
-    'identifier': 'bellows_ros.nodes.identifier:main',
+    'predictor': 'bellows_ros.nodes.command:predictor',
+    'identifier': 'bellows_ros.nodes.command:identifier',
     'bellows': 'bellows_ros.cli:main',
 }
 LAUNCH_FILES = ('identifier.launch.py', 'predictor.launch.py')

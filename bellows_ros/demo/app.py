@@ -164,7 +164,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
         Raises BellowsError, with the end of the log, when the node has ended by itself.
 
     """
-    command = [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args',
+    command = [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args',
                *(word for file in parameters for word in ('--params-file', str(file)))]
     with log.open('wb') as output:
         process = subprocess.Popen(

@@ -28,8 +28,12 @@ from ..errors import BellowsError, install
 NO_ROS = (
     "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, for "
     f'instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: {install("ros")}')
-ASKED_TO_STOP = (signal.SIGINT, signal.SIGTERM)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 WIDTH = 96
+NODES = {
+    'predictor': 'bellows_ros.nodes.predictor_node:PredictorNode',
+    'identifier': 'bellows_ros.nodes.identifier_node:IdentifierNode'}
+"""The module, which imports ROS, and the class of each command."""
 
 
 def interface(name: str) -> dict[str, Any]:
@@ -39,20 +43,20 @@ def interface(name: str) -> dict[str, Any]:
 
 def help_text(name: str) -> str:
     """Return the text of `--help`: purpose, topics and services, parameters, examples."""
-    found = interface(name)
-    parts = {
-        'Start it with:': [f'  {example}' for example in found['examples']],
+    content = interface(name)
+    sections = {
+        'Start it with:': [f'  {example}' for example in content['examples']],
         'Topics and services (relative names; remap with -r FROM:=TO):': [
             _entry('{name}  [{type}]'.format(**topic), topic['text'])
-            for topic in found.get('topics', ())],
+            for topic in content.get('topics', ())],
         'Parameters (set with -p NAME:=VALUE or --params-file FILE):': [
             _entry(f'{p.name}  [{p.constraint}; {p.default_text}'
                    f'{"; cannot change while the node runs" if p.read_only else ""}]',
                    p.description) for p in parameters_of(name)]}
     return '\n\n'.join([
         f'usage: {name} [--help] [--version] [--ros-args ...]',
-        textwrap.fill(found['purpose'], WIDTH),
-        *('\n'.join([head, *lines]) for head, lines in parts.items() if lines)]) + '\n'
+        textwrap.fill(content['purpose'], WIDTH),
+        *('\n'.join([head, *lines]) for head, lines in sections.items() if lines)]) + '\n'
 
 
 def _entry(head: str, text: str) -> str:
@@ -62,7 +66,7 @@ def _entry(head: str, text: str) -> str:
     return f'{head}\n{body}'
 
 
-def run(name: str, node: str, args: Sequence[str] | None = None) -> int:
+def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     """
     Run a node until it has finished or the process is asked to end.
 
@@ -70,11 +74,11 @@ def run(name: str, node: str, args: Sequence[str] | None = None) -> int:
     ----------
     name : str
         Of the node and of its command.
-    node : str
-        The node's module, which imports ROS, and class. A node has a future `finished`: its result
-        ends the process well, its exception is raised here.
     args : sequence of str, optional
         The command line behind the command's name; that of the process if left out.
+    node : str, optional
+        The node's module and class, instead of those in `NODES`. A node has a future `finished`:
+        its result ends the process with 0, its exception is raised here.
 
     Returns
     -------
@@ -83,56 +87,56 @@ def run(name: str, node: str, args: Sequence[str] | None = None) -> int:
 
     """
     arguments = list(sys.argv[1:] if args is None else args)
-    own = list(takewhile(lambda argument: argument != '--ros-args', arguments))
+    before_ros = list(takewhile(lambda argument: argument != '--ros-args', arguments))
     configure_process(is_node=True)
-    if {'-h', '--help'} & set(own):
+    if {'-h', '--help'} & set(before_ros):
         print(help_text(name), end='')
         return 0
-    if '--version' in own:
+    if '--version' in before_ros:
         from .. import __version__
         print(f'{name} {__version__}')
         return 0
-    # Only noted: an exception would come up anywhere, in the middle of a callback from C too.
-    # While the node is made, maybe compiled, it has nothing to end in order.
-    asked: list[int] = []
-    made: list[Any] = []
+    # Only recorded: an exception could be raised anywhere, also in a callback from C. While the
+    # node is created, and maybe compiled, it has nothing to close.
+    received: list[int] = []
+    created: list[Any] = []
 
-    def note(number: int, frame: FrameType | None) -> None:
-        asked.append(number)
-        if not made:
-            _leave()
+    def record(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if not created:
+            _exit_at_once()
 
-    before = {number: signal.signal(number, note) for number in ASKED_TO_STOP}
+    handlers = {number: signal.signal(number, record) for number in STOP_SIGNALS}
     try:
-        if own:
+        if before_ros:
             raise BellowsError(
-                f"Unknown argument '{short(own[0])}'. Parameters and remappings follow "
+                f"Unknown argument '{short(before_ros[0])}'. Parameters and remappings follow "
                 f'--ros-args, for example: {name} --ros-args --params-file FILE. See '
                 f'{name} --help.')
         require_ros()
-        make_node = resolve_name(node)
+        make_node = resolve_name(node or NODES[name])
         from rclpy.utilities import try_shutdown
 
         from .guarding import spin
 
         try:
             _initialise([name, *arguments])
-            made.append(make_node())
-            spin(made[0], lambda: bool(asked))
+            created.append(make_node())
+            spin(created[0], lambda: bool(received))
         finally:
             try_shutdown()
-        if asked:
-            _leave()
+        if received:
+            _exit_at_once()
     except BellowsError as error:
         print(f'{name}: {error}', file=sys.stderr)
         return error.exit_code
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
     return 0
 
 
-def _leave() -> NoReturn:
+def _exit_at_once() -> NoReturn:
     """End the process without its interpreter, which waits for a compiler in a thread."""
     sys.stdout.flush()
     sys.stderr.flush()
@@ -149,14 +153,14 @@ def origin_of(name: str, arguments: Sequence[str]) -> str:
     """Return the last argument that gives a parameter its value; '' if none does."""
     from ..files.parameter_files import read_parameters
 
-    found = ''
-    for before, after in pairwise(arguments):
-        if before in ('-p', '--param') and after.partition(':=')[0] == name:
-            found = after
-        elif before == '--params-file':
+    origin = ''
+    for option, value in pairwise(arguments):
+        if option in ('-p', '--param') and value.partition(':=')[0] == name:
+            origin = value
+        elif option == '--params-file':
             with suppress(BellowsError):  # of other nodes, which ROS reads
-                found = after if name in read_parameters(after) else found
-    return found
+                origin = value if name in read_parameters(value) else origin
+    return origin
 
 
 def _initialise(argv: list[str]) -> None:
@@ -176,9 +180,22 @@ def _initialise(argv: list[str]) -> None:
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl
-        what = str(error).partition(', at /')[0].rstrip('.').removeprefix(
+        why = str(error).partition(', at /')[0].rstrip('.').removeprefix(
             'failed to initialize rcl: ')
-        same = 'Sequence should be of same type' in what
-        hint = ' Write every number of a list as 2.0, not 2.' if same else ''
-        why = f'{short(what, 400)}.{hint}'
-        raise BellowsError(f'ROS cannot start with these arguments: {why}') from None
+        hint = ' Write every number of a list as 2.0, not 2.' if 'of same type' in why else ''
+        raise BellowsError(
+            f'ROS cannot start with these arguments: {short(why, 400)}.{hint}') from None
+
+
+def predictor() -> int:
+    """Run the node that publishes the pose of the held package."""
+    return run('predictor')
+
+
+def identifier() -> int:
+    """Run the node that identifies a cup from recordings."""
+    return run('identifier')
+
+
+if __name__ == '__main__':
+    sys.exit(run(sys.argv[1], sys.argv[2:]))

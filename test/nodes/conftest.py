@@ -235,7 +235,7 @@ def running(root, user_environment):
     """Give a predictor in a process of its own."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *GIVEN],
+        [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args', *GIVEN],
         env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         yield process

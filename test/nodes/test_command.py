@@ -8,8 +8,8 @@ import time
 
 from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.nodes import predictor
 from bellows_ros.nodes.command import help_text, interface, origin_of
+from bellows_ros.nodes.command import run as run_node
 import pytest
 
 from .conftest import GIVEN, MS, Peer, pose_at, START
@@ -27,8 +27,8 @@ sys.meta_path.insert(0, NoRos())
 import importlib.util
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name, *rest: None if name == 'rclpy' else find(name, *rest)
-from bellows_ros.nodes.{name} import main
-sys.exit(main({arguments!r}))
+from bellows_ros.nodes.command import run
+sys.exit(run({name!r}, {arguments!r}))
 """
 
 
@@ -69,7 +69,8 @@ def test_help_needs_no_ros_and_missing_ros_is_said_plainly(name, root, user_envi
 def test_what_is_not_set_ends_with_2(root, user_environment):
     """Print what is missing and no traceback, the last moments of the process included."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    done = run(user_environment, root, '-m', 'bellows_ros.nodes.predictor', '--ros-args')
+    done = run(
+        user_environment, root, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args')
     assert done.returncode == 2, done.stderr
     assert 'Not set, and without a default: package.mass' in done.stderr
     assert 'Traceback' not in done.stderr
@@ -87,7 +88,7 @@ def test_what_is_not_set_ends_with_2(root, user_environment):
 def test_what_the_user_can_put_right_ends_with_2(arguments, words, capfd):
     """Print what is wrong and no traceback."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    assert predictor.main(arguments) == 2
+    assert run_node('predictor', arguments) == 2
     said = capfd.readouterr().err
     assert words.lower() in said.lower()
     assert 'Traceback' not in said
@@ -99,7 +100,7 @@ def test_a_file_that_ros_would_read_for_minutes_is_refused(tmp_path, capfd):
     file = tmp_path / 'large.yaml'
     lines = ''.join(f'    some.name{k}: 1.0\n' for k in range(400_000))
     file.write_text(f'/**:\n  ros__parameters:\n{lines}')
-    assert predictor.main(['--ros-args', '--params-file', str(file)]) == 2
+    assert run_node('predictor', ['--ros-args', '--params-file', str(file)]) == 2
     said = capfd.readouterr().err
     assert 'is too large' in said and 'Traceback' not in said
 
@@ -130,7 +131,7 @@ def test_process_ends_at_once_while_it_compiles(root, tmp_path, user_environment
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     pytest.importorskip('numba', reason='nothing is compiled without numba')
     process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.predictor', '--ros-args', *GIVEN],
+        [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args', *GIVEN],
         env={**user_environment, 'NUMBA_CACHE_DIR': str(tmp_path)}, cwd=root,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:

@@ -85,7 +85,7 @@ def test_what_is_to_be_secured_and_cannot_be_does_not_start(
         for file in ENCLAVE:
             (folder / file).write_text('neither key nor signature')
     done = subprocess.run(
-        [sys.executable, '-m', f'bellows_ros.nodes.{name}', '--ros-args', '--enclave',
+        [sys.executable, '-m', 'bellows_ros.nodes.command', name, '--ros-args', '--enclave',
          f'/bellows_ros/{name}', *GIVEN],
         env={**user_environment, 'ROS_SECURITY_ENABLE': 'true',
              'ROS_SECURITY_STRATEGY': 'Enforce', 'ROS_SECURITY_KEYSTORE': str(tmp_path)},
