@@ -20,7 +20,6 @@ from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import common_structure, Structure, structure_named
 from bellows_ros.core.signals.residuals import relative_coordinates
-from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -33,10 +32,12 @@ SIGNIFICANT = 0.05
 TILT = 0.35
 """Tilt of the tool for the second rest pose, rad: 20 degrees."""
 
-SHAKE_HZ, SHAKE_M, SHAKE_RAD, SHAKE_RATE_HZ = 3.0, 5e-3, 0.05, 240.0
+SHAKE = Oscillation(
+    Pose(np.zeros(3), np.eye(3)), 0.0, 0.5, 2.0, np.repeat([5e-3, 0.05 / np.sqrt(3.0)], 3),
+    np.arange(6), np.full((6, 2), 3.0), np.append(np.arange(3) * 2.0 * np.pi / 3.0, np.zeros(3)))
+"""A tool that swings like that of the thesis, at 3 Hz in all directions, out of step."""
 
-SHAKE_RAMP_S, SHAKE_S = 0.5, 2.0
-"""A motion like that of the thesis, 3 Hz in all directions at once, to compare both cups on."""
+SHAKE_RATE_HZ = 240.0
 
 MATTERS_SHIFT, MATTERS_TURN = 1e-4, 1e-3
 """Smallest material change of a pose, m and rad: the resolution of motion capture."""
@@ -207,22 +208,16 @@ def compare_fits(
     structure = common_structure(before.structure, after.structure)
     sides = before.entries(structure), after.entries(structure)
     stds = [_deviations(covariance) for _, covariance in sides]
-    changes = tuple(
-        Change(*own)
-        for own in zip(
-            structure.labels, parameter_units(structure), sides[0][0].tolist(),
-            sides[1][0].tolist(), stds[0].tolist(), stds[1].tolist(), strict=True,
-        )
-    )
-    tool = shake()
-    seen = [relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
-            for fit in (before, after)]
+    changes = tuple(map(
+        Change, structure.labels, parameter_units(structure), sides[0][0].tolist(),
+        sides[1][0].tolist(), stds[0].tolist(), stds[1].tolist()))
+    tool = SHAKE.at_rate(SHAKE_RATE_HZ)
+    first, second = (relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
+                     for fit in (before, after))
     return FitComparison(
-        parameters=changes,
-        effects=_effects(before, after, package, gravity),
-        shake_rms=np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=0)),
-        p_value=_joint_p_value(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]),
-    )
+        changes, _effects(before, after, package, gravity),
+        np.sqrt(np.mean((second - first) ** 2, axis=0)),
+        _joint_p_value(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]))
 
 
 @dataclass(frozen=True)
@@ -272,20 +267,20 @@ def modes(
     damping = -inverse @ (mass @ jacobian.body_twist) @ inverse.T
     stiffness = 0.5 * (stiffness + stiffness.T)
     middle_body = adjoint(transform(np.eye(3), package.com - [0.0, 0.0, 0.5 * cup.length]))
-    found = []
+    all_modes = []
     for shape in _shapes(stiffness, 0.5 * (damping + damping.T)).T:
         omega = float(np.sqrt(max(shape @ stiffness @ shape, 0.0)))
         ratio = float(shape @ damping @ shape) / (2.0 * omega) if omega else float('inf')
         middle = middle_body @ (inverse.T @ shape)
         energy = np.abs(middle * (cup.stiffness @ middle))
         direction = GROUP_NAMES[int(np.argmax([energy[list(group)].sum() for group in GROUPS]))]
-        found.append(Mode(direction, omega / (2.0 * np.pi), ratio, shape))
+        all_modes.append(Mode(direction, omega / (2.0 * np.pi), ratio, shape))
     if not like:
-        return found
+        return all_modes
     from scipy.optimize import linear_sum_assignment  # late: slow to load
 
-    return [found[i] for i in linear_sum_assignment(
-        [[-abs(float(a.shape @ b.shape)) for b in found] for a in like])[1]]
+    return [all_modes[i] for i in linear_sum_assignment(
+        [[-abs(float(a.shape @ b.shape)) for b in all_modes] for a in like])[1]]
 
 
 def _shapes(stiffness: Array, damping: Array) -> Array:
@@ -301,12 +296,11 @@ def _shapes(stiffness: Array, damping: Array) -> Array:
 
 def _spread(jacobian: Array, covariance: Array) -> Array:
     """Return the covariance of a quantity with Jacobian (m, n); inf stays infinite."""
-    known = np.isfinite(np.diag(covariance))
-    inner = np.where(np.outer(known, known), covariance, 0.0)
-    result = jacobian @ inner @ jacobian.T
-    unknown = np.any(jacobian[:, ~known] != 0.0, axis=1)
-    result[unknown, unknown] = np.inf
-    return np.asarray(result)
+    finite = np.isfinite(np.diag(covariance))
+    part = jacobian[:, finite]
+    unknown = np.any(jacobian[:, ~finite] != 0.0, axis=1)
+    return np.asarray(part @ covariance[np.ix_(finite, finite)] @ part.T
+                      + np.diag(np.where(unknown, np.inf, 0.0)))
 
 
 def _deviations(covariance: Array) -> Array:
@@ -317,14 +311,14 @@ def _deviations(covariance: Array) -> Array:
 def _joint_p_value(difference: Array, covariance: Array) -> float:
     """Return the probability of a difference by chance, of the parameters with a covariance."""
     std = _deviations(covariance)
-    known = np.isfinite(std) & (std > 0.0)
-    if not known.any():
+    usable = np.isfinite(std) & (std > 0.0)
+    if not usable.any():
         return float('nan')
-    scaled = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
-    d = difference[known] / std[known]
-    values, vectors = np.linalg.eigh(scaled)
-    kept = values > 1e-9 * values[-1]
-    return float(chdtrc(np.sum(kept), np.sum((vectors.T @ d)[kept] ** 2 / values[kept])))
+    std, d = std[usable], difference[usable] / std[usable]
+    values, vectors = np.linalg.eigh(covariance[np.ix_(usable, usable)] / np.outer(std, std))
+    regular = values > 1e-9 * values[-1]
+    return float(chdtrc(
+        np.sum(regular), np.sum((vectors.T @ d)[regular] ** 2 / values[regular])))
 
 
 def _effects(
@@ -336,8 +330,8 @@ def _effects(
     kinds = [('shift of the lip at rest, hanging', 'm', MATTERS_SHIFT),
              (f'shift of the lip at rest, {tilted}', 'm', MATTERS_SHIFT),
              (f'turn of the lip at rest, {tilted}', 'rad', MATTERS_TURN)]
-    for ordinal, known in zip(ORDINALS, like, strict=True):
-        name = f'{ordinal} mode ({known.direction})'
+    for ordinal, mode in zip(ORDINALS, like, strict=True):
+        name = f'{ordinal} mode ({mode.direction})'
         kinds += [(f'frequency of the {name}', 'Hz', MATTERS_FREQUENCY),
                   (f'damping ratio of the {name}', '', MATTERS_DAMPING)]
 
@@ -348,8 +342,8 @@ def _effects(
             x for mode in modes(cup, package, gravity, like)
             for x in (mode.frequency, mode.damping))])
 
-    sides = [own for fit in (before, after)
-             for own in (values(fit.cup).tolist(), _errors_of(values, fit).tolist())]
+    sides = [numbers for fit in (before, after)
+             for numbers in (values(fit.cup).tolist(), _errors_of(values, fit).tolist())]
     changes = []
     for (name, unit, limit), old, old_std, new, new_std in zip(kinds, *sides, strict=True):
         size = abs(new - old) if unit in ('m', 'rad') else abs(new - old) / abs(old)
@@ -385,17 +379,7 @@ def _errors_of(values: Callable[[Cup], Array], fit: Fitted) -> Array:
     return _deviations(_spread(jacobian, fit.covariance))
 
 
-def shake() -> Trajectory:
-    """Return a tool that swings at 3 Hz in all six directions, out of step, from standstill."""
-    third = 2.0 * np.pi / 3.0
-    return Oscillation(
-        Pose(np.zeros(3), np.eye(3)), 0.0, SHAKE_RAMP_S, SHAKE_S,
-        np.repeat([SHAKE_M, SHAKE_RAD / np.sqrt(3.0)], 3), np.arange(6),
-        np.full((6, 2), SHAKE_HZ), np.array([0.0, third, 2.0 * third, 0.0, 0.0, 0.0]),
-    ).at_rate(SHAKE_RATE_HZ)
-
-
-ALIKE_BELOW = 0.01
+DIFFERENT_BELOW = 0.01
 """p-value below which the cups differ."""
 
 SIGNIFICANT_ERRORS = 3.0
@@ -432,7 +416,7 @@ class Consistency:
     @property
     def differs(self) -> bool:
         """Whether the cups differ significantly and materially."""
-        return self.probability < ALIKE_BELOW
+        return self.probability < DIFFERENT_BELOW
 
 
 def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
@@ -460,32 +444,27 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     sizes = structure.sizes(fits[0].stiffness, fits[0].damping)
     sizes[sizes == 0.0] = 1.0
     relative = np.array([fit.parameters for fit in fits]) / sizes
-    covariances = [fit.covariance / np.outer(sizes, sizes) for fit in fits]
-    mean, probability = _compared(relative, covariances)
-    half = structure.size
-    parts = [
-        _compared(relative[:, part], [c[part, part] for c in covariances])[-1]
-        for part in (slice(0, half), slice(half, None))
-    ]
-    std = np.sqrt([np.diag(c) for c in covariances])
+    covariances = np.array([fit.covariance for fit in fits]) / np.outer(sizes, sizes)
+    mean, probability = _weighted_mean(relative, covariances)
+    parts = [_weighted_mean(relative[:, part], covariances[:, part, part])[1]
+             for part in (slice(0, structure.size), slice(structure.size, None))]
+    std = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     away = np.where(np.isfinite(std), relative - mean, 0.0)
     deviations = away / np.where(std > 0.0, std, np.inf)
-    relative_size = np.divide(away, mean, out=np.zeros_like(away), where=mean != 0.0)
-    verdict = _verdict(fits[0].labels, names, relative_size, deviations, probability, parts)
+    part_of_mean = np.divide(away, mean, out=np.zeros_like(away), where=mean != 0.0)
+    verdict = _verdict(fits[0].labels, names, part_of_mean, deviations, probability, parts)
     return Consistency(probability, deviations, parts[0], parts[1], verdict)
 
 
-def _compared(x: Array, covariances: Sequence[Array]) -> tuple[Array, float]:
+def _weighted_mean(x: Array, covariances: Array) -> tuple[Array, float]:
     """Return the weighted mean (p,), and the chance of more scatter, NaN without a comparison."""
-    weights = [information_of(covariance) for covariance in covariances]
-    total = np.sum(weights, axis=0)
-    together = covariance_of(total)
-    known = np.isfinite(np.diag(together))
-    together = np.where(np.outer(known, known), together, 0.0)
-    mean = together @ np.sum([W @ row for W, row in zip(weights, x, strict=True)], axis=0)
-    statistic = float(sum((r - mean) @ W @ (r - mean) for r, W in zip(x, weights, strict=True)))
-    known_alone = [np.isfinite(np.diag(covariance)) for covariance in covariances]
-    degrees = int(np.sum(known_alone) - np.sum(known))
+    weights = np.array([information_of(covariance) for covariance in covariances])
+    covariance = covariance_of(weights.sum(axis=0))
+    finite = np.isfinite(np.diag(covariance))
+    mean = np.where(np.outer(finite, finite), covariance, 0.0) @ np.einsum('nij,nj', weights, x)
+    statistic = np.einsum('ni,nij,nj', x - mean, weights, x - mean)
+    compared = np.isfinite(np.diagonal(covariances, axis1=1, axis2=2))
+    degrees = int(np.sum(compared) - np.sum(finite))
     return mean, float(chdtrc(degrees, statistic)) if degrees else np.nan
 
 
@@ -497,23 +476,18 @@ def _verdict(
     if np.isnan(p):
         return ('No parameter is identifiable from two of the recordings, so the cups cannot be '
                 'compared.')
-    if p >= ALIKE_BELOW:
-        return (
-            'The fits are consistent with one cup: K and P are the same for '
-            f'{" and ".join(names)} (probability of larger differences by chance: {p:.2g}).'
-        )
+    if p >= DIFFERENT_BELOW:
+        return ('The fits are consistent with one cup: K and P are the same for '
+                f'{" and ".join(names)} (probability of larger differences by chance: {p:.2g}).')
     row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
     size = float(relative[row, column])
-    differ = [name for name, own in zip('KP', parts, strict=True) if own < ALIKE_BELOW]
+    differ = [name for name, chance in zip('KP', parts, strict=True) if chance < DIFFERENT_BELOW]
     which = f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
-    said = (
+    is_material = np.any(np.abs(relative[np.abs(deviations) > SIGNIFICANT_ERRORS]) > MATERIAL)
+    return (
         f'The fits are not of one cup (chance {p:.1g}): {which} not the same for '
         f'{" and ".join(names)}; {labels[column]} of {names[row]} is '
         f'{abs(size) * 100:.2g} % {"above" if size > 0 else "below"} the common value, '
-        f'{abs(deviations[row, column]):.1f} standard errors.'
-    )
-    large = np.abs(relative[np.abs(deviations) > SIGNIFICANT_ERRORS])
-    if not (large > MATERIAL).any():
-        return (f'{said} The significant differences are below {MATERIAL * 100:g} %, which hardly '
-                'matters.')
-    return f'{said} The model of stiffness and damping may not hold over this range.'
+        f'{abs(deviations[row, column]):.1f} standard errors. ' + (
+            'The model of stiffness and damping may not hold over this range.' if is_material else
+            f'The significant differences are below {MATERIAL * 100:g} %, which hardly matters.'))

@@ -17,10 +17,11 @@ from bellows_ros.core.identification.samples import PassBand
 from bellows_ros.core.model.structure import AXES, Structure
 import numpy as np
 
-LARGEST_SHARE, SHARE_WEAK = 0.5, 0.05
+MAX_SHARE, WEAK_SHARE = 0.5, 0.05
 """Noise share in a parameter's equations above which it is not, or only weakly, identifiable."""
 
-PAIRS_SHOWN = 3
+MAX_NAMED = 3
+"""Pairs or couplings named in a warning."""
 
 DIRECTIONS = {
     'x': ('Sideways motion along x', 'move the tool along x, or tilt it about y, at 1-3 Hz'),
@@ -115,67 +116,51 @@ class Identifiability:
     @property
     def weak(self) -> bool:
         """Whether it is identifiable, but least squares depends on the noise compensation."""
-        return self.identifiable and bool(
-            self.noise_share > SHARE_WEAK or abs(self.bias) > SHARE_WEAK
-        )
+        return self.identifiable and max(self.noise_share, abs(self.bias)) > WEAK_SHARE
 
 
 def advice(
-    parameters: Sequence[Identifiability],
-    structure: Structure,
-    pairs: Sequence[tuple[str, str, float]],
-    source: str,
+    parameters: Sequence[Identifiability], structure: Structure,
+    pairs: Sequence[tuple[str, str, float]], source: str,
 ) -> Iterator[str]:
     """Yield advice to the user."""
     size = structure.size
     coupled = []
-    for number, entries in enumerate(structure.entries):
-        own = (parameters[number], parameters[size + number])
+    for entries, *both in zip(
+            structure.entries, parameters[:size], parameters[size:], strict=True):
         if entries[0][0] == entries[0][1]:
             yield from _direction_warnings(
-                [AXES[row] for row, _, _ in entries], own, source, structure)
+                [AXES[row] for row, _, _ in entries], both, source, structure)
         else:
-            coupled += [each.label for each in own if not each.identifiable]
+            coupled += [each.label for each in both if not each.identifiable]
     if coupled:
-        shown = ', '.join([*coupled[:PAIRS_SHOWN], *(['...'] if coupled[PAIRS_SHOWN:] else [])])
-        yield (
-            f'{len(coupled)} couplings of directions ({shown}) are not identifiable from '
-            f'{source}; use a simpler fit.structure, or move all axes at once, each at its own '
-            'frequencies.'
-        )
-    for one, other, correlation in pairs[:PAIRS_SHOWN]:
-        yield (
-            f'{one} and {other} are nearly inseparable (correlation {correlation:+.2f}): their '
-            'directions always move together. Move one without the other.'
-        )
+        names = ', '.join([*coupled[:MAX_NAMED], *(['...'] if coupled[MAX_NAMED:] else [])])
+        yield (f'{len(coupled)} couplings of directions ({names}) are not identifiable from '
+               f'{source}; use a simpler fit.structure, or move all axes at once, each at its own '
+               'frequencies.')
+    for one, other, correlation in pairs[:MAX_NAMED]:
+        yield (f'{one} and {other} are nearly inseparable (correlation {correlation:+.2f}): their '
+               'directions always move together. Move one without the other.')
 
 
 def _direction_warnings(
-    axes: list[str], own: tuple[Identifiability, Identifiability], source: str,
-    structure: Structure,
+    axes: list[str], both: Sequence[Identifiability], source: str, structure: Structure,
 ) -> Iterator[str]:
     """Yield warnings about a direction's stiffness and damping."""
-    both = list(zip(('stiffness', 'damping'), own, strict=True))
-    unknown = [name for name, each in both if not each.identifiable]
-    title, advice = DIRECTIONS[axes[0]][0], remedy_for(axes[0], structure)
-    if len(axes) > 1:
-        title += f' and {axes[1][-1]}'
+    named = dict(zip(('stiffness', 'damping'), both, strict=True))
+    unknown = [name for name, each in named.items() if not each.identifiable]
+    title = ' and '.join([DIRECTIONS[axes[0]][0], *(axis[-1] for axis in axes[1:2])])
+    remedy = remedy_for(axes[0], structure)
     if unknown:
-        verb = 'are' if len(unknown) > 1 else 'is'
-        yield (
-            f'{title} is hardly excited: its {" and ".join(unknown)} {verb} not identifiable from '
-            f'{source}; {advice}.'
-        )
-    for name, each in both:
-        if not each.weak:
-            continue
-        share = (f'{each.noise_share:.0%} of the information on its {name} is noise:'
-                 if each.noise_share > SHARE_WEAK else f'noise disturbs its {name}:')
-        yield (
-            f'{title} is weakly excited: {share} least squares compensates a '
-            f'bias of {abs(each.bias):.0%}, which is right where the noise is white. Use '
-            f'fit.method: output_error, or {advice}.'
-        )
+        yield (f'{title} is hardly excited: its {" and ".join(unknown)} '
+               f'{"are" if unknown[1:] else "is"} not identifiable from {source}; {remedy}.')
+    for name, each in named.items():
+        if each.weak:
+            share = (f'{each.noise_share:.0%} of the information on its {name} is noise:'
+                     if each.noise_share > WEAK_SHARE else f'noise disturbs its {name}:')
+            yield (f'{title} is weakly excited: {share} least squares compensates a '
+                   f'bias of {abs(each.bias):.0%}, which is right where the noise is white. Use '
+                   f'fit.method: output_error, or {remedy}.')
 
 
 SHORTEST = 4
@@ -286,17 +271,15 @@ def excitation_of(
         shares, bias = _noise_effects(noise, whitening, found)
     if fit is None:
         values, covariance = found.x, found.inverse @ found.inverse.T
-        known = found.identifiable & ~(shares > LARGEST_SHARE)
+        known = found.identifiable & ~(shares > MAX_SHARE)
     else:
         values, covariance = fit
         known = np.isfinite(np.diag(covariance))
     spread = np.where(known, np.sqrt(np.diag(covariance)), 1.0)
-    parameters = tuple(
-        Identifiability(label, float(value), float(share), float(off))
-        for label, value, share, off in zip(
-            structure.labels, np.where(known, values, np.nan),
-            np.where(found.identifiable, shares, 1.0) if filtered else shares, bias, strict=True)
-    )
+    parameters = tuple(map(
+        Identifiability, structure.labels, np.where(known, values, np.nan).tolist(),
+        (np.where(found.identifiable, shares, 1.0) if filtered else shares).tolist(),
+        bias.tolist()))
     pairs = tuple(_correlated(
         without(covariance, ~known) / np.outer(spread, spread), structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
@@ -327,8 +310,7 @@ def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:
     """Return how the six directions are excited."""
     strain, twist, strain_noise, twist_noise = (
         joined(getattr(part, kind) for part in parts)
-        for kind in ('strain', 'twist', 'strain_noise', 'twist_noise')
-    )
+        for kind in ('strain', 'twist', 'strain_noise', 'twist_noise'))
     low, high = np.array([part.bands_hz for part in parts]).swapaxes(0, 1)
     columns = np.array([
         np.hypot(strain.mean, strain.std), strain.std, np.hypot(twist.mean, twist.std),

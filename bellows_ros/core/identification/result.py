@@ -222,21 +222,14 @@ class Fit:
 def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:
     """Return a sentence, with a remedy, for each matrix that is not definite."""
     simplest = next(iter(STRUCTURES.values()))
-    simpler = (
-        f', or use fit.structure: {simplest.name}, which has fewer parameters'
-        if structure_named(structure).size > simplest.size else ''
-    )
-    messages = []
-    for name, matrix, lowest in (('stiffness K', stiffness, 'definite'), (
-        'damping P', damping, 'semidefinite'
-    )):
-        smallest = float(np.linalg.eigvalsh(matrix)[0])
-        tolerance = -1e-12 * float(np.abs(matrix).max())
-        if smallest < tolerance or (lowest == 'definite' and smallest <= 0.0):
-            messages.append(
-                f'The {name} is not positive {lowest} (smallest eigenvalue {smallest:.3g}): not '
-                'all of it is identifiable from the recording, and the predictor will refuse '
-                f'it. Record a motion that is richer in all directions{simpler}; check frames, '
-                'alignment, package.mass, package.com and cup.length.'
-            )
-    return tuple(messages)
+    simpler = (f', or use fit.structure: {simplest.name}, which has fewer parameters'
+               if structure_named(structure).size > simplest.size else '')
+    smallest = [float(np.linalg.eigvalsh(matrix)[0]) for matrix in (stiffness, damping)]
+    refused = (smallest[0] <= 0.0, smallest[1] < -1e-12 * float(np.abs(damping).max()))
+    return tuple(
+        f'The {name} (smallest eigenvalue {value:.3g}): not all of it is identifiable from the '
+        'recording, and the predictor will refuse it. Record a motion that is richer in all '
+        f'directions{simpler}; check frames, alignment, package.mass, package.com and cup.length.'
+        for name, value, is_refused in zip(
+            ('stiffness K is not positive definite', 'damping P is not positive semidefinite'),
+            smallest, refused, strict=True) if is_refused)

@@ -19,21 +19,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.geometry.lie import (
-    adjoint,
-    dexp_inverse,
-    log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
 from bellows_ros.core.identification.equations import covariance_of, information_of
 from bellows_ros.core.identification.result import Fit, StandstillPart
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import displaced, linearise, static_equilibrium
 from bellows_ros.core.model.jacobians import parameter_jacobian
-from bellows_ros.core.model.kernels import body_acceleration
+from bellows_ros.core.model.kernels import body_acceleration, State
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.recording.recording import Noise
@@ -41,6 +34,7 @@ from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from scipy.special import chdtrc
 
 UPRIGHT_WITHIN = np.radians(2.0)
@@ -55,21 +49,21 @@ SAME_LOAD_WITHIN = 1e-2
 STRAIGHT, CUBIC = 1, 3
 """Degrees of length against load (4.2)."""
 
-GAIN = 0.8
-"""The cubic counts if it predicts masses left out with less than this part of the error."""
+CUBIC_GAIN = 0.8
+"""The cubic is used if it predicts masses left out with less than this part of the error."""
 
-EXPLAINED = 0.25
+MAX_SCATTER = 0.25
 """Scatter about the line, as a part of what the loads lengthen the cup, above which none fits."""
 
 LINEAR_WITHIN = 0.05
 """The linear range ends where the polynomial deviates from its tangent by this fraction."""
 
-LEAST_STIFFNESS, LARGEST_STIFFNESS = 100.0, 1e6
+MIN_STIFFNESS, MAX_STIFFNESS = 100.0, 1e6
 """Axial stiffness of cups, N/m."""
 
-ALIKE_WITHIN, OFF = 0.2, (0.7, 1.4)
-"""Deflections are a multiple of those predicted, if this part of them is left; multiples that
-a wrong mass makes are outside."""
+PROPORTIONAL_WITHIN, MASS_FACTOR = 0.2, (0.7, 1.4)
+"""Deflections are a multiple of those predicted if the residual is below this part of them; a
+wrong mass makes multiples outside this range."""
 
 MISFIT = 0.01
 """p-value of the polynomial's residuals below which a misfit is reported."""
@@ -173,33 +167,31 @@ def nominal_length(
             'standstills with other known masses, and give each its own --mass.'
         )
     pick = _pick_scatter(lengths, errors, groups)
-    scattered = np.hypot(errors, np.nan_to_num(pick))
-    degree = STRAIGHT
+    scattered, degree = np.hypot(errors, np.nan_to_num(pick)), STRAIGHT
     if different >= CUBIC + 2:
-        straight, cubic = (
-            _left_out(loads, lengths, scattered, groups, k) for k in (STRAIGHT, CUBIC))
-        degree = CUBIC if cubic < GAIN * straight else STRAIGHT
+        straight, cubic = (_cross_validation_error(loads, lengths, scattered, groups, order)
+                           for order in (STRAIGHT, CUBIC))
+        degree = CUBIC if cubic < CUBIC_GAIN * straight else STRAIGHT
     coefficients, std, chi2, freedom = _polynomial(loads, lengths, scattered, degree)
-    fitted = np.polynomial.polynomial.polyval(loads, coefficients)
-    left, reach = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
-    if not coefficients[1] > 0.0 or left > EXPLAINED * reach:
+    fitted = polyval(loads, coefficients)
+    scatter, stretch = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
+    if not coefficients[1] > 0.0 or scatter > MAX_SCATTER * stretch:
         raise UnexplainedError(
-            f'No line fits length against load: it changes by {1e3 * reach:.2g} mm from the '
+            f'No line fits length against load: it changes by {1e3 * stretch:.2g} mm from the '
             f'lightest to the heaviest mass, {"up" if coefficients[1] > 0.0 else "down"}, and '
-            f'the lengths scatter by {1e3 * left:.2g} mm about it. Check each mass, and that the '
-            'poses are those of E and S.')
-    if not LEAST_STIFFNESS * coefficients[1] < 1.0 < LARGEST_STIFFNESS * coefficients[1]:
+            f'the lengths scatter by {1e3 * scatter:.2g} mm about it. Check each mass, and that '
+            'the poses are those of E and S.')
+    stiffness = float(1.0 / coefficients[1])
+    if not MIN_STIFFNESS < stiffness < MAX_STIFFNESS:
         raise UndeterminedError(
             f'From {loads.min():.4g} to {loads.max():.4g} N the cup is '
             f'{1e3 * lengths.min():.2f} to {1e3 * lengths.max():.2f} mm long, a stiffness of '
-            f'{1.0 / coefficients[1] if coefficients[1] else np.inf:.3g} N/m; expected '
-            f'{LEAST_STIFFNESS:g} to {LARGEST_STIFFNESS:g}. Check each --mass (kg) and its order.')
-    linear_load = _linear_range(coefficients, float(loads.max()))
+            f'{stiffness:.3g} N/m; expected {MIN_STIFFNESS:g} to {MAX_STIFFNESS:g}. Check each '
+            '--mass (kg) and its order.')
     return NominalLength(
-        float(coefficients[0]), std, chi2, freedom,
-        float(1.0 / coefficients[1]), linear_load, loads, lengths, errors,
-        coefficients, pick, tuple(_warnings(different, std, (chi2, freedom), pick, loads)),
-    )
+        float(coefficients[0]), std, chi2, freedom, stiffness,
+        _linear_range(coefficients, float(loads.max())), loads, lengths, errors,
+        coefficients, pick, tuple(_warnings(different, std, (chi2, freedom), pick, loads)))
 
 
 def _groups(values: Array, within: float) -> Places:
@@ -220,14 +212,15 @@ def _pick_scatter(lengths: Array, errors: Array, groups: Places) -> float:
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def _left_out(loads: Array, lengths: Array, errors: Array, groups: Places, degree: int) -> float:
-    """Return the mean squared error (m^2) of predicting each mass from the others."""
+def _cross_validation_error(
+    loads: Array, lengths: Array, errors: Array, groups: Places, degree: int
+) -> float:
+    """Return the summed squared errors (m^2) of predicting each mass from the others."""
     total = 0.0
     for group in set(groups.tolist()):
         out = groups == group
         coefficients = _polynomial(loads[~out], lengths[~out], errors[~out], degree)[0]
-        off = lengths[out] - np.polynomial.polynomial.polyval(loads[out], coefficients)
-        total += float(off.mean()**2)
+        total += float(np.mean(lengths[out] - polyval(loads[out], coefficients)) ** 2)
     return total
 
 
@@ -292,27 +285,24 @@ def check_spring(
 
     """
     poses = tuple(_check(cup, still, gravity) for still in standstills)
-    off = [pose for pose in poses if pose.verdict in ('off', 'no equilibrium')]
-    if not off:
-        sentence = f'The spring holds in all {len(poses)} poses.'
-    else:
-        sentence = (
-            f'The spring is off in {len(off)} of {len(poses)} poses. {_cause(poses)}')
-    return SpringCheck(poses, not off, sentence)
+    off = sum(pose.verdict in ('off', 'no equilibrium') for pose in poses)
+    return SpringCheck(poses, not off, (
+        f'The spring is off in {off} of {len(poses)} poses. {_likely_cause(poses)}' if off else
+        f'The spring holds in all {len(poses)} poses.'))
 
 
-def _cause(poses: Sequence[PoseCheck]) -> str:
+def _likely_cause(poses: Sequence[PoseCheck]) -> str:
     """Return the likeliest cause of a spring that is off."""
     mass = poses[0].standstill.payload.mass
     if all(pose.verdict == 'no equilibrium' for pose in poses):
         return f'It carries {mass:g} kg in none of them: package.mass is likely in another unit.'
-    upright = [pose for pose in poses if pose.standstill.tilt <= UPRIGHT_WITHIN]
-    measured, predicted = (
-        np.array([getattr(pose, name)[2] for pose in upright if pose.verdict != 'no equilibrium'])
-        for name in ('measured', 'predicted'))
+    measured, predicted = np.reshape([
+        (pose.measured[2], pose.predicted[2]) for pose in poses
+        if pose.standstill.tilt <= UPRIGHT_WITHIN and pose.verdict != 'no equilibrium'], (-1, 2)).T
     factor = float(measured @ predicted / max(predicted @ predicted, 1e-18))
-    left = np.linalg.norm(measured - factor * predicted)
-    if left < ALIKE_WITHIN * np.linalg.norm(measured) and not OFF[0] < factor < OFF[1]:
+    residual = np.linalg.norm(measured - factor * predicted)
+    if residual < PROPORTIONAL_WITHIN * np.linalg.norm(measured) and not (
+            MASS_FACTOR[0] < factor < MASS_FACTOR[1]):
         return (
             f'Hanging straight the cup is stretched {factor:.2g} times as far as predicted: '
             f'package.mass is likely {factor * mass:.3g} kg instead of {mass:g}, or cup.length or '
@@ -333,13 +323,13 @@ def _polynomial(
     """
     largest = float(loads.max())
     powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
-    found, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
-    tested = _groups(loads, SAME_LOAD_WITHIN).max() > degree
-    spare = len(loads) - degree - 1 if tested else 0
-    chi2 = float(np.sum((lengths / errors - powers @ found) ** 2))
-    scatter = max(chi2 / spare, 1.0) if spare else np.inf
+    x, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
+    is_tested = _groups(loads, SAME_LOAD_WITHIN).max() > degree
+    freedom = len(loads) - degree - 1 if is_tested else 0
+    chi2 = float(np.sum((lengths / errors - powers @ x) ** 2))
+    scatter = max(chi2 / freedom, 1.0) if freedom else np.inf
     variance = scatter * float(np.linalg.inv(powers.T @ powers)[0, 0])
-    return found / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, spare
+    return x / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, freedom
 
 
 def _linear_range(coefficients: Array, largest: float) -> float:
@@ -364,48 +354,44 @@ def _warnings(
             f'The lengths are off the line by {size:.2g} times their noise: they scatter from '
             'pick to pick, or a mass is wrong. Pick each mass several times to tell which.')
     if not np.isfinite(std):
-        yield (
-            'With two masses the nominal length has no standard error, and a wrong mass would '
-            'go unnoticed. Add a third mass.'
-        )
+        yield ('With two masses the nominal length has no standard error, and a wrong mass would '
+               'go unnoticed. Add a third mass.')
     elif different < CUBIC + 2:
-        yield (
-            f'With {different} different masses, a straight line is fitted to length against '
-            f'load; {CUBIC + 2} or more show where the cup stops being linear.'
-        )
+        yield (f'With {different} different masses, a straight line is fitted to length against '
+               f'load; {CUBIC + 2} or more show where the cup stops being linear.')
     if WANTED_LENGTH_ERROR < std < np.inf:
-        yield (
-            f'The nominal length is uncertain by {std * 1e3:.2f} mm. Add masses lighter than '
-            f'{loads.min():.3g} N, or hold each for longer.'
-        )
+        yield (f'The nominal length is uncertain by {std * 1e3:.2f} mm. Add masses lighter than '
+               f'{loads.min():.3g} N, or hold each for longer.')
 
 
 def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     """Return predicted and measured equilibrium of one standstill."""
     nominal = np.array([0.0, 0.0, -cup.length, 0.0, 0.0, 0.0])
     measured = still.lip - nominal
-    quaternion = rotation_to_quaternion(still.tool.rotation[0])
-    tool = state_row(still.tool.position[0], quaternion)
     try:
-        position, q = static_equilibrium(model_tuple(cup, still.payload, gravity), tool)[:2]
+        position, q = static_equilibrium(
+            model_tuple(cup, still.payload, gravity), _state(still.tool))[:2]
     except UnstableError:
         return PoseCheck(still, measured, np.full(6, np.nan), 'no equilibrium')
-    there = Trajectory(
-        still.package.stamps_ns, np.array([position]), quaternion_to_rotation(np.array([q]))
-    )
-    predicted = replace(still, package=there).lip - nominal
+    predicted = replace(still, package=Trajectory(
+        still.package.stamps_ns, np.array([position]),
+        lie.quaternion_to_rotation(np.array([q])))).lip - nominal
     return PoseCheck(still, measured, predicted, _verdict(measured, predicted, still.error))
+
+
+def _state(body: Trajectory) -> State:
+    """Return the state at rest of a body in its first pose."""
+    return state_row(body.position[0], lie.rotation_to_quaternion(body.rotation[0]))
 
 
 def _verdict(measured: Array, predicted: Array, error: Noise) -> str:
     """Return the verdict on a predicted deflection."""
-    verdicts = ['within noise']
-    for part, noise in ((slice(0, 3), error.position), (slice(3, 6), error.rotation)):
-        off, size = (
-            float(np.linalg.norm(each[part])) for each in (predicted - measured, measured))
-        if off > ERRORS_OF_NOISE * noise * np.sqrt(3.0):
-            verdicts.append('off' if off > GOOD_WITHIN * size else 'good')
-    return max(verdicts, key=('within noise', 'good', 'off').index)
+    off, size = (np.linalg.norm(each.reshape(2, 3), axis=1)
+                 for each in (predicted - measured, measured))
+    is_beyond = off > ERRORS_OF_NOISE * np.sqrt(3.0) * np.array(error)
+    if np.any(is_beyond & (off > GOOD_WITHIN * size)):
+        return 'off'
+    return 'good' if is_beyond.any() else 'within noise'
 
 
 NEWTON_STEPS, LARGEST_MOVE = 6, 0.05
@@ -517,20 +503,18 @@ def joined_with_standstills(
             standstills, length.value, structure, gravity, guess)
         A = np.hstack([of_K, np.zeros_like(of_K), length.std * by_length[:, None]])
         whole = covariance_of(prior + weight * A.T @ A)
-        known = np.where(np.isfinite(whole), whole, 0.0)  # what is not stays as it is
-        z = start + known @ (weight * A.T @ (b - A @ start))
-        degrees = len(b) - weight * float(np.trace(A @ known @ A.T))
+        finite = np.where(np.isfinite(whole), whole, 0.0)  # other entries stay as they are
+        z = start + finite @ (weight * A.T @ (b - A @ start))
+        degrees = len(b) - weight * float(np.trace(A @ finite @ A.T))
         chi2 = float(np.sum((b - A @ z) ** 2)) / max(degrees, 1.0)
         weight, covariance = 1.0 / max(chi2, 1.0), whole[:-1, :-1]
     before = fit.covariance + length.std**2 * np.outer(length.jacobian, length.jacobian)
     with np.errstate(divide='ignore', invalid='ignore'):
         narrowed = np.sqrt(np.diag(covariance) / np.diag(before))
-    found = StandstillPart(
-        len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
-        length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1])),
-    )
     return replace(
-        fit, parameters=z[:-1], covariance=covariance, standstills=found,
+        fit, parameters=z[:-1], covariance=covariance, standstills=StandstillPart(
+            len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
+            length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1]))),
         notes=(*fit.notes, *([DISAGREEMENT.format(chi2)] if chi2 > LARGEST_CHI2 else [])))
 
 
@@ -538,8 +522,8 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
     """Return K (6, 6) for whitening, with typical values for entries that are not identifiable."""
     if structure.couples:
         return structure.matrices(x)[0]
-    known = np.isfinite(np.diag(covariance)) & (x > 0.0)
-    return structure.matrices(np.where(known, x, structure.parameters(typical, typical)))[0]
+    is_usable = np.isfinite(np.diag(covariance)) & (x > 0.0)
+    return structure.matrices(np.where(is_usable, x, structure.parameters(typical, typical)))[0]
 
 
 def _equations(
@@ -550,9 +534,7 @@ def _equations(
     cup = gripper_of(
         Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
     model = model_tuple(cup, still.payload, gravity)
-    tool, body = (
-        state_row(own.position[0], rotation_to_quaternion(own.rotation[0]))
-        for own in (still.tool, still.package))
+    tool, body = _state(still.tool), _state(still.package)
     for _ in range(NEWTON_STEPS):
         step = -np.linalg.solve(linearise(model, tool, body).body_pose,
                                 np.concatenate(body_acceleration(model, tool, body)))
@@ -561,11 +543,11 @@ def _equations(
     changes: Array = np.empty((6, 43))  # by the entries of K and P, and by the length
     parameter_jacobian(model, tool, body, 0, 43, changes)
     of_body = np.linalg.solve(linearise(model, tool, body).body_pose, -changes)
-    of_lip = adjoint(transform(np.eye(3), still.payload.com)) @ of_body
-    R, R_there = still.package.rotation[0], quaternion_to_rotation(np.array(body[1]))
-    turn = log_so3(R.T @ R_there)
-    way = (body[0] - R_there @ still.payload.com
-           - still.package.position[0] + R @ still.payload.com)
-    changes = np.vstack([R.T @ R_there @ of_lip[:3], dexp_inverse(-turn) @ of_lip[3:]])
+    of_lip = lie.adjoint(lie.transform(np.eye(3), still.payload.com)) @ of_body
+    R, R_rest = still.package.rotation[0], lie.quaternion_to_rotation(np.array(body[1]))
+    turn = lie.log_so3(R.T @ R_rest)
+    shift = (body[0] - R_rest @ still.payload.com
+             - still.package.position[0] + R @ still.payload.com)
+    changes = np.vstack([R.T @ R_rest @ of_lip[:3], lie.dexp_inverse(-turn) @ of_lip[3:]])
     A = changes[:, :21] @ structure.upper[:21, :structure.size]
-    return A, A @ x[:structure.size] - np.concatenate([R.T @ way, turn]), changes[:, 42]
+    return A, A @ x[:structure.size] - np.concatenate([R.T @ shift, turn]), changes[:, 42]

@@ -11,18 +11,13 @@ the bias spoils. Its bias is therefore subtracted before cups simulate.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.core.identification import equations
 from bellows_ros.core.identification.causes import DOUBTED
-from bellows_ros.core.identification.equations import (
-    joined,
-    Moments,
-    r_factor,
-    solution,
-    whitening_of,
-)
 from bellows_ros.core.identification.hypotheses import Diagnosis
 from bellows_ros.core.identification.least_squares import least_squares, noise_bias
 from bellows_ros.core.identification.reduction import noise_products, SEED, statistics
@@ -41,14 +36,14 @@ from scipy.linalg import block_diag
 FOLDS = 5
 """Folds of each recording; each is held out once."""
 
-SHORTEST_RUN = 1.0
+SHORTEST_SEGMENT = 1.0
 """Shortest simulated segment, s."""
 
 DIVERGED: Array = np.array([[np.inf, np.inf], [0.0, 0.0]])
 """Sums of squares of a simulation that diverges."""
 
-FAR_AWAY = 1e3
-"""A simulated package that is farther from where it was has gone astray, m."""
+MAX_DISTANCE = 1e3
+"""Distance (m) of a simulated package from the origin beyond which it has diverged."""
 
 UNEXPLAINED = 0.2
 """Error of held-out motion, in its size, with which no structure fits, whatever the cause."""
@@ -132,9 +127,9 @@ class StructureSelection:
     def judged(self, diagnosis: Diagnosis, causes: Sequence[str]) -> 'StructureSelection':
         """Return it with the verdict that none fits, by what noise leaves, and sentences why."""
         best = next(own for own in self.candidates if own.structure == self.advised)
-        excess, first = diagnosis.excess, diagnosis.findings[:1]
-        of_another = bool(first) and first[0].likely and first[0].name != 'structure'
-        if best.usable and best.held_out < UNEXPLAINED and (excess < DOUBTED or not of_another):
+        excess = diagnosis.excess
+        has_cause = any(own.likely and own.name != 'structure' for own in diagnosis.findings[:1])
+        if best.usable and best.held_out < UNEXPLAINED and (excess < DOUBTED or not has_cause):
             return self
         size = (f', and held-out motion is simulated with an error of {best.held_out:.0%} of its '
                 'size' if best.usable and np.isfinite(best.held_out) else '')
@@ -225,18 +220,16 @@ def effective_samples(residuals: Sequence[tuple[Array, Mask]], longest_lag: int)
         Samples beyond which there is no correlation.
 
     """
-    products, pairs = np.zeros(longest_lag + 1), np.zeros(longest_lag + 1)
-    count = 0
+    products, pairs = np.zeros((2, longest_lag + 1))
     for values, valid in residuals:
         r = np.where(valid[:, None], values, 0.0)
-        count += int(np.count_nonzero(valid))
         for lag in range(min(longest_lag + 1, len(r))):
             products[lag] += np.sum(r[lag:] * r[:len(r) - lag])
             pairs[lag] += np.count_nonzero(valid[lag:] & valid[:len(r) - lag])
     if not products[0] > 0.0:
-        return float(count)
+        return float(pairs[0])
     rho = products / np.maximum(pairs, 1.0) / (products[0] / pairs[0])
-    return float(count / (1.0 + 2.0 * np.sum(rho[1:] ** 2)))
+    return float(pairs[0] / (1.0 + 2.0 * np.sum(rho[1:] ** 2)))
 
 
 def _fit(
@@ -262,8 +255,9 @@ def _common_weight(
     used = np.concatenate([values[valid] for values, valid in residuals])
     covariance = used.T @ used / len(used)
     # Exact recordings leave nothing but rounding, in some directions nothing at all.
-    moments = joined(Moments.of(samples.lip.wrench) for samples in recordings)
-    whitening = whitening_of(covariance + 1e-18 * np.diag(np.diag(moments.covariance(structure))))
+    moments = equations.joined(equations.Moments.of(samples.lip.wrench) for samples in recordings)
+    whitening = equations.whitening_of(
+        covariance + 1e-18 * np.diag(np.diag(moments.covariance(structure))))
     white = [(values @ whitening.T, valid) for values, valid in residuals]
     windows = [own.window * uniform_rate_hz(own.package.stamps_ns) for own in recordings]
     return whitening, effective_samples(white, round(2.0 * max(windows)))
@@ -278,23 +272,23 @@ def _candidate(
         lips = [samples.lip.select(slice(*np.searchsorted(
             samples.lip.index, [part.start, part.stop]))) for samples, part in fold]
         counts.append(sum(len(lip.index) for lip in lips))
-        parts.append(r_factor(
+        parts.append(equations.r_factor(
             (rows.whitened(problem.whitening).stacked for lip in lips
              for rows in lip.equations(problem.cup_length, structure, keep=False)), size + 1))
     T = block_diag(structure.within(list(STRUCTURES.values())[-1]), np.eye(1))
     noise = np.einsum('ipjq,pa,qb->iajb', problem.noise, T, T, optimize=True)
     simulated = []
     for number, fold in enumerate(problem.folds()):
-        others = r_factor(parts[:number] + parts[number + 1:], size + 1)
-        x, inverse, *_ = solution(others, structure)
+        others = equations.r_factor(parts[:number] + parts[number + 1:], size + 1)
+        x, inverse, *_ = equations.solution(others, structure)
         part_of_it = (1.0 - counts[number] / problem.used) * noise
         x = x - noise_bias(part_of_it, problem.whitening, x, inverse)[0]
         simulated.append(_simulated_errors(
             gripper_of(Cup(*structure.matrices(x), problem.cup_length,
                            problem.recordings[0].relaxation), structure.places),
-            [run for samples, part in fold for run in _runs(samples.select(part))]))
+            [segment for samples, part in fold for segment in _segments(samples.select(part))]))
     part = problem.effective / problem.used
-    squares = part * float(r_factor(parts, size + 1)[-1, -1] ** 2)
+    squares = part * float(equations.r_factor(parts, size + 1)[-1, -1] ** 2)
     return Candidate(
         structure.name, size, fit, refused, squares + 2.0 * size,
         squares + size * float(np.log(problem.effective)),
@@ -312,11 +306,10 @@ def _over_motion(sums: Array) -> Array:
     moving = sizes > 0.0
     if not moving.any():
         return np.full(len(sums), np.inf if np.isinf(errors).any() else np.nan)
-    ratios: Array = np.sqrt(np.mean(errors[:, moving] / sizes[moving], axis=1))
-    return ratios
+    return np.asarray(np.sqrt(np.mean(errors[:, moving] / sizes[moving], axis=1)))
 
 
-def _simulated_errors(cup: Cup, runs: Sequence[Samples]) -> Array:
+def _simulated_errors(cup: Cup, segments: Sequence[Samples]) -> Array:
     """
     Return sums of squares (2, 2) of simulated segments: of errors, and of their motion.
 
@@ -324,42 +317,37 @@ def _simulated_errors(cup: Cup, runs: Sequence[Samples]) -> Array:
     segment diverges.
     """
     squares, sizes = np.zeros(6), np.zeros(6)
-    for run in runs:
-        first = run.package.select(slice(0, 1))
-        assert first.twist is not None
+    for segment in segments:
+        package = segment.package
+        assert package.twist is not None
         start = state_row(
-            first.position[0], rotation_to_quaternion(first.rotation[0]), first.twist[0])
+            package.position[0], rotation_to_quaternion(package.rotation[0]), package.twist[0])
         try:
-            moved = simulate(cup, run.payload, run.tool, start, run.gravity)
+            moved = simulate(cup, segment.payload, segment.tool, start, segment.gravity)
         except UnstableError:
             return DIVERGED
-        if float(np.abs(moved.position).max()) > FAR_AWAY:
+        if float(np.abs(moved.position).max()) > MAX_DISTANCE:
             return DIVERGED
-        found = compare(moved, run.tool, run.package).scores
-        squares += found.samples * found.rms**2
-        sizes += found.samples * found.motion**2
-    sums: Array = np.array([squares, sizes]).reshape(2, 2, 3).sum(axis=2)
-    return sums
+        scores = compare(moved, segment.tool, package).scores
+        squares += scores.samples * scores.rms**2
+        sizes += scores.samples * scores.motion**2
+    return np.asarray(np.array([squares, sizes]).reshape(2, 2, 3).sum(axis=2))
 
 
-def _runs(samples: Samples) -> Iterator[Samples]:
+def _segments(samples: Samples) -> Iterator[Samples]:
     """Yield the segments with a known tool, from a package pose on."""
     edges = np.flatnonzero(np.diff(samples.tool.valid, prepend=False, append=False))
     for first, last in edges.reshape(-1, 2).tolist():
-        known = np.flatnonzero(samples.package.valid[first:last])
-        if len(known):
-            run = samples.select(slice(first + int(known[0]), last))
-            if run.tool.seconds[-1] >= SHORTEST_RUN:
-                yield run
+        is_measured = samples.package.valid[first:last]
+        if is_measured.any():
+            segment = samples.select(slice(first + int(np.argmax(is_measured)), last))
+            if segment.tool.seconds[-1] >= SHORTEST_SEGMENT:
+                yield segment
 
 
 def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
     """Return the structure to take, and why."""
-    able = [
-        candidate
-        for candidate in candidates
-        if candidate.usable and np.isfinite(candidate.held_out)
-    ]
+    able = [own for own in candidates if own.usable and np.isfinite(own.held_out)]
     sentences = [
         f'{own.structure} cannot be fitted: {own.refused}' if own.fit is None else
         f'{own.structure} gives no usable cup: K or P is not definite.' if not own.usable else
@@ -369,31 +357,24 @@ def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
         return candidates[0].structure, (
             *sentences,
             'No structure gives a cup that can be simulated. Check frames, alignment, '
-            'package.mass and package.com, and record a richer motion.',
-        )
-    best = min(able, key=lambda candidate: candidate.held_out)
-    advised = next(candidate for candidate in able if _as_good(candidate, best))
-    errors = ', '.join(f'{candidate.structure} {candidate.held_out:.2%}' for candidate in able)
+            'package.mass and package.com, and record a richer motion.')
+    best = min(able, key=lambda own: own.held_out)
+    advised = next(own for own in able if own is best or _is_as_good(own, best))
+    errors = ', '.join(f'{own.structure} {own.held_out:.2%}' for own in able)
     why = ('It has the smallest held-out error' if advised is best else
            f'It is the simplest with a held-out error as small as that of {best.structure}')
     sentences.insert(0, f'Use fit.structure: {advised.structure}. {why} (error over motion: '
                         f'{errors}).')
-    preferred = {
-        name: min(candidates, key=lambda candidate: getattr(candidate, name)).structure
-        for name in ('aic', 'bic')
-    }
-    if set(preferred.values()) != {advised.structure}:
-        sentences.append(
-            f'AIC prefers {preferred["aic"]}, BIC {preferred["bic"]}, but both fit the noise in '
-            'the equations. The held-out error does not.'
-        )
+    aic, bic = (min(candidates, key=criterion).structure
+                for criterion in (attrgetter('aic'), attrgetter('bic')))
+    if {aic, bic} != {advised.structure}:
+        sentences.append(f'AIC prefers {aic}, BIC {bic}, but both fit the noise in the equations. '
+                         'The held-out error does not.')
     return advised.structure, tuple(sentences)
 
 
-def _as_good(candidate: Candidate, best: Candidate) -> bool:
+def _is_as_good(candidate: Candidate, best: Candidate) -> bool:
     """Return whether a candidate is as good as the best, as far as the folds resolve."""
-    if candidate is best:
-        return True
     worse = candidate.simulated**2 - best.simulated**2
     error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
     small = (1.0 + AS_GOOD_WITHIN) ** 2 - 1.0

@@ -19,18 +19,9 @@ from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, stat
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import ENOUGH, Recording
+from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.residuals import (
-    AXES,
-    compare,
-    Comparison,
-    interpolated,
-    portmanteau,
-    relative_coordinates,
-    Spectrum,
-    spectrum,
-    Whiteness,
-)
+from bellows_ros.core.signals.residuals import AXES, Spectrum, Whiteness
 from bellows_ros.core.signals.savgol import bridged, savgol, weights, with_filtered_noise
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
@@ -57,8 +48,8 @@ REST_S = 0.3
 SEED = 0
 """Seed of the added noise: the same recording gives the same numbers."""
 
-ONE_STEP = 3_000
-"""Samples whose innovations are looked at; each takes 27 kB of memory."""
+MAX_INNOVATIONS = 3_000
+"""Samples whose innovations are tested; each takes 27 kB of memory."""
 
 LEAST_CORRELATION = 0.01
 """Correlation from sample to sample below which noise counts as white."""
@@ -84,7 +75,7 @@ class OneStep(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Validation(Comparison):
+class Validation(residuals.Comparison):
     """
     A recording compared with the free simulation of it, where the package was measured.
 
@@ -126,22 +117,22 @@ class Validation(Comparison):
     @cached_property
     def whiteness(self) -> Whiteness:
         """Of the errors of the free simulation."""
-        return portmanteau(self.error)
+        return residuals.portmanteau(self.error)
 
     @cached_property
     def spectrum(self) -> Spectrum:
         """Of these errors; lost samples interpolated."""
-        return self._spectrum_of(self.error)
+        return residuals.spectrum(residuals.interpolated(self.error), self._rate_hz)
 
     @cached_property
     def motion(self) -> Spectrum:
         """Of the measured coordinates; lost samples interpolated."""
-        return self._spectrum_of(self.measured)
+        return residuals.spectrum(residuals.interpolated(self.measured), self._rate_hz)
 
-    def _spectrum_of(self, values: Array) -> Spectrum:
-        """Return the spectrum of coordinates (N, 6)."""
-        rate_hz = NS_PER_S / (float(np.ptp(self.stamps_ns)) / (len(self.stamps_ns) - 1))
-        return spectrum(interpolated(values), rate_hz)
+    @property
+    def _rate_hz(self) -> float:
+        """Mean rate of the measured poses."""
+        return NS_PER_S / (float(np.ptp(self.stamps_ns)) / (len(self.stamps_ns) - 1))
 
     @cached_property
     def one_step(self) -> OneStep | None:
@@ -159,8 +150,8 @@ class Validation(Comparison):
             search.take([part])
         white = part.innovations.reshape(-1, 6)
         scaled = white * np.repeat(self.recording.measured_noise[1], 3)
-        return OneStep(float(np.mean(white**2)), portmanteau(white),
-                       spectrum(scaled, 1.0 / segment.period))
+        return OneStep(float(np.mean(white**2)), residuals.portmanteau(white),
+                       residuals.spectrum(scaled, 1.0 / segment.period))
 
     @property
     def moves(self) -> Mask:
@@ -199,11 +190,9 @@ class Validation(Comparison):
 def _middle(part: Measured) -> Measured:
     """Return the middle of a part of a recording that is long."""
     stamps = part.package.stamps_ns
-    spare = max(len(stamps) - ONE_STEP, 0) // 2
-    first, last = stamps[spare], stamps[len(stamps) - 1 - spare]
-    tool, package = (body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
-                     for body in (part.tool, part.package))
-    return replace(part, tool=tool, package=package)
+    edge = max(len(stamps) - MAX_INNOVATIONS, 0) // 2
+    ends = stamps[[edge, len(stamps) - 1 - edge]]
+    return replace(part, tool=part.tool.between(*ends), package=part.package.between(*ends))
 
 
 def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validation:
@@ -239,16 +228,14 @@ class _Run(NamedTuple):
     state: State
     start: str
 
-    def compared(self, recording: Recording) -> Comparison:
+    def compared(self, recording: Recording) -> residuals.Comparison:
         """Return the run beside the measurement, where the package was measured."""
         first, last = self.tool.stamps_ns[[0, -1]]
-        stamps = recording.tracked_package.stamps_ns
-        common = recording.measured_tool.stamps_ns[[0, -1]]
-        package = recording.tracked_package.select(
-            (stamps >= max(first, common[0])) & (stamps <= min(last, common[1])))
+        begin, end = recording.measured_tool.stamps_ns[[0, -1]]
+        package = recording.tracked_package.between(max(first, begin), min(last, end))
         tool = resample(recording.aligned_tool, package.stamps_ns,
                         recording.report.tool.timing.longest_step_ns)
-        return compare(resample(self.package, package.stamps_ns), tool, package)
+        return residuals.compare(resample(self.package, package.stamps_ns), tool, package)
 
 
 def _run(cup: Cup, recording: Recording, most: int | None) -> _Run:
@@ -313,13 +300,12 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
     if len(usable) < 2:
         raise BellowsError(
             f'The tool has fewer than {2 * half_window + 1} usable poses in a row, so nothing '
-            'can be simulated.'
-        )
-    wanted = slice(int(usable[0]), int(usable[-1]) + 1)
-    tool = replace(filtered.select(wanted), acceleration=None)
-    there = measured.valid[half_window:][wanted]
-    gaps = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1)
-    edges = (tool.stamps_ns[there] - measured.stamps_ns[0]) / NS_PER_S
+            'can be simulated.')
+    span = slice(int(usable[0]), int(usable[-1]) + 1)
+    tool = replace(filtered.select(span), acceleration=None)
+    is_measured = measured.valid[half_window:][span]
+    gaps = np.flatnonzero(np.diff(np.flatnonzero(is_measured)) > 1)
+    edges = (tool.stamps_ns[is_measured] - measured.stamps_ns[0]) / NS_PER_S
     return tool, np.column_stack([edges[gaps], edges[gaps + 1] - edges[gaps]])
 
 
@@ -338,9 +324,9 @@ def _start(
         usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
         first = int(np.argmax(usable))
         if package.twist is not None and usable[first]:
-            quaternion = rotation_to_quaternion(package.rotation[first])
-            state = state_row(package.position[first], quaternion, package.twist[first])
-            return state, int(package.stamps_ns[first]), 'measured'
+            return state_row(
+                package.position[first], rotation_to_quaternion(package.rotation[first]),
+                package.twist[first]), int(package.stamps_ns[first]), 'measured'
     state = rest(model, tool_rows(tool.select(slice(0, 1)))[0])
     return state, int(tool.stamps_ns[0]), 'equilibrium'
 
@@ -354,7 +340,7 @@ def _noise_of_errors(cup: Cup, recording: Recording, run: _Run) -> Array:
     correlations = np.where(correlations > LEAST_CORRELATION, correlations, 0.0)
     for _ in range(NOISE_RUNS):
         noisy = with_filtered_noise(tool, sizes, correlations, W, 1.0 / rate_hz, rng)
-        shaken = simulate(cup, recording.payload, noisy, run.state, recording.settings.gravity)
-        moved = relative_coordinates(tool, shaken) - relative_coordinates(tool, body)
-        squares.append(np.mean(moved**2, axis=0))
+        perturbed = simulate(cup, recording.payload, noisy, run.state, recording.settings.gravity)
+        squares.append(np.mean(np.subtract(*(
+            residuals.relative_coordinates(tool, own) for own in (perturbed, body)))**2, axis=0))
     return np.asarray(np.sqrt(np.mean(squares, axis=0) + recording.body_noise[1].std**2))

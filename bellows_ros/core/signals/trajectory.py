@@ -204,9 +204,9 @@ class Trajectory:
         return picked
 
     def between(self, first_ns: int, last_ns: int) -> 'Trajectory':
-        """Return the samples from the first to the last of two stamps."""
-        first, last = np.searchsorted(self.stamps_ns, [first_ns, last_ns])
-        return self.select(slice(int(first), int(last) + 1))
+        """Return the samples from one stamp to another, both included."""
+        first = int(np.searchsorted(self.stamps_ns, first_ns))
+        return self.select(slice(first, int(np.searchsorted(self.stamps_ns, last_ns, 'right'))))
 
 
 @dataclass(frozen=True, eq=False)
