@@ -28,11 +28,11 @@ from bellows_ros.core.parameters.checks import (
     unit_of_inertia,
 )
 from bellows_ros.core.recording.alignment import (
-    ALIKE,
     closed_form,
     DOWN,
     in_tool_world,
     levelling,
+    MIN_CORRELATION,
     motion_of,
     motion_sentence,
     R_WORLD_MOTIVE,
@@ -363,11 +363,11 @@ def _clocks(own: Recording) -> Finding | None:
         return None
     best, near = int(np.argmax(alike)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
     largest, small = alike[best], np.max(alike[near], initial=0.0)
-    least = ALIKE if small < DISTINCT * largest else 2.0 * ALIKE
+    least = MIN_CORRELATION if small < DISTINCT * largest else 2.0 * MIN_CORRELATION
     if largest < least or near[best] or small > PERIODIC * largest:
         return None
     in_axes = turn_correlation(own.aligned_tool, own.aligned_package, one_world=True)[1]
-    if np.max(in_axes[near], initial=0.0) > max(ALIKE, PERIODIC * np.max(in_axes)):
+    if np.max(in_axes[near], initial=0.0) > max(MIN_CORRELATION, PERIODIC * np.max(in_axes)):
         return None
     return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 

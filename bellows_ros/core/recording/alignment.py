@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, mean_rotation
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
 from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
@@ -37,8 +36,7 @@ WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
 """From axes of a recording to those with z up, by the value of recording.world."""
 
 # Fewer valid samples than this, or a smaller part of what the rate gives, make no standstill.
-FEWEST_AT_REST = 10
-SMALLEST_PART_AT_REST = 0.5
+FEWEST_AT_REST, SMALLEST_PART_AT_REST = 10, 0.5
 # A mean over the standstill leaves out what is further from the median than this many robust
 # standard deviations.
 TRIMMED_BEYOND = 5.0
@@ -117,7 +115,7 @@ class Alignment:
 
         """
         rotation = _turned(markers.rotation, self.R_package_markers_lip)
-        position = markers.position + apply(rotation, self.origin_to_com)
+        position = markers.position + lie.apply(rotation, self.origin_to_com)
         return replace(markers, position=frozen(position), rotation=rotation)
 
 
@@ -152,7 +150,7 @@ def in_world(poses: Trajectory, R_world_recorded: Array) -> Trajectory:
     """Return recorded poses of any body in the world, by its `world_rotation`."""
     if np.array_equal(R_world_recorded, np.eye(3)):
         return poses
-    return replace(poses, position=frozen(apply(R_world_recorded, poses.position)),
+    return replace(poses, position=frozen(lie.apply(R_world_recorded, poses.position)),
                    rotation=frozen(R_world_recorded @ poses.rotation))
 
 
@@ -172,7 +170,7 @@ def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
     Alignment
 
     """
-    origin_to_com = _origin_of_lip(package_frame, com) + np.asarray(com, dtype=np.float64)
+    origin_to_com = np.array(com, dtype=np.float64) if package_frame == 'lip' else np.zeros(3)
     return Alignment(np.eye(3), np.eye(3), origin_to_com, np.zeros(3))
 
 
@@ -201,19 +199,19 @@ def aligned_at_rest(
         If the lip is more beside the tool tip than below it.
 
     """
-    origin = _origin_of_lip(package_frame, com)
+    origin = np.zeros(3) if package_frame == 'lip' else -np.asarray(com, dtype=np.float64)
     # (4.6) at rest, where the axes of E, S and the world are the same.
     E_o_S = package.position + origin - tool.position
     if float(np.linalg.norm(E_o_S[:2])) >= -E_o_S[2]:
-        at = ', '.join(f'{1e3 * x:.1f}' for x in E_o_S)
         raise BellowsError(
             'At rest the lip should hang below the tool tip, but relative to the tip it is at '
-            f'({at}) mm in world axes, z up: more aside than below. Check '
-            'recording.world, recording.package_frame, package.com, and that the tool and '
-            'package topics are not exchanged.')
+            f'({", ".join(f"{1e3 * x:.1f}" for x in E_o_S)}) mm in world axes, z up: more aside '
+            'than below. Check recording.world, recording.package_frame, package.com, and that '
+            'the tool and package topics are not exchanged.')
     # (4.4) and (4.5) with A_R_E = A_R_S = I at rest (4.2), (4.3).
-    aside = np.array([E_o_S[0], E_o_S[1], 0.0])
-    return Alignment(tool.rotation.T, package.rotation.T, origin - aside + com, aside)  # (4.64)
+    aside = E_o_S * [1.0, 1.0, 0.0]
+    return Alignment(
+        tool.rotation.T, package.rotation.T, origin - aside + np.asarray(com), aside)  # (4.64)
 
 
 def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -> MeanPose:
@@ -242,13 +240,12 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
         If too few valid samples are there, or the body moves.
 
     """
-    end_ns = start_ns + int(duration_s * NS_PER_S)
-    inside = (poses.stamps_ns >= start_ns) & (poses.stamps_ns <= end_ns)
-    rest = poses.select(inside & poses.valid)
-    if len(rest) < max(FEWEST_AT_REST, SMALLEST_PART_AT_REST * np.count_nonzero(inside)):
+    poses = poses.between(start_ns, start_ns + int(duration_s * NS_PER_S))
+    rest = poses.select(poses.valid)
+    if len(rest) < max(FEWEST_AT_REST, SMALLEST_PART_AT_REST * len(poses)):
         raise BellowsError(
             f'Alignment needs the {body} at rest in the first {duration_s:g} s, but only '
-            f'{len(rest)} of the {np.count_nonzero(inside)} poses there are usable; expected at '
+            f'{len(rest)} of the {len(poses)} poses there are usable; expected at '
             f'least {FEWEST_AT_REST} and half of them. Set recording.rest_duration to the actual '
             'standstill, or recording.align_at_rest to false.')
     still_s = _beginning(rest)[1]
@@ -259,8 +256,8 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
             'that, record a longer standstill, or set recording.align_at_rest to false.')
     reference = _median_rotation(rest.rotation)
     near = _near(rest.position - np.median(rest.position, axis=0)) & _near(
-        log_so3(reference.T @ rest.rotation))
-    return MeanPose(rest.position[near].mean(axis=0), mean_rotation(rest.rotation[near]))
+        lie.log_so3(reference.T @ rest.rotation))
+    return MeanPose(rest.position[near].mean(axis=0), lie.mean_rotation(rest.rotation[near]))
 
 
 class Rest(NamedTuple):
@@ -296,25 +293,26 @@ class Rest(NamedTuple):
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
     """Return how both bodies begin, from where both are known; poses in the world, z up."""
     begin = max(int(body.stamps_ns[0]) for body in (tool, package))
-    end = begin + int(LONGEST_BEGINNING * NS_PER_S)
-    bodies = [body.select((body.stamps_ns >= begin) & (body.stamps_ns <= end) & body.valid)
-              for body in (tool, package)]
-    if not all(len(body) for body in bodies):
+    spans = [body.between(begin, begin + int(LONGEST_BEGINNING * NS_PER_S))
+             for body in (tool, package)]
+    if not all(body.valid.any() for body in spans):
         return Rest(0.0, (0.0, 0.0), 0.0)
-    (R_tool, still), (R_package, package_still) = map(_beginning, bodies)
+    (R_tool, *still), (R_package, *package_still) = (
+        _beginning(body.select(body.valid)) for body in spans)
     tilts = tuple(float(np.arccos(np.clip(R[2, 2], -1.0, 1.0))) for R in (R_tool, R_package))
-    return Rest(min(still, package_still), tilts,
-                float(np.linalg.norm(log_so3(R_tool.T @ R_package))))
+    return Rest(min(still + package_still), tilts,
+                float(np.linalg.norm(lie.log_so3(R_tool.T @ R_package))))
 
 
 def _beginning(body: Trajectory) -> tuple[Array, float]:
     """Return the median orientation (3, 3) of the first moments, and how long it stays, s."""
     start = body.select(body.seconds <= START_SECONDS)
     reference = _median_rotation(start.rotation)
-    way = np.linalg.norm(body.position - np.median(start.position, axis=0), axis=1)
-    turn = np.linalg.norm(log_so3(reference.T @ body.rotation), axis=1)
     moves = np.zeros(len(body), dtype=bool)
-    for size, smallest in ((way, STILL_POSITION), (turn, STILL_ROTATION)):
+    for change, smallest in (
+            (body.position - np.median(start.position, axis=0), STILL_POSITION),
+            (lie.log_so3(reference.T @ body.rotation), STILL_ROTATION)):
+        size = np.linalg.norm(change, axis=1)
         # Second differences are of the noise alone, also where the body moves at once.
         noise = np.median(np.abs(np.diff(size, 2))) if len(size) > 2 else 0.0
         moves |= size > smallest + STILL_DEVIATIONS * noise
@@ -327,12 +325,7 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
 def _median_rotation(rotation: Array) -> Array:
     """Return the rotation (3, 3) that is the median, axis by axis, of rotations (N, 3, 3)."""
     some = rotation[len(rotation) // 2]
-    return np.asarray(some @ exp_so3(np.median(log_so3(some.T @ rotation), axis=0)))
-
-
-def _origin_of_lip(package_frame: str, com: ArrayLike) -> Array:
-    """Return where the lip's centre is, seen from the recorded origin, in axes of S."""
-    return np.zeros(3) if package_frame == 'lip' else -np.asarray(com, dtype=np.float64)
+    return np.asarray(some @ lie.exp_so3(np.median(lie.log_so3(some.T @ rotation), axis=0)))
 
 
 def _near(deviation: Array) -> Mask:
@@ -354,20 +347,20 @@ def levelling(direction: ArrayLike) -> Array:
     sine, cosine = float(np.linalg.norm(axis)), float(down @ DOWN)
     if sine < PARALLEL:
         return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
-    return np.asarray(exp_so3(axis / sine * np.arctan2(sine, cosine)))
+    return np.asarray(lie.exp_so3(axis / sine * np.arctan2(sine, cosine)))
 
 
-COMPARED_HZ, OVER = 50.0, 15
-"""Rate at which turns of the bodies are compared, and over how many samples they go."""
+TURN_RATE_HZ, TURN_SAMPLES = 50.0, 15
+"""Rate at which rotations of the bodies are compared, and over how many samples each goes."""
 
-ALIKE = 0.3
-"""Correlation of these turns at which two clocks are aligned: of others it is below 0.2."""
+MIN_CORRELATION = 0.3
+"""Correlation of these rotations at which two clocks are aligned: of others it is below 0.2."""
 
-NEARLY_AS_ALIKE, MOST_LAGS = 0.9, 3
+ALTERNATIVE, MAX_LAGS = 0.9, 3
 """Part of the largest correlation at which another lag may be the true one, and how many may."""
 
 TURNING = 0.01
-"""Standard deviation of these turns (rad) below which bodies hardly turn."""
+"""Standard deviation of these rotations (rad) below which bodies hardly turn."""
 
 
 def turn_correlation(
@@ -381,25 +374,25 @@ def turn_correlation(
     """
     turns = []
     for body in (tool, package):
-        count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * COMPARED_HZ)
+        count = int((body.stamps_ns[-1] - body.stamps_ns[0]) / NS_PER_S * TURN_RATE_HZ)
         stamps = body.stamps_ns[0] + np.rint(
-            np.arange(count) * (NS_PER_S / COMPARED_HZ)).astype(np.int64)
-        if count <= OVER:
+            np.arange(count) * (NS_PER_S / TURN_RATE_HZ)).astype(np.int64)
+        if count <= TURN_SAMPLES:
             return np.empty(0), np.empty(0)
         R = resample(body, stamps).rotation
-        turn = log_so3(R[OVER:] @ np.swapaxes(R[:-OVER], 1, 2))
+        turn = lie.log_so3(R[TURN_SAMPLES:] @ np.swapaxes(R[:-TURN_SAMPLES], 1, 2))
         turn = turn if one_world else np.linalg.norm(turn, axis=1, keepdims=True)
         turn -= turn.mean(axis=0)
         size = float(np.linalg.norm(turn))
         if size < TURNING * np.sqrt(len(turn)):
             return np.empty(0), np.empty(0)
         turns.append(turn / size)
-    count = sum(map(len, turns)) - 1
-    spectra = [np.fft.rfft(own, count, axis=0) for own in turns]
-    product = np.fft.irfft(np.sum(spectra[0] * np.conj(spectra[1]), axis=1), count)
-    product = np.roll(product, len(turns[1]) - 1)
-    lags = (np.arange(len(product)) - len(turns[1]) + 1) / COMPARED_HZ
-    return lags + float(tool.stamps_ns[0] - package.stamps_ns[0]) / NS_PER_S, product
+    count, before = sum(map(len, turns)) - 1, len(turns[1]) - 1
+    of_tool, of_package = (np.fft.rfft(turn, count, axis=0) for turn in turns)
+    correlation = np.fft.irfft(np.sum(of_tool * np.conj(of_package), axis=1), count)
+    lags = (np.arange(count) - before) / TURN_RATE_HZ
+    return (lags + float(tool.stamps_ns[0] - package.stamps_ns[0]) / NS_PER_S,
+            np.roll(correlation, before))
 
 
 def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
@@ -415,29 +408,26 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
         If they do not turn alike at any offset; where they hardly turn they must overlap.
 
     """
-    lags, alike = turn_correlation(tool, package)
-    largest = float(np.max(alike)) if len(lags) else 0.0
-    if largest >= ALIKE:
-        peak = (alike >= np.roll(alike, 1)) & (alike >= np.roll(alike, -1))
-        highest = np.argsort(-alike * peak)[:MOST_LAGS]
-        alternatives = highest[alike[highest] >= NEARLY_AS_ALIKE * largest]
-        return sorted(lags[alternatives].tolist(), key=abs)
-    overlap = min(tool.stamps_ns[-1], package.stamps_ns[-1]) - max(
-        tool.stamps_ns[0], package.stamps_ns[0])
-    if overlap > 0 and not len(lags):
+    lags, correlation = turn_correlation(tool, package)
+    largest = float(np.max(correlation, initial=0.0))
+    if largest >= MIN_CORRELATION:
+        is_peak = correlation >= np.maximum(np.roll(correlation, 1), np.roll(correlation, -1))
+        highest = np.argsort(-correlation * is_peak)[:MAX_LAGS]
+        return sorted(lags[highest[correlation[highest] >= ALTERNATIVE * largest]].tolist(),
+                      key=abs)
+    starts, ends = np.transpose([body.stamps_ns[[0, -1]] for body in (tool, package)])
+    if not len(lags) and max(starts) < min(ends):
         return [0.0]
     raise BellowsError(
         'The stamps of tool and package cannot be aligned: the two do not turn alike at any '
         f'offset (correlation {largest:.2f}). Check the topics, or turn the tool more.')
 
 
-LOOKED_AT_HZ = 50.0
-"""Poses per second used for the start value."""
+START_RATE_HZ, SLOWEST_PART = 50.0, 0.5
+"""Poses per second for the start value, and the part used: the slowest, of which the cup yields
+least."""
 
-SLOWEST = 0.5
-"""Fraction of the poses used: the slowest, at which the cup yields least."""
-
-LEAST_TURN = 0.02
+MIN_TURN = 0.02
 """Smallest rotation (rad) between two poses that determines the rotation between the worlds."""
 
 
@@ -520,31 +510,30 @@ def motion_sentence(theta: Array, std: Array | None = None) -> str:
 
 def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Return valid poses of both at common stamps, the slowest ones."""
-    first, last = (pick(tool.stamps_ns[end], package.stamps_ns[end])
-                   for pick, end in ((max, 0), (min, -1)))
-    count = int((last - first) / NS_PER_S * LOOKED_AT_HZ)
+    first = max(tool.stamps_ns[0], package.stamps_ns[0])
+    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
+    count = int((last - first) / NS_PER_S * START_RATE_HZ)
     if count < 20:
         raise BellowsError(
             'The poses of tool and package overlap too little to estimate '
             'recording.package_world. Record longer, or give its seven numbers.')
     stamps = first + np.linspace(0, last - first, count).astype(np.int64)  # exact to the ns
     hand, eye = (resample(body, stamps) for body in (tool, package))
-    way = np.linalg.norm(np.gradient(hand.position, axis=0), axis=1)
-    turn = np.zeros(count)
-    turn[1:] = np.linalg.norm(
-        lie.log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:]), axis=1)
-    speed = way / max(float(np.median(way)), 1e-9) + turn / max(float(np.median(turn)), 1e-9)
-    slow = (speed <= np.quantile(speed, SLOWEST)) & hand.valid & eye.valid
+    turn = np.zeros((count, 3))
+    turn[1:] = lie.log_so3(np.swapaxes(hand.rotation[:-1], 1, 2) @ hand.rotation[1:])
+    sizes = [np.linalg.norm(change, axis=1)
+             for change in (np.gradient(hand.position, axis=0), turn)]
+    speed = sum(size / max(float(np.median(size)), 1e-9) for size in sizes)
+    slow = (speed <= np.quantile(speed, SLOWEST_PART)) & hand.valid & eye.valid
     return hand.select(slow), eye.select(slow)
 
 
 def turn_of(R_tool: Array, R_package: Array) -> Array:
     """Return the rotation between the worlds that makes both bodies rotate alike."""
-    pairs = [(first, slice(first, None, len(R_tool) // 15 + 1))
-             for first in range(0, len(R_tool), len(R_tool) // 15 + 1)]
-    a, b = (np.concatenate([lie.log_so3(R[part] @ R[i].T) for i, part in pairs])
-            for R in (R_tool, R_package))
-    if np.quantile(np.linalg.norm(a, axis=1), 0.9) < LEAST_TURN:
+    step = len(R_tool) // 15 + 1
+    a, b = (np.concatenate([lie.log_so3(R[first::step] @ R[first].T)
+                            for first in range(0, len(R), step)]) for R in (R_tool, R_package))
+    if np.quantile(np.linalg.norm(a, axis=1), 0.9) < MIN_TURN:
         raise BellowsError(
             'recording.package_world cannot be estimated: the tool hardly turns in this '
             'recording. Tilt and turn it, best with standstills in between, or give the seven '

@@ -53,11 +53,8 @@ import numpy as np
 # K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.
 AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
-# poses repeated in motion (part of them), ways (m) that are no cell's, but millimetres.
-LATERAL_WARNED = 5e-3
-LATERAL_COM_WARNED = 1e-6
-REPEATS_WARNED = 0.05
-LARGE_WAY = 20.0
+# poses repeated in motion (part of them), travel (m) that is no cell's, but millimetres.
+LATERAL_WARNED, LATERAL_COM_WARNED, REPEATS_WARNED, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
 MOST_IN_GAPS = 0.5  # part of the time in gaps above which poses come in bursts
 # A step that a slow camera sees at least as often as the rest (%) in the motion is none.
 OFTEN = 99.0
@@ -149,13 +146,13 @@ def _joined(
         of_package.poses.between(*common[[0, -1]]), tracked_package, alignment, report)
     if not recording.whole.any():
         both = report.tool, report.package
-        found = '; '.join(
+        faults = '; '.join(
             f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
             f'{len(r.timing.gaps)} gaps, {r.overlapping_gap} filtered samples touch one of these'
             for r in both)
         remedy = burst_sentence(*((r.recorded, r.timing) for r in both)) or (
             'Use smaller half windows, or a recording with fewer gaps and outliers.')
-        raise BellowsError(f'None of the {len(common)} common samples is left: {found}. {remedy}')
+        raise BellowsError(f'None of the {len(common)} common samples is left: {faults}. {remedy}')
     return recording
 
 
@@ -178,19 +175,18 @@ def _clean(
 ) -> tuple[StreamReport, Trajectory, Trajectory]:
     """Return the faults of a topic, and its poses in the world, also at a uniform rate, marked."""
     poses = in_world(recorded.trajectory(), R_world_recorded)
-    with _named(recorded.name):
-        found_timing = resampling.timing(poses.stamps_ns)
-        outliers = find_outliers(poses, found_timing.longest_step_ns)
-        marked = Trajectory(poses.stamps_ns, poses.position, poses.rotation, valid=outliers.good)
-        at = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
-        used = slice(at[0], at[-1] + 1) if len(at) > 2 else slice(None)
-        marked = marked.select(used)
-        return StreamReport(recorded, found_timing, outliers), marked, resampling.on_grid(
-            marked, found_timing)
+    with _naming(recorded.name):
+        timing = resampling.timing(poses.stamps_ns)
+        outliers = find_outliers(poses, timing.longest_step_ns)
+        marked = replace(poses, valid=outliers.good)
+        good = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
+        if len(good) > 2:
+            marked = marked.select(slice(good[0], good[-1] + 1))
+        return StreamReport(recorded, timing, outliers), marked, resampling.on_grid(marked, timing)
 
 
 @contextmanager
-def _named(topic: str) -> Iterator[None]:
+def _naming(topic: str) -> Iterator[None]:
     """Say of errors which topic they are of."""
     try:
         yield
@@ -203,7 +199,7 @@ def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filte
     if half_window == 0:
         rate_hz = uniform_rate_hz(poses.stamps_ns)
         half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
-    with _named(name):
+    with _naming(name):
         return Filter(poses, half_window, order, weights_for(poses, half_window, order))
 
 
@@ -212,8 +208,8 @@ def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStrea
     common: Stamps = package[(package >= tool[0]) & (package <= tool[-1])]
     if not len(common):
         covered = ', '.join(
-            f"'{stream.name}' covers {first:.3f} to {last:.3f} s" for stream in recorded
-            for first, last in (stream.stamps_ns[[0, -1]] / NS_PER_S,))
+            "'{}' covers {:.3f} to {:.3f} s".format(own.name, *own.stamps_ns[[0, -1]] / NS_PER_S)
+            for own in recorded)
         raise BellowsError(
             f'The two streams overlap by less than the filter windows: {covered}. Choose topics '
             'of one recording, stamped by one clock, use smaller half windows, or record longer.')
@@ -230,16 +226,16 @@ def _with_twist(
             "topics.tool_twist to '' to estimate the twist from the poses.")
     R = (alignment.R_tool_markers_tool.T if settings.tool_twist_frame == 'tool'
          else np.swapaxes(tool.rotation, -1, -2) @ settings.R_world_recorded)
-    known_ns, wanted_ns = recorded.stamps_ns, tool.stamps_ns
-    end = np.searchsorted(known_ns, wanted_ns)  # of the step that a wanted stamp lies in
-    there = (wanted_ns >= known_ns[0]) & (wanted_ns <= known_ns[-1])
-    end = np.clip(end, 1, len(known_ns) - 1)
-    near = known_ns[end] - known_ns[end - 1] <= resampling.timing(known_ns).longest_step_ns
-    known = there & (near | (known_ns[end] == wanted_ns) | (known_ns[end - 1] == wanted_ns))
-    at, since = wanted_ns - known_ns[0], known_ns - known_ns[0]
+    stamps_ns, wanted_ns = recorded.stamps_ns, tool.stamps_ns
+    end = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, len(stamps_ns) - 1)
+    ends = stamps_ns[[end - 1, end]]  # of the step that a wanted stamp lies in
+    is_known = (wanted_ns >= stamps_ns[0]) & (wanted_ns <= stamps_ns[-1]) & (
+        (ends[1] - ends[0] <= resampling.timing(stamps_ns).longest_step_ns)
+        | (ends == wanted_ns).any(axis=0))
+    at, since = wanted_ns - stamps_ns[0], stamps_ns - stamps_ns[0]
     twist = np.stack([apply(R, np.column_stack([np.interp(at, since, axis) for axis in part.T]))
                       for part in (recorded.linear, recorded.angular)], axis=1)
-    return replace(tool, twist=frozen(twist).reshape(-1, 6), valid=tool.valid & known)
+    return replace(tool, twist=frozen(twist).reshape(-1, 6), valid=tool.valid & is_known)
 
 
 def _as_moved(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:
@@ -251,19 +247,16 @@ def _as_moved(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:
 
 def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list[str]:
     """Return what the user should know of how the package was picked up."""
-    found = []
     aside = float(np.linalg.norm(alignment.lateral_offset))
-    if aside > LATERAL_WARNED:
-        found.append(
-            f'The package was picked up {aside * 1e3:.1f} mm beside its middle. The alignment '
-            'corrects this, but not package.com and package.inertia: check them.')
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
-    if settings.align_at_rest and lateral_com > LATERAL_COM_WARNED:
-        found.append(
-            f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '
-            'the cup is bent at rest, but the alignment takes this pose as unbent. Set '
-            'recording.align_at_rest to false if the poses are already those of E and S.')
-    return found
+    return [warning for is_due, warning in (
+        (aside > LATERAL_WARNED,
+         f'The package was picked up {aside * 1e3:.1f} mm beside its middle. The alignment '
+         'corrects this, but not package.com and package.inertia: check them.'),
+        (settings.align_at_rest and lateral_com > LATERAL_COM_WARNED,
+         f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '
+         'the cup is bent at rest, but the alignment takes this pose as unbent. Set '
+         'recording.align_at_rest to false if the poses are already those of E and S.')) if is_due]
 
 
 def stream_warnings(
@@ -272,22 +265,22 @@ def stream_warnings(
 ) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
     name = recorded.name
-    found = [
+    steps = [
         f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
         f'{(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s after its '
         'start and does not return, so all later poses are offset from the earlier ones. Use the '
         'recording up to there, or from there on.'
         for step in lasting_steps(recorded, time, outliers)]
     good = recorded.position[outliers.good]
-    way = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
+    travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
     if arrivals:
-        found.append(arrivals.sentence(name))
+        steps.append(arrivals.sentence(name))
     elif bursts := burst_sentence((recorded, time)):
-        return [bursts, *found]
-    return found + [text for noticed, text in (
-        (way > LARGE_WAY,
-         f"Topic '{name}' moves through {way:.0f} m. Its positions may be in millimetres; they "
+        return [bursts, *steps]
+    return steps + [warning for is_due, warning in (
+        (travel > MAX_TRAVEL,
+         f"Topic '{name}' moves through {travel:.0f} m. Its positions may be in millimetres; they "
          'must be in metres (REP-103).'),
         (time.rate_hz < LOW_RATE_HZ,
          f"Topic '{name}' has only {time.rate_hz:.0f} Hz, too few for twists of a cup's modes. "
@@ -298,7 +291,7 @@ def stream_warnings(
         (time.jitter_s * time.rate_hz > resampling.JITTER_WARNED,
          f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
          f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
-         'stamp the poses when they are measured.')) if noticed]
+         'stamp the poses when they are measured.')) if is_due]
 
 
 def burst_sentence(*streams: tuple[PoseStream, resampling.Timing]) -> str:
@@ -316,18 +309,17 @@ def lasting_steps(
     """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
     if not outliers.steps:
         return []
-    ways = [np.linalg.norm(own, axis=1) for own in increments_of(poses).values()]
-    slow = time.rate_hz < LOW_RATE_HZ  # then a body moves far between two poses
-    often = [float(np.percentile(own, OFTEN)) if slow else 0.0 for own in ways]
-    return [step for step in outliers.steps if not any(
-        step.position < way and step.rotation < angle
-        for way, angle in (often, _ways_of_jitter(poses, time, step, ways)))]
+    moved = np.array([np.linalg.norm(own, axis=1) for own in increments_of(poses).values()])
+    often = np.zeros(2)
+    if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
+        often = np.percentile(moved, OFTEN, axis=1)
 
+    def exceeds_motion(step: LastingStep) -> bool:
+        """Return whether a step is larger than what is frequent, and than jitter there makes."""
+        near = slice(max(step.before - 5, 0), step.before + 6)
+        speed = moved[:, near.start:near.stop - 1].sum(axis=1) / (
+            np.ptp(poses.stamps_ns[near]) / NS_PER_S)
+        return not any(np.all(step[1:] < limit) for limit in (
+            often, STEP_JITTERS * time.jitter_s * speed))
 
-def _ways_of_jitter(
-    poses: PoseStream, time: resampling.Timing, step: LastingStep, ways: list[Array]
-) -> list[float]:
-    """Return how far jitter of the stamps moves a body near a step (m, rad), by its ways (M,)."""
-    near = slice(max(step.before - 5, 0), step.before + 6)
-    part = STEP_JITTERS * time.jitter_s / (np.ptp(poses.stamps_ns[near]) / NS_PER_S)
-    return [float(part * own[near.start:near.stop - 1].sum()) for own in ways]
+    return list(filter(exceeds_motion, outliers.steps))

@@ -42,7 +42,7 @@ PLACES = 8
 """Interpolation points between two tool poses that represent all others."""
 
 
-CUT_AT = 5.0
+CLIPPED_AT = 5.0
 """Residuals are clipped at this many typical deviations, so that outliers do not count."""
 
 LOW_RATE_HZ = 100.0
@@ -91,12 +91,12 @@ def ripple(poses: Trajectory) -> tuple[Array, Array]:
         raise UndeterminedError(
             f'The measurement noise cannot be estimated: no {2 * n + 1} valid samples in a row. '
             'Check the gaps and outliers in the report.')
-    rotation = poses.rotation[centres]
-    R_centre = np.swapaxes(rotation, 1, 2)
+    position, rotation = poses.position[centres], poses.rotation[centres]
     total = np.zeros((len(centres), 6))
     for j, weight in enumerate(weights(n, ORDER, 1.0)[0].tolist(), start=-n):
-        total[:, :3] += weight * (poses.position[centres + j] - poses.position[centres])
-        total[:, 3:] += weight * log_so3(R_centre @ poses.rotation[centres + j])
+        total += weight * np.hstack([
+            poses.position[centres + j] - position,
+            log_so3(np.swapaxes(rotation, 1, 2) @ poses.rotation[centres + j])])
     return total, rotation
 
 
@@ -115,24 +115,24 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
 
     Of first-order noise that keeps a part of itself from pose to pose. Errors as of `ripple`.
     """
-    left, rotation = ripple(poses)
-    left[:, :3] = apply(np.swapaxes(rotation, 1, 2), left[:, :3])
-    return np.asarray(_clipped_rms(left) / np.sqrt(ripple_part(ar1)))
+    residuals, rotation = ripple(poses)
+    residuals[:, :3] = apply(np.swapaxes(rotation, 1, 2), residuals[:, :3])
+    return np.asarray(_clipped_rms(residuals) / np.sqrt(ripple_part(ar1)))
 
 
 def noise_at_rest(poses: Trajectory) -> Array:
     """Return the standard deviations (6,) of poses of a body at rest, in own axes, m and rad."""
     back = poses.rotation[0].T
-    left = np.hstack([apply(back, poses.position - poses.position[0]),
-                      log_so3(back @ poses.rotation)])
-    factor = float(np.sqrt(len(left) / (len(left) - 1)))
-    return factor * _clipped_rms(left - left.mean(axis=0))
+    moved = np.hstack([apply(back, poses.position - poses.position[0]),
+                       log_so3(back @ poses.rotation)])
+    factor = float(np.sqrt(len(moved) / (len(moved) - 1)))
+    return factor * _clipped_rms(moved - moved.mean(axis=0))
 
 
-def _clipped_rms(left: Array) -> Array:
+def _clipped_rms(residuals: Array) -> Array:
     """Return the RMS (6,) of residuals (N, 6), in which outliers do not count."""
-    typical = MAD_TO_STD * np.median(np.abs(left), axis=0)
-    return np.asarray(np.sqrt(np.mean(np.minimum(left**2, (CUT_AT * typical) ** 2), axis=0)))
+    limit = CLIPPED_AT * MAD_TO_STD * np.median(np.abs(residuals), axis=0)
+    return np.asarray(np.sqrt(np.mean(np.minimum(residuals**2, limit**2), axis=0)))
 
 
 def noise_of(poses: Trajectory) -> Noise:
@@ -142,9 +142,9 @@ def noise_of(poses: Trajectory) -> Noise:
     It is the median size of what a local polynomial leaves of each sample, so that outliers do
     not count. Noise-free recordings give what rounding leaves. Errors as those of `ripple`.
     """
-    left = np.abs(ripple(poses)[0])
     scale = MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of its own fit
-    return Noise(*(float(scale * np.median(part)) for part in np.hsplit(left, 2)))
+    return Noise(*(float(scale * np.median(part))
+                   for part in np.hsplit(np.abs(ripple(poses)[0]), 2)))
 
 
 class AR1Noise(NamedTuple):
@@ -174,12 +174,14 @@ def ar1_noise_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
     times = np.array([1e-12, *np.geomspace(1.0, 200.0, 24)]) / 1e3  # as good as white, first
     ar1 = np.exp(-1.0 / (times * rate_hz))
     seen = np.sqrt(ripple_part(np.stack([ar1, ar1**stride], axis=1)) / ripple_part(0.0))
-    parts = []
-    for one, other in zip(noise, wide, strict=True):
+
+    def fitted(one: float, other: float) -> AR1Noise:
+        """Return the noise that is seen so in neighbours and in poses a stride apart."""
         ratio = other / one if one > 0.0 else 1.0
         at = int(np.argmin(np.abs(seen[:, 1] / seen[:, 0] - ratio))) if ratio > COLOURED else 0
-        parts.append(AR1Noise(one / float(seen[at, 0]), float(ar1[at])))
-    return parts[0], parts[1]
+        return AR1Noise(one / float(seen[at, 0]), float(ar1[at]))
+
+    return fitted(noise.position, wide.position), fitted(noise.rotation, wide.rotation)
 
 
 class BodyNoise(NamedTuple):
@@ -234,13 +236,13 @@ def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) ->
     fractions = (wanted_ns - measured_ns[0]) % step_ns / step_ns
     step_s = step_ns / trajectory.NS_PER_S
     first, second = (np.pad(weights, ((0, 0), ends)) for ends in ((0, 1), (1, 0)))
+    moved, rate_start, rate_end = second[0] - first[0], step_s * first[1], step_s * second[1]
     parts = []
     for s in np.quantile(fractions, (np.arange(PLACES) + 0.5) / PLACES).tolist():
-        moved, jacobian = second[0] - first[0], (step_s * first[1], step_s * second[1])
         value = (first[0] + s**2 * (3.0 - 2.0 * s) * moved
-                 + s * (1.0 - s) ** 2 * jacobian[0] - s**2 * (1.0 - s) * jacobian[1])
+                 + s * (1.0 - s) ** 2 * rate_start - s**2 * (1.0 - s) * rate_end)
         slope = (6.0 * s * (1.0 - s) * moved
-                 + (1.0 - s) * (1.0 - 3.0 * s) * jacobian[0] - s * (2.0 - 3.0 * s) * jacobian[1])
+                 + (1.0 - s) * (1.0 - 3.0 * s) * rate_start - s * (2.0 - 3.0 * s) * rate_end)
         parts.append([value, slope / step_s, first[2]])
     return np.asarray(np.hstack(parts) / np.sqrt(PLACES))
 
@@ -418,8 +420,7 @@ class Relaxation(NamedTuple):
     @property
     def std(self) -> tuple[float, float]:
         """Standard errors of r1 and r2."""
-        first, second = np.sqrt(np.diag(self.covariance)).tolist()
-        return first, second
+        return tuple(np.sqrt(np.diag(self.covariance)).tolist())
 
 
 NO_RELAXATION = Relaxation((0.0, 0.0), np.zeros((2, 2)), np.zeros((8, 2)))
@@ -522,9 +523,8 @@ class Recording:
         """Tool tip E in the world, filtered, with body twists of the filter."""
         own = self.filters[0]
         if own not in self._filtered:
-            self._filtered[own] = resample(
-                own.filtered(), self.measured_tool.stamps_ns,
-                self.report.tool.timing.longest_step_ns)
+            self._filtered[own] = resample(own.filtered(), self.measured_tool.stamps_ns,
+                                           self.report.tool.timing.longest_step_ns)
         return self._filtered[own]
 
     @property
@@ -593,18 +593,19 @@ class Recording:
 
         Polynomials do not follow a package between slow poses: there it is the noise at rest.
         """
-        found = [BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
-            (self.aligned_tool, self.aligned_package),
-            (max(part.correlation for part in own) for own in self.ar1_noise), strict=True)]
+        of_tool, of_package = (
+            BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
+                (self.aligned_tool, self.aligned_package),
+                (max(part.correlation for part in own) for own in self.ar1_noise), strict=True))
         if self.report.package.timing.rate_hz < LOW_RATE_HZ:
             tool, package = self.aligned_tool, self.tracked_package
             first = max(tool.stamps_ns[0], package.stamps_ns[0])
             last = first + AT_REST * rest_of(tool, package).seconds * trajectory.NS_PER_S
-            still = package.select((package.stamps_ns >= first) & (package.stamps_ns <= last)
-                                   & package.valid)
+            still = package.between(first, last)
+            still = still.select(still.valid)
             if len(still) >= FEWEST_AT_REST:
-                found[1] = BodyNoise(noise_at_rest(still), found[1].correlation)
-        return found[0], found[1]
+                of_package = of_package._replace(std=noise_at_rest(still))
+        return of_tool, of_package
 
     @cached_property
     def _pose_noise(self) -> tuple[Noise, Noise]:
