@@ -100,16 +100,16 @@ class Diagnostics:
         """Return all lines."""
         live = self._live
         if live is None:
-            return [health.prediction_status('prediction', health.PredictionSeen(
-                state, 'none', 'none', self.compute.take(), {}, {}, 'unknown'))]
+            return [health.prediction_status('prediction', health.PredictionReport(
+                state, 'none', 'none', self.compute.reset(), {}, {}, 'unknown'))]
         now = Counter({**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
         new, self._before = now - self._before, now
         restarts = {reason: new[reason] for reason in live.restarts}
         down = rotation_matrix(last.tool[1])[2::3] if last else (0.0, 0.0, 0.0)  # z of the tool
         above = bool(np.dot(down, self._gravity) > UPSIDE_DOWN * np.linalg.norm(self._gravity))
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
-        lines = [health.prediction_status('prediction', health.PredictionSeen(
-            state, live.phase(time.monotonic_ns()), self._cup, self.compute.take(),
+        lines = [health.prediction_status('prediction', health.PredictionReport(
+            state, live.phase(time.monotonic_ns()), self._cup, self.compute.reset(),
             {**live.counts, **failures}, restarts, live.tool.check.verdict,
             self._outputs.uncertainty.known, above))]
         if state != 'active':
@@ -146,7 +146,7 @@ class Diagnostics:
 
     def _load(self) -> health.Status:
         """Return the line on the load; a safety factor that became too small is logged too."""
-        safety, away, bending = self.load.take()
+        safety, away, bending = self.load.reset()
         status = health.load_status(
             'load', safety, away, bending, self.load.grip is not None, self.load.envelope_known,
             self.load.required)

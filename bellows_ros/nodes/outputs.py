@@ -219,7 +219,7 @@ class Outputs:
             lip = self._deflection.message
             conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
             conversions.write_place(
-                lip.pose, deflection(model, prediction).shift, deflection_rotation(prediction))
+                lip.pose, deflection(model, prediction)[0], deflection_rotation(prediction))
             self._deflection.publish(lip)
         if self._markers.wanted and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, model, prediction))

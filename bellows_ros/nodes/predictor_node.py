@@ -403,7 +403,7 @@ class PredictorNode(ManagedNode):
             return
         self._cup_waits = False
         self._live.set_model(cup, package)
-        self._attachment.vacuum.set_values(values)
+        self._attachment.vacuum.values = values
         self.diagnostics.set_values(values)
         self._apply(self._live, values)
 

@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from .conversions import quaternion_xyzw, stamp_to_ns, vector
 from .guarding import GuardedNode
-from ..core.live.health import Arrivals, InputSeen, Mismatch
+from ..core.live.health import Arrivals, InputReport, Mismatch
 from ..core.live.samples import PoseSample
 from ..core.live.transforms import Chain
 from ..errors import BellowsError
@@ -75,7 +75,7 @@ class SensorInput:
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
         self.arrivals.add(arrival_ns, (now_ns - stamp_ns) * 1e-9)
 
-    def seen(self, refused: Mapping[str, int]) -> InputSeen:
+    def seen(self, refused: Mapping[str, int]) -> InputReport:
         """Return the statistics since the last call, with the refused messages so far."""
         before, self._refused = self._refused, dict(refused)
         if any(count < before.get(reason, 0) for reason, count in refused.items()):
@@ -83,8 +83,8 @@ class SensorInput:
         last_ns = self.arrivals.last_ns
         silent = (time.monotonic_ns() - last_ns) * 1e-9 if last_ns >= 0 else float('inf')
         publishers = self._node.count_publishers(self.topic)
-        return InputSeen(
-            self.topic, publishers, self._mismatch(publishers), self.arrivals.take(), silent,
+        return InputReport(
+            self.topic, publishers, self._mismatch(publishers), self.arrivals.reset(), silent,
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
     def _mismatch(self, publishers: int) -> Mismatch | None:
@@ -153,7 +153,7 @@ class TransformInput(SensorInput):
                 stamp_to_ns(header.stamp), vector(own.translation),
                 quaternion_xyzw(own.rotation)), static)
 
-    def seen(self, refused: Mapping[str, int]) -> InputSeen:
+    def seen(self, refused: Mapping[str, int]) -> InputReport:
         """Return the arrivals since the last call, with the poses that lacked a transform."""
         return super().seen({**refused, 'no_transform': self._chain.dropped})
 

@@ -14,12 +14,13 @@ from enum import IntEnum
 import math
 from typing import Literal, NamedTuple
 
-from bellows_ros.core.live.load import Safety, STRONGEST_BENDING
+from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Safety
 from bellows_ros.core.live.predictor import LivePredictor, LONGEST_GAP_NS
 from bellows_ros.core.model.validity_range import Distance
 import numpy as np
 
-KEPT = 2048
+WINDOW_LENGTH = 2048
 
 
 class Quantiles(NamedTuple):
@@ -31,30 +32,33 @@ class Quantiles(NamedTuple):
 
 
 class Window:
-    """The newest numbers of a series since last taken, at most `KEPT`."""
+    """The newest numbers since the last reset, at most `WINDOW_LENGTH`."""
 
     def __init__(self) -> None:
         """Reserve the memory."""
-        self._values = array('d', bytes(8 * KEPT))  # so that keeping a number takes no memory
+        self._values = array('d', bytes(8 * WINDOW_LENGTH))  # adding a number allocates nothing
         self.count = 0
 
     def add(self, value: float) -> None:
-        """Keep a number."""
-        self._values[self.count % KEPT] = value
+        """Append a number."""
+        self._values[self.count % WINDOW_LENGTH] = value
         self.count += 1
 
-    def take(self) -> Quantiles:
-        """Return the quantiles since the last call, and begin again."""
-        kept = self._values[:min(self.count, KEPT)]
+    def reset(self) -> Array:
+        """Return the numbers since the last call, and begin again."""
+        values = np.array(self._values[:self.count])
         self.count = 0
-        if len(kept) == 0:
-            return Quantiles(math.nan, math.nan, math.nan)
-        p50, p99 = np.percentile(kept, (50.0, 99.0))
-        return Quantiles(float(p50), float(p99), max(kept))
+        return values
 
 
-class Rhythm(NamedTuple):
-    """How messages of one topic came; NaN where too few did."""
+def quantiles(values: Array) -> Quantiles:
+    """Return the quantiles of numbers (N,)."""
+    return Quantiles(*(np.percentile(values, (50.0, 99.0, 100.0)).tolist()
+                       if len(values) else [math.nan] * 3))
+
+
+class ArrivalStatistics(NamedTuple):
+    """How messages of one topic arrived; NaN where too few did."""
 
     messages: int
     rate_hz: float
@@ -66,7 +70,7 @@ class Rhythm(NamedTuple):
 
 class Arrivals:
     """
-    Statistics of the arrivals of one topic since last taken.
+    Arrivals of the messages of one topic since the last reset.
 
     Attributes
     ----------
@@ -78,37 +82,30 @@ class Arrivals:
     def __init__(self) -> None:
         """Start without arrivals."""
         self.last_ns = -1
-        self._ages = Window()
-        self._intervals = 0
-        self._sum = self._squares = 0.0
+        self._ages, self._intervals = Window(), Window()
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing has arrived since last taken."""
+        """Whether nothing has arrived since the last reset."""
         return self._ages.count == 0
 
     def add(self, arrival_ns: int, age: float) -> None:
-        """Note a message and how old (s) it is."""
+        """Record a message and its age (s)."""
         if self.last_ns >= 0:
-            interval = (arrival_ns - self.last_ns) * 1e-9
-            self._intervals += 1
-            self._sum += interval
-            self._squares += interval * interval
+            self._intervals.add((arrival_ns - self.last_ns) * 1e-9)
         self.last_ns = arrival_ns
         self._ages.add(age)
 
-    def take(self) -> Rhythm:
-        """Return how messages came since the last call, and begin again."""
-        count, n = self._ages.count, self._intervals
-        mean = self._sum / n if n else math.nan
-        variance = self._squares / n - mean * mean if n else math.nan
-        self._intervals, self._sum, self._squares = 0, 0.0, 0.0
-        rate = 1.0 / mean if n and mean > 0.0 else math.nan
-        jitter = math.sqrt(variance) if variance > 0.0 else 0.0
-        return Rhythm(count, rate, jitter, self._ages.take())
+    def reset(self) -> ArrivalStatistics:
+        """Return how messages arrived since the last call, and begin again."""
+        count, intervals = self._ages.count, self._intervals.reset()
+        mean = float(intervals.mean()) if len(intervals) else math.nan
+        return ArrivalStatistics(
+            count, 1.0 / mean if mean > 0.0 else math.nan,
+            float(intervals.std()) if len(intervals) else 0.0, quantiles(self._ages.reset()))
 
 
-STRANGE_AGE = 1.0
+MAX_AGE = 1.0
 """Messages older or younger (s) than this carry stamps of another clock."""
 
 TWIST_MESSAGES = {
@@ -159,7 +156,7 @@ PHASE_MESSAGES = {
 class Mismatch(NamedTuple):
     """Why an input cannot be received: a QoS policy, another type, or a missing part."""
 
-    of: Literal['qos', 'type', 'frames']
+    kind: Literal['qos', 'type', 'frames']
     name: str
 
 
@@ -180,14 +177,14 @@ class Status(NamedTuple):
     values: dict[str, str]
 
 
-class InputSeen(NamedTuple):
-    """One input as seen since the last report."""
+class InputReport(NamedTuple):
+    """One input since the last report."""
 
     topic: str
     publishers: int
     mismatch: Mismatch | None
     """What does not match some publisher's, if any."""
-    rhythm: Rhythm
+    arrivals: ArrivalStatistics
     silent: float
     """Seconds since the last message; infinite before the first."""
     refused: Mapping[str, int]
@@ -201,140 +198,131 @@ def number(value: float) -> str:
     return f'{value:.4g}' if math.isfinite(value) else 'none'
 
 
-def input_status(name: str, seen: InputSeen, optional: bool = False) -> Status:
-    """Return the line on an input; one that is optional may be absent."""
-    return Status(name, *_judge_input(seen, optional), _values(seen))
+def input_status(name: str, report: InputReport, optional: bool = False) -> Status:
+    """Return the status of an input; one that is optional may be absent."""
+    return Status(name, *_judge_input(report, optional), _values(report))
 
 
-def _values(seen: InputSeen) -> dict[str, str]:
+def _values(report: InputReport) -> dict[str, str]:
     """Return the numbers of an input."""
+    arrivals = report.arrivals
+    numbers = {
+        'rate (Hz)': arrivals.rate_hz, 'jitter (s)': arrivals.jitter,
+        'age p50 (s)': arrivals.age.p50, 'age p99 (s)': arrivals.age.p99,
+        'age max (s)': arrivals.age.largest, 'silent for (s)': report.silent}
     return {
-        'topic': seen.topic,
-        'publishers': str(seen.publishers),
-        'rate (Hz)': number(seen.rhythm.rate_hz),
-        'jitter (s)': number(seen.rhythm.jitter),
-        'age p50 (s)': number(seen.rhythm.age.p50),
-        'age p99 (s)': number(seen.rhythm.age.p99),
-        'age max (s)': number(seen.rhythm.age.largest),
-        'silent for (s)': number(seen.silent),
-        **{f'refused: {reason}': str(count) for reason, count in seen.total_refused.items()},
-    }
+        'topic': report.topic, 'publishers': str(report.publishers),
+        **{name: number(value) for name, value in numbers.items()},
+        **{f'refused: {reason}': str(count) for reason, count in report.total_refused.items()}}
 
 
 def _listed(counts: Mapping[str, int]) -> str:
-    """Return what has been counted, as words."""
+    """Return counts in words."""
     return ', '.join(
         f'{count} x {REASONS.get(reason, reason)}' for reason, count in counts.items() if count)
 
 
-def _refusals(seen: InputSeen) -> str:
+def _refusals(report: InputReport) -> str:
     """Return how many messages were refused since the last report, and why."""
-    refused, of = sum(seen.refused.values()), seen.rhythm.messages
-    return f'{refused} of {of} messages refused: {_listed(seen.refused)}'
+    refused, messages = sum(report.refused.values()), report.arrivals.messages
+    return f'{refused} of {messages} messages refused: {_listed(report.refused)}'
 
 
-def _judge_input(seen: InputSeen, optional: bool) -> tuple[Level, str]:
-    """Return level and words on an input."""
-    lowest = Level.WARN if optional else Level.ERROR
-    if seen.rhythm.messages == 0:
-        return _judge_silence(seen, optional, lowest)
-    refused = sum(seen.refused.values())
+def _judge_input(report: InputReport, optional: bool) -> tuple[Level, str]:
+    """Return level and message of an input."""
+    worst = Level.WARN if optional else Level.ERROR
+    messages, refused = report.arrivals.messages, sum(report.refused.values())
+    if messages == 0:
+        return _judge_silence(report, optional, worst)
     if refused:
-        return lowest if refused >= seen.rhythm.messages else Level.WARN, f'{_refusals(seen)}.'
-    if seen.mismatch:
-        return Level.WARN, _mismatch_message(seen.topic, seen.mismatch)
-    age = seen.rhythm.age.p50
-    if abs(age) > STRANGE_AGE:
-        side = 'behind' if age > 0.0 else 'ahead of'
+        return worst if refused >= messages else Level.WARN, f'{_refusals(report)}.'
+    if report.mismatch:
+        return Level.WARN, _mismatch_message(report.topic, report.mismatch)
+    age = report.arrivals.age.p50
+    if abs(age) > MAX_AGE:
         return Level.WARN, (
-            f'Stamps are {abs(age):.3g} s {side} the clock of this node. Synchronise the clocks, '
-            'or set use_sim_time while playing a recording.'
-        )
-    known = math.isfinite(seen.rhythm.rate_hz)
-    return Level.OK, f'{seen.rhythm.rate_hz:.4g} Hz.' if known else 'A single message.'
+            f'Stamps are {abs(age):.3g} s {"behind" if age > 0.0 else "ahead of"} the clock of '
+            'this node. Synchronise the clocks, or set use_sim_time while playing a recording.')
+    rate_hz = report.arrivals.rate_hz
+    return Level.OK, f'{rate_hz:.4g} Hz.' if math.isfinite(rate_hz) else 'A single message.'
 
 
-def twist_status(name: str, seen: InputSeen, poses: int, alone: int) -> Status:
-    """Return the line on the twists, with the number of recent poses without one."""
-    status = input_status(name, seen, optional=True)
-    seldom = 2 * seen.rhythm.messages <= poses
-    if status.level > Level.OK or seldom or 2 * alone <= poses:
+def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> Status:
+    """Return the status of the twists, with the number of recent poses without one."""
+    status = input_status(name, report, optional=True)
+    rare = 2 * report.arrivals.messages <= poses
+    if status.level > Level.OK or rare or 2 * unpaired <= poses:
         return status
     return status._replace(level=Level.WARN, message=(
-        f'{alone} of {poses} poses had no twist of the same stamp; it was estimated. Check that '
-        'one clock stamps poses and twists.'
-    ))
+        f'{unpaired} of {poses} poses had no twist of the same stamp; it was estimated. Check '
+        'that one clock stamps poses and twists.'))
 
 
-def _judge_silence(seen: InputSeen, optional: bool, lowest: Level) -> tuple[Level, str]:
-    """Return level and text for a silent input."""
-    if seen.mismatch:
-        return lowest, _mismatch_message(seen.topic, seen.mismatch)
-    if seen.publishers == 0:
-        if optional:
-            return Level.OK, f'Nobody publishes {seen.topic}: estimated from the poses.'
-        return lowest, (
-            f'Nobody publishes {seen.topic}. Start the driver, or remap the topic.'
-        )
-    since = f'for {seen.silent:.1f} s' if math.isfinite(seen.silent) else 'so far'
-    return lowest, (
-        f'The publisher of {seen.topic} is silent: no message {since}. Check that the driver and '
-        'its controller are active.'
-    )
+def _judge_silence(report: InputReport, optional: bool, worst: Level) -> tuple[Level, str]:
+    """Return level and message of a silent input."""
+    topic, silent = report.topic, report.silent
+    if report.mismatch:
+        return worst, _mismatch_message(topic, report.mismatch)
+    if report.publishers:
+        since = f'for {silent:.1f} s' if math.isfinite(silent) else 'so far'
+        return worst, (
+            f'The publisher of {topic} is silent: no message {since}. Check that the driver and '
+            'its controller are active.')
+    if optional:
+        return Level.OK, f'Nobody publishes {topic}: estimated from the poses.'
+    return worst, f'Nobody publishes {topic}. Start the driver, or remap the topic.'
 
 
 def _mismatch_message(topic: str, mismatch: Mismatch) -> str:
-    """Return the text on a mismatch of QoS, type or frames."""
-    of, name = mismatch
-    if of == 'frames':
+    """Return the message on a mismatch of QoS, type or frames."""
+    kind, name = mismatch
+    if kind == 'frames':
         return (f'No pose of the tool from {topic}: {name}. Check frames.world and frames.tool, '
                 'and their publishers.')
-    if of == 'type':
+    if kind == 'type':
         return (f'A publisher of {topic} sends {name}, but the node subscribes to another type. '
                 'Set tool_pose.type, or remap the topic.')
     return (f'QoS does not match: a publisher of {topic} offers a {name} other than the '
             f'requested one. Set qos_overrides.{topic}.subscription.{name} to the offered value.')
 
 
-def vacuum_status(name: str, seen: InputSeen, held: bool, latched: bool) -> Status:
+def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
     """
-    Return the line on the signal of the vacuum.
+    Return the status of the vacuum signal.
 
     A latched one is sent when it changes, and may be silent after its first message.
     """
-    values = _values(seen) | {'held': str(held).lower()}
-    return Status(name, *_judge_vacuum(seen, held, latched), values)
+    values = _values(report) | {'held': str(held).lower()}
+    return Status(name, *_judge_vacuum(report, held, latched), values)
 
 
-def _judge_vacuum(seen: InputSeen, held: bool, latched: bool) -> tuple[Level, str]:
-    """Return level and words on the vacuum signal."""
-    lost = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
-    counts = f'the package counts as {"" if held else "not "}held'
-    if seen.mismatch:
-        return lost, _mismatch_message(seen.topic, seen.mismatch)
-    if seen.publishers == 0:
-        return lost, (
-            f'Nobody publishes {seen.topic}: {counts}. Start the driver, remap the topic, or set '
-            'vacuum.signal to none.'
-        )
-    if any(seen.refused.values()):
-        return lost, f'{_refusals(seen)}; {counts}. Publish the absolute pressure, Pa.'
-    if not math.isfinite(seen.silent):
-        return Level.WARN, f'No message on {seen.topic} so far: {counts}.'
-    if not (seen.rhythm.messages or latched):
-        return lost, f'{seen.topic} has been silent for {seen.silent:.1f} s: {counts}.'
+def _judge_vacuum(report: InputReport, held: bool, latched: bool) -> tuple[Level, str]:
+    """Return level and message of the vacuum signal."""
+    worst = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
+    state, topic = f'the package counts as {"" if held else "not "}held', report.topic
+    if report.mismatch:
+        return worst, _mismatch_message(topic, report.mismatch)
+    if report.publishers == 0:
+        return worst, (f'Nobody publishes {topic}: {state}. Start the driver, remap the topic, or '
+                       'set vacuum.signal to none.')
+    if any(report.refused.values()):
+        return worst, f'{_refusals(report)}; {state}. Publish the absolute pressure, Pa.'
+    if not math.isfinite(report.silent):
+        return Level.WARN, f'No message on {topic} so far: {state}.'
+    if not (report.arrivals.messages or latched):
+        return worst, f'{topic} has been silent for {report.silent:.1f} s: {state}.'
     return Level.OK, 'Held.' if held else 'Not held.'
 
 
-class PredictionSeen(NamedTuple):
-    """The prediction as seen since the last report."""
+class PredictionReport(NamedTuple):
+    """The prediction since the last report."""
 
     state: str
     """Of the lifecycle: 'active' or another."""
     phase: str
     cup: str
-    compute: Quantiles
-    """Seconds from a message's arrival until its predictions were published."""
+    compute: Array
+    """Seconds from each message's arrival until its predictions were published."""
     counts: Mapping[str, int]
     """Since the start."""
     restarts: Mapping[str, int]
@@ -346,97 +334,85 @@ class PredictionSeen(NamedTuple):
     """Whether z of the tool points down, so that the package is above it."""
 
 
-def prediction_status(name: str, seen: PredictionSeen) -> Status:
-    """Return the line on the prediction."""
-    values = {
-        'lifecycle': seen.state,
-        'phase': seen.phase,
-        'cup': seen.cup,
-        'compute time p50 (us)': number(1e6 * seen.compute.p50),
-        'compute time p99 (us)': number(1e6 * seen.compute.p99),
-        'compute time max (us)': number(1e6 * seen.compute.largest),
-        'twists against poses': seen.twist_verdict,
-        **{what: str(count) for what, count in seen.counts.items()},
-    }
-    return Status(name, *_judge_prediction(seen), values)
+def prediction_status(name: str, report: PredictionReport) -> Status:
+    """Return the status of the prediction."""
+    times = zip(('p50', 'p99', 'max'), quantiles(report.compute), strict=True)
+    return Status(name, *_judge_prediction(report), {
+        'lifecycle': report.state, 'phase': report.phase, 'cup': report.cup,
+        **{f'compute time {which} (us)': number(1e6 * seconds) for which, seconds in times},
+        'twists against poses': report.twist_verdict,
+        **{name: str(count) for name, count in report.counts.items()}})
 
 
-def _judge_prediction(seen: PredictionSeen) -> tuple[Level, str]:
-    """Return level and words on the prediction."""
-    if seen.state != 'active':
-        return Level.OK, f'{seen.state.capitalize()}: nothing is published.'
-    if seen.restarts.get('no_equilibrium'):
+def _judge_prediction(report: PredictionReport) -> tuple[Level, str]:
+    """Return level and message of the prediction."""
+    restarts, phase = report.restarts, report.phase
+    if report.state != 'active':
+        return Level.OK, f'{report.state.capitalize()}: nothing is published.'
+    if restarts.get('no_equilibrium'):
         return Level.ERROR, (
             'Nothing is published: the cup cannot hold the package at rest in this tool pose. '
             'Check package.mass, package.com, cup.stiffness and their units, and that z of the '
-            'tool points from the cup back into the arm.'
-        )
-    if failures := seen.restarts.get('failure'):
+            'tool points from the cup back into the arm.')
+    if failures := restarts.get('failure'):
         return Level.ERROR, f'{failures} callbacks failed, a fault of this node. Report its log.'
-    if seen.phase == 'lost':
-        return Level.ERROR, PHASE_MESSAGES[seen.phase]
-    if seen.above:
+    if phase == 'lost':
+        return Level.ERROR, PHASE_MESSAGES[phase]
+    if report.above:
         return Level.ERROR, (
             'The package is above the tool: z of the tool points down, but must point from the '
             "cup back into the arm. Turn the driver's tool frame by 180 degrees about x, or set "
-            'gravity.direction if the arm is not mounted upright.'
-        )
-    if restarts := _listed(seen.restarts):
-        return Level.WARN, f'Started again from static equilibrium: {restarts}.'
-    if seen.phase in ('coasting', 'settling'):
-        return Level.WARN, PHASE_MESSAGES[seen.phase]
-    if seen.twist_verdict in TWIST_MESSAGES:
-        return Level.WARN, TWIST_MESSAGES[seen.twist_verdict]
-    if not seen.covariance_known:
+            'gravity.direction if the arm is not mounted upright.')
+    if reasons := _listed(restarts):
+        return Level.WARN, f'Started again from static equilibrium: {reasons}.'
+    if phase in ('coasting', 'settling'):
+        return Level.WARN, PHASE_MESSAGES[phase]
+    if report.twist_verdict in TWIST_MESSAGES:
+        return Level.WARN, TWIST_MESSAGES[report.twist_verdict]
+    if not report.covariance_known:
         return Level.WARN, (
             'The covariance of package/odometry is unknown, because the package has no stable '
             'equilibrium under the tool. Check package.com, and that z of the tool points from '
-            'the cup back into the arm.'
-        )
-    return Level.OK, PHASE_MESSAGES.get(seen.phase, 'Predicting.')
+            'the cup back into the arm.')
+    return Level.OK, PHASE_MESSAGES.get(phase, 'Predicting.')
 
 
 def load_status(
-    name: str, safety: Safety | None, away: Distance | None, bending: float,
+    name: str, safety: Safety | None, excess: Distance | None, bending: float,
     grip_known: bool, envelope_known: bool, required: float,
 ) -> Status:
-    """Return the line on the cup's load: safety factor and validity range."""
+    """Return the status of the cup's load: safety factor and validity range."""
+    factor, mode = safety or Safety(math.nan, 'nothing')
     values = {
-        'safety factor': 'not known' if not grip_known else number(
-            math.nan if safety is None else safety.factor),
-        'limited by': 'nothing' if safety is None else safety.mode,
-        'distance from envelope': 'not known' if not envelope_known else number(
-            math.nan if away is None else away.value),
-        'largest bending (rad)': number(bending),
-    }
+        'safety factor': number(factor) if grip_known else 'not known',
+        'limited by': mode,
+        'distance from envelope': number(
+            excess.value if excess else math.nan) if envelope_known else 'not known',
+        'largest bending (rad)': number(bending)}
     level, message = Level.OK, 'Within all known limits.'
-    if safety is not None and safety.factor < required:
-        level = Level.ERROR if safety.factor < 1.0 else Level.WARN
-        below = '1: the cup lets go' if safety.factor < 1.0 else f'safety.least, {required:g}'
-        message = (f'The safety factor of the grip is {safety.factor:.2f} ({safety.mode}), below '
-                   f'{below}. Move slower, or raise the vacuum.')
-    elif bending > STRONGEST_BENDING:
+    if factor < required:
+        level = Level.ERROR if factor < 1.0 else Level.WARN
+        limit = '1: the cup lets go' if factor < 1.0 else f'safety.least, {required:g}'
+        message = (f'The safety factor of the grip is {factor:.2f} ({mode}), below '
+                   f'{limit}. Move slower, or raise the vacuum.')
+    elif bending > FLAT_MOMENT_BENDING:
         level, message = Level.WARN, (
             f'The cup bends by {bending:.2g} rad, where its restoring moment hardly grows.')
-    elif away is not None and away.outside:
-        level, message = Level.WARN, away.text
+    elif excess is not None and excess.outside:
+        level, message = Level.WARN, excess.text
     elif not (grip_known or envelope_known):
         message = ('The limits of the cup are unknown. Set cup.lip_radius with vacuum.holding, '
                    'and envelope.*.')
-    elif safety is None and away is None:
+    elif safety is None and excess is None:
         message = 'No load: no package is held.'
     return Status(name, level, message, values)
 
 
 def summary(live: LivePredictor) -> str:
     """Return all counts of a predictor in one sentence."""
-    def many(count: int, thing: str) -> str:
-        return f'{count} {thing}' if count == 1 else f'{count} {thing}s'
-
-    refused = [f'{count} {name}' for name, count in live.refused.items() if count]
-    detail = f' ({", ".join(refused)})' if refused else ''
+    refused = live.refused
+    reasons = ', '.join(f'{count} {name}' for name, count in refused.items() if count)
     return (
-        f'{many(live.poses_in, "pose")} and {many(live.twists_in, "twist")} in, '
-        f'{many(live.predictions, "prediction")} out, {sum(live.refused.values())} refused'
-        f'{detail}, {many(live.twists_estimated, "twist")} estimated.'
-    )
+        f'{live.poses_in} poses and {live.twists_in} twists in, {live.predictions} predictions '
+        f'out, {sum(refused.values())} refused{f" ({reasons})" if reasons else ""}, '
+        f'{live.twists_estimated} twists estimated.')

@@ -20,34 +20,23 @@ from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-STRONGEST_BENDING = 0.6
+FLAT_MOMENT_BENDING = 0.6
 """Bending (rad) beyond which the restoring moment of the model hardly grows (3.17)."""
-
 
 ALL = -1
 """Stands for the cup, or for all cups of a gripper together."""
 
-Reading = tuple[bool, int]
-"""Whether a cup holds, and its index in cup.layout or `ALL`."""
 
+def deflection(
+    model: ModelTuple, prediction: Prediction
+) -> tuple[Vector, Matrix, Vector, Vector]:
+    """
+    Return pose and twist of the lip relative to its nominal pose (0, 0, -l0) in the tool.
 
-class Deflection(NamedTuple):
-    """Pose and twist of the lip relative to the nominal lip, in tool axes and lip axes."""
-
-    shift: Vector
-    """Of the lip from its place without load, in tool axes, m."""
-    rotation: Matrix
-    """E_R_S, row by row."""
-    linear: Vector
-    """Of the twist of the lip relative to the tool, in lip axes, m/s."""
-    angular: Vector
-    """Rate of the lip relative to the tool, in lip axes, rad/s."""
-
-
-def deflection(model: ModelTuple, prediction: Prediction) -> Deflection:
-    """Return the displacement of the lip from its nominal pose (0, 0, -l0) in the tool."""
+    Shift (m) in tool axes, rotation E_R_S, and linear (m/s) and angular twist (rad/s) in lip axes.
+    """
     o, R, v, w = lip_relative_to_tool(model[1][1], prediction.tool, prediction.body)
-    return Deflection((o[0], o[1], o[2] + model[0][1]), R, v, w)
+    return (o[0], o[1], o[2] + model[0][1]), R, v, w
 
 
 def deflection_rotation(prediction: Prediction) -> Quaternion:
@@ -58,9 +47,8 @@ def deflection_rotation(prediction: Prediction) -> Quaternion:
 
 def lip_position(model: ModelTuple, prediction: Prediction) -> Vector:
     """Return the centre of the lip S in the world (m)."""
-    com = model[1][1]
-    return t3.subtract(
-        prediction.position, t3.apply(t3.rotation_matrix(prediction.quaternion_xyzw), com))
+    R = t3.rotation_matrix(prediction.quaternion_xyzw)
+    return t3.subtract(prediction.position, t3.apply(R, model[1][1]))
 
 
 def equivalent_box(values: Mapping[str, Any]) -> Vector:
@@ -70,17 +58,9 @@ def equivalent_box(values: Mapping[str, Any]) -> Vector:
     Along x, y, z of B; products of inertia are left out, and sides are 1 mm to 10 m long.
     """
     xx, yy, zz = values['package.inertia'][:3]
-    squares = (yy + zz - xx, xx + zz - yy, xx + yy - zz)
-    x, y, z = (
-        min(10.0, max(1e-3, math.sqrt(max(0.0, 6.0 * square / values['package.mass']))))
-        for square in squares
-    )
+    squares = 6.0 * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz]) / values['package.mass']
+    x, y, z = np.sqrt(squares.clip(1e-6, 100.0)).tolist()
     return x, y, z
-
-
-def bending(lip: Deflection) -> float:
-    """Return the angle (rad) between the axes of tool and lip."""
-    return math.acos(min(1.0, max(-1.0, lip.rotation[8])))
 
 
 class Safety(NamedTuple):
@@ -93,7 +73,7 @@ class Safety(NamedTuple):
 
 class Load:
     """
-    Watch predictions: the smallest safety factor and the largest distance from the envelope.
+    Smallest safety factor of predictions, and their largest distance from the envelope.
 
     Parameters
     ----------
@@ -115,16 +95,15 @@ class Load:
     """
 
     def __init__(self, values: Mapping[str, Any], pressure: float | None = None) -> None:
-        """Take the limits."""
+        """Set the limits."""
         self._values = values
         self.set_pressure(pressure)
         self.required = float(values['safety.least'])
-        self._mass = values['package.mass']
         self._envelope = known_envelope(values)
         self._clear()
 
     def _clear(self) -> None:
-        """Begin again."""
+        """Forget all predictions."""
         self._safety: Safety | None = None
         self._distance: Distance | None = None
         self._bending = 0.0
@@ -160,29 +139,32 @@ class Load:
 
     def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
         """Record how far a prediction is outside the validity range."""
-        lip = deflection(model, prediction)
-        self._bending = max(self._bending, bending(lip))
+        shift, R, linear, angular = deflection(model, prediction)
+        self._bending = max(self._bending, math.acos(min(1.0, max(-1.0, R[8]))))
         if self._envelope is None:
             return
         turn = t3.turn_between(prediction.tool[1], prediction.quaternion_xyzw)
         now = distance(
-            self._envelope, (*lip.shift, *turn), (*lip.linear, *lip.angular), self._mass)
+            self._envelope, (*shift, *turn), (*linear, *angular),
+            self._values['package.mass'])
         if self._distance is None or now.value > self._distance.value:
             self._distance = now
 
-    def take(self) -> tuple[Safety | None, Distance | None, float]:
+    def reset(self) -> tuple[Safety | None, Distance | None, float]:
         """Return safety factor, distance and largest bending (rad) since the last call."""
-        found = self._safety, self._distance, self._bending
+        extremes = self._safety, self._distance, self._bending
         self._clear()
-        return found
+        return extremes
 
 
 class Vacuum:
     """
-    Follow absolute pressures in the cup, or in single cups of a gripper.
+    Absolute pressures in the cup, or in single cups of a gripper.
 
     Attributes
     ----------
+    values : mapping
+        Parameters by name: vacuum.*, cup.layout.
     held : bool
         Whether the package is held; a gripper holds it while any of its cups does.
     pressure : float or None
@@ -193,25 +175,22 @@ class Vacuum:
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        """Know of no sensor."""
-        self.set_values(values)
+        """Start without a pressure."""
+        self.values = values
         self.held = False
         self.open_cups: tuple[int, ...] = ()
         self.pressure: float | None = None
         self._pressures: dict[int, float] = {}  # by cup, of those that hold
-        self._seen: set[int] = set()  # cups with a sensor
+        self._measured: set[int] = set()  # cups with a sensor
 
-    def set_values(self, values: Mapping[str, Any]) -> None:
-        """Use other parameters: vacuum.*, cup.layout."""
-        self._values = values
-
-    def update(self, pressure: float, frame_id: str) -> tuple[Reading, ...] | str:
+    def update(self, pressure: float, frame_id: str) -> tuple[tuple[bool, int], ...] | str:
         """
-        Take a pressure (Pa), and return who holds by it, or why it is refused.
+        Return by a new pressure (Pa) whether cups hold, or why it is refused.
 
-        A frame_id that ends in cup_2 is of this one cup.
+        Each cup by its index in cup.layout, or `ALL`. A frame_id that ends in cup_2 is of this
+        one cup.
         """
-        cups = len(self._values['cup.layout']) // 3
+        cups = len(self.values['cup.layout']) // 3
         of_cup = re.search(r'cup_(\d{1,3})$', frame_id) if cups > 1 else None
         cup = int(of_cup[1]) if of_cup else ALL
         if not math.isfinite(pressure):
@@ -221,12 +200,12 @@ class Vacuum:
         if cup >= cups > 1:
             return 'no_such_cup'
         was_held = self.held if cup == ALL else cup in self._pressures
-        is_held = bool(pressure <= self._values['vacuum.detach_above'] if was_held
-                       else pressure < self._values['vacuum.attach_below'])
+        is_held = bool(pressure <= self.values['vacuum.detach_above'] if was_held
+                       else pressure < self.values['vacuum.attach_below'])
         if cup == ALL:
             self.held, self.pressure = is_held, pressure
             return ((is_held, ALL),)
-        self._seen.add(cup)
+        self._measured.add(cup)
         self._pressures.pop(cup, None)
         if is_held:
             self._pressures[cup] = pressure
@@ -234,7 +213,7 @@ class Vacuum:
         self.pressure = max(self._pressures.values(), default=None)
         if not self.held:  # the package is lost, which is more than its last cup
             return ((False, ALL),)
-        self.open_cups = tuple(sorted(self._seen - set(self._pressures)))
+        self.open_cups = tuple(sorted(self._measured - set(self._pressures)))
         return (is_held, cup), (True, ALL)
 
 
@@ -253,12 +232,15 @@ def check_live(values: Mapping[str, Any]) -> None:
         With what does not fit, or cannot be computed.
 
     """
-    check_thresholds(values)
+    low, high = values['vacuum.attach_below'], values['vacuum.detach_above']
+    if low > high:
+        raise BellowsError(
+            f'vacuum.attach_below is {low:g} Pa, above vacuum.detach_above, {high:g} Pa. The '
+            'pressure falls when a package is picked up, so attach_below must be the lower one.')
     if values['recording.package_world'] == ESTIMATE:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
-            'seven numbers, from the file of bellows identify --out.'
-        )
+            'seven numbers, from the file of bellows identify --out.')
     model = prepared(cup_of(values), package_of(values), gravity_of(values)).model
     load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is known yet
     try:
@@ -270,15 +252,4 @@ def check_live(values: Mapping[str, Any]) -> None:
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
             f'The prediction fails with these parameters ({error}). Check package.*, cup.*, '
-            'envelope.* and their units.'
-        ) from None
-
-
-def check_thresholds(values: Mapping[str, Any]) -> None:
-    """Raise BellowsError where the pressure for attaching lies above that for detaching."""
-    low, high = values['vacuum.attach_below'], values['vacuum.detach_above']
-    if low > high:
-        raise BellowsError(
-            f'vacuum.attach_below is {low:g} Pa, above vacuum.detach_above, {high:g} Pa. The '
-            'pressure falls when a package is picked up, so attach_below must be the lower one.'
-        )
+            'envelope.* and their units.') from None
