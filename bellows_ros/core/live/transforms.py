@@ -10,24 +10,19 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.live.samples import PoseSample
 from bellows_ros.core.model.kernels import ORIGIN
 
-KEPT = 500
-"""Transforms kept for each moving link."""
+QUEUE_LENGTH = 500
+"""Transforms stored for each moving link."""
 
-LARGEST_TREE = 10_000
+MAX_FRAMES = 10_000
 """Most frames in a tree."""
-
-STATIC = 0
-"""Stamp of static transforms."""
-
-IDENTITY = PoseSample(STATIC, *ORIGIN[:2])
 
 
 class Chain:
     """
-    The way through the tree from one frame to another, which need not be above it.
+    The links of a tree from one frame to another, which need not be above it.
 
-    Each link has its own stamps. A pose is given for each stamp of the moving link that is next to
-    the tool, as soon as the others reach it; these are interpolated.
+    Each link has its own stamps. A pose is returned for each stamp of the moving link that is next
+    to the tool, as soon as the others reach it; these are interpolated.
 
     Parameters
     ----------
@@ -45,86 +40,68 @@ class Chain:
         """Start without transforms."""
         self.world, self.tool, self.dropped = world, tool, 0
         self._parents: dict[str, str] = {}
-        self._left: dict[str, str | None] = {}  # with the last message, for another parent
-        self._both: dict[str, tuple[str, str]] = {}
         self._static: dict[str, PoseSample] = {}
-        self._found: tuple[str | None, list[tuple[str, str]]] = '', []
-        self._follow()
+        self._links: tuple[str | None, dict[str, str]] = '', {}
+        self._update_links()
 
     def add(self, parent: str, child: str, sample: PoseSample, static: bool = False) -> None:
-        """Take the pose of a child frame in its parent."""
-        if child not in self._parents and len(self._parents) >= LARGEST_TREE:
+        """Add the pose of a child frame in its parent."""
+        if child not in self._parents and len(self._parents) >= MAX_FRAMES:
             return
         was_static = self._static.pop(child, None) is not None
         if static:
-            self._static[child] = sample._replace(stamp_ns=STATIC)
-        before = self._parents.get(child)
-        if before != parent or static != was_static:
-            if before is not None and self._left.get(child) == parent != before:
-                self._both[child] = before, parent
-            self._left[child] = before
+            self._static[child] = sample
+        if self._parents.get(child) != parent or static != was_static:
             self._parents[child] = parent
-            self._follow()
-        elif child in self._left:
-            del self._left[child]
-        link = self._moving.get(child)
-        if link is None:
-            return
-        if link and sample.stamp_ns == link[-1].stamp_ns:
+            self._update_links()
+        samples = self._moving.get(child)
+        if samples is None or (samples and sample.stamp_ns == samples[-1].stamp_ns):
             return  # repeated, as by publishers of joints
-        if link and sample.stamp_ns < link[-1].stamp_ns:
-            link.clear()
-        link.append(sample)
+        if samples and sample.stamp_ns < samples[-1].stamp_ns:
+            samples.clear()
+        samples.append(sample)
         if child == self._first:
-            self._wait_for(sample.stamp_ns)
+            self._queue_stamp(sample.stamp_ns)
 
-    def _wait_for(self, stamp_ns: int) -> None:
-        """Want a pose at a stamp; later ones, before the clock went back, are not."""
+    def _queue_stamp(self, stamp_ns: int) -> None:
+        """Request a pose at a stamp; later ones, before the clock went back, are dropped."""
         before = len(self._waiting)
         while self._waiting and self._waiting[-1] > stamp_ns:
             self._waiting.pop()
-        if len(self._waiting) == KEPT:
+        if len(self._waiting) == QUEUE_LENGTH:
             self._waiting.popleft()
         self.dropped += before - len(self._waiting)
         self._waiting.append(stamp_ns)
 
-    def _follow(self) -> None:
-        """Find the chain of links; discard the links of another one."""
-        ups = [self._up(self.tool), self._up(self.world)]
-        shared = next((frame for frame in ups[0] if frame in ups[1]), None)
-        self._ways = [up[:up.index(shared)] if shared is not None else [] for up in ups]
-        moving = [(link, self._parents[link]) for way in self._ways for link in way
-                  if link not in self._static]
-        if (shared, moving) == self._found:
-            return
-        self._found = shared, moving
-        self._moving: dict[str, deque[PoseSample]] = {
-            link: deque(maxlen=KEPT) for link, _ in moving}
-        self._first = moving[0][0] if moving else ''
-        self._waiting: deque[int] = deque()
+    def _update_links(self) -> None:
+        """Find the links between both frames; discard the samples of other links."""
+        paths = [self._ancestors(frame) for frame in (self.tool, self.world)]
+        shared = next((frame for frame in paths[0] if frame in paths[1]), None)
+        self._branches = [
+            path[:path.index(shared)] if shared is not None else [] for path in paths]
+        moving = {link: self._parents[link] for branch in self._branches for link in branch
+                  if link not in self._static}
+        if (shared, moving) != self._links:
+            self._links = shared, moving
+            self._moving: dict[str, deque[PoseSample]] = {
+                link: deque(maxlen=QUEUE_LENGTH) for link in moving}
+            self._first = next(iter(moving), '')
+            self._waiting: deque[int] = deque()
 
-    def _up(self, frame: str) -> list[str]:
-        """Return a frame and its ancestors, up to the root or a circle."""
-        way = [frame]
-        while (frame := self._parents.get(frame, '')) and frame not in way:
-            way.append(frame)
-        return way
+    def _ancestors(self, frame: str) -> list[str]:
+        """Return a frame and its ancestors, up to the root or the end of a loop."""
+        path = [frame]
+        while (frame := self._parents.get(frame, '')) and frame not in path:
+            path.append(frame)
+        return path
 
     @property
     def missing(self) -> str:
         """Why there is no pose of the tool, or ''."""
-        ups = [self._up(frame) for frame in (self.world, self.tool)]
-        for frame in (*ups[0], *ups[1]):
-            if frame in self._both:
-                one, other = self._both[frame]
-                return f"'{frame}' has two alternating parents, '{one}' and '{other}'"
-        if self._found[0] is None:
-            for way in ups:
-                if way[-1] in self._parents:
-                    return (f"the transforms form a loop: '{self._parents[way[-1]]}' is above "
-                            f"'{way[-1]}', and below it")
+        if self._links[0] is None:
+            roots = [self._ancestors(frame)[-1] for frame in (self.world, self.tool)]
             return (f"no transforms connect '{self.world}' and '{self.tool}': they lead up to "
-                    f"'{ups[0][-1]}' and '{ups[1][-1]}'")
+                    f"'{roots[0]}' and '{roots[1]}'")
         if not self._moving:
             return f"'{self.tool}' does not move in '{self.world}': all transforms are static"
         silent = [link for link, samples in self._moving.items() if not samples]
@@ -135,52 +112,43 @@ class Chain:
         return f"the transforms of '{slow}' are {behind:.3g} s behind those of '{self._first}'"
 
     def due(self) -> Iterator[PoseSample]:
-        """Yield the tool's poses in the world that are now known."""
+        """Yield the tool's poses in the world that have become known."""
         others = [samples for link, samples in self._moving.items() if link != self._first]
         while self._waiting and all(o and o[-1].stamp_ns >= self._waiting[0] for o in others):
             stamp_ns = self._waiting.popleft()
             if any(samples[0].stamp_ns > stamp_ns for samples in self._moving.values()):
                 self.dropped += 1
                 continue
-            tool, world = (self._pose(way, stamp_ns) for way in self._ways)
-            yield relative(world, tool)._replace(stamp_ns=stamp_ns)
+            tool, world = (self._pose(branch, stamp_ns) for branch in self._branches)
+            R = t3.rotation_matrix(world.quaternion_xyzw)
+            yield PoseSample(
+                stamp_ns, t3.apply_transposed(R, t3.subtract(tool.position, world.position)),
+                t3.quaternion_product(
+                    t3.quaternion_conjugate(world.quaternion_xyzw), tool.quaternion_xyzw))
 
-    def _pose(self, way: Sequence[str], stamp_ns: int) -> PoseSample:
-        """Return the pose of the first frame of a way in the parent of the last."""
-        pose = IDENTITY
-        for link in way:
-            pose = composed(self._static.get(link) or at(self._moving[link], stamp_ns), pose)
-        return pose
+    def _pose(self, branch: Sequence[str], stamp_ns: int) -> PoseSample:
+        """Return the pose of the first frame of a branch in the parent of the last."""
+        o, q = ORIGIN[:2]
+        for link in branch:
+            _, position, outer = self._static.get(link) or interpolated(
+                self._moving[link], stamp_ns)
+            o = t3.add(position, t3.apply(t3.rotation_matrix(outer), o))
+            q = t3.quaternion_product(outer, q)
+        return PoseSample(stamp_ns, o, q)
 
 
-def at(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
-    """Return a link at a stamp from the first to the last; the turn between two is a chord."""
+def interpolated(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
+    """Return a link at a stamp from the first to the last; rotations follow the chord."""
     after = bisect_left(samples, stamp_ns, key=lambda sample: sample.stamp_ns)
     new = samples[after]
     if new.stamp_ns == stamp_ns:
         return new
     old = samples[after - 1]
-    part = (stamp_ns - old.stamp_ns) / (new.stamp_ns - old.stamp_ns)
+    s = (stamp_ns - old.stamp_ns) / (new.stamp_ns - old.stamp_ns)
     p, q = old.quaternion_xyzw, new.quaternion_xyzw
     sign = -1.0 if sum(a * b for a, b in zip(p, q, strict=True)) < 0.0 else 1.0
-    x, y, z, w = ((1.0 - part) * a + sign * part * b for a, b in zip(p, q, strict=True))
+    x, y, z, w = ((1.0 - s) * a + sign * s * b for a, b in zip(p, q, strict=True))
     chord = (x, y, z, w)
     return PoseSample(
-        stamp_ns, t3.add_scaled(t3.scale(1.0 - part, old.position), part, new.position),
+        stamp_ns, t3.add_scaled(t3.scale(1.0 - s, old.position), s, new.position),
         t3.normalised(chord) if any(chord) else chord)
-
-
-def composed(outer: PoseSample, inner: PoseSample) -> PoseSample:
-    """Return a pose given in another pose."""
-    turned = t3.apply(t3.rotation_matrix(outer.quaternion_xyzw), inner.position)
-    return PoseSample(
-        outer.stamp_ns, t3.add(outer.position, turned),
-        t3.quaternion_product(outer.quaternion_xyzw, inner.quaternion_xyzw))
-
-
-def relative(base: PoseSample, pose: PoseSample) -> PoseSample:
-    """Return a pose relative to another, both given in the same frame."""
-    back = t3.subtract(pose.position, base.position)
-    return PoseSample(
-        pose.stamp_ns, t3.apply_transposed(t3.rotation_matrix(base.quaternion_xyzw), back),
-        t3.quaternion_product(t3.quaternion_conjugate(base.quaternion_xyzw), pose.quaternion_xyzw))

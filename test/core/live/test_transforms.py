@@ -1,7 +1,7 @@
 """The tool's pose by a tree of frames, against SciPy's rotations and matrices."""
 
 from bellows_ros.core.live.samples import PoseSample
-from bellows_ros.core.live.transforms import Chain, KEPT, LARGEST_TREE
+from bellows_ros.core.live.transforms import Chain, MAX_FRAMES, QUEUE_LENGTH
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -94,31 +94,19 @@ def test_a_frame_beside_the_way_changes_nothing():
     assert got == [1, 2, 3]
 
 
-def test_frames_that_go_in_circles_end_and_are_named():
+def test_two_parents_in_turn_and_loops_yield_no_pose():
     chain = Chain('world', 'tool')
-    for parent, child in (('a', 'tool'), ('b', 'a'), ('tool', 'b')):
-        chain.add(parent, child, along_x(MS, 0.0))
-    assert not list(chain.due())
-    assert chain.missing == "the transforms form a loop: 'tool' is above 'b', and below it"
-    chain.add('world', 'world', along_x(MS, 0.0))
-    assert not list(chain.due()) and "'world' is above 'world'" in chain.missing
-
-
-def test_two_parents_in_turn_are_not_mixed_and_are_named():
-    chain, got = Chain('world', 'tool'), []
     chain.add('world', 'left', along_x(0, 1.0), static=True)
     chain.add('world', 'right', along_x(0, -1.0), static=True)
     chain.add('rail', 'tool', along_x(0, 0.0))
     for stamp in range(1, 6):
         chain.add(('left', 'right')[stamp % 2], 'rail', along_x(2 * stamp * MS, 0.0))
         chain.add('rail', 'tool', along_x((2 * stamp - 1) * MS, 0.0))
-        got += chain.due()
-    assert not got  # between a rail on the left and one on the right there is none
-    assert chain.missing == "'rail' has two alternating parents, 'left' and 'right'"
-    moved = Chain('world', 'tool')
-    for stamp, parent in enumerate(('world', 'world', 'stand', 'stand', 'world', 'world')):
-        moved.add(parent, 'tool', along_x(stamp * MS, 0.0))
-    assert 'two alternating parents' not in moved.missing  # a frame may be put elsewhere, and back
+        assert not list(chain.due())  # between a rail on the left and one on the right is none
+    for parent, child in (('a', 'tool'), ('b', 'a'), ('tool', 'b'), ('world', 'world')):
+        chain.add(parent, child, along_x(MS, 0.0))
+        assert not list(chain.due())
+    assert "'world' and 'b'" in chain.missing
 
 
 def test_a_clock_set_back_is_followed_and_a_repetition_left_out():
@@ -132,13 +120,13 @@ def test_a_clock_set_back_is_followed_and_a_repetition_left_out():
 def test_memory_is_bounded_and_what_is_dropped_counted():
     chain = Chain('world', 'tool')
     chain.add('world', 'rail', along_x(MS, 0.0))
-    for k in range(2, KEPT + 52):
+    for k in range(2, QUEUE_LENGTH + 52):
         chain.add('rail', 'tool', along_x(k * MS, 0.0))
         assert not list(chain.due())
     assert chain.dropped == 50
-    for k in range(LARGEST_TREE + 10):
+    for k in range(MAX_FRAMES + 10):
         chain.add('world', f'frame {k}', along_x(MS, 0.0))
-    assert len(chain._parents) == LARGEST_TREE
+    assert len(chain._parents) == MAX_FRAMES
 
 
 @pytest.mark.parametrize('bad', [
