@@ -10,33 +10,32 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 
-from bellows_ros.core.geometry.tuples import add, scale, Vector
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.live.samples import PoseSample, TwistSample
 
 PAIRING_TOLERANCE_NS = 100_000
 """Largest difference (ns) of the stamps of a pose and its twist."""
 
-LONGEST_WAIT_NS = 20_000_000
+MAX_WAIT_NS = 20_000_000
 """Longest time (ns, in stamps) for which a pose waits for its twist."""
 
-LONGEST_QUEUE = 256
+MAX_QUEUE = 256
 """Most poses that wait."""
 
-LONGEST_BRACKET_NS = 30_000_000
+MAX_BRACKET_NS = 30_000_000
 """Longest time (ns) between twists that is interpolated."""
 
-TWISTS_KEPT = 32
+MAX_TWISTS = 32
+"""Most twists that wait."""
 
 LOST_RUN = 3
-"""Consecutive poses without a twist after which twists are no longer waited for."""
+"""Consecutive poses without a twist after which poses no longer wait."""
 
 SMOOTHING = 0.1
 """Weight of a new period in the mean period, so that one lost twist hardly changes it."""
 
-SPARSE = 1.5
-"""Twists rarer than one in this many poses are not waited for."""
-
-Pair = tuple[PoseSample, TwistSample | None]
+MAX_PERIOD_RATIO = 1.5
+"""Poses do not wait for twists that are rarer than one in this many poses."""
 
 
 class Pairing:
@@ -64,7 +63,7 @@ class Pairing:
     def clear(self) -> None:
         """Drop all that waits."""
         self._poses: deque[PoseSample] = deque()
-        self._twists: deque[TwistSample] = deque(maxlen=TWISTS_KEPT)
+        self._twists: deque[TwistSample] = deque(maxlen=MAX_TWISTS)
         self._before: TwistSample | None = None
         self._before_served = True
         self._newest_ns = self._last_emitted_ns = -1
@@ -93,10 +92,10 @@ class Pairing:
         if self._twists and stamp_ns <= self._twists[-1].stamp_ns:
             self.unpaired += 1
             return
-        if self._newest_twist_ns >= 0 and stamp_ns > self._newest_twist_ns:
-            self._twist_period_ns = smoothed(
-                self._twist_period_ns, stamp_ns - self._newest_twist_ns)
-        self._newest_twist_ns = max(self._newest_twist_ns, stamp_ns)
+        newest_ns, self._newest_twist_ns = self._newest_twist_ns, max(
+            self._newest_twist_ns, stamp_ns)
+        if 0 <= newest_ns < stamp_ns:
+            self._twist_period_ns = smoothed(self._twist_period_ns, stamp_ns - newest_ns)
         if abs(stamp_ns - self._last_emitted_ns) <= PAIRING_TOLERANCE_NS:
             if not self._last_paired:  # it came after its pose had gone on without it
                 self._count_pair()
@@ -108,13 +107,13 @@ class Pairing:
             else:
                 self.unpaired += 1
         else:
-            self.unpaired += len(self._twists) == TWISTS_KEPT  # the oldest falls out
+            self.unpaired += len(self._twists) == MAX_TWISTS  # the oldest falls out
             self._twists.append(twist)
 
     def _drop_leaps(self, stamp_ns: int) -> None:
         """Drop twists whose stamps lay in the future, where one with an earlier stamp follows."""
         while self._twists and self._twists[-1].stamp_ns > max(
-            stamp_ns, self._newest_ns + LONGEST_WAIT_NS
+            stamp_ns, self._newest_ns + MAX_WAIT_NS
         ):
             self._twists.pop()
             self._newest_twist_ns = self._twists[-1].stamp_ns if self._twists else -1
@@ -126,35 +125,28 @@ class Pairing:
             self.expect = False
             self._pairs_in_a_row = 0
 
-    def ready(self) -> Iterator[Pair]:
-        """Yield the poses that may go on, oldest first, with their twists."""
+    def ready(self) -> Iterator[tuple[PoseSample, TwistSample | None]]:
+        """Yield the poses that need not wait, oldest first, with their twists."""
         while self._poses:
             pose = self._poses[0]
             twist = self._twist_of(pose.stamp_ns)
-            # twists that come seldom are not worth waiting for
-            sparse = self._twist_period_ns > SPARSE * self._pose_period_ns > 0
+            sparse = self._twist_period_ns > MAX_PERIOD_RATIO * self._pose_period_ns > 0
             if twist is None and self.expect and not sparse:
-                overdue = (
-                    self._newest_ns - pose.stamp_ns > LONGEST_WAIT_NS
-                    or len(self._poses) > LONGEST_QUEUE
-                )
+                overdue = (self._newest_ns - pose.stamp_ns > MAX_WAIT_NS
+                           or len(self._poses) > MAX_QUEUE)
                 if not (overdue or self._twists):  # a newer twist says that this one is lost
                     return
                 self._lost_in_a_row += 1
                 self.expect = not overdue and self._lost_in_a_row < LOST_RUN
             self._poses.popleft()
-            self._note_gone(pose.stamp_ns, twist is not None)
+            if not self._last_paired:
+                self._pairs_in_a_row = 0
+            self._last_emitted_ns, self._last_paired = pose.stamp_ns, False
+            if twist is None:
+                self._without_twist.append(pose.stamp_ns)
+            else:
+                self._count_pair()
             yield pose, twist
-
-    def _note_gone(self, stamp_ns: int, paired: bool) -> None:
-        """Remember how a pose went on."""
-        if not self._last_paired:
-            self._pairs_in_a_row = 0
-        self._last_emitted_ns, self._last_paired = stamp_ns, False
-        if paired:
-            self._count_pair()
-        else:
-            self._without_twist.append(stamp_ns)
 
     def _twist_of(self, stamp_ns: int) -> TwistSample | None:
         """Return the twist of that instant, measured or interpolated."""
@@ -170,20 +162,19 @@ class Pairing:
         return None
 
     def _interpolated(self, stamp_ns: int) -> TwistSample | None:
-        """Return the twist between the last one before an instant and the first one behind it."""
-        before, behind = self._before, self._twists[0]
+        """Return the twist between the last one before an instant and the first one after it."""
+        before, after = self._before, self._twists[0]
         if before is None or before.stamp_ns >= stamp_ns:
             return None
-        span = behind.stamp_ns - before.stamp_ns
-        if span > LONGEST_BRACKET_NS:
+        span = after.stamp_ns - before.stamp_ns
+        if span > MAX_BRACKET_NS:
             return None
         self._before_served = True
         self.interpolated += 1
         s = (stamp_ns - before.stamp_ns) / span
-        return TwistSample(
-            stamp_ns, interpolated(s, before.linear, behind.linear),
-            interpolated(s, before.angular, behind.angular),
-        )
+        return TwistSample(stamp_ns, *(
+            t3.add_scaled(t3.scale(1.0 - s, a), s, b)
+            for a, b in zip(before[1:], after[1:], strict=True)))
 
     def _set_before(self, twist: TwistSample, served: bool = False) -> None:
         """Keep the last twist before the poses that wait."""
@@ -193,9 +184,8 @@ class Pairing:
 
     def _note_late(self, stamp_ns: int) -> None:
         """Wait for twists again when those of poses that went on alone come, only later."""
-        in_time = self._newest_ns - stamp_ns <= LONGEST_WAIT_NS
-        known = (abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist)
-        if in_time and any(known):
+        if self._newest_ns - stamp_ns <= MAX_WAIT_NS and any(
+                abs(stamp_ns - other) <= PAIRING_TOLERANCE_NS for other in self._without_twist):
             self._late_in_a_row += 1
             self.expect = self.expect or self._late_in_a_row >= 2
 
@@ -211,8 +201,3 @@ class Pairing:
 def smoothed(mean: float, value: float) -> float:
     """Return a running mean with a new value; a gap or a leap counts as twice the mean."""
     return mean + SMOOTHING * (min(value, 2.0 * mean) - mean) if mean else value
-
-
-def interpolated(s: float, a: Vector, b: Vector) -> Vector:
-    """Return (1 - s) a + s b."""
-    return add(scale(1.0 - s, a), scale(s, b))

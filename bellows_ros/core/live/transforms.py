@@ -130,14 +130,14 @@ class Chain:
         """Return the pose of the first frame of a branch in the parent of the last."""
         o, q = ORIGIN[:2]
         for link in branch:
-            _, position, outer = self._static.get(link) or interpolated(
+            _, position, outer = self._static.get(link) or interpolated_pose(
                 self._moving[link], stamp_ns)
             o = t3.add(position, t3.apply(t3.rotation_matrix(outer), o))
             q = t3.quaternion_product(outer, q)
         return PoseSample(stamp_ns, o, q)
 
 
-def interpolated(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
+def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSample:
     """Return a link at a stamp from the first to the last; rotations follow the chord."""
     after = bisect_left(samples, stamp_ns, key=lambda sample: sample.stamp_ns)
     new = samples[after]

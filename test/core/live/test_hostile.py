@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros.core.live import LivePredictor, REFUSALS
-from bellows_ros.core.live.pairing import LONGEST_QUEUE
+from bellows_ros.core.live.pairing import MAX_QUEUE
 from bellows_ros.core.model.cup_package import Cup, Package
 from hypothesis import given, HealthCheck, Phase, settings
 from hypothesis import strategies as st
@@ -94,7 +94,7 @@ def check(live, predictions):
         numbers = [x for part in (*p.body, p.force, p.moment, *p.tool) for x in part]
         assert all(map(math.isfinite, numbers))
         assert abs(math.hypot(*p.quaternion_xyzw) - 1.0) < 1e-9
-    assert live.pairing.waiting <= LONGEST_QUEUE
+    assert live.pairing.waiting <= MAX_QUEUE
     assert len(live.pairing._twists) <= 32
 
 

@@ -111,7 +111,7 @@ def test_twists_that_stop_are_not_waited_for_longer_than_the_limit(messages, pre
         if k < 20:
             messages.twist(predictor, k)
             continue
-        assert predictor.pairing.waiting * PERIOD <= pairing.LONGEST_WAIT_NS + PERIOD
+        assert predictor.pairing.waiting * PERIOD <= pairing.MAX_WAIT_NS + PERIOD
     assert not predictor.pairing.expect
     assert predictor.pairing.waiting == 0
     assert predictor.predictions == 60

@@ -1,6 +1,6 @@
 """Twists at the poses' stamps: paired, interpolated or given up, at any two rates."""
 
-from bellows_ros.core.live.pairing import LONGEST_QUEUE, LONGEST_WAIT_NS, Pairing
+from bellows_ros.core.live.pairing import MAX_QUEUE, MAX_WAIT_NS, Pairing
 from bellows_ros.core.live.samples import PoseSample, TwistSample
 import numpy as np
 from numpy.testing import assert_allclose
@@ -88,8 +88,8 @@ def test_waiting_is_bounded_however_near_the_stamps(step_ns):
         pairing.expect = True  # as if somebody insisted
         pairing.add_pose(pose(MS + k * step_ns))
         list(pairing.ready())
-        assert pairing.waiting <= max(LONGEST_QUEUE, LONGEST_WAIT_NS // step_ns)
-        assert pairing.waiting <= LONGEST_QUEUE
+        assert pairing.waiting <= max(MAX_QUEUE, MAX_WAIT_NS // step_ns)
+        assert pairing.waiting <= MAX_QUEUE
 
 
 def test_random_arrivals_lose_no_pose_and_keep_the_order():
