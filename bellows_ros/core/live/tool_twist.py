@@ -19,7 +19,7 @@ from bellows_ros.core.live.samples import PoseSample, TwistSample
 from bellows_ros.core.model.kernels import State
 import numpy as np
 
-SMALLEST_DETERMINANT = 1e-4
+MIN_DETERMINANT = 1e-4
 """Of the normal matrix in units of the time spanned; three even samples have 0.06."""
 
 
@@ -27,17 +27,16 @@ class PoseHistory:
     """
     The last poses of the tool, and the slope of a quadratic through them.
 
-    The quadratic is fitted by least squares to the positions and to the rotation vectors seen
-    from one of the poses; its slope there is that pose's body twist. Three poses give the exact
+    The quadratic is fitted by least squares to the positions and to the rotation vectors relative
+    to one of the poses; its slope there is that pose's body twist. Three poses give the exact
     quadratic; more of them average noise.
     """
 
     def __init__(self, size: int) -> None:
-        """Keep the given number of poses, at least two."""
+        """Reserve memory for a number of poses, at least two."""
         # stamp (s, from the first), position, quaternion xyzw
         self._rows, = as_inputs(np.zeros((size, 8)))
-        self._count = 0
-        self._origin_ns = 0
+        self._count = self._origin_ns = 0
 
     def clear(self) -> None:
         """Forget all poses."""
@@ -47,8 +46,9 @@ class PoseHistory:
         """Add the newest pose, and drop the oldest when full."""
         if self._count == 0:
             self._origin_ns = stamp_ns
-        seconds = (stamp_ns - self._origin_ns) * 1e-9
-        self._count = keep(self._rows, self._count, seconds, position, quaternion_xyzw)
+        self._count = append_row(
+            self._rows, self._count, (stamp_ns - self._origin_ns) * 1e-9, position,
+            quaternion_xyzw)
 
     def state(self, back: int = 0) -> State:
         """Return the pose that many samples before the newest, with its estimated body twist."""
@@ -56,16 +56,15 @@ class PoseHistory:
 
 
 @kernel
-def keep(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) -> int:
-    """Write a pose behind the others, dropping the first when full; return how many there are."""
+def append_row(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) -> int:
+    """Write a pose after the others, dropping the first when full; return how many there are."""
     if count == len(rows):
         for i in range(count - 1):
             for j in range(8):
                 rows[i][j] = rows[i + 1][j]
         count -= 1
     row = rows[count]
-    row[0] = seconds
-    row[1], row[2], row[3] = o
+    row[0], row[1], row[2], row[3] = seconds, o[0], o[1], o[2]
     row[4], row[5], row[6], row[7] = q
     return count + 1
 
@@ -111,46 +110,41 @@ def slope_weights(
     The matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]] of the sums of powers of s. Where it is
     nearly singular, as of two samples or of two bursts, the slope is that of the fitted line.
     """
-    determinant = (
-        n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
-    )
-    if determinant < SMALLEST_DETERMINANT:
+    determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
+    if determinant < MIN_DETERMINANT:
         return (-s1 / (n * s2 - s1 * s1), n / (n * s2 - s1 * s1), 0.0)
-    return (
-        (s3 * s2 - s1 * s4) / determinant,
-        (n * s4 - s2 * s2) / determinant,
-        (s1 * s2 - n * s3) / determinant,
-    )
+    return ((s3 * s2 - s1 * s4) / determinant, (n * s4 - s2 * s2) / determinant,
+            (s1 * s2 - n * s3) / determinant)
 
 
 PERIOD_NS = 20_000_000
 """Time (ns) between two comparisons."""
 
-BACK = 2
-"""So many poses lie behind the one whose slope is known well."""
+LATER_POSES = 2
+"""So many poses after one are needed to know its slope well."""
 
 MEMORY = 0.98
 """Forgetting factor: about 50 comparisons count, 1 s."""
 
-ENOUGH = 20
+MIN_COMPARISONS = 20
 """Comparisons before the first verdict."""
 
-MISFIT = 0.25
+MAX_MISFIT = 0.25
 """Twists are wrong if the poses leave this fraction of their mean square unexplained."""
 
 LEVER = 0.1
-"""Arm (m) by which rotations are weighed against translations."""
+"""Distance (m) that counts as much as a rotation by 1 rad."""
 
-LEAST = 1e-3
+MIN_SQUARED_SPEED = 1e-3
 """Mean square speed (m^2/s^2) below which noise dominates and there is no verdict."""
 
-LARGEST_JERK, SLACK = 5e3, 0.015
-"""Largest jerk of an arm (m/s^3), and tolerance of a position beside it (m)."""
+MAX_JERK, SLACK = 5e3, 0.015
+"""Largest jerk of an arm (m/s^3), and tolerance of a position besides (m)."""
 
-LARGEST_TURN_JERK, TURN_SLACK = 5e4, 0.15
+MAX_ANGULAR_JERK, ANGLE_SLACK = 5e4, 0.15
 """The same for rotations (rad/s^3, rad)."""
 
-DOUBTED_JERK, DOUBTED_TURN_JERK = 5e2, 5e3
+SUSPECT_JERK, SUSPECT_ANGULAR_JERK = 5e2, 5e3
 """Jerk (m/s^3, rad/s^3) above which twists are suspect."""
 
 
@@ -159,26 +153,24 @@ def misfits(
     q: Quaternion, linear: Vector, angular: Vector, v: Vector, w: Vector
 ) -> tuple[float, float, float]:
     """
-    Return the mean squares of the body twist (v, w) and of its residual.
+    Return the squares of the body twist (v, w) and of what the measured one differs by from it.
 
-    What is left with the measured twist (linear, angular) taken to be in world axes, and in tool
-    axes; rotations count with the lever.
+    The measured twist (linear, angular) is taken to be in axes of the world, then of the tool;
+    rotations are weighed by the lever.
     """
     R = t3.rotation_matrix(q)
-    weight = LEVER * LEVER
     dv = t3.subtract(t3.apply_transposed(R, linear), v)
     dw = t3.subtract(t3.apply_transposed(R, angular), w)
     ev, ew = t3.subtract(linear, v), t3.subtract(angular, w)
+    weight = LEVER * LEVER
     return (
-        t3.dot(v, v) + weight * t3.dot(w, w),
-        t3.dot(dv, dv) + weight * t3.dot(dw, dw),
-        t3.dot(ev, ev) + weight * t3.dot(ew, ew),
-    )
+        t3.dot(v, v) + weight * t3.dot(w, w), t3.dot(dv, dv) + weight * t3.dot(dw, dw),
+        t3.dot(ev, ev) + weight * t3.dot(ew, ew))
 
 
 class TwistCheck:
     """
-    Compare measured twists with the slopes of the poses, now and then.
+    Comparison of measured twists with the slopes of the poses, now and then.
 
     Parameters
     ----------
@@ -190,7 +182,7 @@ class TwistCheck:
     def __init__(self, in_world: bool) -> None:
         """Start without comparisons."""
         self._in_world = in_world
-        self._recent: deque[tuple[int, Quaternion, Vector, Vector]] = deque(maxlen=BACK + 1)
+        self._recent: deque[tuple[Quaternion, Vector, Vector]] = deque(maxlen=LATER_POSES + 1)
         self.clear()
 
     def clear(self) -> None:
@@ -198,77 +190,64 @@ class TwistCheck:
         self._recent.clear()
         self._due_ns = -1
         self._count = 0
-        self._energy = self._world = self._tool = 0.0
+        self._squares = 0.0, 0.0, 0.0  # as of `misfits`
 
     def skip(self) -> None:
-        """Note that a pose came without a measured twist."""
+        """Record that a pose came without a measured twist."""
         self._recent.clear()
 
-    def is_due(self, stamp_ns: int, q: Quaternion, linear: Vector, angular: Vector) -> bool:
-        """Store a measured twist; return whether an earlier one is due for comparison."""
-        self._recent.append((stamp_ns, q, linear, angular))
-        return len(self._recent) > BACK and stamp_ns >= self._due_ns
-
-    def compare(self, state: State) -> None:
-        """Compare the twist of some poses before with the slope of the poses there."""
-        stamp_ns, q, linear, angular = self._recent[0]
-        self._due_ns = self._recent[-1][0] + PERIOD_NS
-        energy, world, tool = misfits(q, linear, angular, state[2], state[3])
-        self._energy = MEMORY * self._energy + energy
-        self._world = MEMORY * self._world + world
-        self._tool = MEMORY * self._tool + tool
+    def add(self, pose: PoseSample, twist: TwistSample, history: PoseHistory) -> None:
+        """Record a twist at the newest pose; compare an earlier one with its slope when due."""
+        self._recent.append((pose.quaternion_xyzw, twist.linear, twist.angular))
+        if len(self._recent) <= LATER_POSES or pose.stamp_ns < self._due_ns:
+            return
+        v, w = history.state(LATER_POSES)[2:4]
+        self._due_ns = pose.stamp_ns + PERIOD_NS
+        energy, world, tool = misfits(*self._recent[0], v, w)
+        before = self._squares
+        self._squares = (
+            MEMORY * before[0] + energy, MEMORY * before[1] + world, MEMORY * before[2] + tool)
         self._count += 1
 
     @property
     def verdict(self) -> str:
         """'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
+        energy, *misfit = self._squares
         weight = (1.0 - MEMORY ** self._count) / (1.0 - MEMORY)
-        if self._count < ENOUGH or not LEAST * weight < self._energy < float('inf'):
+        if self._count < MIN_COMPARISONS or not MIN_SQUARED_SPEED * weight < energy < math.inf:
             return 'unknown'
-        ours, other = (self._world, self._tool) if self._in_world else (self._tool, self._world)
-        if not ours > MISFIT * self._energy:
+        chosen, other = misfit if self._in_world else misfit[::-1]
+        if not chosen > MAX_MISFIT * energy:
             return 'fits'
-        return 'other_axes' if other < 0.25 * ours else 'does_not_fit'
+        return 'other_axes' if other < 0.25 * chosen else 'does_not_fit'
 
 
 @kernel
-def misfit(
-    before: State, now: State, seconds: float
-) -> tuple[float, float, tuple[float, float]]:
-    """
-    Return how far a pose is from where the body twists at it and at the one before lead.
-
-    As a part of what any arm does, as a part of what is not suspect, and as a shift (m) and turn
-    (rad). The way between two poses differs from the mean of both velocities times the time by no
-    more than the largest jerk makes of it, j t^3 / 12.
-    """
-    R_before, R_now = t3.rotation_matrix(before[1]), t3.rotation_matrix(now[1])
-    mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R_now, now[2])))
-    off = t3.subtract(t3.subtract(now[0], before[0]), t3.scale(seconds, mean))
-    turn = t3.turn_between(before[1], now[1])
-    turn_off = t3.subtract(turn, t3.scale(0.5 * seconds, t3.add(before[3], now[3])))
-    shift, angle = math.sqrt(t3.dot(off, off)), math.sqrt(t3.dot(turn_off, turn_off))
-    cubed = seconds * seconds * seconds / 12.0
-    excess = max(
-        shift / (SLACK + LARGEST_JERK * cubed), angle / (TURN_SLACK + LARGEST_TURN_JERK * cubed))
-    suspicion = max(
-        shift / (SLACK + DOUBTED_JERK * cubed), angle / (TURN_SLACK + DOUBTED_TURN_JERK * cubed))
-    return excess, suspicion, (shift, angle)
-
-
-@kernel
-def measured(
-    before: State, position: Vector, q: Quaternion, linear: Vector, angular: Vector,
-    in_world: bool, seconds: float,
+def with_twist(
+    before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
+    seconds: float,
 ) -> tuple[State, float, float, tuple[float, float]]:
-    """Return the tool with the measured twist, in tool axes, and its `misfit`."""
+    """
+    Return the tool with a measured twist, and how far it is from where the twists lead.
+
+    As a fraction of what any arm does, as a fraction of what is not suspect, and as a shift (m)
+    and an angle (rad). The shift between two poses differs from the mean of both velocities times
+    the time by at most what the largest jerk makes of it, j t^3 / 12.
+    """
+    R_before, R = t3.rotation_matrix(before[1]), t3.rotation_matrix(q)
     v, w = linear, angular
     if in_world:
-        R = t3.rotation_matrix(q)
         v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
-    now = position, q, v, w
-    excess, suspicion, off = misfit(before, now, seconds)
-    return now, excess, suspicion, off
+    mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R, v)))
+    shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
+    turn = t3.turn_between(before[1], q)
+    angle = t3.norm(t3.subtract(turn, t3.scale(0.5 * seconds, t3.add(before[3], w))))
+    cubed = seconds * seconds * seconds / 12.0
+    excess = max(
+        shift / (SLACK + MAX_JERK * cubed), angle / (ANGLE_SLACK + MAX_ANGULAR_JERK * cubed))
+    suspicion = max(shift / (SLACK + SUSPECT_JERK * cubed),
+                    angle / (ANGLE_SLACK + SUSPECT_ANGULAR_JERK * cubed))
+    return (o, q, v, w), excess, suspicion, (shift, angle)
 
 
 class ToolMotion:
@@ -296,12 +275,9 @@ class ToolMotion:
         self.check = TwistCheck(in_world)
 
     def set_tip(self, tip: Array | None) -> None:
-        """Take poses and twists for those of a frame in which E has a pose (4, 4)."""
-        self._tip = None
-        if tip is not None:
-            x, y, z, w = rotation_to_quaternion(tip[:3, :3]).tolist()
-            a, b, c = tip[:3, 3].tolist()
-            self._tip = (a, b, c), (x, y, z, w)
+        """Set the pose (4, 4) of E in the frame that poses and twists are of."""
+        self._tip = None if tip is None else (
+            tuple(tip[:3, 3].tolist()), tuple(rotation_to_quaternion(tip[:3, :3]).tolist()))
 
     def clear(self) -> None:
         """Forget all poses and comparisons."""
@@ -317,26 +293,24 @@ class ToolMotion:
         return PoseSample(stamp_ns, position, q)
 
     def add(self, pose: PoseSample) -> None:
-        """Note the next pose of E."""
+        """Record the next pose of E."""
         self._history.append(*pose)
 
     def measured(
         self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
     ) -> tuple[State, float, float, tuple[float, float]]:
-        """Return E at the pose just added with a measured twist, and the `misfit` (see there)."""
+        """Return E at the pose just added with a measured twist, and the rest of `with_twist`."""
         q = pose.quaternion_xyzw
         if self._tip is not None:
             twist = _at_tip(twist, *self._tip, q, self._in_world)
-        if self.check.is_due(pose.stamp_ns, q, twist.linear, twist.angular):
-            self.check.compare(self._history.state(BACK))
-        found: tuple[State, float, float, tuple[float, float]] = measured(
+        self.check.add(pose, twist, self._history)
+        return with_twist(
             before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds)
-        return found
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
         """Return E at the last two poses (the first, if any) with twists of the poses alone."""
         self.check.skip()
-        # with a later pose known the slope before is known better
+        # a later pose improves the slope at the one before
         return self._history.state(back=1) if has_before else None, self._history.state()
 
 
