@@ -17,7 +17,7 @@ from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import tool_rows
-from bellows_ros.core.model.validity_range import beyond, known_envelope
+from bellows_ros.core.model.validity_range import beyond, parameter_envelope
 from bellows_ros.core.parameters.checks import implausible, RECORDING_PARAMETERS, resolve
 from bellows_ros.core.recording.alignment import in_world, world_rotation
 from bellows_ros.core.recording.recording import Recording, TimeOffset
@@ -274,7 +274,7 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
         found = validate(cup_of(values), recording)
     except UnstableError as error:
         raise UnstableError(f'{_why_unstable(values, recording)}{error}') from None
-    known = known_envelope(values)
+    known = parameter_envelope(values)
     phrases = beyond(known, envelope_of(recording, values['cup.length'])) if known else []
     if phrases:
         more = f'; and {len(phrases) - MAX_LISTED} more' if len(phrases) > MAX_LISTED else ''

@@ -15,7 +15,7 @@ from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
-from bellows_ros.core.model.validity_range import Distance, distance, known_envelope
+from bellows_ros.core.model.validity_range import Distance, distance, parameter_envelope
 from bellows_ros.core.parameters.checks import ESTIMATE, gravity_of
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -99,7 +99,7 @@ class Load:
         self._values = values
         self.set_pressure(pressure)
         self.required = float(values['safety.least'])
-        self._envelope = known_envelope(values)
+        self._envelope = parameter_envelope(values)
         self._clear()
 
     def _clear(self) -> None:

@@ -99,12 +99,10 @@ class Cup:
     @cached_property
     def as_tuple(self) -> CupTuple:
         """The cup as the kernels take it."""
-        branches = [(float(r), float(tau)) for r, tau in zip(
-            self.relaxation, self.relaxation_times, strict=True)]
-        return (
-            0.5 * float(self.length), float(self.length),
-            blocks(self.stiffness), blocks(self.damping),
-            *(branches if any(self.relaxation) else []))
+        pairs = zip(self.relaxation, self.relaxation_times, strict=True)
+        branches = [(float(r), float(tau)) for r, tau in pairs if any(self.relaxation)]
+        return (0.5 * float(self.length), float(self.length),
+                blocks(self.stiffness), blocks(self.damping), *branches)
 
 
 @dataclass(frozen=True)
@@ -160,9 +158,8 @@ def is_gripper(values: Mapping[str, Any]) -> bool:
 
 def cup_of(values: Mapping[str, Any]) -> Cup:
     """Return the cup that parameter values describe (see `parameters`), composed of several."""
-    if not is_gripper(values):
-        return one_cup_of(values)
-    return gripper_of(one_cup_of(values), structure.places_of(values))
+    cup = one_cup_of(values)
+    return gripper_of(cup, structure.places_of(values)) if is_gripper(values) else cup
 
 
 def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
@@ -235,29 +232,12 @@ def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> Model
     return cup.as_tuple, package.as_tuple, _tuple(frozen_array(vector, (3,), 'gravity'))
 
 
-def unit_cups(
-    length: float, basis: list[Array], relaxation: tuple[float, float] = (0.0, 0.0)
-) -> list[CupTuple]:
-    """
-    Return the cups whose wrenches are the columns of the regressor L (4.67).
-
-    One for every basis matrix (6, 6) as stiffness with no damping, then one for every basis
-    matrix as damping with no stiffness: the wrench is linear in K and P.
-    """
-    branches = [(r, np.inf) for r in relaxation] if any(relaxation) else []
-    zero = blocks(np.zeros((6, 6)))
-    units = [blocks(matrix) for matrix in basis]
-    half = 0.5 * length
-    springs: list[CupTuple] = [(half, length, unit, zero, *branches) for unit in units]
-    return springs + [(half, length, zero, unit, *branches) for unit in units]
-
-
 def regressor(
     length: float, basis: list[Array], position: Array, rotation: Array, twist: Array,
     relaxation: tuple[float, float] = (0.0, 0.0), strains: Array | None = None,
 ) -> Array:
     """
-    Return L (N, 6, 2 n) with which the cup's wrench at the lip is L x (4.67).
+    Return L (N, 6, 2 n) with which the cup's wrench at the lip is L x (4.67), linear in K and P.
 
     Parameters
     ----------
@@ -273,7 +253,10 @@ def regressor(
         Its internal strains.
 
     """
-    cups = unit_cups(length, basis, relaxation)
+    zero, units = blocks(np.zeros((6, 6))), [blocks(unit) for unit in basis]
+    branches = [(r, np.inf) for r in relaxation if any(relaxation)]
+    cups: list[CupTuple] = [(0.5 * length, length, K, P, *branches) for K, P in (
+        *((unit, zero) for unit in units), *((zero, unit) for unit in units))]
     z = np.empty((12, 0)) if strains is None else strains.reshape(-1, 12).T.copy()
     o, R = position.T.copy(), rotation.reshape(-1, 9).T.copy()
     v, w = twist[:, :3].T.copy(), twist[:, 3:].T.copy()
@@ -284,9 +267,7 @@ def regressor(
         else:  # the kernel's arithmetic holds for tuples of arrays as well
             inner = tuple(z.reshape(2, 2, 3, -1)) if z.size else ()
             columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w), inner)
-            f, m = kernels.cup_wrench(cup, *columns)
-            L[:, :3, column] = np.stack(f, axis=1)
-            L[:, 3:, column] = np.stack(m, axis=1)
+            L[:, :, column] = np.concatenate(kernels.cup_wrench(cup, *columns)).T
     return L
 
 
@@ -295,11 +276,8 @@ def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, z: Array, o
     """Write the cup's wrench for every sample into out (N, 6)."""
     for k in range(o.shape[1]):
         f, m = kernels.cup_wrench(
-            cup,
-            (o[0, k], o[1, k], o[2, k]),
-            (R[0, k], R[1, k], R[2, k], R[3, k], R[4, k], R[5, k], R[6, k], R[7, k], R[8, k]),
-            (v[0, k], v[1, k], v[2, k]),
-            (w[0, k], w[1, k], w[2, k]),
+            cup, (o[0, k], o[1, k], o[2, k]), kernels.matrix_of(R[:, k]),
+            (v[0, k], v[1, k], v[2, k]), (w[0, k], w[1, k], w[2, k]),
             kernels.strains_of(z[:, k]) if len(cup) > 4 else ())
         out[k, 0], out[k, 1], out[k, 2] = f
         out[k, 3], out[k, 4], out[k, 5] = m

@@ -71,8 +71,8 @@ def one_of(M: Blocks, places: Array) -> Blocks:
     oo = t3.scale_matrix(1.0 / n, M[0])
     total, squares = ZERO, t3.scale_matrix(0.0, M[0])
     for k in range(len(places)):
-        a = t3.hat((places[k, 0], places[k, 1], places[k, 2]))
-        total = t3.add(total, (places[k, 0], places[k, 1], places[k, 2]))
+        place = (places[k, 0], places[k, 1], places[k, 2])
+        a, total = t3.hat(place), t3.add(total, place)
         squares = t3.add_scaled_matrix(squares, 1.0, t3.multiply(t3.multiply(a, oo), a))
     S = t3.hat(total)
     oR = t3.scale_matrix(1.0 / n, t3.add_scaled_matrix(M[1], 1.0, t3.multiply(oo, S)))
@@ -127,11 +127,11 @@ def least_factors(
     peel, slip, peeling, slipping = math.inf, math.inf, 0, 0
     for k in range(len(places)):
         f, m = wrench_at(one, (places[k, 0], places[k, 1], places[k, 2]), o, R, v, w, strains)
-        own = safety_factors((grip[0], grip[1], grip[2]), f, m)
-        if own[0] < peel:
-            peel, peeling = own[0], k
-        if own[1] < slip:
-            slip, slipping = own[1], k
+        factors = safety_factors((grip[0], grip[1], grip[2]), f, m)
+        if factors[0] < peel:
+            peel, peeling = factors[0], k
+        if factors[1] < slip:
+            slip, slipping = factors[1], k
     return peel, slip, peeling, slipping
 
 
@@ -183,9 +183,8 @@ class Margin(NamedTuple):
     def sentence(self) -> str:
         """The margin as a sentence."""
         lost = ': the cup would have let go' if self.factor < 1.0 else ''
-        return (
-            f'The smallest safety factor of the grip is {self.factor:.3g} ({self.mode}, at '
-            f'{self.time:.2f} s){lost}.')
+        return (f'The smallest safety factor of the grip is {self.factor:.3g} ({self.mode}, at '
+                f'{self.time:.2f} s){lost}.')
 
 
 def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
@@ -200,11 +199,10 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
 def _write_factors(model: ModelTuple, grip: Grip, tool: Array, body: Array, out: Array) -> None:
     """Write the factors of every row."""
     for k in range(len(tool)):
-        at, held = row_state(tool[k]), row_state(body[k])
-        o, R, v, w = kernels.lip_relative_to_tool(model[1][1], at, held)
-        f, m = kernels.cup_wrench(model[0], o, R, v, w)
+        lip = kernels.lip_relative_to_tool(model[1][1], row_state(tool[k]), row_state(body[k]))
+        f, m = kernels.cup_wrench(model[0], *lip)
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = least_factors(
-            grip, model[0], o, R, v, w, (), f, m)
+            grip, model[0], *lip, (), f, m)
 
 
 def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | None:
@@ -230,12 +228,10 @@ def grip_of(values: Mapping[str, Any], vacuum: float | None = None) -> Grip | No
 
 def safety_sentence(factor: float, mode: str, time: float, std: float, required: float) -> str:
     """Return a sentence about a safety factor that is too small, else ''."""
-    sigma = f' ± {std:.2g}' if std > 0.0 else ''
-    finding = f'The smallest safety factor is {factor:.3g}{sigma} ({mode}, at {time:.3f} s)'
-    if factor < 1.0:
-        return f'{finding}: the cup lets go. Move slower, or raise the vacuum.'
-    if factor - 2.0 * std < required:
-        less = ' less two standard deviations' if std > 0.0 else ''
-        return (f'{finding},{less} below safety.least, {required:g}. Move slower, or raise the '
-                'vacuum.')
-    return ''
+    if factor >= 1.0 and factor - 2.0 * std >= required:
+        return ''
+    sigma, less = (f' ± {std:.2g}', ' less two standard deviations') if std > 0.0 else ('', '')
+    finding = ': the cup lets go' if factor < 1.0 else (
+        f',{less} below safety.least, {required:g}')
+    return (f'The smallest safety factor is {factor:.3g}{sigma} ({mode}, at {time:.3f} s)'
+            f'{finding}. Move slower, or raise the vacuum.')

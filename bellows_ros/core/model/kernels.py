@@ -314,23 +314,14 @@ def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     phi = t3.turn_between(start[1], end[1])
     c1 = t3.scale(duration, start[3])
     c1_end = t3.scale(duration, t3.rotation_vector_rate(phi, end[3]))
-    return (
-        duration,
-        start[0], a1, hermite_quadratic(step, a1, a1_end), hermite_cubic(step, a1, a1_end),
-        start[1], c1, hermite_quadratic(phi, c1, c1_end), hermite_cubic(phi, c1, c1_end),
-    )
+    return duration, start[0], *hermite(step, a1, a1_end), start[1], *hermite(phi, c1, c1_end)
 
 
 @kernel
-def hermite_quadratic(step: Vector, slope: Vector, slope_end: Vector) -> Vector:
-    """Return the s^2 coefficient 3 step - 2 slope - slope_end of a cubic Hermite curve."""
-    return t3.add_scaled(t3.add_scaled(t3.scale(3.0, step), -2.0, slope), -1.0, slope_end)
-
-
-@kernel
-def hermite_cubic(step: Vector, slope: Vector, slope_end: Vector) -> Vector:
-    """Return the s^3 coefficient slope + slope_end - 2 step of a cubic Hermite curve."""
-    return t3.add_scaled(t3.add(slope, slope_end), -2.0, step)
+def hermite(step: Vector, slope: Vector, slope_end: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return the coefficients of s, s^2 and s^3 of a cubic Hermite curve that starts at zero."""
+    quadratic = t3.add_scaled(t3.add_scaled(t3.scale(3.0, step), -2.0, slope), -1.0, slope_end)
+    return slope, quadratic, t3.add_scaled(t3.add(slope, slope_end), -2.0, step)
 
 
 @kernel
@@ -413,16 +404,18 @@ def weighted(a: Vector, b: Vector, c: Vector, d: Vector) -> Vector:
 
 
 @kernel
+def weighted_pair(a: Strain, b: Strain, c: Strain, d: Strain) -> Strain:
+    """Return `weighted` pairs of vectors."""
+    return weighted(a[0], b[0], c[0], d[0]), weighted(a[1], b[1], c[1], d[1])
+
+
+@kernel
 def weighted_strains(a: Strains, b: Strains, c: Strains, d: Strains) -> Strains:
     """Return `weighted` rates of strains."""
     if len(a) == 0:
         return ()
-    return (
-        (weighted(a[0][0], b[0][0], c[0][0], d[0][0]),
-         weighted(a[0][1], b[0][1], c[0][1], d[0][1])),
-        (weighted(a[1][0], b[1][0], c[1][0], d[1][0]),
-         weighted(a[1][1], b[1][1], c[1][1], d[1][1])),
-    )
+    one, other = weighted_pair(a[0], b[0], c[0], d[0]), weighted_pair(a[1], b[1], c[1], d[1])
+    return one, other
 
 
 @kernel
@@ -481,7 +474,7 @@ def advance(
     for i in range(substeps):
         middle = tool_at(segment, (i + 0.5) / substeps)
         tool_end = end if i == substeps - 1 else tool_at(segment, (i + 1.0) / substeps)
-        body = stages(model, body, tool, middle, tool_end, h)[3]
+        body = step(model, body, tool, middle, tool_end, h)
         tool = tool_end
     return body
 

@@ -11,18 +11,11 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import blocks, package_tuple
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.structure import (
-    composed,
-    inertia_matrix,
-    matrix,
-    places_of,
-    SINGLE,
-    UPPER,
-)
+from bellows_ros.core.model.structure import matrix, SINGLE, UPPER
 import numpy as np
-from numpy.typing import ArrayLike
 
 STEP = 0.5
 """Step of central differences, standard deviations."""
@@ -43,23 +36,17 @@ def parameter_vector(values: Mapping[str, Any]) -> Array:
 
 
 def deviations_of(values: Mapping[str, Any]) -> Array:
-    """Return the standard deviations (52,) of the numbers."""
-    K, P = (capped_std(matrix(values[f'{kind}_std']), np.diag(matrix(values[kind])))
-            for kind in ('cup.stiffness', 'cup.damping'))
-    return np.concatenate([
-        K[UPPER], P[UPPER],
-        [values['package.mass_std']], values['package.com_std'], values['package.inertia_std']])
-
-
-def capped_std(std: Array, diagonal: ArrayLike) -> Array:
     """
-    Return standard deviations (6, 6) of K or P, no larger than its diagonal (6,) allows.
+    Return the standard deviations (52,) of the numbers.
 
-    An entry of which an identification knows nothing has a huge one; a linear model holds for no
-    more than entries as large as the roots of their two diagonal ones.
+    An entry of K or P that is not identifiable has a huge one. A linear model holds for no more
+    than entries as large as the roots of their two diagonal ones: those are the largest.
     """
-    root = np.sqrt(diagonal)
-    return np.asarray(np.minimum(std, np.outer(root, root)))
+    root = [np.sqrt(np.diag(matrix(values[kind]))) for kind in ('cup.stiffness', 'cup.damping')]
+    most = np.concatenate([np.outer(each, each)[UPPER] for each in root])
+    std = parameter_vector({name.removesuffix('_std'): each for name, each in values.items()
+                            if name.endswith('_std')})
+    return np.concatenate([np.minimum(std[:42], most), std[42:]])
 
 
 def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> ModelTuple:
@@ -70,9 +57,10 @@ def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> Mod
     """
     K, P = np.zeros((2, 6, 6))
     K[UPPER], P[UPPER] = numbers[:21], numbers[21:42]
-    K, P = (composed(np.triu(M) + np.triu(M, 1).T, places) for M in (K, P))
+    K, P = (structure.composed(np.triu(M) + np.triu(M, 1).T, places) for M in (K, P))
     cup = (*model[0][:2], blocks(K), blocks(P), *model[0][4:])
-    package = package_tuple(numbers[42], numbers[43:46], inertia_matrix(numbers[46:]))
+    package = package_tuple(
+        numbers[42], numbers[43:46], structure.inertia_matrix(numbers[46:]))
     return cup, package, model[2]
 
 
@@ -80,11 +68,10 @@ def perturbed(
     values: Mapping[str, Any], model: ModelTuple
 ) -> Iterator[tuple[str, ModelTuple, ModelTuple]]:
     """Yield name and models with a number `STEP` sigma up and down, where sigma is not 0."""
-    numbers, std, places = parameter_vector(values), deviations_of(values), places_of(values)
-    for i in np.flatnonzero(std):
-        change = np.zeros(len(std))
-        change[i] = STEP * std[i]
-        up, down = (model_with(model, numbers + side * change, places) for side in (1.0, -1.0))
+    numbers, places = parameter_vector(values), structure.places_of(values)
+    changes = np.diag(STEP * deviations_of(values))
+    for i in np.flatnonzero(changes.diagonal()):
+        up, down = (model_with(model, numbers + side * changes[i], places) for side in (1, -1))
         yield NAMES[i], up, down
 
 
@@ -111,11 +98,9 @@ def contributions(
         Derivative times standard deviation; the root of their squares' sum is a figure's own.
 
     """
-    names, parts = [], []
-    for name, up, down in perturbed(values, model):
-        names.append(name)
-        parts.append((compute(up) - compute(down)) / (2.0 * STEP))
-    return names, np.array(parts)
+    parts = {name: (compute(up) - compute(down)) / (2.0 * STEP)
+             for name, up, down in perturbed(values, model)}
+    return list(parts), np.array(list(parts.values()))
 
 
 def mean_square(
@@ -126,8 +111,7 @@ def mean_square(
 
     Of a size near zero the derivative says nothing; its square is quadratic in each number.
     """
-    here = compute(model) ** 2
-    total = here
-    for _, up, down in perturbed(values, model):
-        total += (compute(up) ** 2 + compute(down) ** 2 - 2.0 * here) / (2.0 * STEP ** 2)
-    return max(total, 0.0)
+    square = compute(model) ** 2
+    changes = sum((compute(up) ** 2 + compute(down) ** 2 - 2.0 * square) / (2.0 * STEP ** 2)
+                  for _, up, down in perturbed(values, model))
+    return max(square + changes, 0.0)

@@ -23,9 +23,7 @@ def state_row(
     position: ArrayLike, quaternion_xyzw: ArrayLike, twist: ArrayLike = (0.0,) * 6
 ) -> State:
     """Return a pose and a body twist, at rest when left out, as the kernels take them."""
-    o = [float(value) for value in np.asarray(position)]
-    q = [float(value) for value in np.asarray(quaternion_xyzw)]
-    v = [float(value) for value in np.asarray(twist)]
+    o, q, v = (np.asarray(x, float).tolist() for x in (position, quaternion_xyzw, twist))
     return (o[0], o[1], o[2]), (q[0], q[1], q[2], q[3]), (v[0], v[1], v[2]), (v[3], v[4], v[5])
 
 
@@ -57,7 +55,7 @@ def require_steps(steps: float, most: int = MOST_STEPS) -> None:
             'package.inertia, whose fastest mode sets the step.')
 
 
-NEWTON_STEPS, LARGEST_NEWTON_STEP = 30, 0.1
+MAX_NEWTON_STEPS, MAX_NEWTON_STEP = 30, 0.1
 """Most steps of the search for steady motion, and the largest (m, rad)."""
 
 
@@ -77,16 +75,15 @@ def steady_start(
 
     """
     rows = tool_rows(tool)
-    hanging = rest(model, rows[0], near if stands(rows[0]) else None)
     if stands(rows[0]):
-        return hanging
-    first = row_state(rows[0])
+        return rest(model, rows[0], near)
+    hanging, first = rest(model, rows[0]), row_state(rows[0])
     duration = float(tool.seconds[1])
     segment = kernels.tool_segment(first, row_state(rows[1]), duration)
-    bend, turn_bend = segment[3], segment[7]
+    linear, dw = (t3.scale(2.0 / duration**2, quadratic) for quadratic in segment[3:8:4])
     R, (v, w) = t3.rotation_matrix(first[1]), first[2:4]
-    dv = t3.subtract(t3.apply_transposed(R, t3.scale(2.0 / duration**2, bend)), t3.cross(w, v))
-    rates = np.array([v, w, dv, t3.scale(2.0 / duration**2, turn_bend)]).reshape(2, 6)
+    dv = t3.subtract(t3.apply_transposed(R, linear), t3.cross(w, v))
+    rates = np.array([v, w, dv, dw]).reshape(2, 6)
     T_world_tool = lie.transform(lie.quaternion_to_rotation(rows[0, 3:7]), rows[0, :3])
 
     def with_offset(offset: Array) -> tuple[State, Array]:
@@ -101,13 +98,13 @@ def steady_start(
         return np.ravel(kernels.body_acceleration(model, first, state)) - needed
 
     offset, shifts = np.zeros(6), 1e-6 * np.eye(6)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         J = np.column_stack([
             (unbalance(offset + h) - unbalance(offset - h)) / 2e-6 for h in shifts])
         if not abs(np.linalg.det(J)) > 0.0:
             break
         step = np.linalg.solve(J, unbalance(offset))
-        offset -= step * min(1.0, LARGEST_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
+        offset -= step * min(1.0, MAX_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
         if np.abs(step).max() < 1e-10:
             return equilibrium.adapted(model, first, with_offset(offset)[0])
     raise UnstableError(
@@ -214,8 +211,7 @@ def simulate(
             'cup.damping and their units.')
     return Trajectory(
         stamps_ns=tool.stamps_ns,
-        position=frozen(out)[:, :3],
-        rotation=frozen(lie.quaternion_to_rotation(out[:, 3:7])),
+        position=frozen(out)[:, :3], rotation=frozen(lie.quaternion_to_rotation(out[:, 3:7])),
         twist=out[:, 7:13])
 
 
@@ -231,11 +227,8 @@ def simulate_rows(
 @kernel
 def row_state(row: Array) -> State:
     """Return the state in one row of 13 numbers."""
-    return (
-        (row[0], row[1], row[2]),
-        (row[3], row[4], row[5], row[6]),
-        (row[7], row[8], row[9]),
-        (row[10], row[11], row[12]))
+    return ((row[0], row[1], row[2]), (row[3], row[4], row[5], row[6]),
+            (row[7], row[8], row[9]), (row[10], row[11], row[12]))
 
 
 @kernel
@@ -286,12 +279,10 @@ def _simulate(
     """Advance from row to row."""
     body = start
     write_row(out[0], body)
-    before = row_state(tool[0])
     for k in range(len(durations)):
-        after = row_state(tool[k + 1])
+        before, after = row_state(tool[k]), row_state(tool[k + 1])
         body = kernels.advance(model, body, before, after, durations[k], substeps[k])
         write_row(out[k + 1], body)
-        before = after
 
 
 def lip_wrenches(model: ModelTuple, tool: Trajectory, body: Trajectory) -> Array:

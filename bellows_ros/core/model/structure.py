@@ -93,8 +93,8 @@ def places_of(values: Mapping[str, Any]) -> Array:
     if len(opened) == len(positions):
         raise BellowsError(
             'cup.open has all cups of cup.layout, so that none holds. Leave out those that hold.')
-    indexed = np.column_stack([positions, np.arange(len(positions))])
-    return indexed[[k for k in range(len(positions)) if k not in opened]]
+    indices = np.setdiff1d(np.arange(len(positions)), list(opened))
+    return np.column_stack([positions[indices], indices])
 
 
 def is_single(places: Array) -> bool:
@@ -119,12 +119,8 @@ def composed(matrix: Array, places: Array) -> Array:
 
 def composition(places: Array) -> Array:
     """Return C (21, 21): the upper triangle of a gripper's matrix, row by row, from one cup's."""
-    C = np.empty((21, 21))
-    for k, (i, j) in enumerate(zip(*UPPER, strict=True)):
-        unit = np.zeros((6, 6))
-        unit[i, j] = unit[j, i] = 1.0
-        C[:, k] = composed(unit, places)[UPPER]
-    return C
+    units = STRUCTURES['full'].basis
+    return np.column_stack([composed(unit, places)[UPPER] for unit in units])
 
 
 RELAXATION_TIMES = (0.06, 0.8)
@@ -169,10 +165,8 @@ class Structure:
     def blocks(self) -> tuple[tuple[CoupledAxes, ...], ...]:
         """The blocks of each group, which hold the same parameters."""
         return tuple(
-            tuple(
-                tuple((AXES.index(axis.lstrip('-')), -1.0 if '-' in axis else 1.0)
-                      for axis in block.split())
-                for block in group.split('='))
+            tuple(tuple(_signed_axis(axis) for axis in block.split())
+                  for block in group.split('='))
             for group in self.groups)
 
     @cached_property
@@ -205,20 +199,17 @@ class Structure:
     @property
     def tied_axes(self) -> tuple[tuple[int, ...], ...]:
         """Axes that share their entries on the diagonal."""
-        return tuple(
-            tuple(row for row, _, _ in entries)
-            for entries, (i, j) in zip(self.entries, self.leads, strict=True) if i == j)
+        return tuple(tuple(row for row, _, _ in entries) for entries in self.entries
+                     if entries[0][0] == entries[0][1])
 
     @cached_property
     def basis(self) -> list[Array]:
         """The symmetric matrices (6, 6) of the parameters' units."""
-        matrices = []
-        for entries in self.entries:
-            unit = np.zeros((6, 6))
+        matrices = np.zeros((self.size, 6, 6))
+        for unit, entries in zip(matrices, self.entries, strict=True):
             for row, column, sign in entries:
                 unit[row, column] = unit[column, row] = sign
-            matrices.append(unit)
-        return matrices
+        return list(matrices)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -240,19 +231,13 @@ class Structure:
 
     def matrices(self, x: Array) -> tuple[Array, Array]:
         """Return K and P (6, 6) of the parameters x (2 n,)."""
-        basis = np.array(self.basis)
-        return (
-            np.tensordot(x[: self.size], basis, axes=1),
-            np.tensordot(x[self.size:], basis, axes=1))
+        K, P = (np.tensordot(half, np.array(self.basis), axes=1) for half in np.split(x, 2))
+        return K, P
 
     def spread(self, errors: Array) -> tuple[Array, Array]:
         """Return errors (2 n,) of the parameters, which may be infinite, as those of K and P."""
-        both = np.zeros((2, 6, 6))
-        for number, error in enumerate(errors.tolist()):
-            matrix, parameter = divmod(number, self.size)
-            for row, column, _ in self.entries[parameter]:
-                both[matrix, row, column] = both[matrix, column, row] = error
-        return both[0], both[1]
+        K, P = np.where(self.basis, errors.reshape(2, -1, 1, 1), 0.0).max(axis=1)
+        return K, P
 
     def parameters(self, stiffness: Array, damping: Array) -> Array:
         """Return the parameters x (2 n,) nearest to K and P: the mean of tied entries."""
@@ -295,18 +280,21 @@ class Structure:
         """
         Q = np.zeros((6, 6))
         for blocks in self.blocks:
-            axes = [[axis for axis, _ in block] for block in blocks]
-            signs = [np.array([sign for _, sign in block]) for block in blocks]
-            parts = list(zip(axes, signs, strict=True))
-            means = [mean[index] * sign for index, sign in parts]
-            apart = [own - np.mean(means, axis=0) for own in means]
-            total = sum(
-                scatter[np.ix_(index, index)] * np.outer(sign, sign) + count * np.outer(off, off)
-                for (index, sign), off in zip(parts, apart, strict=True))
-            for index, sign in parts:
-                Q[np.ix_(index, index)] = (
-                    total * np.outer(sign, sign) / (len(blocks) * count - 1))
+            sign = np.array(blocks)[:, :, 1]
+            axis = np.array(blocks)[:, :, 0].astype(np.intp)
+            rows, columns = axis[:, :, None], axis[:, None]
+            signs = sign[:, :, None] * sign[:, None]
+            off = mean[axis] * sign
+            off -= off.mean(axis=0)
+            total = np.sum(
+                scatter[rows, columns] * signs + count * off[:, :, None] * off[:, None], axis=0)
+            Q[rows, columns] = total * signs / (len(blocks) * count - 1)
         return Q
+
+
+def _signed_axis(name: str) -> tuple[int, float]:
+    """Return the index of an axis, and the sign it has in a group."""
+    return AXES.index(name.lstrip('-')), -1.0 if '-' in name else 1.0
 
 
 def _entry(one: tuple[int, float], other: tuple[int, float]) -> Entry:

@@ -2,8 +2,7 @@
 Validity range of a fit: ranges of deflection, rates, frequencies and mass.
 
 A model that was fitted to small bending has not been tried at large bending, and so on: outside
-of the envelope a prediction is an extrapolation. Light enough for the live predictor; what takes
-an envelope from recordings is in `seen`.
+of the envelope a prediction is an extrapolation.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,17 +25,17 @@ SHOWN_UNITS = ('mm',) * 3 + ('degrees',) * 3
 SHOWN_PER_SI = np.repeat([1e3, 180.0 / np.pi], 3)
 """Units of the coordinates in messages, and how many of them make 1 m or 1 rad."""
 
-LEAST_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
-LEAST_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
+MIN_DEFLECTION = np.array([5e-4] * 3 + [5e-3] * 3)
+MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
 """Smallest width of a validity range (m, rad; m/s, rad/s), so that noise does not leave it."""
 
-LEAST_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
+MIN_FREQUENCY, FREQUENCY_MARGIN = 1.0, 1.25
 """Bands reach at least this high (Hz), and are exceeded by a frequency this many times higher."""
 
 MASS_MARGIN = 0.1
 """Masses within this fraction of those in the fit are inside the validity range."""
 
-DOWN, UP = (Context(prec=6, rounding=way) for way in (ROUND_FLOOR, ROUND_CEILING))
+DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILING))
 ROUNDING = {
     'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
     'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP)}
@@ -75,41 +74,34 @@ class Envelope:
         for name, shape in zip(FIELDS, ((6,), (6,), (6,), (2, 2), (2,)), strict=True):
             array = frozen_array(getattr(self, name), shape, f"envelope's {name}")
             object.__setattr__(self, name, array)
-        ordered = (
-            (self.deflection_low <= self.deflection_high).all()
-            and (self.frequencies[:, 0] <= self.frequencies[:, 1]).all()
-            and self.mass[0] <= self.mass[1]
-            and (self.rates >= 0.0).all())
-        if not ordered:
+        if not (
+                (self.deflection_low <= self.deflection_high).all()
+                and (np.diff(self.frequencies) >= 0.0).all() and np.diff(self.mass) >= 0.0
+                and (self.rates >= 0.0).all()):
             raise BellowsError('Envelope: a range ends below its beginning.')
 
     def parameters(self) -> dict[str, tuple[float, ...]]:
         """Return the parameters of the cup file: six digits, rounded outward."""
         return {
             f'envelope.{name}': tuple(
-                float(way.create_decimal(repr(x)))
-                for x, way in zip(getattr(self, name).ravel().tolist(), ways, strict=True))
-            for name, ways in ROUNDING.items()}
+                float(context.create_decimal(repr(x)))
+                for x, context in zip(getattr(self, name).ravel().tolist(), contexts, strict=True))
+            for name, contexts in ROUNDING.items()}
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for the result of a fit."""
-        return {
-            'directions': DIRECTIONS,
-            'units': {
-                **dict.fromkeys(('deflection_low', 'deflection_high'), ['m'] * 3 + ['rad'] * 3),
-                'rates': ['m/s'] * 3 + ['rad/s'] * 3, 'frequencies': 'Hz', 'mass': 'kg'},
-            **{name: getattr(self, name) for name in FIELDS}}
+        shifts = ['m'] * 3 + ['rad'] * 3
+        units = {'deflection_low': shifts, 'deflection_high': shifts,
+                 'rates': ['m/s'] * 3 + ['rad/s'] * 3, 'frequencies': 'Hz', 'mass': 'kg'}
+        return {'directions': DIRECTIONS, 'units': units, **vars(self)}
 
 
 def joined_envelopes(parts: Sequence[Envelope]) -> Envelope:
     """Return the validity range of all recordings together: the widest of each."""
     low, high, rates, bands, mass = (
-        np.array([getattr(part, name) for part in parts])
-        for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'))
+        np.array([getattr(part, name) for part in parts]) for name in FIELDS)
     return Envelope(
-        low.min(axis=0),
-        high.max(axis=0),
-        rates.max(axis=0),
+        low.min(axis=0), high.max(axis=0), rates.max(axis=0),
         np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
         np.array([mass[:, 0].min(), mass[:, 1].max()]))
 
@@ -133,23 +125,21 @@ class Distance:
 
     @property
     def text(self) -> str:
-        """Return a sentence on it."""
-        if not self.outside:
-            return 'Inside of what the fit has seen.'
+        """A sentence on a state outside."""
         return f'Outside the validity range: {"; ".join(self.outside)}.'
 
 
-def distance(known: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float) -> Distance:
+def distance(valid: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float) -> Distance:
     """
     Return the distance of a state from the validity range.
 
-    A state has no frequency: a motion that is faster than any seen shows by its rates. Bands are
-    compared in `beyond`.
+    A state has no frequency: a motion that is faster than those of the fit shows by its rates.
+    Bands are compared in `beyond`.
 
     Parameters
     ----------
-    known : Envelope
-        What the fit has seen.
+    valid : Envelope
+        Ranges of the fit.
     deflection, rates : array_like (6,)
         Of the lip, as in `Envelope`.
     mass : float
@@ -157,75 +147,71 @@ def distance(known: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: flo
 
     """
     return _worst_first(
-        _deflections(known, np.asarray(deflection, dtype=float))
-        + _rates(known, np.asarray(rates, dtype=float)) + _mass(known, mass))
+        _deflections(valid, np.asarray(deflection, dtype=float))
+        + _rates(valid, np.asarray(rates, dtype=float)) + _mass(valid, mass))
 
 
-def _worst_first(found: list[tuple[float, str]]) -> Distance:
-    """Return the largest distance, and the words for those above 1."""
-    found = sorted(found, key=lambda item: -item[0])
-    return Distance(found[0][0], tuple(words for part, words in found if part > 1.0))
+def _worst_first(distances: list[tuple[float, str]]) -> Distance:
+    """Return the largest distance, and the phrases for those above 1."""
+    ranked = sorted(distances, key=lambda item: -item[0])
+    return Distance(ranked[0][0], tuple(phrase for size, phrase in ranked if size > 1.0))
 
 
-def beyond(known: Envelope, other: Envelope) -> tuple[str, ...]:
+def beyond(valid: Envelope, other: Envelope) -> tuple[str, ...]:
     """Return a phrase for each range that another envelope exceeds, the worst first."""
-    ends = (_deflections(known, end) for end in (other.deflection_low, other.deflection_high))
-    found = [
-        *map(max, *ends), *_rates(known, other.rates), *_frequencies(known, other.frequencies),
-        *max(_mass(known, mass) for mass in other.mass.tolist())]
-    return _worst_first(found).outside
+    ends = (_deflections(valid, end) for end in (other.deflection_low, other.deflection_high))
+    return _worst_first([
+        *map(max, *ends), *_rates(valid, other.rates), *_frequencies(valid, other.frequencies),
+        *max(_mass(valid, mass) for mass in other.mass.tolist())]).outside
 
 
-def known_envelope(values: Mapping[str, Any]) -> Envelope | None:
+def parameter_envelope(values: Mapping[str, Any]) -> Envelope | None:
     """Return the envelope in parameter values, or None if all are zero: unknown."""
-    parts = {name: values.get(f'envelope.{name}', ()) for name in FIELDS}
-    if not any(any(part) for part in parts.values()):
+    ranges = {name: np.array(values.get(f'envelope.{name}', ())) for name in FIELDS}
+    if not any(part.any() for part in ranges.values()):
         return None
-    frequencies = np.reshape(parts.pop('frequencies'), (2, 2))
-    return Envelope(frequencies=frequencies, **{k: np.array(v) for k, v in parts.items()})
+    return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
 
 
-def _deflections(known: Envelope, value: Array) -> list[tuple[float, str]]:
-    """Return distance and words for each deflection."""
-    middle = 0.5 * (known.deflection_high + known.deflection_low)
-    half = np.maximum(0.5 * (known.deflection_high - known.deflection_low), LEAST_DEFLECTION)
-    here, low, high = (
-        SHOWN_PER_SI * x for x in (value, known.deflection_low, known.deflection_high))
+def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
+    """Return distance and phrase for each deflection."""
+    middle = 0.5 * (valid.deflection_high + valid.deflection_low)
+    half = np.maximum(0.5 * (valid.deflection_high - valid.deflection_low), MIN_DEFLECTION)
+    size, low, high = (
+        SHOWN_PER_SI * x for x in (value, valid.deflection_low, valid.deflection_high))
     return [
-        (part, f'{DIRECTIONS[i]} is {here[i]:.3g} {SHOWN_UNITS[i]}, seen {low[i]:.3g} to '
+        (part, f'{DIRECTIONS[i]} is {size[i]:.3g} {SHOWN_UNITS[i]}, seen {low[i]:.3g} to '
                f'{high[i]:.3g} {SHOWN_UNITS[i]}')
         for i, part in enumerate((np.abs(value - middle) / half).tolist())]
 
 
-def _rates(known: Envelope, value: Array) -> list[tuple[float, str]]:
-    """Return distance and words for each rate."""
-    parts = np.abs(value) / np.maximum(known.rates, LEAST_RATE)
+def _rates(valid: Envelope, value: Array) -> list[tuple[float, str]]:
+    """Return distance and phrase for each rate."""
     return [
         (part, f'the rate of {DIRECTIONS[i]} is {abs(value[i]):.3g} '
-               f'{"m/s" if i < 3 else "rad/s"}, seen up to {known.rates[i]:.3g}')
-        for i, part in enumerate(parts.tolist())]
+               f'{"m/s" if i < 3 else "rad/s"}, seen up to {valid.rates[i]:.3g}')
+        for i, part in enumerate((np.abs(value) / np.maximum(valid.rates, MIN_RATE)).tolist())]
 
 
-def _frequencies(known: Envelope, bands: Array) -> list[tuple[float, str]]:
+def _frequencies(valid: Envelope, bands: Array) -> list[tuple[float, str]]:
     """
-    Return distance and words for the upper ends of frequency bands.
+    Return distance and phrase for the upper ends of frequency bands, if those are known.
 
-    Slower than seen is no extrapolation: the spring is the same at rest.
+    Slower motion is no extrapolation: the spring is the same at rest.
     """
-    tops = np.maximum(known.frequencies[:, 1], LEAST_FREQUENCY)
-    if not known.frequencies.any():  # not known
-        return []
+    tops = np.maximum(valid.frequencies[:, 1], MIN_FREQUENCY).tolist()
     return [
-        (top / seen / FREQUENCY_MARGIN, f'the {name} goes up to {top:.3g} Hz, seen {seen:.3g} Hz')
-        for name, top, seen in zip(
-            ('shift', 'rotation'), bands[:, 1].tolist(), tops.tolist(), strict=True)]
+        (top / valid_top / FREQUENCY_MARGIN,
+         f'the {name} goes up to {top:.3g} Hz, seen {valid_top:.3g} Hz')
+        for name, top, valid_top in zip(('shift', 'rotation'), bands[:, 1], tops, strict=True)
+        if valid.frequencies.any()]
 
 
-def _mass(known: Envelope, mass: float) -> list[tuple[float, str]]:
-    """Return distance and text for the mass; nothing if no mass is known."""
-    low, high = known.mass.tolist()
+def _mass(valid: Envelope, mass: float) -> list[tuple[float, str]]:
+    """Return distance and phrase for the mass; nothing if no mass is known."""
+    low, high = valid.mass.tolist()
     if high <= 0.0:
         return []
     half = 0.5 * (high - low) + MASS_MARGIN * 0.5 * (high + low)
-    words = f'{low:.4g}' if low == high else f'{low:.4g} to {high:.4g}'
-    return [(abs(mass - 0.5 * (low + high)) / half, f'the mass is {mass:.4g} kg, seen {words}')]
+    masses = f'{low:.4g}' if low == high else f'{low:.4g} to {high:.4g}'
+    return [(abs(mass - 0.5 * (low + high)) / half, f'the mass is {mass:.4g} kg, seen {masses}')]

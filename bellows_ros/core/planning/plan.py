@@ -21,7 +21,7 @@ from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.validity_range import beyond, Envelope, known_envelope
+from bellows_ros.core.model.validity_range import beyond, Envelope, parameter_envelope
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
@@ -136,7 +136,7 @@ class PlanPrediction:
 
     def outside(self, values: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a phrase for each validity range among parameters that is exceeded."""
-        known = known_envelope(values)
+        known = parameter_envelope(values)
         if known is None:
             return ()
         here = Envelope(

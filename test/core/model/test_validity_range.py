@@ -90,7 +90,6 @@ def test_distance_is_one_on_the_edge():
     far = validity_range.distance(KNOWN, beyond, np.zeros(6), 2.0)
     assert_allclose(far.value, 1.5)
     assert far.outside == ('bending about y is 25.8 degrees, seen -17.2 to 17.2 degrees',)
-    assert 'bending about y' in far.text
 
 
 def test_a_mass_that_is_not_known_is_not_checked():
@@ -119,10 +118,10 @@ def test_beyond_names_what_another_recording_leaves():
 def test_parameters_hold_it():
     """Come back from a parameter file as it was; know nothing where all is zero."""
     values = resolve(KNOWN.parameters())
-    back = validity_range.known_envelope(values)
+    back = validity_range.parameter_envelope(values)
     for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
         np.testing.assert_array_equal(getattr(back, name), getattr(KNOWN, name))
-    assert validity_range.known_envelope(resolve({})) is None
+    assert validity_range.parameter_envelope(resolve({})) is None
 
 
 def test_a_file_holds_at_least_what_was_seen():
@@ -130,7 +129,7 @@ def test_a_file_holds_at_least_what_was_seen():
     ends = np.random.default_rng(6).uniform(-1.0, 1.0, size=(500, 6))
     for low, high in zip(ends - 2.0, ends + 2.0, strict=True):
         seen = Envelope(low, high, high, high[:4].reshape(2, 2) + [0.0, 3.0], np.sort(high[:2]))
-        written = validity_range.known_envelope(seen.parameters())
+        written = validity_range.parameter_envelope(seen.parameters())
         assert validity_range.beyond(written, seen) == ()
         for name in ('deflection_low', 'deflection_high', 'rates', 'frequencies', 'mass'):
             assert_allclose(getattr(written, name), getattr(seen, name), rtol=2e-5)
