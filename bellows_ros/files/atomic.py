@@ -17,7 +17,6 @@ import secrets
 import shutil
 import stat
 import sys
-import tempfile
 import zlib
 
 from bellows_ros.errors import BellowsError
@@ -53,21 +52,21 @@ def write_bytes(path: File, data: bytes) -> None:
 
     """
     target = require_file_target(path)
-    beside = _beside(target)
+    temporary = _temporary_path(target)
     try:
-        with beside.open('xb') as file:
+        with temporary.open('xb') as file:
             if target.exists():
                 os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(beside, target)
+        os.replace(temporary, target)
         _sync(target.parent)
     except OSError as error:
         raise _failed(path, error) from None
     finally:
         with suppress(OSError):
-            beside.unlink()
+            temporary.unlink()
 
 
 def require_file_target(path: File) -> Path:
@@ -80,7 +79,7 @@ def require_file_target(path: File) -> Path:
         If its folder does not exist, or something that is no plain file is in its place.
 
     """
-    target = _require_target(path, follow=True)
+    target = require_folder_target(path, follow=True)
     if target.exists() and not target.is_file():
         what = 'a folder: name a file in it' if target.is_dir() else (
             'not a plain file: give another name')
@@ -116,13 +115,13 @@ def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
     if os.path.lexists(target) and not (replace and target.is_dir() and not target.is_symlink()):
         raise BellowsError(f"Output '{path}' exists. Give another name, or remove it first.")
     try:
-        work = _beside(target)
+        work = _temporary_path(target)
         work.mkdir()
         finished = work / target.name
         try:
             yield finished
-            for made in [*finished.rglob('*'), finished]:
-                _sync(made)
+            for part in [*finished.rglob('*'), finished]:
+                _sync(part)
             _move_into_place(work, target, replace)
         finally:
             shutil.rmtree(work, ignore_errors=True)
@@ -130,9 +129,16 @@ def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
         raise _failed(path, error) from None
 
 
-def require_folder_target(path: File) -> Path:
+def require_folder_target(path: File, follow: bool = False) -> Path:
     """
-    Return where a folder will be written, before any work is put into its content.
+    Return where an output will be written, before any work is put into its content.
+
+    Parameters
+    ----------
+    path : path
+        The output to be.
+    follow : bool
+        Whether a link stands for what it leads to.
 
     Raises
     ------
@@ -140,11 +146,6 @@ def require_folder_target(path: File) -> Path:
         If the folder that it shall lie in does not exist, or the name cannot be one.
 
     """
-    return _require_target(path, follow=False)
-
-
-def _require_target(path: File, follow: bool) -> Path:
-    """Return where an output will be, of a link itself or what it leads to."""
     try:
         target = Path(path).resolve() if follow else Path(os.path.abspath(path))
         with suppress(FileNotFoundError, NotADirectoryError):
@@ -184,10 +185,15 @@ def _exchange(one: Path, other: Path) -> bool:
     return bool(rename(*names, _EXCHANGE) == 0)
 
 
-def _beside(target: Path) -> Path:
-    """Return a hidden path beside a target; clear away what dead processes left there."""
+def _temporary_path(target: Path) -> Path:
+    """
+    Return a hidden path beside a target; remove what dead processes left there.
+
+    Its unique name shows whether it may be removed later.
+    """
     remove_abandoned(target.parent)
-    return target.with_name(hidden_name())
+    return target.with_name(
+        f'{PREFIX}{os.getpid()}-{_machine()}-{secrets.token_hex(4)}.tmp')
 
 
 def _sync(path: Path) -> None:
@@ -212,37 +218,18 @@ REPLACED = 'replaced'
 """Something of this name in a hidden folder is the only copy, so it is not removed."""
 
 
-def hidden_name() -> str:
-    """Return a unique name that shows whether it may be removed later."""
-    return f'{PREFIX}{os.getpid()}-{_machine()}-{secrets.token_hex(4)}.tmp'
-
-
 def remove_abandoned(folder: File) -> None:
     """Remove from a folder what processes of this machine left there that are dead by now."""
     pattern = re.compile(rf'{re.escape(PREFIX)}(\d{{1,9}})-{_machine()}-\w+\.tmp')
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            found = pattern.fullmatch(entry.name)
-            if not found or _alive(int(found[1])):
+            match = pattern.fullmatch(entry.name)
+            if not match or _is_alive(int(match[1])):
                 continue
             if not entry.is_dir(follow_symlinks=False):
-                with suppress(OSError):
-                    os.unlink(entry.path)
+                Path(entry).unlink(missing_ok=True)
             elif not os.path.lexists(os.path.join(entry.path, REPLACED)):
                 shutil.rmtree(entry.path, ignore_errors=True)
-
-
-@contextmanager
-def scratch_folder() -> Iterator[Path]:
-    """Provide a temporary folder, removed afterwards with everything in it."""
-    place = Path(tempfile.gettempdir())
-    remove_abandoned(place)
-    folder = place / hidden_name()
-    folder.mkdir(mode=0o700)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 @cache
@@ -254,7 +241,7 @@ def _machine() -> str:
     return f'{zlib.crc32(f"{platform.node()} {namespace}".encode()):08x}'
 
 
-def _alive(pid: int) -> bool:
+def _is_alive(pid: int) -> bool:
     """Return whether a process exists and is not a zombie."""
     try:
         os.kill(pid, 0)

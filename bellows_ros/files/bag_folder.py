@@ -1,13 +1,12 @@
 """The storage files of a rosbag2 recording: a folder or one file, plain or compressed."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import hashlib
 import os
 from pathlib import Path, PurePosixPath
 import re
 import sys
-from typing import Any, BinaryIO, cast, NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Stamps
 from bellows_ros.errors import BellowsError
@@ -71,7 +70,8 @@ class Batch(NamedTuple):
     def messages(self) -> list[bytes]:
         """Return the bytes of each message."""
         ends = (self.starts + self.sizes).tolist()
-        return [self.data[at:end] for at, end in zip(self.starts.tolist(), ends, strict=True)]
+        return [self.data[start:end] for start, end in zip(
+            self.starts.tolist(), ends, strict=True)]
 
 
 def rows_of(data: bytes, starts: Stamps, size: int) -> Any:
@@ -93,7 +93,7 @@ STORED = ('.mcap', '.db3', '.zstd')  # last suffixes of storage files
 
 MAX_LISTED = 5
 
-LONGEST_NAME = 1000
+MAX_NAME_LENGTH = 1000
 """Letters in the name of a storage file, with its folders; any more are damage."""
 
 
@@ -159,22 +159,16 @@ def require_no_input(path: File, inputs: Iterable[File]) -> None:
         If it would replace or change what is read.
 
     """
-    target = _real(path)
     for name in inputs:
-        source = _real(name)
+        try:
+            target, source = (Path(os.path.realpath(each)) for each in (path, name))
+        except (OSError, ValueError) as error:
+            raise BellowsError(f"'{path}' or '{name}' is no name of a file: {error}.") from None
         if source.suffix in STORED and (source.parent / METADATA).exists():
             source = source.parent
         if target == source or source in target.parents or target in source.parents:
             raise BellowsError(
                 f"Output '{path}' would change the input '{name}'. Give a name elsewhere.")
-
-
-def _real(path: File) -> Path:
-    """Return a path with all links resolved."""
-    try:
-        return Path(os.path.realpath(path))
-    except (OSError, ValueError) as error:
-        raise BellowsError(f"'{path}' is no name of a file: {error}.") from None
 
 
 def _listed_files(folder: Path) -> Listing:
@@ -192,7 +186,7 @@ def _listed_files(folder: Path) -> Listing:
             "Decompress it with 'ros2 bag convert'.")
     names = information.get('relative_file_paths')
     if not isinstance(names, list) or not all(
-            isinstance(name, str) and 0 < len(name) <= LONGEST_NAME for name in names):
+            isinstance(name, str) and 0 < len(name) <= MAX_NAME_LENGTH for name in names):
         raise _damaged(folder, 'relative_file_paths must be a list of file names')
     if not names:
         raise BellowsError(f"Recording '{folder}' is empty: its {METADATA} lists no files.")
@@ -240,28 +234,7 @@ def _inside(folder: Path, name: str) -> Path:
 
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
-ZstdError = zstd.ZstdError
-
-
-@contextmanager
-def open_plain(path: Path) -> Iterator[tuple[BinaryIO, bool]]:
-    """
-    Open a file that may be compressed with zstd.
-
-    Yields
-    ------
-    binary file, bool
-        Its plain content from the beginning, and whether it is compressed.
-
-    """
-    with path.open('rb') as stored:
-        compressed = stored.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
-        stored.seek(0)
-        if not compressed:
-            yield stored, False
-            return
-        with zstd.ZstdFile(stored) as plain:
-            yield cast(BinaryIO, plain), True
+ZstdError, ZstdFile = zstd.ZstdError, zstd.ZstdFile
 
 
 # What decompresses frames of a form, and what that raises where they are damaged.
@@ -283,22 +256,19 @@ def decompressed(form: str, data: bytes, limit: int, cut: bool = False) -> bytes
 
     """
     new_decompressor, damage = FRAMES[form]
-    pieces = []
-    left = limit
+    plain = bytearray()
     while data:
         frame = new_decompressor()
         try:
-            piece = frame.decompress(data, max_length=left + 1)
+            plain += frame.decompress(data, max_length=limit - len(plain) + 1)
         except damage as error:
             raise DamagedError(f'{form} data is damaged: {error}') from None
-        left -= len(piece)
-        if left < 0:
+        if len(plain) > limit:
             raise DamagedError(f'decompressed data is longer than the {limit} bytes expected')
         if not (frame.eof or cut):
             raise DamagedError('compressed data ends early')
-        pieces.append(piece)
         data = frame.unused_data
-    return b''.join(pieces)
+    return bytes(plain)
 
 
 def digests(path: File) -> list[dict[str, Any]]:
@@ -312,15 +282,18 @@ def digests(path: File) -> list[dict[str, Any]]:
 
     """
     top = Path(path)
-    found = []
     try:
-        for file in sorted(p for p in top.iterdir() if p.is_file()) if top.is_dir() else [top]:
-            with file.open('rb') as stream:
-                total = hashlib.file_digest(stream, 'sha256').hexdigest()
-                found.append({'name': file.name, 'bytes': stream.tell(), 'sha256': total})
+        files = sorted(p for p in top.iterdir() if p.is_file()) if top.is_dir() else [top]
+        return [_digest(file) for file in files]
     except OSError as error:
         raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None
-    return found
+
+
+def _digest(file: Path) -> dict[str, Any]:
+    """Return name, size and SHA-256 of a file."""
+    with file.open('rb') as stream:
+        sha256 = hashlib.file_digest(stream, 'sha256').hexdigest()
+        return {'name': file.name, 'bytes': stream.tell(), 'sha256': sha256}
 
 
 def recording_digest(path: File, files: Sequence[Mapping[str, Any]] = ()) -> str:
@@ -335,6 +308,6 @@ def recording_digest(path: File, files: Sequence[Mapping[str, Any]] = ()) -> str
         If there is no such recording, or it cannot be read.
 
     """
-    known = {file['name']: file['sha256'] for file in files or digests(path)}
-    parts = [known[file.name] for file in listing(path).files]
+    sha256 = {file['name']: file['sha256'] for file in files or digests(path)}
+    parts = [sha256[file.name] for file in listing(path).files]
     return hashlib.sha256(' '.join(parts).encode()).hexdigest()

@@ -10,13 +10,13 @@ endless query.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import cache
 from itertools import chain
-import os
 from pathlib import Path
 import shutil
 import sqlite3
+from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
@@ -31,11 +31,11 @@ from bellows_ros.files.bag_folder import (
     listing,
     Message,
     METADATA,
-    open_plain,
     rows_of,
     Wanted,
     ZSTD_MAGIC,
     ZstdError,
+    ZstdFile,
 )
 import numpy as np
 
@@ -106,9 +106,11 @@ class _Bag:
     def messages(self, wanted: Wanted) -> Iterator[Message]:
         """Yield the messages of the wanted topics, file by file."""
         for batches in self.batches(wanted):
-            yield from (Message(*found) for _, found in sorted(
-                (at, (own.topic, log_time, data)) for own in batches for at, log_time, data in zip(
-                    own.starts.tolist(), own.log_times_ns.tolist(), own.messages(), strict=True)))
+            starts = [start for batch in batches for start in batch.starts.tolist()]
+            found = [Message(batch.topic, log_time, data) for batch in batches
+                     for log_time, data in zip(
+                         batch.log_times_ns.tolist(), batch.messages(), strict=True)]
+            yield from (found[i] for i in np.argsort(starts, kind='stable'))
 
     def batches(self, wanted: Wanted) -> Iterator[list[Batch]]:
         """Yield them topic by topic as they are stored together, which is much quicker."""
@@ -123,10 +125,10 @@ class _Bag:
             except OSError as error:
                 raise BellowsError(f"File '{file}' cannot be read: {error}.") from None
             self.notes += [f"File '{file}' is not whole: {what}." for what in lost]
-        found, said = sum(self.counts.values()), self._listed.information.get('message_count')
-        if self._listed.information and said != found:
+        count, stated = sum(self.counts.values()), self._listed.information.get('message_count')
+        if self._listed.information and stated != count:
             self.notes.append(
-                f'The recording has {found} messages, but {METADATA} says {str(said)[:20]}. Was '
+                f'The recording has {count} messages, but {METADATA} says {str(stated)[:20]}. Was '
                 'it copied whole?')
 
     def require_messages(self) -> None:
@@ -155,8 +157,7 @@ def topics(path: File, notes: list[str] | None = None) -> list[TopicCount]:
 
     """
     bag = _Bag(path)
-    for _ in bag.messages(lambda topic: False):
-        pass
+    list(bag.batches(lambda topic: False))
     if notes is not None:
         notes += bag.notes
     return sorted(TopicCount(t.name, t.type_name, n) for t, n in bag.counts.items())
@@ -439,14 +440,21 @@ def _file_batches(
     path: Path, wanted: Wanted, counts: dict[Channel, int], lost: list[str]
 ) -> Iterator[list[Batch]]:
     """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
-    with open_plain(path) as (file, compressed):
+    with path.open('rb') as stored:
+        compressed = stored.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+        stored.seek(0)
+        file: Any = ZstdFile(stored) if compressed else stored
         magic = file.read(len(SQLITE_MAGIC))
         file.seek(0)
         if magic.startswith(mcap.MAGIC):
             yield from mcap.scan(file, wanted, counts, lost)
-        elif magic == SQLITE_MAGIC:
-            with _on_disk(path, file, compressed) as plain:
+        elif magic == SQLITE_MAGIC and compressed:
+            with TemporaryDirectory() as folder:
+                plain = Path(folder, path.stem)
+                _decompress(file, plain)
                 yield from scan_database(plain, wanted, counts)
+        elif magic == SQLITE_MAGIC:
+            yield from scan_database(path, wanted, counts)
         elif not magic:
             lost.append('it is empty')
         elif magic.startswith(b'#ROSBAG'):
@@ -457,30 +465,20 @@ def _file_batches(
             raise DamagedError('it is neither an MCAP nor an SQLite file')
 
 
-@contextmanager
-def _on_disk(path: Path, file: BinaryIO, compressed: bool) -> Iterator[Path]:
-    """Provide the path of a plain copy that takes up at most half of the free space."""
-    if not compressed:
-        yield path
-        return
-    from bellows_ros.files.atomic import scratch_folder  # late: rare
-
-    with scratch_folder() as folder:
-        left = min(LARGEST_TEMPORARY, shutil.disk_usage(folder).free // 2)
-        with (folder / path.stem).open('wb') as out:
-            while piece := file.read(_COPY_STEP):
-                left -= len(piece)
-                if left < 0:
-                    raise DamagedError(
-                        f'decompressed it is too large for {folder.parent}. '
-                        "Decompress it with 'zstd -d' where there is space, and give that file")
-                out.write(piece)
-        yield folder / path.stem
+def _decompress(file: BinaryIO, path: Path) -> None:
+    """Write a file's content to a path, which may take up at most half of the free space."""
+    limit = min(LARGEST_TEMPORARY, shutil.disk_usage(path.parent).free // 2)
+    with path.open('wb') as out:
+        while piece := file.read(_COPY_STEP):
+            if out.tell() + len(piece) > limit:
+                raise DamagedError(
+                    f'decompressed it is too large for {path.parent.parent}. '
+                    "Decompress it with 'zstd -d' where there is space, and give that file")
+            out.write(piece)
 
 
 # ----------------------------------------------------------------------------------- databases
 
-_HEADER = 100
 _BATCH = 4096
 
 # Steps of SQLite's machine: a sound file of N bytes is read in far fewer than these.
@@ -511,9 +509,13 @@ def scan_database(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Ite
 
     """
     _require_closed(path)
-    _require_whole(path)
     try:
         with closing(_connect(path)) as database:
+            size, (page_size,) = path.stat().st_size, database.execute(
+                'PRAGMA page_size').fetchone()
+            if size % page_size:  # SQLite would read the rest of the page as zeros
+                raise DamagedError(
+                    f'it ends in the middle: {size} bytes are no whole pages of {page_size}')
             _require_plain(database)
             (verdict,) = database.execute('PRAGMA quick_check(1)').fetchone()
             if verdict != 'ok':  # its pages do not fit together: messages could be missing
@@ -534,20 +536,6 @@ def _require_closed(path: Path) -> None:
             raise DamagedError(
                 f'its recording was not closed: {beside.name} holds what is not yet in it. '
                 f"Run 'sqlite3 {path.name} .schema' in its folder once, which merges the two")
-
-
-def _require_whole(path: Path) -> None:
-    """Refuse a file that ends within a page; SQLite would read the rest of it as zeros."""
-    with path.open('rb') as file:
-        header = file.read(_HEADER)
-        size = file.seek(0, os.SEEK_END)
-    if len(header) < _HEADER:
-        raise DamagedError('it ends in the middle: it was truncated')
-    page_size = int.from_bytes(header[16:18]) or 1
-    page_size = 65536 if page_size == 1 else page_size  # as the format has it
-    if size % page_size:
-        raise DamagedError(
-            f'it ends in the middle: {size} bytes are no whole pages of {page_size}')
 
 
 def _require_plain(database: sqlite3.Connection) -> None:
@@ -574,18 +562,13 @@ def _connect(path: Path) -> sqlite3.Connection:
     uri = f'{path.resolve().as_uri()}?mode=ro&immutable=1'
     database = sqlite3.connect(uri, uri=True)
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
-    database.execute('PRAGMA trusted_schema = OFF')
-    database.execute('PRAGMA cell_size_check = ON')
-    database.execute('PRAGMA ignore_check_constraints = ON')
-    left = max(_LEAST_STEPS, path.stat().st_size * _STEPS_PER_BYTE)
-
-    def count_down() -> bool:
-        """Return True, which ends the query, once the steps are used up."""
-        nonlocal left
-        left -= _STEPS_BETWEEN_CHECKS
-        return left < 0
-
-    database.set_progress_handler(count_down, _STEPS_BETWEEN_CHECKS)
+    for setting in ('trusted_schema = OFF', 'cell_size_check = ON',
+                    'ignore_check_constraints = ON'):
+        database.execute(f'PRAGMA {setting}')
+    steps = max(_LEAST_STEPS, path.stat().st_size * _STEPS_PER_BYTE)
+    checks = iter(range(steps // _STEPS_BETWEEN_CHECKS))
+    # What the handler returns ends the query once all checks are used up.
+    database.set_progress_handler(lambda: next(checks, None) is None, _STEPS_BETWEEN_CHECKS)
     return database
 
 

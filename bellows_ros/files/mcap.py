@@ -42,7 +42,7 @@ _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
 _CUT_HEAD = 'a message is damaged, as it is shorter than its head'
 _SKIP_STEP = 2**20
-_TOGETHER = 2**20  # bytes of messages outside chunks that are read at once
+_TOGETHER = 2**20  # bytes of records outside chunks that are read at once
 _LARGEST_TIME = np.uint64(2**63 - 1)
 
 _BROKEN = (struct.error, UnicodeDecodeError, DamagedError)
@@ -136,24 +136,23 @@ class _Scan:
             raise DamagedError('it does not end as an MCAP file does')
 
     def batches(self, records: Iterator[Record]) -> Iterator[list[Batch]]:
-        """Yield the wanted messages of each chunk, and of messages outside chunks together."""
-        alone = bytearray()
+        """Yield the wanted messages of each chunk, and of records outside chunks together."""
+        loose = bytearray()
         try:
             for kind, body in records:
-                if kind == _MESSAGE:
-                    if len(body) < _SHORTEST_MESSAGE:
-                        raise DamagedError(_CUT_HEAD)
-                    alone += _RECORD_HEAD.pack(kind, len(body)) + body
-                if alone and (kind != _MESSAGE or len(alone) > _TOGETHER):
-                    together, alone = bytes(alone), bytearray()
+                if kind == _MESSAGE and len(body) < _SHORTEST_MESSAGE:
+                    raise DamagedError(_CUT_HEAD)
+                if kind != _CHUNK:
+                    loose += _RECORD_HEAD.pack(kind, len(body)) + body
+                if kind == _CHUNK or len(loose) > _TOGETHER:
+                    together, loose = bytes(loose), bytearray()
                     yield from self._read_chunk(together)
                 if kind == _CHUNK:
                     yield from self._read_chunk(_chunk_data(_Fields(body)))
-                elif kind != _MESSAGE:
-                    self._read_other(kind, body)
         except _BROKEN:
-            yield from self._read_chunk(bytes(alone))
+            yield from self._read_chunk(bytes(loose))
             raise
+        yield from self._read_chunk(bytes(loose))
 
     def _read_chunk(self, records: bytes) -> Iterator[list[Batch]]:
         """Read the records of a chunk; yield its wanted messages, of a damaged one up to there."""
@@ -183,32 +182,32 @@ class _Scan:
         at = np.array(starts, dtype=np.int64)
         heads = rows_of(records, at, _MESSAGE_HEAD.itemsize).view(_MESSAGE_HEAD)[:, 0]
         unknown = ~np.isin(heads['channel'], list(self._channels))
-        known = heads[:np.argmax(unknown)] if unknown.any() else heads
-        found = []
-        for channel, count in Counter(known['channel'].tolist()).items():
+        sound = heads[:np.argmax(unknown)] if unknown.any() else heads
+        batches = []
+        for channel, count in Counter(sound['channel'].tolist()).items():
             self.met[channel] += count
             if channel in self._wanted_channels:
-                own = np.flatnonzero(known['channel'] == channel)
-                times = np.minimum(known['log_time'][own], _LARGEST_TIME).astype(np.int64)
-                found.append(Batch(
-                    self._channels[channel], times, records, at[own] + _MESSAGE_HEAD.itemsize,
-                    known['size'][own].astype(np.int64) - _SHORTEST_MESSAGE))
-        if found:
-            yield found
+                index = np.flatnonzero(sound['channel'] == channel)
+                times = np.minimum(sound['log_time'][index], _LARGEST_TIME).astype(np.int64)
+                batches.append(Batch(
+                    self._channels[channel], times, records, at[index] + _MESSAGE_HEAD.itemsize,
+                    sound['size'][index].astype(np.int64) - _SHORTEST_MESSAGE))
+        if batches:
+            yield batches
         if unknown.any():
-            raise DamagedError(f"a message belongs to channel {heads['channel'][len(known)]}, "
+            raise DamagedError(f"a message belongs to channel {heads['channel'][len(sound)]}, "
                                'which is not defined')
 
     def _read_other(self, kind: int, body: bytes) -> None:
         """Read what is no message."""
+        fields = _Fields(body)
         if kind == _SCHEMA:
-            fields = _Fields(body)
             number = fields.number('<H')
             self._schemas[number] = fields.text()
         elif kind == _CHANNEL:
-            self._add_channel(_Fields(body))
+            self._add_channel(fields)
         elif kind == _STATISTICS:
-            self._compare(_Fields(body))
+            self._compare(fields)
 
     def add_counts(self) -> None:
         """Add the messages met to those of their topics."""
@@ -274,13 +273,13 @@ def _require_checksums(kind: int, body: bytes, before: int, checksum: int) -> No
     if kind == _DATA_END:
         _require_checksum(fields.number('<I'), before, 'its data')
     elif kind == _FOOTER:
-        summed = zlib.crc32(fields.block(16), checksum)  # two offsets
-        _require_checksum(fields.number('<I'), summed, 'its summary')
+        checksum = zlib.crc32(fields.block(16), checksum)  # two offsets
+        _require_checksum(fields.number('<I'), checksum, 'its summary')
 
 
-def _require_checksum(said: int, found: int, of: str) -> None:
+def _require_checksum(stated: int, computed: int, of: str) -> None:
     """Refuse a checksum other than the stated one; 0 stands for none."""
-    if said and said != found:
+    if stated and stated != computed:
         raise DamagedError(f'the checksum of {of} is wrong')
 
 
