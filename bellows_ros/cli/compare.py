@@ -15,11 +15,10 @@ bellows compare small.json large.json --json comparison.json
 
 import argparse
 from collections.abc import Iterator
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bellows_ros.report import listed, with_error
+from bellows_ros.report import formatted, listed, with_error
 
 from . import options
 from .console import Console, NOT_USABLE, OK
@@ -54,19 +53,17 @@ def print_result(result: 'ResultComparison', console: Console) -> None:
     from bellows_ros.core.parameters.table import short
 
     console.line(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
-    for title, changes in (
-        ('Parameters', result.fits.parameters),
-        ('Motion of the package of A on each cup', result.fits.effects),
-    ):
-        console.table(_change_rows(changes), title=title)
+    console.table(_change_rows(result.fits.parameters), title='Parameters')
+    console.table(_change_rows(result.fits.effects),
+                  title='Motion of the package of A on each cup')
     console.paragraph(*verdict(result))
     if result.settings:
         console.line()
         console.line('Made differently:')
         for difference in result.settings:
-            before, after = ('-' if value is None else short(value, SETTING_WIDTH)
-                             for value in (difference.before, difference.after))
-            console.paragraph(f'  {difference.name}: {before} -> {after}')
+            values = ('-' if value is None else short(value, SETTING_WIDTH)
+                      for value in (difference.before, difference.after))
+            console.paragraph(f'  {difference.name}: {" -> ".join(values)}')
 
 
 def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
@@ -79,9 +76,8 @@ def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
             change.name,
             with_error(scale * change.before, scale * change.before_std),
             with_error(scale * change.after, scale * change.after_std), unit,
-            f'{change.percent:+.2f} %' if math.isfinite(change.percent) else '-',
-            f'{change.standard_errors:+.1f}' + ('*' if change.significant else ' ')
-            if math.isfinite(change.standard_errors) else '- '))
+            formatted(change.percent, '+.2f', '%'),
+            formatted(change.standard_errors, '+.1f') + ('*' if change.significant else ' ')))
     return rows
 
 
@@ -91,10 +87,9 @@ def verdict(result: 'ResultComparison') -> Iterator[str]:
     if result.shared:
         yield (f'Both fits used {listed(list(result.shared))}: they are not independent, and the '
                'standard errors and probabilities do not apply.')
-    p = fits.p_value
-    chance = f'probability of chance {f"{p:.2g}" if p >= 1e-4 else "below 1e-4"}'
-    explain = 'do not explain' if fits.significant else 'explain'
-    yield f'The standard errors {explain} the difference of the parameters together ({chance}).'
+    chance = f'{fits.p_value:.2g}' if fits.p_value >= 1e-4 else 'below 1e-4'
+    yield (f'The standard errors {"do not " if fits.significant else ""}explain the difference of '
+           f'the parameters together (probability of chance {chance}).')
     if marked := [f'{change.name} ({change.percent:+.2g} %)'
                   for change in fits.parameters if change.significant]:
         yield f'* Significant difference: {listed(marked)}.'

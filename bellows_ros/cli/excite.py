@@ -32,7 +32,6 @@ from .options import argument, output, run_plan_command
 if TYPE_CHECKING:
     from bellows_ros.workflows.excite import DesignedMotion
 
-
 ARGUMENTS = (
     *options.PARAMETERS,
     argument('--limits FILE', 'limits of the arm, and noise and rates of the tracking (YAML); '
@@ -66,64 +65,66 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: excite(
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
             arguments.beside, arguments.seed, progress, arguments.series, arguments.hold),
-        print_result, lambda found: write_motion(
-            arguments.out, found, arguments.csv, arguments.urscript, arguments.force))
+        print_result, lambda result: write_motion(
+            arguments.out, result, arguments.csv, arguments.urscript, arguments.force))
 
 
-def print_result(found: 'DesignedMotion', console: Console) -> None:
+def print_result(result: 'DesignedMotion', console: Console) -> None:
     """Print the expected errors and the active limits."""
     from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
 
-    motion = found.design.motion
+    motion, design, errors = result.design.motion, result.design, result.errors
+    tilt = math.degrees(math.hypot(*motion.tilt))
     console.line(f'A motion of {motion.duration:g} s', 'bold')
-    held = math.degrees(math.hypot(*motion.tilt))
-    console.line(f'(up to {motion.highest_frequency:.3g} Hz; {found.structure.name}'
-                 + (f'; at the end {motion.hold:g} s at a tilt of {held:.0f} degrees)'
+    console.line(f'(up to {motion.highest_frequency:.3g} Hz; {result.structure.name}'
+                 + (f'; at the end {motion.hold:g} s at a tilt of {tilt:.0f} degrees)'
                     if motion.hold else ')'), 'dim')
-    rows = [['entry', 'expected', '', *(f'{Path(name).stem}' for name in found.beside)]]
     parts = column([100.0 * error / abs(value) if value else 0.0
-                    for value, error in zip(found.guess, found.errors, strict=True)])
-    ratios = [column((errors / found.errors).tolist()) for errors in found.beside.values()]
+                    for value, error in zip(result.guess, errors, strict=True)])
+    ratios = [column((others / errors).tolist()) for others in result.beside.values()]
+    rows = [['entry', 'expected', '', *(Path(name).stem for name in result.beside)]]
     for label, unit, value, error, part, *beside in zip(
-            found.structure.labels, parameter_units(found.structure), found.guess.tolist(),
-            found.errors.tolist(), parts, *ratios, strict=True):
+            result.structure.labels, parameter_units(result.structure), result.guess.tolist(),
+            errors.tolist(), parts, *ratios, strict=True):
         known = error if error <= LARGEST_ERROR * abs(value) or not value else math.inf
         rows.append([label, with_error(value, known, unit), f'{part} %' if value else '',
                      *(f'{ratio} times' for ratio in beside)])
     console.table(rows)
-    if found.beside:
+    if result.beside:
         console.paragraph(
             'The expected values are standard errors if the guess is right; the other columns '
             'are the errors of other motions, as multiples of these.')
-    _print_series(found, console)
+    if result.series:
+        _print_series(result, console)
     console.table([['limit', 'taken', 'share in limiting the motion']] + [
-        [name, f'{100.0 * ratio:.1f} %', f'{100.0 * found.design.shares.get(name, 0.0):.0f} %']
-        for name, ratio in found.design.ratios.items()])
-    console.warn(*found.warnings)
+        [name, f'{100.0 * ratio:.1f} %', f'{100.0 * design.shares.get(name, 0.0):.0f} %']
+        for name, ratio in design.ratios.items()])
+    console.warn(*result.warnings)
 
 
-def _print_series(found: 'DesignedMotion', console: Console) -> None:
+PURPOSES = (
+    'Standstills, upright and tilted. Record them with two or more packages of different mass. '
+    'The poses at rest identify K, and two masses identify the nominal length.',
+    'The motion above. It identifies K and P.',
+    'Moves from pose to pose, as quick as the limits allow. Keep this recording out of the fit, '
+    'and validate the cup with it.')
+
+
+def _print_series(result: 'DesignedMotion', console: Console) -> None:
     """Print what to record, in order, and what each recording identifies."""
     from bellows_ros.core.identification.result import LARGEST_ERROR
 
-    if not found.series:
-        return
-    purposes = (
-        'Standstills, upright and tilted. Record them with two or more packages of different '
-        'mass. The poses at rest identify K, and two masses identify the nominal length.',
-        'The motion above. It identifies K and P.',
-        'Moves from pose to pose, as quick as the limits allow. Keep this recording out of the '
-        'fit, and validate the cup with it.')
     console.line('Record in this order', 'bold')
-    for (name, (motion, _)), text in zip(found.series.items(), purposes, strict=True):
+    for (name, (motion, _)), text in zip(result.series.items(), PURPOSES, strict=True):
         console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')
-    rows = [['standard error', *found.series]]
-    for i, (label, value) in enumerate(
-            zip(found.structure.labels, found.guess.tolist(), strict=True)):
+    rows = [['standard error', *result.series]]
+    for label, value, *errors in zip(
+            result.structure.labels, result.guess.tolist(),
+            *(errors for _, errors in result.series.values()), strict=True):
         if value:
             rows.append([label, *(
                 f'{100.0 * part:.3g} %' if part <= LARGEST_ERROR else '-'
-                for part in (errors[i] / abs(value) for _, errors in found.series.values()))])
+                for part in (error / abs(value) for error in errors))])
     console.table(rows, right=True)
     console.paragraph('Each column is for this recording alone, with the nominal length known; '
                       '- is not identifiable. Then identify the cup from all of them:')

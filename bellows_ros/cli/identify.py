@@ -25,11 +25,10 @@ bellows identify tosses --release --params bags/tossing.yaml --out release.yaml
 """
 
 import argparse
-import math
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.report import column, listed, many
+from bellows_ros.report import column, formatted, listed, many
 
 from . import options
 from .console import Console, NOT_USABLE, OK, uninterrupted
@@ -37,9 +36,7 @@ from .console import Console, NOT_USABLE, OK, uninterrupted
 if TYPE_CHECKING:
     from bellows_ros.workflows.release import ReleaseResult
 
-
 NEGATIVE_RESULT = 'the fit cannot be used'
-
 
 ARGUMENTS = (
     options.bags(), *options.PARAMETERS, *options.interval(),
@@ -108,10 +105,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: Console) -> int:
     """Identify the valve, write, report."""
-    others = ('report', 'jobs', 'dask')
-    given = [f'--{name}' for name in others if getattr(arguments, name)]
-    if given:
-        raise BellowsError(f'--release cannot be combined with {", ".join(given)}. Leave it out.')
+    if excluded := [
+            f'--{name}' for name in ('report', 'jobs', 'dask') if getattr(arguments, name)]:
+        raise BellowsError(
+            f'--release cannot be combined with {", ".join(excluded)}. Leave it out.')
     from bellows_ros.files.parameter_files import write_parameters
     from bellows_ros.files.results import provenance
     from bellows_ros.workflows.release import identify_release
@@ -133,32 +130,29 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
     """Print the law with its errors, and how it explains the drops of each mass."""
     from bellows_ros.workflows.release import UNITS
 
-    fit, milli = result.fit, 1e3
-    drops = many(len(fit.drops), 'drop')
-    console.line(f'Release identified from {drops} in {listed(result.bags)}', 'bold')
+    fit, milli, names = result.fit, 1e3, list(UNITS)
+    console.line(
+        f'Release identified from {many(len(fit.drops), "drop")} in {listed(result.bags)}', 'bold')
     rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
     for k in fit.free:
-        name = list(UNITS)[k]
-        unit = UNITS[name]
+        unit = UNITS[names[k]]
         factor, unit = (milli, f'm{unit}') if unit in ('s', 'm', 'N s') else (1.0, unit)
-        known = column([factor * x for x in (fit.law[k], fit.std[k], fit.scatter[k])],
-                       factor * fit.std[k])
-        law, *errors = (f'{text} {unit}' for text in known)
-        rows.append((name, law, *(text if part[k] else '' for text, part in zip(
-            errors, (fit.std, fit.scatter), strict=True))))
-    rows += [(list(UNITS)[k], 'not identifiable', '', '') for k in fit.not_identifiable]
+        numbers = (fit.law[k], fit.std[k], fit.scatter[k])
+        law, *errors = column([factor * x for x in numbers], factor * fit.std[k])
+        rows.append((names[k], f'{law} {unit}', *(
+            f'{text} {unit}' if number else ''
+            for text, number in zip(errors, numbers[1:], strict=True))))
+    rows += [(names[k], 'not identifiable', '', '') for k in fit.not_identifiable]
     console.table(rows, right=True)
     console.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(
-        (f'{mass:.3g} kg', f'{count}',
-         f'{milli * released:.1f} ms' if math.isfinite(released) else 'later',
+        (f'{mass:.3g} kg', f'{count}', formatted(released, '.1f', 'ms', milli, 'later'),
          f'{milli * position:.2f} mm', f'{milli * velocity:.1f} mm/s')
         for mass, count, released, position, velocity in result.masses())], right=True)
     speed = max(drop.speed for drop in fit.drops)
     console.paragraph(
         f'From drop to drop, the instant scatters by {milli * fit.scatter[0]:.2f} ms (one sigma); '
         f'at {speed:.2f} m/s, the fastest release, that is {milli * fit.scatter[0] * speed:.1f} '
-        'mm along the flight.')
-    console.paragraph(
+        'mm along the flight.',
         f'The law leaves {milli * fit.position:.2f} mm of the positions (rms); chi2 per pose: '
         f'{fit.chi2:.3g} (1 if model and noise are right). {milli * fit.common:.2f} mm of it is '
         f'alike in all drops of a mass, {fit.lack:.3g} times the mean square that their scatter '

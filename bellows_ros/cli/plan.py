@@ -28,9 +28,7 @@ from .options import argument, plan_arguments, run_plan_command
 if TYPE_CHECKING:
     from bellows_ros.workflows.plan import PlanReport
 
-
 NEGATIVE_RESULT = 'the cup lets go, or --fastest finds no time that is safe'
-
 
 ARGUMENTS = (
     *plan_arguments(
@@ -58,48 +56,46 @@ def print_result(report: 'PlanReport', console: Console) -> None:
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     console.line(f'Plan {source.path}', 'bold')
     console.line(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
-    console.table(figure_rows(report))
+    console.table(_figure_rows(report))
     console.warn(*report.warnings)
     if report.fastest and report.driven[2]:
         console.paragraph(
             f'The limit {report.driven[2]} of the arm needs '
             f'{report.driven[0].seconds[-1]:.3f} s; --out writes that motion.')
     if not report.warnings:
-        known = any(source.values['envelope.rates'])
         console.line('The grip holds' + (
-            ', within the validity range.' if known else
+            ', within the validity range.' if any(source.values['envelope.rates']) else
             '. The validity range of the cup is unknown.'), 'green')
 
 
-def figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
+def _figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
     """Return rows to print: name, value with its standard deviation, and a remark."""
-    figures, std = report.prediction.figures(), report.std
+    prediction, degrees = report.prediction, (math.degrees(1.0), 'degrees')
+    figures = prediction.figures()
 
     def value(name: str, factor: float, unit: str) -> str:
-        return with_error(factor * figures[name], factor * std[name], unit)
+        return with_error(factor * figures[name], factor * report.std[name], unit)
 
-    degrees = 180.0 / math.pi
-    _, mode, time = report.prediction.smallest_safety
-    rows = []
-    if report.prediction.grip:
-        rows.append(('smallest safety factor', value('smallest_safety_factor', 1.0, ''),
-                     f'{mode}, at {time:.3f} s'))
-    rows += [
-        ('largest bending', value('peak_bending', degrees, 'degrees'), ''),
+    rows = [
+        ('largest bending', value('peak_bending', *degrees), ''),
         ('largest deflection', value('peak_deflection', 1e3, 'mm'), ''),
         ('largest force', value('peak_force', 1.0, 'N'), ''),
         ('largest moment', value('peak_moment', 1.0, 'N m'),
          f'{value("rigid_peak_moment", 1.0, "N m")} of the rigid load')]
-    if report.prediction.ends_at_rest:
+    if prediction.grip:
+        _, mode, time = prediction.smallest_safety
+        rows.insert(0, ('smallest safety factor', value('smallest_safety_factor', 1.0, ''),
+                        f'{mode}, at {time:.3f} s'))
+    if prediction.ends_at_rest:
         after = figures['settled_after']
         still = 'below 0.5 degrees' + (f' after {after:.2f} s' if after > 0.0 else '')
-        rows.append((
-            'swing left at the end', value('swing_left', degrees, 'degrees'),
-            still if math.isfinite(after) else 'not below 0.5 degrees within 30 s'))
-    if report.sought:
-        found, duration = report.fastest, report.source.duration
-        rows.append((
-            'shortest safe time', 'none' if found is None else
-            with_error(found.scale * duration, found.scale_std * duration, 's'),
-            '' if found is None else f"{found.scale:.3f} of the plan's"))
+        rows.append(('swing left at the end', value('swing_left', *degrees), still if
+                     math.isfinite(after) else 'not below 0.5 degrees within 30 s'))
+    if fastest := report.fastest:
+        duration = report.source.duration
+        rows.append(('shortest safe time', with_error(
+            fastest.scale * duration, fastest.scale_std * duration, 's'),
+            f"{fastest.scale:.3f} of the plan's"))
+    elif report.sought:
+        rows.append(('shortest safe time', 'none', ''))
     return rows

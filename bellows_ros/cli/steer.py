@@ -21,6 +21,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bellows_ros.report import formatted
+
 from .console import Console
 from .options import argument, plan_arguments, run_plan_command
 
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.steer import SteerReport
 
 
-SLOWER = 4.0
-
+DEGREES = math.degrees(1.0)
+FILM_SPEED = 0.25
 
 ARGUMENTS = (
     *plan_arguments(
@@ -49,7 +51,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     def film(report: 'SteerReport') -> None:
         from bellows_ros.plots.animation import write_steering
 
-        write_steering(arguments.plot, report, f'{arguments.plan}', speed=1.0 / SLOWER)
+        write_steering(arguments.plot, report, f'{arguments.plan}', FILM_SPEED)
 
     def write(report: 'SteerReport') -> None:
         motion = report.motions[report.method]
@@ -66,28 +68,21 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def print_result(report: 'SteerReport', console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
-    rows = [('motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled', 'safety')]
+    rows: list[tuple[str, ...]] = [
+        ('motion', 'takes', 'later by', 'tilt', 'swing left', 'expected', 'settled', 'safety')]
     for name, motion in report.motions.items():
-        found = motion.figures()
-        factor = found['smallest_safety_factor']
+        figures = motion.figures()
+        expected = figures['expected_swing'] if report.uncertain else math.nan
         rows.append((
-            name, f'{found["duration"]:.3f} s', f'{1e3 * found["added_time"]:.0f} ms',
-            _degrees(found['largest_tilt']), _degrees(found['swing_left']),
-            _degrees(found['expected_swing']) if report.uncertain else '-',
-            f'{found["settled_after"]:.2f} s' if math.isfinite(found['settled_after']) else '-',
-            f'{factor:.2f}' if math.isfinite(factor) else '-'))
+            name, f'{figures["duration"]:.3f} s', f'{1e3 * figures["added_time"]:.0f} ms',
+            *(formatted(angle, '.1f' if angle >= math.radians(10.0) else '.3f', 'deg', DEGREES)
+              for angle in (figures['largest_tilt'], figures['swing_left'], expected)),
+            formatted(figures['settled_after'], '.2f', 's'),
+            formatted(figures['smallest_safety_factor'], '.2f')))
     console.table(rows, right=True)
-    own = report.motions[report.method].figures()
+    figures = report.motions[report.method].figures()
     console.paragraph(
-        f'The tool moves at up to {own["speed"]:.3g} m/s, {own["acceleration"]:.3g} m/s^2, '
-        f'{own["angular_speed"]:.3g} rad/s and {own["angular_acceleration"]:.3g} rad/s^2; the '
-        f'package is at most {1e3 * own["path_error"]:.2g} mm from its desired path.')
-    console.paragraph(*report.notes)
-    if report.advice:
-        console.paragraph(report.advice)
-
-
-def _degrees(angle: float) -> str:
-    """Return an angle (rad) as text."""
-    degrees = math.degrees(angle)
-    return f'{degrees:.1f} deg' if degrees >= 10.0 else f'{degrees:.3f} deg'
+        f'The tool moves at up to {figures["speed"]:.3g} m/s, {figures["acceleration"]:.3g} '
+        f'm/s^2, {figures["angular_speed"]:.3g} rad/s and {figures["angular_acceleration"]:.3g} '
+        f'rad/s^2; the package is at most {1e3 * figures["path_error"]:.2g} mm from its desired '
+        'path.', *report.notes, *filter(None, [report.advice]))

@@ -15,10 +15,9 @@ bellows structures first second --params my_cell.yaml --json structures.json
 
 import argparse
 from collections.abc import Mapping
-import math
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.report import percent
+from bellows_ros.report import formatted
 
 from . import options
 from .console import Console, NOT_USABLE, OK
@@ -26,9 +25,7 @@ from .console import Console, NOT_USABLE, OK
 if TYPE_CHECKING:
     from bellows_ros.workflows.identify import StructureAdvice
 
-
 NEGATIVE_RESULT = 'no structure fits'
-
 
 ARGUMENTS = (
     options.bags(), *options.PARAMETERS, *options.interval(), options.json_output('all figures'))
@@ -55,10 +52,10 @@ def print_result(result: 'StructureAdvice', console: Console) -> None:
     from bellows_ros.workflows.identification import excitation_json, selection_json
 
     excitation, selection = result.excitation, result.selection
-    found = excitation_json(excitation)
-    console.table(_excitation_rows(found), right=True,
+    content = excitation_json(excitation)
+    console.table(_excitation_rows(content), right=True,
                   title='Excitation of the lip, relative to the tool')
-    console.table([row for row in _parameter_rows(found) if '-' not in row[0]], right=True,
+    console.table([row for row in _parameter_rows(content) if '-' not in row[0]], right=True,
                   title='Identifiability of the diagonal, by least squares')
     console.paragraph(
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
@@ -74,41 +71,34 @@ def print_result(result: 'StructureAdvice', console: Console) -> None:
     console.warn(*result.warnings)
 
 
-def _excitation_rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _excitation_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of the motion of the lip in each axis of the tool."""
     from bellows_ros.core.signals.residuals import MILLI_UNITS
 
-    def milli(value: Any, unit: str) -> str:
-        return f'{1e3 * value:.3g} {unit}' if _known(value) else '-'
-
     rows: list[tuple[str, ...]] = [
         ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
-    for (name, axis), unit in zip(found['axes'].items(), MILLI_UNITS, strict=True):
+    for (name, axis), unit in zip(excitation['axes'].items(), MILLI_UNITS, strict=True):
         low, high = axis['band_hz']
         rows.append((
-            name, *(milli(axis[key], unit) for key in ('strain', 'motion', 'strain_noise')),
-            *(milli(axis[key], f'{unit}/s') for key in ('twist', 'twist_noise')),
-            f'{low:.1f}-{high:.1f} Hz' if _known(low) else '-'))
+            name, *(formatted(axis[key], '.3g', unit, 1e3)
+                    for key in ('strain', 'motion', 'strain_noise')),
+            *(formatted(axis[key], '.3g', f'{unit}/s', 1e3) for key in ('twist', 'twist_noise')),
+            '-' if formatted(low) == '-' else f'{low:.1f}-{high:.1f} Hz'))
     return rows
 
 
-def _known(value: float | None) -> bool:
-    """Return whether a number of a result is known."""
-    return value is not None and math.isfinite(value)
-
-
-def _parameter_rows(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _parameter_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of what is known of each entry of K and P."""
     formats = {'value': '.4g', 'signal_to_noise': '.3g', 'bias': '+.1%'}
     return [('parameter', 'first estimate', 'signal to noise', 'expected bias', 'identifiable'), *(
-        (label, *(format(p[key], how) if _known(p[key]) else '-' for key, how in formats.items()),
-         'no' if not p['identifiable'] else 'weakly' if p['weak'] else 'well')
-        for label, p in found['parameters'].items())]
+        (label, *(formatted(entry[key], form) for key, form in formats.items()),
+         'no' if not entry['identifiable'] else 'weakly' if entry['weak'] else 'well')
+        for label, entry in excitation['parameters'].items())]
 
 
 def _structure_rows(selection: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of the structures that were compared."""
     return [('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable'), *(
-        (own['structure'], str(own['parameters']), f'+{own["aic"]:.1f}', f'+{own["bic"]:.1f}',
-         percent(math.nan if own['held_out'] is None else own['held_out']),
-         'yes' if own['usable'] else 'no') for own in selection['candidates'])]
+        (each['structure'], str(each['parameters']), f'+{each["aic"]:.1f}', f'+{each["bic"]:.1f}',
+         formatted(each['held_out'], '.2f', '%', 100.0), 'yes' if each['usable'] else 'no')
+        for each in selection['candidates'])]

@@ -18,7 +18,7 @@ import math
 from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.report import column, with_error
+from bellows_ros.report import column, formatted, with_error
 
 from .console import Console
 from .options import argument, plan_arguments, run_plan_command
@@ -28,14 +28,13 @@ if TYPE_CHECKING:
 
 NEGATIVE_RESULT = 'no release of the plan lands, or none at the target'
 MILLI = 1e3
-FARTHEST = 100.0
+MAX_TARGET = 100.0
 """Largest coordinate of a target, m."""
 UNITS = {
     'package.mass': (1e3, 'g'), 'package.com': (1e3, 'mm'), 'release.delay': (1e3, 'ms'),
     'release.tau': (1e3, 'ms'), 'release.impulse': (1e3, 'mN s'), 'release.closing': (1.0, 'N'),
     'release.opening': (1e3, 'mm'), 'release.damping': (1.0, 'N s/m')}
 """In which units a standard deviation is printed."""
-
 
 ARGUMENTS = (
     *plan_arguments(
@@ -68,56 +67,52 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def _require_numbers(arguments: argparse.Namespace) -> None:
     """Refuse numbers that are not finite or out of range."""
-    if arguments.monte_carlo < 0 or arguments.monte_carlo == 1:
-        raise BellowsError(
-            f'--monte-carlo is {arguments.monte_carlo}; expected 2 tosses or more, or 0 for none.')
-    for name in ('release', 'target', 'target_rotation'):
-        given = getattr(arguments, name)
-        numbers = given if isinstance(given, list) else [given or 0.0]
-        if not all(map(math.isfinite, numbers)) or (
-                name == 'target_rotation' and given and math.hypot(*given) < 0.5):
-            raise BellowsError(
-                f'--{name.replace("_", "-")} is {given}; expected finite numbers'
-                f'{", a quaternion of length 1" if name == "target_rotation" else ""}.')
-        if name == 'target' and max(map(abs, numbers)) > FARTHEST:
-            raise BellowsError(
-                f'--target is {given} m; expected at most {FARTHEST:g} m. Is it in mm?')
+    draws, release = arguments.monte_carlo, arguments.release
+    target, rotation = arguments.target, arguments.target_rotation
+    for name, value, allowed, expected in (
+            ('monte-carlo', draws, draws == 0 or draws > 1,
+             '2 tosses or more, or 0 for none.'),
+            ('release', release, math.isfinite(release or 0.0), 'a finite number.'),
+            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
+             f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
+            ('target-rotation', rotation, 0.5 <= math.hypot(*(rotation or (1.0,))) < math.inf,
+             'finite numbers, a quaternion of length 1.')):
+        if not allowed:
+            raise BellowsError(f'--{name} is {value}; expected {expected}')
 
 
 def print_result(result: 'TossResult', console: Console) -> None:
     """Print release, landing, its uncertainty, and the largest contribution."""
     import numpy as np
 
-    found, case = result.toss, result.case
-    late = MILLI * (found.release_time - case.switched)
-    speed = math.hypot(*found.release[2])
-    x, y, _ = found.landing[0]
+    toss, case = result.toss, result.case
+    delay = MILLI * (toss.release_time - case.switched)
+    x, y, _ = toss.landing[0]
     std = np.sqrt(np.diag(result.covariance))
-    console.line('Toss', 'bold')
+    rotation_std = math.degrees(float(np.linalg.norm(std[3:])))
     mode = 'its lip peels' if case.held.mode == 'peel' else (
         'its suction is blown off' if case.release.law[5] else 'after the delay')
+    console.line('Toss', 'bold')
     console.line(
-        f'  valve     {case.switched:.4f} s; lets go {late:.1f} ms later ({mode}) at '
-        f'{speed:.2f} m/s')
-    turned = math.degrees(float(np.linalg.norm(std[3:])))
-    console.line(f'  landing   {found.landing_time:.4f} s at x {with_error(x, std[0], "m")}, '
+        f'  valve     {case.switched:.4f} s; lets go {delay:.1f} ms later ({mode}) at '
+        f'{math.hypot(*toss.release[2]):.2f} m/s')
+    console.line(f'  landing   {toss.landing_time:.4f} s at x {with_error(x, std[0], "m")}, '
                  f'y {with_error(y, std[1], "m")}')
-    unsure = f'turned ± {turned:.2g} deg, ' if turned else ''
-    console.line(f'            {unsure}tumbling at {found.tumbling:.2f} rad/s')
-    if result.aim is not None:
-        before = result.distance_as_asked
-        gain = '' if before is None else f', instead of {MILLI * before:.1f} mm with --release'
-        angle = f', {math.degrees(result.aim.angle):.1f} deg' if result.aim.angle else ''
-        console.line(f'  target    {MILLI * result.aim.distance:.2f} mm{angle} away{gain}')
-    if result.drawn is not None:
-        counted = MILLI * np.sqrt(np.diag(result.drawn.covariance))
+    turned = f'turned ± {rotation_std:.2g} deg, ' if rotation_std else ''
+    console.line(f'            {turned}tumbling at {toss.tumbling:.2f} rad/s')
+    if aim := result.aim:
+        asked = result.distance_as_asked
+        gain = '' if asked is None else f', instead of {MILLI * asked:.1f} mm with --release'
+        angle = f', {math.degrees(aim.angle):.1f} deg' if aim.angle else ''
+        console.line(f'  target    {MILLI * aim.distance:.2f} mm{angle} away{gain}')
+    if drawn := result.drawn:
         from bellows_ros.core.toss.landing import coverage
 
-        inside = 100.0 * coverage(result.covariance, result.drawn.errors)
+        drawn_std = MILLI * np.sqrt(np.diag(drawn.covariance))
+        inside = 100.0 * coverage(result.covariance, drawn.errors)
         console.line(
-            f'  drawn     {len(result.drawn.errors)} tosses: x {counted[0]:.1f} mm, y '
-            f'{counted[1]:.1f} mm; {inside:.1f} % in the 95 % ellipse; {result.drawn.failed} '
-            'failed')
+            f'  drawn     {len(drawn.errors)} tosses: x {drawn_std[0]:.1f} mm, y '
+            f'{drawn_std[1]:.1f} mm; {inside:.1f} % in the 95 % ellipse; {drawn.failed} failed')
     console.line()
     _print_budget(result, console)
     console.warn(*result.warnings)
@@ -133,30 +128,26 @@ def _print_budget(result: 'TossResult', console: Console) -> None:
             "identify' writes cup.*_std.")
         return
 
+    shifts = [MILLI * group.metres for group in groups]
+    angles = [math.degrees(group.radians) for group in groups]
     rows = [('uncertain quantity', 'by', 'at landing', 'turned')]
-    for g, moved, angle in zip(
-            groups, _figures([MILLI * g.metres for g in groups]),
-            _figures([math.degrees(g.radians) for g in groups]), strict=True):
-        factor, unit = UNITS.get(g.name, (1.0, ''))
-        rows.append((
-            g.name, f'{factor * g.std:.3g} {unit}' if math.isfinite(g.std)
-            else 'one fit' if g.name == 'release' else 'per entry', f'{moved} mm', f'{angle} deg'))
+    for group, shift, angle in zip(
+            groups, *(column(sizes, 0.1 * max(sizes) or 1.0) for sizes in (shifts, angles)),
+            strict=True):
+        factor, unit = UNITS.get(group.name, (1.0, ''))
+        unknown = 'one fit' if group.name == 'release' else 'per entry'
+        rows.append((group.name, formatted(group.std, '.3g', unit, factor, unknown),
+                     f'{shift} mm', f'{angle} deg'))
     console.table(rows, right=True)
-    total, first = math.hypot(*(g.metres for g in groups)), groups[0]
-    left = math.sqrt(max(0.0, total**2 - first.metres**2))
+    total, first = math.hypot(*shifts), groups[0].name
     text = (
-        f'Reduce first: {first.name}, {MILLI * first.metres:.1f} of {MILLI * total:.1f} mm. If '
-        f'it were known exactly, {MILLI * left:.1f} mm would remain.')
-    cup = math.hypot(*(g.metres for g in groups if g.name.startswith('cup.')))
-    if cup and not first.name.startswith('cup.'):
-        gain = total - math.sqrt(max(0.0, total**2 - cup**2))
-        text += f' A perfect K and P would gain {MILLI * gain:.2f} mm.'
+        f'Reduce first: {first}, {shifts[0]:.1f} of {total:.1f} mm. If it were known exactly, '
+        f'{math.hypot(*shifts[1:]):.1f} mm would remain.')
+    others = math.hypot(*(shift for group, shift in zip(groups, shifts, strict=True)
+                          if not group.name.startswith('cup.')))
+    if others < total and not first.startswith('cup.'):
+        text += f' A perfect K and P would gain {total - others:.2f} mm.'
     if result.per_millisecond:
         text += (' Each millisecond of the valve moves the landing by '
                  f'{MILLI * result.per_millisecond:.1f} mm.')
     console.paragraph(text)
-
-
-def _figures(sizes: list[float]) -> list[str]:
-    """Return sizes with the decimals that show three figures of the largest."""
-    return column(sizes, 0.1 * max(sizes) or 1.0)

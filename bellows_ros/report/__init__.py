@@ -32,9 +32,19 @@ def column(values: Sequence[float], error: float | None = None) -> list[str]:
     return [f'{value:z.{decimals}f}' for value in values]
 
 
+def formatted(
+    value: float | None, form: str = '.3g', unit: str = '', factor: float = 1.0,
+    unknown: str = '-',
+) -> str:
+    """Return a number times a factor with its unit, or a dash where it is not known."""
+    if value is None or not math.isfinite(value):
+        return unknown
+    return f'{factor * value:{form}} {unit}'.rstrip()
+
+
 def percent(ratio: float, decimals: int = 2) -> str:
     """Return a ratio in percent, or a dash if nothing moved."""
-    return f'{100.0 * ratio:.{decimals}f} %' if math.isfinite(ratio) else '-'
+    return formatted(ratio, f'.{decimals}f', '%', 100.0)
 
 
 def listed(items: Sequence[str]) -> str:
