@@ -5,18 +5,18 @@ A command is a module of this package with its name, which has
 
 - a docstring: what it does, and examples, each a command line and what it is for, as `--help`
   shows them;
-- `NEGATIVE_RESULT`, where it can end with 1: what that means;
-- `ARGUMENTS`: its arguments, of `options.argument`;
 - `run(arguments, console)`: its work; returns the exit code.
 
-Modules import what takes long to load (NumPy, recordings) inside `run` and below it.
+It is imported only to run; help needs its docstring and the tables in `arguments.py`.
 """
 
 import argparse
+import ast
 from collections.abc import Mapping, Sequence
 import difflib
 import importlib
 import os
+from pathlib import Path
 import re
 import sys
 import textwrap
@@ -25,7 +25,7 @@ from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
 
-from . import options
+from .arguments import ARGUMENTS, NEGATIVE_RESULTS, Output, STDOUT
 from .console import Console, EXIT_CODES, run_guarded, USER_ERROR
 
 COMMANDS: Mapping[str, str] = MappingProxyType({
@@ -118,11 +118,12 @@ def _run(arguments: list[str], console: Console) -> int:
     name, *rest = arguments
     configure_process()
     parsed = command_parser(name).parse_args(rest)
-    options.require_named_outputs(parsed)
-    if any(isinstance(value, options.Output) and value == options.STDOUT
-           for value in vars(parsed).values()):
+    from .options import require_named_outputs
+
+    require_named_outputs(parsed)
+    if any(isinstance(value, Output) and value == STDOUT for value in vars(parsed).values()):
         console.keep_stdout_free()
-    code: int = parsed.run(parsed, console)
+    code: int = importlib.import_module(f'{__package__}.{name}').run(parsed, console)
     console.warn(*console.final_warnings)
     return code
 
@@ -130,6 +131,10 @@ def _run(arguments: list[str], console: Console) -> int:
 def _complete() -> None:
     """Print what can follow a command line, which the shell gives in its environment, and end."""
     import argcomplete
+    from bellows_ros.core.parameters.table import PARAMETERS
+
+    def assignments(**_: object) -> dict[str, str]:
+        return {f'{name}=': parameter.description for name, parameter in PARAMETERS.items()}
 
     parser = argparse.ArgumentParser('bellows')
     commands = parser.add_subparsers()
@@ -138,8 +143,7 @@ def _complete() -> None:
         add_arguments(command, name)
         for action in command._actions:
             if action.dest == 'overrides':
-                action.completer = (  # type: ignore[attr-defined]
-                    options.parameter_assignments)
+                action.completer = assignments  # type: ignore[attr-defined]
     argcomplete.autocomplete(parser)
 
 
@@ -164,27 +168,27 @@ def _answer(arguments: list[str]) -> NoReturn:
     parser.error(f"'{first}' is not a command. {hint}")
 
 
-def described(module: Any) -> tuple[str, list[tuple[str, str]]]:
+def described(name: str) -> tuple[str, list[tuple[str, str]]]:
     """Return what a command does, and its examples: command lines and what they are for."""
-    text, _, examples = str(module.__doc__).partition('\nExamples\n--------\n')
+    source = Path(__file__).with_name(f'{name}.py').read_text()
+    text, _, examples = str(ast.get_docstring(ast.parse(source), clean=False)).partition(
+        '\nExamples\n--------\n')
     return text, re.findall(r'(bellows (?:.*\\\n)*.*)\n +(.+)', examples)
 
 
 def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
     """Add the arguments of a command to a parser."""
-    for argument, settings in importlib.import_module(f'{__package__}.{name}').ARGUMENTS:
+    for argument, settings in ARGUMENTS[name]:
         parser.add_argument(argument, **settings)
 
 
 def command_parser(name: str) -> Parser:
     """Return the parser of a command."""
-    module = importlib.import_module(f'{__package__}.{name}')
-    text, pairs = described(module)
+    text, pairs = described(name)
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in pairs)
-    negative = f'1 if {module.NEGATIVE_RESULT}, ' if hasattr(module, 'NEGATIVE_RESULT') else ''
+    negative = f'1 if {NEGATIVE_RESULTS[name]}, ' if name in NEGATIVE_RESULTS else ''
     ends = textwrap.fill(
         f'Ends with 0 when done, {negative}2 if something must be put right.', WIDTH)
     parser = Parser(f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
     add_arguments(parser, name)
-    parser.set_defaults(run=module.run)
     return parser

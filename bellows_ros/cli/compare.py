@@ -15,32 +15,20 @@ bellows compare small.json large.json --json comparison.json
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bellows_ros.core.identification.comparison import Change
+from bellows_ros.core.parameters.table import short
 from bellows_ros.report import formatted, listed, with_error
+from bellows_ros.workflows.compare import compare_files, ResultComparison
 
 from . import options
 from .console import Console, NOT_USABLE, OK
 
-if TYPE_CHECKING:
-    from bellows_ros.core.identification.comparison import Change
-    from bellows_ros.workflows.compare import ResultComparison
-
-NEGATIVE_RESULT = 'a change matters'
 SETTING_WIDTH = 60  # characters of a setting
-
-
-ARGUMENTS = (
-    options.argument('before FIT_A', 'result file, written by bellows identify --json', type=Path),
-    options.argument('after FIT_B', 'the result file to compare it with', type=Path),
-    options.json_output('the comparison'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Compare, write, report."""
-    from bellows_ros.workflows.compare import compare_files
-
     result = compare_files(arguments.before, arguments.after)
     options.write_result(arguments.json, result)
     print_result(result, console)
@@ -48,10 +36,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return NOT_USABLE if result.fits.matters else OK
 
 
-def print_result(result: 'ResultComparison', console: Console) -> None:
+def print_result(result: ResultComparison, console: Console) -> None:
     """Print the tables and the verdict."""
-    from bellows_ros.core.parameters.table import short
-
     console.line(f'{result.paths[0]} (A) and {result.paths[1]} (B)', 'bold')
     console.table(_change_rows(result.fits.parameters), title='Parameters')
     console.table(_change_rows(result.fits.effects),
@@ -66,7 +52,7 @@ def print_result(result: 'ResultComparison', console: Console) -> None:
             console.paragraph(f'  {difference.name}: {" -> ".join(values)}')
 
 
-def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
+def _change_rows(changes: tuple[Change, ...]) -> list[tuple[str, ...]]:
     """Return a row for each change: both values, the change, and it in standard errors."""
     rows: list[tuple[str, ...]] = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
     for change in changes:
@@ -81,7 +67,7 @@ def _change_rows(changes: 'tuple[Change, ...]') -> list[tuple[str, ...]]:
     return rows
 
 
-def verdict(result: 'ResultComparison') -> Iterator[str]:
+def verdict(result: ResultComparison) -> Iterator[str]:
     """Yield the changes and whether they matter, as sentences."""
     fits = result.fits
     if result.shared:

@@ -25,49 +25,17 @@ bellows convert raw --unit mm --quaternion wxyz --out in_metres
 
 import argparse
 import os
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.workflows import convert
+from bellows_ros.workflows.convert import Conversion
 
 from . import options
 from .console import Console, OK
 
-if TYPE_CHECKING:
-    from bellows_ros.workflows.convert import Conversion
-
-
-ARGUMENTS = (
-    options.argument(
-        'sources SOURCE', 'Motive or EuRoC .csv, TUM or KITTI .tum, .kitti or .txt; or one '
-        'recording, to write a TUM file or, with --tool-link or --tool-frame, a recording with '
-        'poses', [], nargs='+', type=Path),
-    options.output('--out NAME', 'recording to write; from a recording also a file that ends in '
-                   '.tum or .txt', options.Folder, required=True),
-    options.argument('--topic TOPIC', 'topic for each source, in the same order (default: '
-                     '/NAME/pose); for a recording, the topic to write', []),
-    options.argument('--markers N', 'leave out poses of Motive with fewer visible markers than '
-                     'this (default: 3)', 3),
-    options.argument('--storage', 'storage of the recording', 'mcap',
-                     choices=('mcap', 'sqlite3')),
-    options.force(), *options.interval(), *options.ARM,
-    options.argument('--tool-frame FRAME', 'frame of the tool tip E in the transforms (/tf, '
-                     '/tf_static) of a recording'),
-    options.argument('--package-frame FRAME', 'frame of the package in the transforms (/tf, '
-                     '/tf_static) of a recording'),
-    options.argument('--world-frame FRAME', 'frame of the poses to write (default: the farthest '
-                     'frame above the tool)'),
-    options.argument('--unit', 'unit of the positions in a recording, of --topic or of all '
-                     'poses (default: m)', 'm', choices=('m', 'mm')),
-    options.argument('--quaternion', 'order of the quaternions there (default: xyzw, as in '
-                     'ROS)', 'xyzw', choices=('xyzw', 'wxyz')),
-    options.json_output('what was converted'))
-
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Convert and report."""
-    from bellows_ros.workflows import convert
-
     span = options.interval_settings(arguments)
     text = arguments.out.lower().endswith(convert.TEXT_ENDINGS)
     frames = bool(arguments.tool_frame or arguments.package_frame) and not text
@@ -130,7 +98,7 @@ def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -
                 'the link of the tool: --tool-link LINK.')
 
 
-def print_result(done: 'Conversion', console: Console) -> None:
+def print_result(done: Conversion, console: Console) -> None:
     """Print what was converted and what was left out."""
     for body in done.bodies:
         left = ', '.join(f'{count} {reason}' for reason, count in body.left_out.items())

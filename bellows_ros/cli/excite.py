@@ -21,46 +21,18 @@ bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time
 import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
+from bellows_ros.files.safe_yaml import load
 from bellows_ros.report import column, with_error
+from bellows_ros.workflows.excite import DesignedMotion, excite, write_motion
 
-from . import options
 from .console import Console
-from .options import argument, output, run_plan_command
-
-if TYPE_CHECKING:
-    from bellows_ros.workflows.excite import DesignedMotion
-
-ARGUMENTS = (
-    *options.PARAMETERS,
-    argument('--limits FILE', 'limits of the arm, and noise and rates of the tracking (YAML); '
-             'config/limits_example.yaml explains every setting', None, required=True, type=Path),
-    argument('--time S', 'duration, s: 2 s of standstill, then the motion with ramps of 1 s at '
-             'both ends', None, required=True, type=float),
-    argument('--hold S', 'then hold a tilt for this time, s, beside --time: rubber relaxes in it, '
-             'which bellows identify fits (default: 7; 0 for none)', 7.0),
-    output('--out BAG', 'recording to write, with the plan on /tool_arm/plan', options.Folder,
-           required=True),
-    output('--csv FILE', 'also write the motion as text: EuRoC columns with velocities, 1000 '
-           'lines per second'),
-    output('--urscript FILE', 'also write it as a program for a Universal Robots arm'),
-    output('--plot FILE', 'picture to write: .png, .svg or .pdf', options.Binary),
-    argument('--beside PLAN', 'compare with another motion, a plan as for bellows plan; may be '
-             'repeated. --from and --to apply to these', [], type=Path),
-    *options.interval('0'),
-    argument('--series', 'write everything to record for a new cup into the folder --out: '
-             'standstills, this motion, and one for validation; report what each identifies',
-             False),
-    argument('--seed N', 'seed of the random start; another seed gives another motion', 0),
-    options.force(), *options.ARM, options.json_output('what to expect'))
+from .options import run_plan_command
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Design, write, report."""
-    from bellows_ros.files.safe_yaml import load
-    from bellows_ros.workflows.excite import excite, write_motion
-
     return run_plan_command(
         arguments, console, lambda values, progress: excite(
             values, load(arguments.limits), arguments.time, str(arguments.urdf or ''),
@@ -69,10 +41,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.out, result, arguments.csv, arguments.urscript, arguments.force))
 
 
-def print_result(result: 'DesignedMotion', console: Console) -> None:
+def print_result(result: DesignedMotion, console: Console) -> None:
     """Print the expected errors and the active limits."""
-    from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
-
     motion, design, errors = result.design.motion, result.design, result.errors
     tilt = math.degrees(math.hypot(*motion.tilt))
     console.line(f'A motion of {motion.duration:g} s', 'bold')
@@ -110,10 +80,8 @@ PURPOSES = (
     'and validate the cup with it.')
 
 
-def _print_series(result: 'DesignedMotion', console: Console) -> None:
+def _print_series(result: DesignedMotion, console: Console) -> None:
     """Print what to record, in order, and what each recording identifies."""
-    from bellows_ros.core.identification.result import LARGEST_ERROR
-
     console.line('Record in this order', 'bold')
     for (name, (motion, _)), text in zip(result.series.items(), PURPOSES, strict=True):
         console.paragraph(f'{name}, {motion.duration:.1f} s. {text}')

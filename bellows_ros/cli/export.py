@@ -16,35 +16,19 @@ bellows export cup.yaml --to c --out cup.h
 """
 
 import argparse
-from pathlib import Path
+
+from bellows_ros.core.model.cup_package import cup_of, package_of
+from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.parameters import checks
+from bellows_ros.files.atomic import write_text
+from bellows_ros.files.exports import limits, TARGETS
 
 from . import options
 from .console import Console, OK
 
-FORMATS = ('mjcf', 'sdf', 'c')
-
-
-ARGUMENTS = (
-    options.argument('params CUP', 'parameter file with cup and package', nargs=1, type=Path),
-    options.argument('--set NAME=VALUE', 'set one parameter, overriding the file; may be repeated',
-                     [], dest='overrides'),
-    options.argument('--to', 'mjcf: MuJoCo; sdf: Gazebo, Drake and others; c: a header in '
-                     'C99', None, choices=FORMATS, required=True),
-    options.argument('--name', 'of the numbers in the header in C, and prefix of their names '
-                     '(default: %(default)s); another one for each cup of a program',
-                     'bellows_exported'),
-    options.output('--out FILE', 'model to write', required=True),
-    options.json_output('what the format cannot express'))
-
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Write the model, and list what the format cannot express."""
-    from bellows_ros.core.model.cup_package import cup_of, package_of
-    from bellows_ros.core.model.grip import grip_of
-    from bellows_ros.core.parameters import checks
-    from bellows_ros.files.atomic import write_text
-    from bellows_ros.files.exports import limits, TARGETS
-
     values = options.read_settings(arguments, cup_for=console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
     console.final_warnings += checks.implausible(settings)

@@ -25,35 +25,21 @@ bellows identify tosses --release --params bags/tossing.yaml --out release.yaml
 """
 
 import argparse
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files.results import provenance
 from bellows_ros.report import column, formatted, listed, many
+from bellows_ros.report.text import print_identification
+from bellows_ros.workflows.identification import save
+from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.release import identify_release, ReleaseResult, UNITS
 
 from . import options
+from .arguments import STDOUT
 from .console import Console, NOT_USABLE, OK, uninterrupted
-
-if TYPE_CHECKING:
-    from bellows_ros.workflows.release import ReleaseResult
-
-NEGATIVE_RESULT = 'the fit cannot be used'
-
-ARGUMENTS = (
-    options.bags(), *options.PARAMETERS, *options.interval(),
-    options.output('--out FILE', 'write the cup as a parameter file, for the predictor and '
-                   'bellows replay'),
-    options.json_output('the result with its uncertainties'),
-    options.output('--report FILE', 'write a page with plots (HTML; extra plot)'),
-    options.argument('--force', 'also write the cup file of a refused cup; its header says so',
-                     False),
-    options.argument('--jobs N', 'read N recordings in parallel, -1 for one per core (extra '
-                     'parallel); unusable recordings are then reported and left out', None,
-                     type=int),
-    options.argument('--dask ADDRESS', 'read them on the workers of a Dask scheduler instead '
-                     '(extra dask), for example tcp://host:8786; the workers must see the '
-                     'recordings under the same paths'),
-    options.argument('--release', 'identify release.* instead, from tosses with the cup given by '
-                     "the parameters; the valve is on 'topics.valve'", False))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -64,10 +50,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.require_outputs((cup_file, json_file, page), options.inputs_of(settings))
     if arguments.release:
         return _release(arguments, settings, console)
-    from bellows_ros.core.geometry.jit import COMPILED
-    from bellows_ros.report.text import print_identification
-    from bellows_ros.workflows.identification import save
-    from bellows_ros.workflows.identify import identify
 
     if not COMPILED and settings.get('fit.method', 'output_error') == 'output_error':
         console.warn(
@@ -84,7 +66,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         from bellows_ros.report.build import write_page
 
         write_page(result, page)
-    if options.STDOUT in (cup_file, json_file, page):
+    if STDOUT in (cup_file, json_file, page):
         console.keep_stdout_free()
     print_identification(result, console)
     console.line()
@@ -109,9 +91,6 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
             f'--{name}' for name in ('report', 'jobs', 'dask') if getattr(arguments, name)]:
         raise BellowsError(
             f'--release cannot be combined with {", ".join(excluded)}. Leave it out.')
-    from bellows_ros.files.parameter_files import write_parameters
-    from bellows_ros.files.results import provenance
-    from bellows_ros.workflows.release import identify_release
 
     with console.progress() as progress:
         result = identify_release(settings, progress)
@@ -126,10 +105,8 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
     return OK
 
 
-def _print_release(result: 'ReleaseResult', console: Console) -> None:
+def _print_release(result: ReleaseResult, console: Console) -> None:
     """Print the law with its errors, and how it explains the drops of each mass."""
-    from bellows_ros.workflows.release import UNITS
-
     fit, milli, names = result.fit, 1e3, list(UNITS)
     console.line(
         f'Release identified from {many(len(fit.drops), "drop")} in {listed(result.bags)}', 'bold')

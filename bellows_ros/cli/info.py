@@ -18,35 +18,25 @@ bellows info recording --json - | jq .settings
 import argparse
 from collections.abc import Iterator
 import math
-from typing import TYPE_CHECKING
 
+from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.recording.alignment import SHORTEST_REST
+from bellows_ros.files.atomic import write_text
 from bellows_ros.report import many
+from bellows_ros.workflows.info import Info, info, TopicInfo
 
 from . import options
 from .console import Console, OK
 from .parameters import template_with
-
-if TYPE_CHECKING:
-    from bellows_ros.workflows.info import Info, TopicInfo
 
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
            'cup.length')
 """What the recording cannot tell: comments of the file, to fill in."""
 
 
-ARGUMENTS = (
-    options.BAG, *options.interval(),
-    options.output('--write-params FILE', 'write a parameter file for this recording, for bellows '
-                   'identify and the nodes'),
-    options.force('a parameter file'), options.json_output('what was found'))
-
-
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Look, write, report."""
     options.require_absent(arguments.write_params, arguments.force)
-    from bellows_ros.core.parameters.table import PARAMETERS
-    from bellows_ros.files.atomic import write_text
-    from bellows_ros.workflows.info import info
 
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
@@ -64,10 +54,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
-def print_result(found: 'Info', console: Console) -> None:
+def print_result(found: Info, console: Console) -> None:
     """Print the topics, their roles and notes."""
-    from bellows_ros.core.recording.alignment import SHORTEST_REST
-
     console.table(_topic_rows(found), title=f'Recording {found.path}')
     for topic in found.topics:
         for line in _facts(topic):
@@ -88,7 +76,7 @@ def print_result(found: 'Info', console: Console) -> None:
     console.paragraph(*found.notes)
 
 
-def _topic_rows(found: 'Info') -> list[tuple[str, ...]]:
+def _topic_rows(found: Info) -> list[tuple[str, ...]]:
     """Return a row per topic."""
     first_ns = min((topic.start_ns for topic in found.topics if topic.kind), default=0)
     rows: list[tuple[str, ...]] = [
@@ -106,7 +94,7 @@ def _topic_rows(found: 'Info') -> list[tuple[str, ...]]:
     return rows
 
 
-def _facts(topic: 'TopicInfo') -> Iterator[str]:
+def _facts(topic: TopicInfo) -> Iterator[str]:
     """Yield the faults in a topic's messages, and the noise of its poses."""
     found = [f'{count} {reason.replace("_", " ")}' for reason, count in topic.refused.items()]
     if found:

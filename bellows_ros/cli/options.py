@@ -7,119 +7,23 @@ from itertools import permutations
 import os
 from pathlib import Path
 import re
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any
 
+from bellows_ros import __version__
+from bellows_ros.core.parameters.checks import validate
+from bellows_ros.core.parameters.table import lookup, Value
 from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.files.atomic import require_file_target, require_folder_target
+from bellows_ros.files.bag_folder import require_no_input
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import provenance, write_json
+from bellows_ros.plots import style
 
+from .arguments import Binary, Folder, INTERVAL, Output, STDOUT
 from .console import Console, NOT_USABLE, OK
-
-if TYPE_CHECKING:
-    from bellows_ros.core.parameters.table import Value
-
-STDOUT = '-'
-"""As `files.atomic` takes it."""
 
 INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
 """Parameters that name inputs."""
-
-INTERVAL = {'from': 'recording.start', 'to': 'recording.end'}
-"""The parameters that options for a part of a recording set."""
-
-
-class Output(str):
-    """The name of a text file to write, '-' for stdout; inputs are a Path."""
-
-
-class Binary(Output):
-    """The name of a file to write that is no text."""
-
-
-class Folder(Binary):
-    """The name of a folder to write."""
-
-
-class Argument(NamedTuple):
-    """What `add_argument` of a parser takes."""
-
-    name: str
-    settings: Mapping[str, Any]
-
-
-def argument(words: str, meaning: str, default: Any = '', **settings: Any) -> Argument:
-    """
-    Return an argument of a command.
-
-    Parameters
-    ----------
-    words : str
-        Its name, and what stands for its values in the help.
-    meaning : str
-        For the help.
-    default
-        Also tells the type: of False a switch, of [] an option that may be repeated.
-    settings
-        More for `add_argument`.
-
-    """
-    name, *metavars = words.split()
-    if default is False:
-        settings['action'] = 'store_true'
-    else:
-        if default == [] and name.startswith('-'):
-            settings['action'] = 'append'
-        elif isinstance(default, int | float):
-            settings['type'] = type(default)
-        if len(metavars) > 1:
-            settings |= {'nargs': len(metavars), 'metavar': tuple(metavars)}
-        elif metavars:
-            settings['metavar'] = metavars[0]
-        settings['default'] = default
-    return Argument(name, {**settings, 'help': meaning})
-
-
-def output(words: str, meaning: str, kind: type[Output] = Output, **settings: Any) -> Argument:
-    """Return an option that names what is written."""
-    return argument(words, meaning, type=kind, **settings)
-
-
-def json_output(what: str) -> Argument:
-    """Return --json."""
-    return output(
-        '--json FILE', f"write {what} as JSON; '-' for stdout (all else then goes to stderr)")
-
-
-def force(what: str = 'a recording') -> Argument:
-    """Return --force, which replaces existing output."""
-    return argument('--force', f'replace {what} that already exists', False)
-
-
-def interval(default: str = '') -> tuple[Argument, ...]:
-    """Return --from and --to, which set recording.start and recording.end, by default too."""
-    return tuple(argument(
-        f'--{name} S', f'leave out data {which} than this, in s from the start of the data',
-        default, dest=INTERVAL[name]) for name, which in (('from', 'earlier'), ('to', 'later')))
-
-
-RECORDING = 'recording: a rosbag2 folder, or a .mcap or .db3 file'
-BAG = argument('bag BAG', RECORDING, type=Path)
-
-
-def bags(parameter: str = 'bags') -> Argument:
-    """Return the recordings as positional arguments; without any, a parameter names them."""
-    return argument(
-        'bags BAG', f"{RECORDING}; overrides the parameter '{parameter}'", [], nargs='*',
-        type=Path)
-
-
-PARAMETERS = (
-    argument('--params FILE', 'parameter file (YAML, as for ROS nodes); may be repeated, later '
-             'files override earlier ones', [], type=Path),
-    argument('--set NAME=VALUE', 'set one parameter, overriding the files; may be repeated. '
-             "'bellows parameters' lists all, with units and defaults", [], dest='overrides'))
-ARM = (
-    argument('--urdf FILE', 'URDF of the arm, if the source has joint positions; default: the '
-             "recording's /robot_description", None, type=Path),
-    argument('--tool-link LINK', 'link of the arm at the tool tip E'))
 
 
 def require_absent(output: str, force: bool) -> None:
@@ -133,7 +37,6 @@ def require_absent(output: str, force: bool) -> None:
 def write_result(target: str, content: Any) -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
-        from bellows_ros.files.results import write_json
 
         write_json(target, content)
 
@@ -152,7 +55,7 @@ def naming_partial_output() -> Iterator[list[str]]:
 
 def read_settings(
     arguments: argparse.Namespace, node: str | None = None, cup_for: Console | None = None
-) -> 'dict[str, Value]':
+) -> dict[str, Value]:
     """
     Return the parameters of the files and, over them, those of the command line.
 
@@ -173,8 +76,6 @@ def read_settings(
         is read because a parameter says so.
 
     """
-    from bellows_ros.files.parameter_files import read_parameters
-
     values: dict[str, Any] = {}
     for file in arguments.params:
         values.update(read_parameters(file, node))
@@ -194,20 +95,13 @@ def inputs_of(values: Mapping[str, Any]) -> list[str]:
     return [file for name in INPUTS for file in values.get(name, ())]
 
 
-def interval_settings(arguments: argparse.Namespace) -> 'dict[str, Value]':
+def interval_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     """Return the parameters that --from and --to set."""
     return dict(parse_override(f'{name}={text}', f'--{option}')
                 for option, name in INTERVAL.items() if (text := getattr(arguments, name, '')))
 
 
-def parameter_assignments(**_: object) -> 'dict[str, str]':
-    """Return the beginnings of --set with their descriptions, for completion in the shell."""
-    from bellows_ros.core.parameters.table import PARAMETERS
-
-    return {f'{name}=': each.description for name, each in PARAMETERS.items()}
-
-
-def parse_override(text: str, option: str = '') -> 'tuple[str, Value]':
+def parse_override(text: str, option: str = '') -> tuple[str, Value]:
     """
     Return name and checked value of 'name=value', as --set or another option has it.
 
@@ -220,9 +114,6 @@ def parse_override(text: str, option: str = '') -> 'tuple[str, Value]':
         If there is no '=', or name or value are not allowed.
 
     """
-    from bellows_ros.core.parameters.checks import validate
-    from bellows_ros.core.parameters.table import lookup
-
     name, equals, value = (part.strip() for part in text.partition('='))
     if not (name and equals):
         raise BellowsError(
@@ -275,8 +166,6 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
             'others names.')
     if not files:
         return
-    from bellows_ros.files.atomic import require_file_target, require_folder_target
-    from bellows_ros.files.bag_folder import require_no_input
 
     read, targets = list(inputs), []
     for name in files:
@@ -297,20 +186,6 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
     require_outputs(
         [item for item in named if isinstance(item, Output)],
         [*inputs, *(item for item in named if isinstance(item, Path))])
-
-
-def plan_arguments(numbers: str, picture: str, recording: str) -> tuple[Argument, ...]:
-    """Return the arguments for a plan, its parameters and its outputs."""
-    return (
-        argument('plan PLAN', 'a recording with a MultiDOFJointTrajectory, Path or '
-                 'JointTrajectory, with tool poses, joint states or transforms; a YAML file with '
-                 'such a message or with a motion for bellows simulate; or a TUM, KITTI or EuRoC '
-                 'file', type=Path),
-        argument('--topic TOPIC', 'topic of the plan, if the recording has several plans'),
-        *interval('0'),  # a file may hold the part of another recording
-        *ARM, *PARAMETERS, json_output(numbers),
-        output('--plot FILE', f'picture to write: {picture}', Binary),
-        output('--out BAG', f'recording to write: {recording}', Folder), force())
 
 
 def run_plan_command(
@@ -341,7 +216,6 @@ def run_plan_command(
     """
     values = read_settings(arguments, cup_for=console)
     require_absent(arguments.out, arguments.force)
-    from bellows_ros.plots import style
 
     if arguments.plot:
         require_pictures()
@@ -359,8 +233,6 @@ def run_plan_command(
                 style.write_figure(arguments.plot, result.plot())
             written += [arguments.plot]
             if arguments.json:
-                from bellows_ros import __version__
-                from bellows_ros.files.results import provenance
 
                 plans = [arguments.plan] if 'plan' in arguments else []
                 write_result(arguments.json, {

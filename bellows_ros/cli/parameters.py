@@ -18,23 +18,16 @@ import argparse
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 import textwrap
-from typing import TYPE_CHECKING
+
+from bellows_ros.core.parameters.table import lookup, Parameter, PARAMETERS
+from bellows_ros.files.parameter_files import format_parameters
 
 from . import options
 from .console import Console, OK, WIDTH
 
-if TYPE_CHECKING:
-    from bellows_ros.core.parameters.table import Parameter
-
 SECTION = 'ros__parameters:\n'
 INDENT = '    '
 EXAMPLE_LIST = "['recording']"
-
-
-ARGUMENTS = (
-    options.argument('names NAME', 'list only names that begin with this', [], nargs='*'),
-    options.argument('--yaml', 'print a parameter file with the defaults, to fill in', False),
-    options.json_output('the table'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -59,10 +52,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
-def _chosen(prefixes: list[str]) -> 'list[Parameter]':
+def _chosen(prefixes: list[str]) -> list[Parameter]:
     """Return the parameters whose names begin with one of the prefixes; all without any."""
-    from bellows_ros.core.parameters.table import lookup, PARAMETERS
-
     if not prefixes:
         return list(PARAMETERS.values())
     found = [p for p in PARAMETERS.values() if p.name.startswith(tuple(prefixes))]
@@ -72,7 +63,7 @@ def _chosen(prefixes: list[str]) -> 'list[Parameter]':
     return found
 
 
-def template(parameters: 'Iterable[Parameter]') -> str:
+def template(parameters: Iterable[Parameter]) -> str:
     """
     Return a parameter file with the defaults.
 
@@ -85,11 +76,9 @@ def template(parameters: 'Iterable[Parameter]') -> str:
 
 
 def template_with(
-    open_ones: 'list[Parameter]', values: Mapping[str, object], header: Sequence[str]
+    open_ones: list[Parameter], values: Mapping[str, object], header: Sequence[str]
 ) -> str:
     """Return a parameter file with values, and required ones as comments to fill in."""
-    from bellows_ros.files.parameter_files import format_parameters
-
     text = format_parameters(values, header)
     head, body = text.split(SECTION, 1)
     lines = [f"{INDENT}# CHANGE THESE (examples), and remove the '#' before their names."]

@@ -18,30 +18,16 @@ bellows plan moveit_bag --params bags/cup.yaml --urdf arm.urdf --tool-link tool0
 
 import argparse
 import math
-from typing import TYPE_CHECKING
 
 from bellows_ros.report import with_error
+from bellows_ros.workflows.plan import plan, PlanReport, write_prediction
 
 from .console import Console
-from .options import argument, plan_arguments, run_plan_command
-
-if TYPE_CHECKING:
-    from bellows_ros.workflows.plan import PlanReport
-
-NEGATIVE_RESULT = 'the cup lets go, or --fastest finds no time that is safe'
-
-ARGUMENTS = (
-    *plan_arguments(
-        'all figures', '.png, .svg or .pdf; bands are two standard deviations',
-        'the plan, and the package along it'),
-    argument('--fastest', 'find the shortest time in which the safety factor, less two standard '
-             'deviations, stays above safety.least', False))
+from .options import run_plan_command
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, predict, write, report."""
-    from bellows_ros.workflows.plan import plan, write_prediction
-
     return run_plan_command(
         arguments, console, lambda values, progress: plan(
             arguments.plan, values, str(arguments.urdf or ''), arguments.topic, arguments.fastest),
@@ -50,7 +36,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         succeeded=lambda report: report.holds)
 
 
-def print_result(report: 'PlanReport', console: Console) -> None:
+def print_result(report: PlanReport, console: Console) -> None:
     """Print the figures and their meaning."""
     source = report.source
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
@@ -68,7 +54,7 @@ def print_result(report: 'PlanReport', console: Console) -> None:
             '. The validity range of the cup is unknown.'), 'green')
 
 
-def _figure_rows(report: 'PlanReport') -> list[tuple[str, str, str]]:
+def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
     """Return rows to print: name, value with its standard deviation, and a remark."""
     prediction, degrees = report.prediction, (math.degrees(1.0), 'degrees')
     figures = prediction.figures()

@@ -19,6 +19,11 @@ import math
 from typing import TYPE_CHECKING
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import read_messages
+from bellows_ros.files.results import with_units
+from bellows_ros.nodes.command import require_ros
+from bellows_ros.workflows.recordings import inside
+import numpy as np
 
 from . import options
 from .console import Console, OK
@@ -27,39 +32,21 @@ if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Played
 
 
-ARGUMENTS = (
-    options.BAG, *options.interval(),
-    options.argument('--topic TOPIC[:=NAME]', 'topic to play, and the name to play it under; may '
-                     'be repeated (default: all with poses or twists)', [], dest='topics'),
-    options.argument('--rate R', 'times the recorded speed', 1.0),
-    options.argument('--stamps', 'stamps of the headers: as recorded, or the current time',
-                     'recorded', choices=('recorded', 'now')),
-    options.json_output('what was played'))
-
-
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, and play."""
     if not (math.isfinite(arguments.rate) and arguments.rate > 0.0):
         raise BellowsError(f'--rate must be a number above 0, got {arguments.rate:g}.')
-    from bellows_ros.nodes.command import require_ros
-
     require_ros()
-    from bellows_ros.files.bags import read_messages
-    from bellows_ros.files.results import with_units
     from bellows_ros.nodes.bag_player import play
-    from bellows_ros.workflows.recordings import inside
-    import numpy as np
 
-    renamed = {}
-    for topic, _, name in (text.partition(':=') for text in arguments.topics):
-        topic = f'/{topic.lstrip("/")}'
-        renamed[topic] = name or topic
+    pairs = [f'/{text.lstrip("/")}'.partition(':=') for text in arguments.topics]
+    renamed = {topic: name or topic for topic, _, name in pairs}
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         messages, notes = read_messages(arguments.bag, renamed)
-        stamps = [np.array([m.log_time_ns for m in messages])]
-        chosen, = inside(stamps, options.interval_settings(arguments))
-        messages = [message for message, here in zip(messages, chosen, strict=True) if here]
+        chosen, = inside([np.array([message.log_time_ns for message in messages])],
+                         options.interval_settings(arguments))
+        messages = [messages[k] for k in np.flatnonzero(chosen)]
         names = {m.topic.name: m.topic.name for m in messages} | renamed
         console.warn(*notes)
         played = play(messages, names, arguments.rate, arguments.stamps == 'now', progress)

@@ -36,33 +36,18 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
+from bellows_ros.core.identification.validation import LIMIT
 from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.files.atomic import write_text
+from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.report.text import print_replay
+from bellows_ros.workflows.plot import with_bodies
+from bellows_ros.workflows.replay import replay
 
 from . import options
 from .console import Console, NOT_USABLE, OK
 
 PERCENT = 100.0
-NEGATIVE_RESULT = (
-    'an axis that moves is above --limit; without it, above 5 % and 3 times what noise explains')
-
-
-ARGUMENTS = (
-    options.BAG, *options.PARAMETERS, *options.interval(), options.json_output('all figures'),
-    options.output('--report FILE', 'write a page with plots (HTML; extra plot)'),
-    options.output(
-        '--view FILE', 'show tool, cup and package (predicted, and measured as an outline), '
-        'deflection and errors in the viewer Rerun (extra view), or write an .rrd file that it '
-        'opens', options.Binary, default=None, nargs='?', const=''),
-    options.argument('--observe TOPIC', 'poses of the package from a camera, which correct a '
-                     'second live prediction; see measured.*'),
-    options.argument(
-        '--calibrate-alarms', 'take the recording for sound work: find noise, its memory, and '
-        'errors of pose and stamps of the camera, and count the false alarms to expect with and '
-        'without them', False),
-    options.output('--out FILE', 'write what was found of the camera as parameters (with '
-                   '--observe, and --calibrate-alarms or measured.calibrate)'),
-    options.argument('--limit PERCENT', 'exit with 1 if the NRMSE of an axis that moves is above '
-                     'this', None, type=float))
 
 
 def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
@@ -86,9 +71,6 @@ def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Replay, write, report."""
     settings = options.read_settings(arguments, cup_for=console)
-    from bellows_ros.core.identification.validation import LIMIT
-    from bellows_ros.report.text import print_replay
-    from bellows_ros.workflows.replay import replay
 
     _check(arguments, settings)
     with console.progress() as progress:
@@ -97,20 +79,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
     with options.naming_partial_output() as written:
         if result.observed and arguments.out:
-            from bellows_ros.files.parameter_files import write_parameters
 
             write_parameters(arguments.out, result.observed.parameters, [
                 f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
             written += [arguments.out]
         if arguments.report:
-            from bellows_ros.files.atomic import write_text
             from bellows_ros.report.build import replay_report
 
             write_text(arguments.report, replay_report(result, arguments.params))
             written += [arguments.report]
         if arguments.view is not None and result.live:
             from bellows_ros.plots.viewer import open_view, write_view
-            from bellows_ros.workflows.plot import with_bodies
 
             shown = with_bodies(result.values, result.recording, result.live)
             if arguments.view:

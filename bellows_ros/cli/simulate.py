@@ -19,34 +19,17 @@ bellows simulate --params bags/cup.yaml --motion bags/identification.yaml \
 import argparse
 from collections import Counter
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bellows_ros.files.safe_yaml import load
 from bellows_ros.report import many
+from bellows_ros.workflows.simulate import simulate_recording, SimulationReport
 
 from . import options
 from .console import Console, OK
 
-if TYPE_CHECKING:
-    from bellows_ros.workflows.simulate import SimulationReport
-
-
-ARGUMENTS = (
-    *options.PARAMETERS,
-    options.argument('--motion FILE', 'motion file (YAML): the motion of the tool and the '
-                     'tracking; config/motion_example.yaml explains every setting', None,
-                     required=True, type=Path),
-    options.argument('--plan PLAN', 'move the tool along this plan, as of bellows plan or bellows '
-                     'excite; then only the rest of --motion counts', None, type=Path),
-    options.output('--out BAG', 'recording to write, a folder', options.Folder, required=True),
-    options.force(), options.json_output('what was recorded'))
-
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Simulate, write and report."""
-    from bellows_ros.files.safe_yaml import load
-    from bellows_ros.workflows.simulate import simulate_recording
-
     values = options.read_settings(arguments, cup_for=console)
     options.require_absent(arguments.out, arguments.force)
     motion = load(arguments.motion)
@@ -59,7 +42,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
-def print_result(report: 'SimulationReport', console: Console) -> None:
+def print_result(report: SimulationReport, console: Console) -> None:
     """Print what was recorded."""
     console.line(f'Recorded {report.duration_s:g} s to {report.bag}', 'bold')
     width = max(map(len, report.messages))

@@ -21,48 +21,34 @@ import argparse
 from collections.abc import Iterable, Mapping, Sequence
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bellows_ros import __version__
+from bellows_ros.core.identification.statics import SpringCheck
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.table import Value
+from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError
 from bellows_ros.report import column
+from bellows_ros.workflows import static
+from bellows_ros.workflows.static import StaticBag, StaticResult
 
 from . import options
 from .console import Console, NOT_USABLE, OK
-
-if TYPE_CHECKING:
-    from bellows_ros.core.identification.statics import SpringCheck
-    from bellows_ros.core.parameters.table import Value
-    from bellows_ros.core.recording.standstills import Standstill
-    from bellows_ros.workflows.static import StaticBag, StaticResult
-
 
 MILLIMETRES, DEGREES = (1e3, 'mm', 'position'), (math.degrees(1.0), 'deg', 'rotation')
 """Factor from SI and name of a unit, and the standard error of a standstill in it."""
 
 
-ARGUMENTS = (
-    options.bags('static.bags'),
-    options.argument('--mass KG', 'mass in a recording, once for each BAG in the same order; '
-                     'overrides package.mass', [], type=float, dest='masses'),
-    *options.PARAMETERS, *options.interval(),
-    options.output('--out FILE', 'write the parameters of --params and --set with the new '
-                   'nominal length'),
-    options.json_output('all results'))
-
-
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Find, write, report."""
     settings = options.read_settings(arguments)
-    from bellows_ros import __version__
-    from bellows_ros.workflows.static import save_length, static_check
-
     bags = _bags(arguments, settings)
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
     with console.progress() as progress:
-        result = static_check(bags, settings, progress)
+        result = static.static_check(bags, settings, progress)
     with options.naming_partial_output() as written:
         if arguments.out:
-            save_length(result, arguments.out)
+            static.save_length(result, arguments.out)
             written += [arguments.out]
         options.write_result(
             arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
@@ -71,21 +57,18 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK if result.spring is None or result.spring.passed else NOT_USABLE
 
 
-def _bags(arguments: argparse.Namespace, settings: Mapping[str, 'Value']) -> 'list[StaticBag]':
+def _bags(arguments: argparse.Namespace, settings: Mapping[str, Value]) -> list[StaticBag]:
     """Return the recordings with their masses; those of static.bags if none is named."""
-    from bellows_ros.core.parameters.checks import resolve
-    from bellows_ros.workflows.static import static_bags
-
     bags, masses = arguments.bags, arguments.masses
     if masses and len(masses) != len(bags):
         raise BellowsError(
             f'{len(masses)} masses are given for {len(bags)} recordings. Give --mass once for '
             'each BAG, in the same order, or not at all.')
     each = [{'package.mass': mass} for mass in masses] or [{}] * len(bags)
-    return list(zip(map(str, bags), each, strict=True)) or static_bags(resolve(settings))
+    return list(zip(map(str, bags), each, strict=True)) or static.static_bags(resolve(settings))
 
 
-def print_result(result: 'StaticResult', console: Console) -> None:
+def print_result(result: StaticResult, console: Console) -> None:
     """Print standstills, length and spring."""
     console.table(_standstill_rows(result), right=True, title='Standstills')
     if result.creep:
@@ -100,12 +83,10 @@ def print_result(result: 'StaticResult', console: Console) -> None:
     console.warn(*result.warnings)
 
 
-def _standstill_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
+def _standstill_rows(result: StaticResult) -> list[tuple[str, ...]]:
     """Return the standstills as rows of a table: the lip as seen from the tool."""
-    from bellows_ros.workflows.static import standstills_in
-
     names = [Path(recording.name).name for recording in result.recordings
-             for _ in standstills_in(recording)[0]]
+             for _ in static.standstills_in(recording)[0]]
     stills = result.standstills
     x, y, z, rx, ry, rz = zip(*(still.lip.tolist() for still in stills), strict=True)
     columns = {
@@ -120,7 +101,7 @@ def _standstill_rows(result: 'StaticResult') -> list[tuple[str, ...]]:
     return [tuple(columns), *zip(*columns.values(), strict=True)]
 
 
-def _spring_rows(spring: 'SpringCheck') -> list[tuple[str, ...]]:
+def _spring_rows(spring: SpringCheck) -> list[tuple[str, ...]]:
     """Return each pose's deflection, and how far the predicted one is off, as rows of a table."""
     stills = [pose.standstill for pose in spring.poses]
     columns = []
@@ -135,7 +116,7 @@ def _spring_rows(spring: 'SpringCheck') -> list[tuple[str, ...]]:
 
 
 def _column(
-    unit: tuple[float, str, str], values: Iterable[float], stills: 'Sequence[Standstill]'
+    unit: tuple[float, str, str], values: Iterable[float], stills: Sequence[Standstill]
 ) -> list[str]:
     """Return a column of numbers with the decimals of the largest standard error, and the unit."""
     factor, name, kind = unit
@@ -144,7 +125,7 @@ def _column(
     return ['-' if text == 'nan' else f'{text} {name}' for text in texts]
 
 
-def _print_length(result: 'StaticResult', console: Console) -> None:
+def _print_length(result: StaticResult, console: Console) -> None:
     """Print the nominal length, or why it is not identifiable."""
     length = result.length
     if length is None:

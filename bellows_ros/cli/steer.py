@@ -18,42 +18,26 @@ bellows steer plan_bag --method inverse --params bags/cup.yaml --plot steer.gif
 
 import argparse
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bellows_ros.plots.animation import write_steering
 from bellows_ros.report import formatted
+from bellows_ros.workflows.plan import write_prediction
+from bellows_ros.workflows.steer import steer_plan, SteerReport
 
 from .console import Console
-from .options import argument, plan_arguments, run_plan_command
-
-if TYPE_CHECKING:
-    from bellows_ros.workflows.steer import SteerReport
-
+from .options import run_plan_command
 
 DEGREES = math.degrees(1.0)
 FILM_SPEED = 0.25
 
-ARGUMENTS = (
-    *plan_arguments(
-        'all figures', '.png, .svg or .pdf: tilt of the package over time; .gif or .mp4: planned '
-        'and steered motion', 'the steered motion, and the package along it'),
-    argument('--method', 'the inverse of cup and package, or input shaping for their '
-             'modes at rest', None, required=True, choices=('inverse', 'zv', 'zvd')),
-    argument('--limits FILE', 'limits of the arm: the motion is slowed down until it meets all '
-             'of them; config/limits_example.yaml explains every setting', None, type=Path))
-
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
-    from bellows_ros.workflows.plan import write_prediction
-    from bellows_ros.workflows.steer import steer_plan
-
-    def film(report: 'SteerReport') -> None:
-        from bellows_ros.plots.animation import write_steering
+    def film(report: SteerReport) -> None:
 
         write_steering(arguments.plot, report, f'{arguments.plan}', FILM_SPEED)
 
-    def write(report: 'SteerReport') -> None:
+    def write(report: SteerReport) -> None:
         motion = report.motions[report.method]
         write_prediction(
             arguments.out, report.source, motion.tool, motion.prediction.states, arguments.force)
@@ -65,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         print_result, write, film)
 
 
-def print_result(report: 'SteerReport', console: Console) -> None:
+def print_result(report: SteerReport, console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows: list[tuple[str, ...]] = [

@@ -15,20 +15,16 @@ bellows structures first second --params my_cell.yaml --json structures.json
 
 import argparse
 from collections.abc import Mapping
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
+from bellows_ros.core.signals.residuals import MILLI_UNITS
 from bellows_ros.report import formatted
+from bellows_ros.report.text import print_relaxation
+from bellows_ros.workflows.identification import excitation_json, selection_json
+from bellows_ros.workflows.identify import StructureAdvice, structures
 
 from . import options
 from .console import Console, NOT_USABLE, OK
-
-if TYPE_CHECKING:
-    from bellows_ros.workflows.identify import StructureAdvice
-
-NEGATIVE_RESULT = 'no structure fits'
-
-ARGUMENTS = (
-    options.bags(), *options.PARAMETERS, *options.interval(), options.json_output('all figures'))
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -36,7 +32,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     settings: dict[str, Any] = options.read_settings(arguments, 'identifier')
     if arguments.bags:
         settings['bags'] = [str(bag) for bag in arguments.bags]
-    from bellows_ros.workflows.identify import structures
 
     with console.progress() as progress:
         result = structures(settings, progress)
@@ -46,11 +41,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK if result.selection.fits else NOT_USABLE
 
 
-def print_result(result: 'StructureAdvice', console: Console) -> None:
+def print_result(result: StructureAdvice, console: Console) -> None:
     """Print the excitation, the candidates and the advice."""
-    from bellows_ros.report.text import print_relaxation
-    from bellows_ros.workflows.identification import excitation_json, selection_json
-
     excitation, selection = result.excitation, result.selection
     content = excitation_json(excitation)
     console.table(_excitation_rows(content), right=True,
@@ -73,8 +65,6 @@ def print_result(result: 'StructureAdvice', console: Console) -> None:
 
 def _excitation_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of the motion of the lip in each axis of the tool."""
-    from bellows_ros.core.signals.residuals import MILLI_UNITS
-
     rows: list[tuple[str, ...]] = [
         ('axis', 'deflection', 'moving', 'noise', 'velocity', 'noise', 'main band')]
     for (name, axis), unit in zip(excitation['axes'].items(), MILLI_UNITS, strict=True):

@@ -15,18 +15,16 @@ bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --plo
 
 import argparse
 import math
-from typing import TYPE_CHECKING
 
+from bellows_ros.core.toss.landing import coverage
 from bellows_ros.errors import BellowsError
 from bellows_ros.report import column, formatted, with_error
+from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
+import numpy as np
 
 from .console import Console
-from .options import argument, plan_arguments, run_plan_command
+from .options import run_plan_command
 
-if TYPE_CHECKING:
-    from bellows_ros.workflows.toss import TossResult
-
-NEGATIVE_RESULT = 'no release of the plan lands, or none at the target'
 MILLI = 1e3
 MAX_TARGET = 100.0
 """Largest coordinate of a target, m."""
@@ -36,26 +34,10 @@ UNITS = {
     'release.opening': (1e3, 'mm'), 'release.damping': (1.0, 'N s/m')}
 """In which units a standard deviation is printed."""
 
-ARGUMENTS = (
-    *plan_arguments(
-        'the toss', '.png, .svg or .pdf; the toss from the side and from above',
-        'tool and package, held, parting and flying until it lands'),
-    argument('--release T', 'when to switch the valve, in s from the beginning of the plan', None,
-             type=float),
-    argument('--target X Y', 'find the time of release whose landing is nearest to this point, m '
-             'in the world', None, type=float),
-    argument('--target-rotation QX QY QZ QW', 'with --target: also match this orientation '
-             '(quaternion); an angle counts as the distance it moves the farthest corner', None,
-             type=float),
-    argument('--monte-carlo N', 'also draw this many random tosses, beside the linear ellipse',
-             0))
-
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Predict, write, report."""
     _require_numbers(arguments)
-    from bellows_ros.workflows.toss import toss_plan, write_toss
-
     return run_plan_command(
         arguments, console, lambda values, progress: toss_plan(
             arguments.plan, values, arguments.release, arguments.target,
@@ -81,10 +63,8 @@ def _require_numbers(arguments: argparse.Namespace) -> None:
             raise BellowsError(f'--{name} is {value}; expected {expected}')
 
 
-def print_result(result: 'TossResult', console: Console) -> None:
+def print_result(result: TossResult, console: Console) -> None:
     """Print release, landing, its uncertainty, and the largest contribution."""
-    import numpy as np
-
     toss, case = result.toss, result.case
     delay = MILLI * (toss.release_time - case.switched)
     x, y, _ = toss.landing[0]
@@ -106,7 +86,6 @@ def print_result(result: 'TossResult', console: Console) -> None:
         angle = f', {math.degrees(aim.angle):.1f} deg' if aim.angle else ''
         console.line(f'  target    {MILLI * aim.distance:.2f} mm{angle} away{gain}')
     if drawn := result.drawn:
-        from bellows_ros.core.toss.landing import coverage
 
         drawn_std = MILLI * np.sqrt(np.diag(drawn.covariance))
         inside = 100.0 * coverage(result.covariance, drawn.errors)
@@ -118,7 +97,7 @@ def print_result(result: 'TossResult', console: Console) -> None:
     console.warn(*result.warnings)
 
 
-def _print_budget(result: 'TossResult', console: Console) -> None:
+def _print_budget(result: TossResult, console: Console) -> None:
     """Print the contributions to the uncertainty, and which to reduce first."""
     groups = result.groups()
     if not groups:

@@ -7,7 +7,6 @@ their parsers, so that no page can say something else than the program does.
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
-import importlib
 import json
 import os
 from pathlib import Path
@@ -136,7 +135,7 @@ def commands() -> Iterator[str]:
                 'examples; `eval "$(register-python-argcomplete bellows)"` completes commands, '
                 'options and parameters in the shell (extra `complete`).', '')
     for name, text in COMMANDS.items():
-        does, examples = described(importlib.import_module(f'bellows_ros.cli.{name}'))
+        does, examples = described(name)
         yield from (f'## bellows {name}', '', f'{text[0].upper()}{text[1:]}.', '',
                     ' '.join(does.split()), '')
         rows = [_argument(action) for action in command_parser(name)._actions[1:]]  # not --help

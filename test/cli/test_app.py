@@ -7,7 +7,7 @@ import sys
 
 import bellows_ros
 from bellows_ros.cli.app import add_arguments, command_parser, COMMANDS
-from bellows_ros.cli.options import Output
+from bellows_ros.cli.arguments import Output
 import pytest
 
 HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'yaml', 'rclpy')

@@ -43,7 +43,7 @@ def test_what_was_written_before_a_full_disk_is_named(
     def fails(*_):
         raise BellowsError('No space is left.')
 
-    monkeypatch.setattr('bellows_ros.files.results.write_json', fails)
+    monkeypatch.setattr('bellows_ros.cli.options.write_json', fails)
     out = tmp_path / 'predicted'
     code = main(['plan', f'{transport}', '--params', f'{workshop / "cup.yaml"}', '--out', f'{out}',
                  '--json', f'{tmp_path / "plan.json"}'])
