@@ -25,21 +25,21 @@ bellows identify tosses --release --params bags/tossing.yaml --out release.yaml
 """
 
 import argparse
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.files.results import provenance
 from bellows_ros.report import column, formatted, listed, many
 from bellows_ros.report.text import print_identification
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
-from bellows_ros.workflows.release import identify_release, ReleaseResult, UNITS
 
 from . import options
 from .arguments import STDOUT
 from .console import Console, NOT_USABLE, OK, uninterrupted
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.release import ReleaseResult
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -91,6 +91,9 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
             f'--{name}' for name in ('report', 'jobs', 'dask') if getattr(arguments, name)]:
         raise BellowsError(
             f'--release cannot be combined with {", ".join(excluded)}. Leave it out.')
+    from bellows_ros.files.parameter_files import write_parameters
+    from bellows_ros.files.results import provenance
+    from bellows_ros.workflows.release import identify_release
 
     with console.progress() as progress:
         result = identify_release(settings, progress)
@@ -105,8 +108,10 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
     return OK
 
 
-def _print_release(result: ReleaseResult, console: Console) -> None:
+def _print_release(result: 'ReleaseResult', console: Console) -> None:
     """Print the law with its errors, and how it explains the drops of each mass."""
+    from bellows_ros.workflows.release import UNITS
+
     fit, milli, names = result.fit, 1e3, list(UNITS)
     console.line(
         f'Release identified from {many(len(fit.drops), "drop")} in {listed(result.bags)}', 'bold')

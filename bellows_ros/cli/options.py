@@ -17,7 +17,6 @@ from bellows_ros.files.atomic import require_file_target, require_folder_target
 from bellows_ros.files.bag_folder import require_no_input
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import provenance, write_json
-from bellows_ros.plots import style
 
 from .arguments import Binary, Folder, INTERVAL, Output, STDOUT
 from .console import Console, NOT_USABLE, OK
@@ -216,6 +215,7 @@ def run_plan_command(
     """
     values = read_settings(arguments, cup_for=console)
     require_absent(arguments.out, arguments.force)
+    from bellows_ros.plots import style
 
     if arguments.plot:
         require_pictures()
@@ -233,7 +233,6 @@ def run_plan_command(
                 style.write_figure(arguments.plot, result.plot())
             written += [arguments.plot]
             if arguments.json:
-
                 plans = [arguments.plan] if 'plan' in arguments else []
                 write_result(arguments.json, {
                     **result.as_json(), 'version': __version__,
