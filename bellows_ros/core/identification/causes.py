@@ -8,44 +8,20 @@ and by simulation (`given`): all of them end in a `Finding`.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-)
+from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import THESIS_LENGTH
-from bellows_ros.core.parameters.checks import (
-    ESTIMATE,
-    GYRATION,
-    INERTIA_UNITS,
-    LARGEST_MASS,
-    unit_of_inertia,
-)
-from bellows_ros.core.recording.alignment import (
-    closed_form,
-    DOWN,
-    in_tool_world,
-    levelling,
-    MIN_CORRELATION,
-    motion_of,
-    motion_sentence,
-    R_WORLD_MOTIVE,
-    turn_correlation,
-)
-from bellows_ros.core.recording.conventions import (
-    convention_sentence,
-    conventions_of,
-    converted,
-    FARTHEST,
-)
+from bellows_ros.core.parameters import checks
+from bellows_ros.core.recording import alignment, conventions
 from bellows_ros.core.recording.preparation import lasting_steps, prepare
 from bellows_ros.core.recording.recording import ENOUGH, Recording
+from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
@@ -64,12 +40,9 @@ of it is asked where it must explain nearly all, and of what the cup may be besi
 DOUBTED = 1.0
 """Squares beyond noise, in those expected of noise and rubber, with which a cup is doubted."""
 
-GRAMS = 1e3
-"""How many of what masses may be in are 1 kg."""
-
 NONE = np.empty(0)
 
-MOST_FACTS = 4
+MAX_FACTS = 4
 """Most findings without a fit."""
 
 ONE_BODY = 1e-3
@@ -78,7 +51,7 @@ ONE_BODY = 1e-3
 HELD = 0.3
 """In its own world the lip moves by at most this part of what it does in another."""
 
-LOOKED_AT_EVERY = 20
+SAMPLE_STEP = 20
 """Every such sample is used where only the arrangement matters."""
 
 SWINGING = -0.2, 0.05
@@ -94,13 +67,14 @@ ROUGH = 0.05
 PERIODIC = 0.95
 """Part of the largest correlation of turns that small offsets reach in a periodic motion."""
 
-SPECTRUM_SECONDS, LEAST_RATE_HZ = 1.0, 100.0
-"""Length of the periodograms of poses, and the rate (Hz) from which on they are looked at."""
+SPECTRUM_SECONDS, LEAST_RATE_HZ, DIFFERENCES = 1.0, 100.0, 4
+"""Length of the periodograms of poses, the least rate (Hz) at which they are taken, and the order
+of the differences that motion leaves little of."""
 
 NOISE_HZ, NYQUIST_PART = 25.0, 0.9
 """Frequency (Hz) above which poses have noise alone, and up to which part of the highest one."""
 
-STEEPEST_NOISE = 3.0
+MAX_NOISE_ORDER = 3.0
 """Power of frequency with which the density of noise falls; behind a filter of second order, 4."""
 
 SMALLEST_DENSITY = 1e-18
@@ -165,8 +139,8 @@ IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
 
 def implausible_inputs(own: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with a recording or what was given with it, without any fit."""
-    found = (_package(own.payload), _clocks(own), wrong_twists(own), _smoothed(own), _jump(own))
-    return tuple(own._replace(is_fact=True) for own in found if own is not None)
+    tests = (_package, _clocks, _twists, _smoothed, _jump)
+    return tuple(wrong._replace(is_fact=True) for test in tests if (wrong := test(own)))
 
 
 def corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
@@ -176,24 +150,27 @@ def corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
 
 def _corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
     """Return the same, each correction showing what is wrong beside it."""
-    found = list[Finding]()
-    while len(found) < MOST_FACTS:
+    facts = list[Finding]()
+    while len(facts) < MAX_FACTS:
         try:
             wrong = misread(own)
-            new = [wrong] if wrong else [
-                one for one in implausible_inputs(own)
-                if one.name not in {known.name for known in found}]
-            found += new
+            new = [wrong] if wrong else [one for one in implausible_inputs(own) if all(
+                one.name != fact.name for fact in facts)]
+            facts += new
             for one in new:
                 own = KNOWN_CAUSES[one.name].corrected(own, one)
         except BellowsError as error:
-            if not found:
+            if not facts:
                 raise
-            found.append(Finding('recording', '', is_fact=True, sentence=str(error)))
-            break
+            return (*facts, _fact('recording', str(error))), own
         if not new:
             break
-    return tuple(found), own
+    return tuple(facts), own
+
+
+def _fact(name: str, sentence: str) -> Finding:
+    """Return what is seen without any fit, in a sentence of its own."""
+    return Finding(name, '', is_fact=True, sentence=sentence)
 
 
 def require_hanging(recording: Recording) -> None:
@@ -217,45 +194,43 @@ def misread(own: Recording) -> Finding | None:
 
 def _misread(own: Recording) -> Finding | None:
     """Return the same."""
-    def because(name: str, sentence: str) -> Finding:
-        return Finding(name, '', is_fact=True, sentence=sentence)
-
-    some = np.flatnonzero(own.whole)[::LOOKED_AT_EVERY]
+    some = np.flatnonzero(own.whole)[::SAMPLE_STEP]
     if not len(some):
         return None
     tool, package = own.measured_tool.select(some), own.measured_package.select(some)
-    way = package.position - apply(package.rotation, own.payload.com) - tool.position
-    lip = apply(np.swapaxes(tool.rotation, 1, 2), way)
+    in_world = package.position - apply(package.rotation, own.payload.com) - tool.position
+    R_tool_world = np.swapaxes(tool.rotation, 1, 2)
+    lip, centre = (apply(R_tool_world, offset)
+                   for offset in (in_world, package.position - tool.position))
     away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
-    if wrong := convention_sentence(own.tool_pose, own.package_pose, own.name):
-        return because('recording', wrong)
-    centre = apply(np.swapaxes(tool.rotation, 1, 2), package.position - tool.position)
+    if wrong := conventions.convention_sentence(own.tool_pose, own.package_pose, own.name):
+        return _fact('recording', wrong)
     recorded = lip if own.settings.package_frame == 'lip' else centre
     if float(np.median(np.linalg.norm(recorded, axis=1))) < ONE_BODY:
         raise BellowsError(
             f"topics.tool_pose ('{own.tool_pose.name}') and topics.package_pose "
             f"('{own.package_pose.name}') are poses of one body. Name that of the package; "
             "'bellows info BAG' lists the topics.")
-    if away <= FARTHEST and above <= 0.0:
+    if away <= conventions.FARTHEST and above <= 0.0:
         return None
     if apart := _two_worlds(own, tool, package, lip):
-        return because('package_world', apart)
-    if away > FARTHEST:
+        return _fact('package_world', apart)
+    if away > conventions.FARTHEST:
         raise BellowsError(
             f"The poses of '{own.tool_pose.name}' and '{own.package_pose.name}' use different "
             f'worlds: the lip of the cup is {away:.3g} m from the tool tip. Set '
             'recording.package_world.')
     below = -float(np.median(centre[:, 2]))
-    upward = float(np.median(way[:, 2]))
-    other = float(np.median(apply(R_WORLD_MOTIVE, way)[:, 2]))  # either way: its own inverse
+    upward = float(np.median(in_world[:, 2]))
+    other = float(np.median(apply(alignment.R_WORLD_MOTIVE, in_world)[:, 2]))  # its own inverse
     if own.settings.package_frame == 'com' and below > 0.0:
-        return because('recording.package_frame', (
+        return _fact('recording.package_frame', (
             f'The package is tracked {1e3 * below:.0f} mm below the tool tip, but the lip of the '
             f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
             'recording.package_frame: lip; else check package.com.'))
     if upward > 0.0 or other > -upward:
         where = 'the world' if upward > other else 'that of the other recording.world'
-        return because('topics', (
+        return _fact('topics', (
             'topics.tool_pose and topics.package_pose are exchanged: the lip of the cup would be '
             f'{1e3 * above:.0f} mm above the tool tip in tool axes, and '
             f'{1e3 * max(upward, other):.0f} mm in {where}. Exchange the two; if they are right, '
@@ -269,45 +244,43 @@ def _misread(own: Recording) -> Finding | None:
 
 def _two_worlds(own: Recording, tool: Trajectory, package: Trajectory, lip: Array) -> str:
     """Return a sentence where another world of the package keeps its lip in place, else ''."""
-    def wandering(at: Array) -> float:
-        """Return how far a lip (N, 3) in axes of the tool moves there, m."""
-        return float(np.linalg.norm(np.subtract(*np.percentile(at, (75, 25), axis=0))))
-
     try:
         pose = _world_of(own)
     except BellowsError:  # too short to say
         return ''
-    there = pose[:3] - tool.position + apply(
-        quaternion_to_rotation(pose[3:]),
+    moved = pose[:3] - tool.position + apply(
+        lie.quaternion_to_rotation(pose[3:]),
         package.position - apply(package.rotation, own.payload.com))
-    left = wandering(apply(np.swapaxes(tool.rotation, 1, 2), there))
-    if left > HELD * wandering(lip):
+    before, after = map(conventions.spread, (lip, apply(np.swapaxes(tool.rotation, 1, 2), moved)))
+    if after > HELD * before:
         return ''
     body = own.measured_package
-    motion = motion_of(pose, body.position[body.valid].mean(axis=0))
+    motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
     return (
-        f'{motion_sentence(motion)}: seen from the tool, the lip of the cup moves by '
-        f'{1e3 * wandering(lip):.0f} mm, and by {1e3 * left:.0f} mm without that. Set '
-        f'recording.package_world: {ESTIMATE}, or give its seven numbers.')
+        f'{alignment.motion_sentence(motion)}: seen from the tool, the lip of the cup moves by '
+        f'{1e3 * before:.0f} mm, and by {1e3 * after:.0f} mm without that. Set '
+        f'recording.package_world: {checks.ESTIMATE}, or give its seven numbers.')
 
 
 def _world_of(own: Recording) -> Array:
     """Return a first guess (7,) of the pose of the package's world."""
-    return closed_form(own.measured_tool, own.measured_package, THESIS_LENGTH, -own.payload.com)
+    return alignment.closed_form(
+        own.measured_tool, own.measured_package, THESIS_LENGTH, -own.payload.com)
 
 
 def _in_one_world(own: Recording, found: Finding) -> Recording:
     """Return a recording with the poses of its package in the world of the tool."""
-    pose, turn, way = _world_of(own), own.settings.R_world_recorded, np.zeros(7)
-    way[:3] = turn.T @ pose[:3]
-    way[3:] = rotation_to_quaternion(turn.T @ quaternion_to_rotation(pose[3:]) @ turn)
-    return _prepared(own, package=in_tool_world(own.package_pose, way, own.tool_pose.frame_id))
+    pose, R = _world_of(own), own.settings.R_world_recorded
+    recorded = np.concatenate([R.T @ pose[:3], lie.rotation_to_quaternion(
+        R.T @ lie.quaternion_to_rotation(pose[3:]) @ R)])
+    return _prepared(own, package=alignment.in_tool_world(
+        own.package_pose, recorded, own.tool_pose.frame_id))
 
 
 def _by_convention(own: Recording, found: Finding) -> Recording:
     """Return a recording in metres, and with w last."""
     both = own.tool_pose, own.package_pose
-    tool, package = map(converted, both, conventions_of(*both))
+    tool, package = map(conventions.converted, both, conventions.conventions_of(*both))
     return _prepared(own, tool=tool, package=package)
 
 
@@ -320,11 +293,9 @@ def _by_one_clock(own: Recording, found: Finding) -> Recording:
 
 def _in_other_units(own: Recording, found: Finding) -> Recording:
     """Return a recording whose package is in kg and kg m^2."""
-    held = own.payload
-    if found.name == 'mass':
-        held = Package(held.mass / GRAMS, held.inertia, held.com)
-    else:
-        held = Package(held.mass, held.inertia / dict(INERTIA_UNITS)[found.value], held.com)
+    held, factor = own.payload, {'g': 1e3, **dict(checks.INERTIA_UNITS)}[found.value]
+    held = (Package(held.mass / factor, held.inertia, held.com) if found.name == 'mass' else
+            Package(held.mass, held.inertia / factor, held.com))
     return replace(own, settings=replace(own.settings, payload=held))
 
 
@@ -341,12 +312,13 @@ def radius_of_gyration(held: Package) -> float:
     return float(np.sqrt(np.trace(held.inertia) / held.mass))
 
 
-def _package(held: Package) -> Finding | None:
+def _package(own: Recording) -> Finding | None:
     """Return the unit of a mass or an inertia that no package has, None where it may have it."""
-    gyration = radius_of_gyration(held)
-    if held.mass > LARGEST_MASS:
+    gyration = radius_of_gyration(own.payload)
+    if own.payload.mass > checks.LARGEST_MASS:
         return Finding('mass', 'g')
-    return None if gyration < GYRATION[-1] else Finding('inertia', unit_of_inertia(gyration))
+    return None if gyration < checks.GYRATION[-1] else Finding(
+        'inertia', checks.unit_of_inertia(gyration))
 
 
 def _clocks(own: Recording) -> Finding | None:
@@ -358,98 +330,87 @@ def _clocks(own: Recording) -> Finding | None:
     is enough. Where both turn about the same axes as stamped, sizes that are more alike at another
     offset are those of a motion that nearly repeats.
     """
-    lags, alike = turn_correlation(own.aligned_tool, own.aligned_package)
+    lags, correlation = alignment.turn_correlation(own.aligned_tool, own.aligned_package)
     if not len(lags):
         return None
-    best, near = int(np.argmax(alike)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
-    largest, small = alike[best], np.max(alike[near], initial=0.0)
-    least = MIN_CORRELATION if small < DISTINCT * largest else 2.0 * MIN_CORRELATION
-    if largest < least or near[best] or small > PERIODIC * largest:
+    best, near = int(np.argmax(correlation)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
+    largest, small = correlation[best], np.max(correlation[near], initial=0.0)
+    limit = alignment.MIN_CORRELATION * (1.0 if small < DISTINCT * largest else 2.0)
+    if largest < limit or near[best] or small > PERIODIC * largest:
         return None
-    in_axes = turn_correlation(own.aligned_tool, own.aligned_package, one_world=True)[1]
-    if np.max(in_axes[near], initial=0.0) > max(MIN_CORRELATION, PERIODIC * np.max(in_axes)):
+    in_axes = alignment.turn_correlation(own.aligned_tool, own.aligned_package, one_world=True)[1]
+    if np.max(in_axes[near], initial=0.0) > max(
+            alignment.MIN_CORRELATION, PERIODIC * np.max(in_axes)):
         return None
     return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 
 
-def wrong_twists(own: Recording) -> Finding | None:
+def _twists(own: Recording) -> Finding | None:
     """Return in which axes or unit the tool's recorded twists are, None where it is as given."""
     measured, half_window = own.measured_tool, own.filters[1].half_window
     if measured.twist is None or len(measured) <= 2 * half_window:
         return None
     if len(measured) > ENOUGH:  # those in which it moves most
-        way = np.cumsum(np.sum(measured.twist**2, axis=1))
-        first = int(np.argmax(way[ENOUGH:] - way[:-ENOUGH]))
+        moved = np.cumsum(np.sum(measured.twist**2, axis=1))
+        first = int(np.argmax(moved[ENOUGH:] - moved[:-ENOUGH]))
         measured = measured.select(slice(first, first + ENOUGH))
     tool = savgol(measured, half_window, own.filters[1].order)
-    measured = measured.between(*tool.stamps_ns[[0, -1]])
-    given, true = measured.twist[tool.valid], tool.twist[tool.valid]  # type: ignore[index]
+    measured = measured.between(*tool.stamps_ns[[0, -1]]).select(tool.valid)
+    assert measured.twist is not None and tool.twist is not None
+    given, true = (own.reshape(-1, 2, 3) for own in (measured.twist, tool.twist[tool.valid]))
     if not len(given):
         return None
-    R_E_A = np.swapaxes(measured.rotation[tool.valid], 1, 2)
-    turn = own.settings.R_world_recorded.T @ np.swapaxes(R_E_A, 1, 2)  # from E to as recorded
-    other = 'tool'
-    if own.settings.tool_twist_frame == 'tool':
-        turn = R_E_A @ own.settings.R_world_recorded
-        other = 'world'
-    markers = own.alignment.R_tool_markers_tool
-    turn = turn @ markers if other == 'world' else markers.T @ turn
+    R, markers = own.settings.R_world_recorded, own.alignment.R_tool_markers_tool
+    is_of_tool = own.settings.tool_twist_frame == 'tool'
+    turn = (np.swapaxes(measured.rotation, 1, 2) @ R @ markers if is_of_tool else
+            markers.T @ R.T @ measured.rotation)  # from the other axes
 
-    def off(twist: Array) -> float:
-        """Return how far twists (N, 6) are from those of the poses, in squares of their size."""
-        return sum(
-            float(np.mean((twist[:, part] - true[:, part]) ** 2)
-                  / np.mean(true[:, part] ** 2 + 1e-12)) for part in (slice(0, 3), slice(3, 6)))
+    def misfit(twist: Array) -> float:
+        """Return how far twists (N, 2, 3) are off the poses' own, in squares of their size."""
+        return float(np.sum(np.mean((twist - true) ** 2, axis=(0, 2))
+                            / np.mean(true**2 + 1e-12, axis=(0, 2))))
 
-    before = off(given)
+    before = misfit(given)
     if before < MATERIAL**2:
         return None
-    turned = np.hstack([apply(turn, given[:, :3]), apply(turn, given[:, 3:])])
-    for name, value, twist in (
-            ('tool_twist.frame', other, turned),
-            (*IN_DEGREES[:2], given * np.repeat([1.0, np.pi / 180.0], 3))):
-        if off(twist) < DISTINCT**4 * before:
-            return Finding(name, value, left=float(np.sqrt(off(twist) / before)))
+    for finding, twist in (
+            (Finding('tool_twist.frame', 'world' if is_of_tool else 'tool'),
+             given @ np.swapaxes(turn, 1, 2)),
+            (IN_DEGREES, given * [[1.0], [np.pi / 180.0]])):
+        if misfit(twist) < DISTINCT**4 * before:
+            return finding._replace(left=float(np.sqrt(misfit(twist) / before)))
     return None
 
 
 def _jump(own: Recording) -> Finding | None:
     """Return that the package jumps on the lip and does not return, at the largest such jump."""
     stream = own.report.package
-    poses = stream.recorded
-    steps = lasting_steps(poses, stream.timing, stream.outliers)
+    steps = lasting_steps(stream.recorded, stream.timing, stream.outliers)
     if not steps:
         return None
-    largest = max(steps, key=lambda step: step.position)
-    since = (poses.stamps_ns[largest.before] - poses.stamps_ns[0]) / NS_PER_S
+    largest, stamps_ns = max(steps, key=attrgetter('position')), stream.recorded.stamps_ns
+    since = (stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S
     return Finding('slip', '', np.array([largest.position, 0.0, since]), np.zeros(3))
 
 
 def _smoothed(own: Recording) -> Finding | None:
     """Return that poses went through a low-pass: their noise falls too steeply."""
-    steep = [topic for topic, poses in (('tool_pose', own.aligned_tool),
-                                        ('package_pose', own.aligned_package))
-             if _noise_order(poses) > STEEPEST_NOISE]
-    return Finding('low-pass', ' and '.join(steep)) if steep else None
+    topics = [topic for topic, poses in (('tool_pose', own.aligned_tool),
+                                         ('package_pose', own.aligned_package))
+              if _noise_order(poses) > MAX_NOISE_ORDER]
+    return Finding('low-pass', ' and '.join(topics)) if topics else None
 
 
 def _noise_order(poses: Trajectory) -> float:
     """Return the power of frequency with which noise of positions falls, 0 if it is not seen."""
-    rate = uniform_rate_hz(poses.stamps_ns)
-    size, order = round(SPECTRUM_SECONDS * rate), 4
-    if rate < LEAST_RATE_HZ:
+    rate_hz = uniform_rate_hz(poses.stamps_ns)
+    changes = np.diff(np.where(poses.valid[:, None], poses.position, np.nan), DIFFERENCES, axis=0)
+    if rate_hz < LEAST_RATE_HZ or not np.isfinite(changes).any():
         return 0.0
-    window = np.hanning(size - order)
-    seen = [np.abs(np.fft.rfft(
-        np.diff(poses.position[first:first + size], order, axis=0) * window[:, None], axis=0))
-        for first in range(0, len(poses) - size, size) if poses.valid[first:first + size].all()]
-    if not seen:
-        return 0.0
-    hz = np.fft.rfftfreq(size - order, 1.0 / rate)
-    inside = (hz > NOISE_HZ) & (hz < 0.5 * NYQUIST_PART * rate)
-    by_difference = (2.0 * np.sin(np.pi * hz[inside] / rate)) ** (2 * order)
-    density = np.median(np.sum(np.square(seen), axis=2), axis=0)[inside] / by_difference * (
-        2.0 / rate / float(window @ window))
+    hz, densities = vars(spectrum(changes, rate_hz, SPECTRUM_SECONDS)).values()
+    inside = (hz > NOISE_HZ) & (hz < 0.5 * NYQUIST_PART * rate_hz)
+    density = np.sum(densities[inside], axis=1) / (
+        2.0 * np.sin(np.pi * hz[inside] / rate_hz)) ** (2 * DIFFERENCES)
     if np.median(density) < SMALLEST_DENSITY:
         return 0.0
     return -float(np.polyfit(np.log(hz[inside]), np.log(density), 1)[0])
@@ -476,13 +437,11 @@ def _com_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a centre of mass that is elsewhere."""
     if found.instead:
         return _length_or_com(found.theta[2])
-    shifts = ', '.join(
-        f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
-        zip('xyz', found.theta, found.std, strict=True) if abs(x) > 3.0 * s)
     moved = np.where(np.abs(found.theta) > 3.0 * found.std, found.theta, 0.0)
-    new = ', '.join(f'{x:.4f}' for x in np.round(np.add(given['package.com'], moved), 4) + 0.0)
+    shifts = ', '.join(f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
+                       zip('xyz', moved, found.std, strict=True) if x)
     return (f'The centre of mass is not at package.com, but {shifts} from there',
-            f'Check package.com: it would be [{new}].')
+            f'Check package.com: it would be {_listed(np.add(given["package.com"], moved))}.')
 
 
 def _length_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
@@ -522,11 +481,10 @@ def _slip_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
 
 def _gravity_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a world that is not level."""
-    down = levelling(given.get('gravity.direction', DOWN)).T @ (
-        exp_so3(np.append(-found.theta, 0.0)) @ DOWN)
+    down = alignment.levelling(given.get('gravity.direction', alignment.DOWN)).T @ (
+        lie.exp_so3(np.append(-found.theta, 0.0)) @ alignment.DOWN)
     return (f'Gravity is {np.rad2deg(np.hypot(*found.theta)):.1f} degrees off gravity.direction',
-            'Level the world, or set gravity.direction: '
-            f'[{", ".join(f"{x:.4f}" for x in down + 0.0)}].')
+            f'Level the world, or set gravity.direction: {_listed(down)}.')
 
 
 def _package_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
@@ -571,6 +529,11 @@ def _cup_words(what: str, remedy: str, sides: tuple[str, str] = ('', '')) -> Wor
     return words
 
 
+def _listed(numbers: Array) -> str:
+    """Return numbers as a list with four decimals."""
+    return f'[{", ".join(f"{x:.4f}" for x in np.round(numbers, 4) + 0.0)}]'
+
+
 def _size(value: float, std: float) -> str:
     """Return a size with its standard error, both in thousandths."""
     return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
@@ -612,8 +575,8 @@ KNOWN_CAUSES: Mapping[str, KnownCause] = {
             own, settings=replace(own.settings, package_frame='lip'))),
     'package_world': KnownCause(
         'recording.package_world',
-        lambda found, given: (motion_sentence(found.theta, found.std),
-                              f'Set recording.package_world: {ESTIMATE}.'),
+        lambda found, given: (alignment.motion_sentence(found.theta, found.std),
+                              f'Set recording.package_world: {checks.ESTIMATE}.'),
         POSE_UNITS, _in_one_world),
     'mass': KnownCause('package.mass', _package_words, corrected=_in_other_units),
     'inertia': KnownCause('package.inertia', _package_words, corrected=_in_other_units),

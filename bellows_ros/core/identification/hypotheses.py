@@ -15,16 +15,8 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.causes import (
-    corrected,
-    DISTINCT,
-    DOUBTED,
-    Finding,
-    MATERIAL,
-    NONE,
-    radius_of_gyration,
-    SIGNIFICANT,
-)
+from bellows_ros.core.identification import causes, variations
+from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
 from bellows_ros.core.identification.objective import (
     Ensemble,
     ensemble_of,
@@ -36,13 +28,7 @@ from bellows_ros.core.identification.objective import (
     SLIPS,
     Solved,
 )
-from bellows_ros.core.identification.variations import (
-    Given,
-    hypotheses,
-    Hypothesis,
-    OTHERWISE,
-    Variation,
-)
+from bellows_ros.core.identification.variations import CUP_EFFECTS, Hypothesis, Variation
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
@@ -58,19 +44,19 @@ which it would be more than all that is left is not the cup."""
 COST = 0.1
 """Part by which squares must fall for each number that is freed."""
 
-QUICK_ROUNDS, MOST_RETRIED, MOST_FINDINGS = 3, 6, 2
+QUICK_ROUNDS, MAX_REFITTED, MAX_FINDINGS = 3, 6, 2
 """Rounds of a first look without regard to noise; how many are tried again, and returned."""
 
-MOST_ROUNDS, MOST_STARTS = 3, 3
+MAX_ROUNDS, MAX_STARTS = 3, 3
 """Times that a second cause is looked for, beside each of so many of the best."""
 
-TENFOLD = float(np.log(10.0))
+MAX_LOG_INERTIA = float(np.log(10.0))
 """No inertia is off by more, but by its unit."""
 
-BENT = 0.02
+MIN_CUP_EFFECT = 0.02
 """Part by which an entry of K is otherwise at the largest deflection, at least, to be said."""
 
-MOST_TURNED = float(np.radians(30.0))
+MAX_TURN = float(np.radians(30.0))
 """Frames and worlds that are turned further are in other axes."""
 
 
@@ -119,33 +105,33 @@ def diagnose(
         Labels of the parameters that are identifiable; all where left out.
 
     """
-    wrong, right = zip(*map(corrected, recordings), strict=True)
+    wrong, right = zip(*map(causes.corrected, recordings), strict=True)
     facts: tuple[Finding, ...] = next(filter(None, wrong), ())
     try:
-        rounds = right[0].cached(
+        rankings = right[0].cached(
             ('trials', *(own.name for own in right), length, structure),
-            lambda: _rounds(right, length, structure))
+            lambda: _rankings(right, length, structure))
     except BellowsError:
         if not facts:
             raise
         return Diagnosis(np.inf, facts, is_open=True)
-    found = [_finding(own.tried[0], own, known) for own in rounds if own.tried]
+    best = [_finding(own.trials[0], own, known) for own in rankings if own.trials]
+    first = rankings[0]
     if facts:
-        said = {name for own in facts for name in (own.name, own.instead)}
-        besides = tuple(own for own in found if own.name not in said and (
-            own.certain if rounds[0].is_explained else own.likely))
+        names = {name for own in facts for name in (own.name, own.instead)}
+        besides = tuple(own for own in best if own.name not in names and (
+            own.certain if first.is_explained else own.likely))
         return Diagnosis(np.inf, facts, besides, not (
-            rounds[0].is_explained or any(own.certain for own in found)))
-    first = rounds[0]
-    findings = [_finding(trial, first, known) for trial in first.tried[:MOST_FINDINGS]]
-    if first.is_explained and len(rounds) == 1:
+            first.is_explained or any(own.certain for own in best)))
+    findings = [_finding(trial, first, known) for trial in first.trials[:MAX_FINDINGS]]
+    if first.is_explained and len(rankings) == 1:
         findings = [own for own in findings if own.certain]
-    return Diagnosis(first.before.excess, tuple(findings), tuple(found[1:]))
+    return Diagnosis(first.before.excess, tuple(findings), tuple(best[1:]))
 
 
-def _rounds(
+def _rankings(
     recordings: Sequence[Recording], length: float, structure: Structure
-) -> 'list[_Round]':
+) -> 'list[_Ranking]':
     """
     Return the trials of all hypotheses, or those of two causes, each beside the other.
 
@@ -153,17 +139,17 @@ def _rounds(
     one alone explains all, only those that do so, too.
     """
     ensemble, world = ensemble_of(recordings, length, structure), recordings[0].settings.world
-    alone = _trials(ensemble, world)
-    for best in alone.tried[:MOST_STARTS if alone.is_found else 0]:
-        if best is not alone.tried[0] and alone.tried[0].is_all and (
-                alone.is_explained or not best.is_all):
+    alone = _ranking(ensemble, world)
+    for best in alone.trials[:MAX_STARTS if alone.is_found else 0]:
+        if best is not alone.trials[0] and alone.trials[0].is_sufficient and (
+                alone.is_explained or not best.is_sufficient):
             break
         if both := _two(alone, best, ensemble, world):
             return both
     return [alone]
 
 
-def _two(alone: '_Round', best: '_Trial', ensemble: Ensemble, world: str) -> 'list[_Round]':
+def _two(alone: '_Ranking', best: '_Trial', ensemble: Ensemble, world: str) -> 'list[_Ranking]':
     """
     Return the trials of two causes, each beside the other, from one of them, or none.
 
@@ -171,80 +157,81 @@ def _two(alone: '_Round', best: '_Trial', ensemble: Ensemble, world: str) -> 'li
     is, until both stay. Together they leave far less than one, or clearly less and noise alone
     where each is certain beside the other.
     """
-    for _ in range(MOST_ROUNDS):
-        second = _trials(ensemble.varied(*best.varied), world, best.hypothesis)
+    for _ in range(MAX_ROUNDS):
+        second = _ranking(ensemble.varied(*best.varied), world, best.hypothesis)
         if not second.is_found:
-            break
-        beside = second.tried[0]
-        first = _trials(ensemble.varied(*beside.varied), world, beside.hypothesis, best)
+            return []
+        beside = second.trials[0]
+        first = _ranking(ensemble.varied(*beside.varied), world, beside.hypothesis, best)
         if not first.is_found:
-            break
-        again, best = best, first.tried[0]
-        if again.named == best.named:
-            one, pair = alone.tried[0], [first, second]
+            return []
+        previous, best = best, first.trials[0]
+        if previous.key == best.key:
+            one, pair = alone.trials[0], [first, second]
             both = alone.objective.solved(ensemble.varied(*best.varied).varied(*beside.varied))
-            far = DISTINCT * min(DISTINCT * _left(alone.before), _left(one.solved))
-            price = COST * (best.hypothesis.freed + beside.hypothesis.freed) * _left(both)
-            is_clear = both.excess + price < min(_chance(both), _score(one) - _least(both))
-            if _left(both) < far or is_clear and all(own.is_certain for own in pair):
-                return pair
-            break
+            half = DISTINCT * min(DISTINCT * _floored(alone.before), _floored(one.solved))
+            price = COST * (best.hypothesis.freed + beside.hypothesis.freed) * _floored(both)
+            is_clear = both.excess + price < min(
+                _noise_floor(both), _score(one) - _resolution(both))
+            is_better = _floored(both) < half or is_clear and all(own.is_certain for own in pair)
+            return pair if is_better else []
     return []
 
 
-class _Round(NamedTuple):
+class _Ranking(NamedTuple):
     """What is left as it was given, and by the hypotheses, the best first."""
 
     before: Solved
-    tried: 'list[_Trial]'
+    trials: 'list[_Trial]'
     structure: Structure
     objective: Objective
 
     @property
     def is_explained(self) -> bool:
         """Whether noise explains what is left as it was given."""
-        return self.before.excess < _chance(self.before)
+        return self.before.excess < _noise_floor(self.before)
 
     @property
     def is_certain(self) -> bool:
         """Whether the best hypothesis is certain, were all parameters identifiable."""
-        return bool(self.tried) and _finding(self.tried[0], self, ()).certain
+        return bool(self.trials) and _finding(self.trials[0], self, ()).certain
 
     @property
     def is_found(self) -> bool:
         """Whether the best hypothesis explains most of what noise does not, or is certain."""
-        return self.is_certain or bool(self.tried) and not self.is_explained and (
-            _score(self.tried[0]) < DISTINCT * _left(self.before))
+        return self.is_certain or bool(self.trials) and not self.is_explained and (
+            _score(self.trials[0]) < DISTINCT * _floored(self.before))
 
 
-def _trials(
+def _ranking(
     ensemble: Ensemble, world: str, beside: Hypothesis | None = None, near: '_Trial | None' = None,
-) -> _Round:
+) -> _Ranking:
     """Return the trials of all hypotheses but one that is corrected, one from where it was."""
     objective, structure = Objective.of(ensemble, beside is not None), ensemble.given[0].structure
     before = objective.solved(ensemble)
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
     # Where noise explains what is left, causes are small: start at zero, but for a slip's time.
-    is_explained = before.excess < _chance(before)
-    starts = {near.named: near.theta} if near else {}
-    tried = _in_order(
-        _tried(h, objective, quiet, starts.get((h.name, h.value), (
+    is_explained = before.excess < _noise_floor(before)
+    starts = {near.key: near.theta} if near else {}
+    trials = _ranked(
+        _fitted(h, objective, quiet, starts.get((h.name, h.value), (
             np.zeros(h.freed) if is_explained and h.name != 'slip' else None)),
             1 if is_explained else QUICK_ROUNDS, level)
-        for h in hypotheses(ensemble.given, world)
+        for h in variations.hypotheses(ensemble.given, world)
         if beside is None or h.name != beside.name and (h.datum or beside.datum))
-    if not tried or is_explained:
-        tried = _in_order(_tried(own.hypothesis, objective, ensemble, own.theta)
-                          for own in tried if _score(own) < before.excess and _is_known(before))
-        return _Round(before, sorted(tried, key=lambda own: not own.is_significant), structure,
-                      objective)
+    if not trials or is_explained:
+        trials = _ranked(
+            _fitted(own.hypothesis, objective, ensemble, own.theta)
+            for own in trials if _score(own) < before.excess and _is_above_noise(before))
+        return _Ranking(
+            before, sorted(trials, key=lambda own: not own.is_significant), structure, objective)
     # With weights as they are where the best of them is true.
-    objective = Objective.of(ensemble.varied(*tried[0].varied), sound=True)
-    return _Round(objective.solved(ensemble), _in_order(
-        _tried(trial.hypothesis, objective, ensemble, trial.theta)
-        for number, trial in enumerate(tried[:MOST_RETRIED])
-        if number < MOST_FINDINGS or DISTINCT**3 * _score(trial) < _left(tried[0].solved)),
+    objective = Objective.of(ensemble.varied(*trials[0].varied), sound=True)
+    return _Ranking(objective.solved(ensemble), _ranked(
+        _fitted(trial.hypothesis, objective, ensemble, trial.theta)
+        for number, trial in enumerate(trials[:MAX_REFITTED])
+        if number < MAX_FINDINGS or DISTINCT**3 * _score(trial) < _floored(trials[0].solved)),
         structure, objective)
 
 
@@ -266,12 +253,12 @@ class _Trial(NamedTuple):
         return self.of_structure > SIGNIFICANT
 
     @property
-    def is_all(self) -> bool:
+    def is_sufficient(self) -> bool:
         """Whether noise explains what it leaves."""
-        return self.solved.excess < _chance(self.solved)
+        return self.solved.excess < _noise_floor(self.solved)
 
     @property
-    def named(self) -> tuple[str, str]:
+    def key(self) -> tuple[str, str]:
         """Name and value of the hypothesis."""
         return self.hypothesis.name, self.hypothesis.value
 
@@ -281,7 +268,7 @@ class _Trial(NamedTuple):
         return self.hypothesis.vary, self.theta
 
 
-def _tried(
+def _fitted(
     hypothesis: Hypothesis, objective: Objective, ensemble: Ensemble, start: Array | None = None,
     rounds: int = 0, level: float = 0.0,
 ) -> _Trial:
@@ -291,35 +278,40 @@ def _tried(
     Infinite squares are left where it cannot be: K is positive and keeps its sign, friction takes
     energy, and no inertia is that far off.
     """
+    given, is_physical = ensemble.given[0], True
+    theta = std = causes.NONE
     if hypothesis.steps:
         theta, covariance, solved = refine(
             objective, ensemble, hypothesis, start, rounds or ROUNDS)
         std = np.sqrt(np.diag(covariance))
+        is_physical = _is_within(hypothesis.name, theta, given)
     else:
-        theta = std = NONE
-        solved = objective.solved(ensemble.varied(hypothesis.vary, NONE))
-    is_physical = True
-    if hypothesis in OTHERWISE:
-        # Parts by which K changes, or friction as a part of the largest force.
-        own = ensemble.given[0].structure
-        entries, n = extra_entries(own, hypothesis.name), 2 * own.size
-        each = {'friction': SLIPS, 'cubic': (1.0, 1.0)}.get(hypothesis.name, (1.0,))
-        K = solved.x[entries]
-        T = np.kron(each, np.eye(len(entries))) / K[:, None]
-        covariance = T @ solved.covariance[n:, n:] @ T.T
-        theta, std = T @ solved.x[n:], np.sqrt(np.diag(covariance))
-        size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
-        row, column = own.leads[entries[best]]
-        is_physical = bool(K[best] > 0.0 or row != column) and bool(
-            0.0 < theta[best] < 1.0 if hypothesis.name == 'friction'
-            else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
-    elif hypothesis.steps:
-        is_physical = _is_within(hypothesis.name, theta, ensemble.given[0])
-    is_physical &= bool(rounds) or _is_known(solved)
+        solved = objective.solved(ensemble.varied(hypothesis.vary, theta))
+    if hypothesis in CUP_EFFECTS:
+        theta, std, is_physical = _cup_effect(hypothesis.name, solved, given.structure)
+    is_physical &= bool(rounds) or _is_above_noise(solved)
     excess = solved.excess - level if is_physical else np.inf
     return _Trial(hypothesis, theta, std, solved._replace(excess=excess), (
-        _beyond(solved, ensemble.given[0].structure, STRUCTURES[hypothesis.value])
+        _beyond(solved, given.structure, STRUCTURES[hypothesis.value])
         if hypothesis.name == 'structure' else np.inf))
+
+
+def _cup_effect(name: str, solved: Solved, own: Structure) -> tuple[Array, Array, bool]:
+    """
+    Return parts by which K changes, with their standard errors, and whether they are physical.
+
+    Friction is a part of the largest force.
+    """
+    entries, n = extra_entries(own, name), 2 * own.size
+    each = {'friction': SLIPS, 'cubic': (1.0, 1.0)}.get(name, (1.0,))
+    K = solved.x[entries]
+    T = np.kron(each, np.eye(len(entries))) / K[:, None]
+    theta, std = T @ solved.x[n:], np.sqrt(np.diag(T @ solved.covariance[n:, n:] @ T.T))
+    size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
+    row, column = own.leads[entries[best]]
+    return theta, std, bool(K[best] > 0.0 or row != column) and bool(
+        0.0 < theta[best] < 1.0 if name == 'friction'
+        else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
 
 
 def _beyond(solved: Solved, own: Structure, other: Structure) -> float:
@@ -334,92 +326,93 @@ def _beyond(solved: Solved, own: Structure, other: Structure) -> float:
     return float(np.sqrt(z @ np.linalg.pinv(correlation, SINGULAR, hermitian=True) @ z / len(z)))
 
 
-def _is_within(name: str, theta: Array, given: Given) -> bool:
+def _is_within(name: str, theta: Array, given: variations.Given) -> bool:
     """Return whether numbers are no larger than what they are of: cup, package, lip."""
-    held = radius_of_gyration(given.samples.payload)
+    held = causes.radius_of_gyration(given.samples.payload)
     largest = {
-        'length': 0.5 * given.length, 'com': held, 'inertia': TENFOLD, 'slip': given.length,
-        'gravity.direction': MOST_TURNED, 'package_marker': MOST_TURNED}
+        'length': 0.5 * given.length, 'com': held, 'slip': given.length,
+        'inertia': MAX_LOG_INERTIA, 'gravity.direction': MAX_TURN, 'package_marker': MAX_TURN}
     numbers = theta[:2] if name == 'slip' else theta
     return float(np.linalg.norm(numbers)) < largest.get(name, np.inf)
 
 
-def _in_order(trials: Iterable[_Trial]) -> list[_Trial]:
+def _ranked(trials: Iterable[_Trial]) -> list[_Trial]:
     """Return trials, the best first, without cups and packages that cannot be."""
     return sorted((own for own in trials if np.isfinite(own.solved.excess)), key=_score)
 
 
-def _is_known(solved: Solved) -> bool:
+def _is_above_noise(solved: Solved) -> bool:
     """Return whether the noise that was taken is not clearly more than all that is left."""
-    return solved.excess > -NOISE_KNOWN * _chance(solved)
+    return solved.excess > -NOISE_KNOWN * _noise_floor(solved)
 
 
-def _chance(solved: Solved) -> float:
+def _noise_floor(solved: Solved) -> float:
     """Return the noise floor of squares: the mean of so many residuals is off by chance."""
     return float(CHANCE * np.sqrt(2.0 / solved.residuals))
 
 
-def _least(solved: Solved) -> float:
+def _resolution(solved: Solved) -> float:
     """Return the squares that tell two hypotheses apart."""
     return SIGNIFICANT**2 / solved.residuals
 
 
-def _left(solved: Solved) -> float:
+def _floored(solved: Solved) -> float:
     """Return the squares that are left, never less than chance leaves."""
-    return max(solved.excess, 0.0) + _chance(solved)
+    return max(solved.excess, 0.0) + _noise_floor(solved)
 
 
 def _score(trial: _Trial) -> float:
     """Return what hypotheses are ordered by: squares beyond noise, more for each number freed."""
-    return trial.solved.excess + COST * trial.hypothesis.freed * _left(trial.solved)
+    return trial.solved.excess + COST * trial.hypothesis.freed * _floored(trial.solved)
 
 
-def _finding(trial: _Trial, among: _Round, known: Sequence[str]) -> Finding:
-    """Return what is said of a hypothesis."""
-    before, tried, structure, _ = among
+def _finding(trial: _Trial, ranking: _Ranking, known: Sequence[str]) -> Finding:
+    """Return what is reported of a hypothesis."""
+    before, trials, structure, _ = ranking
     labels = known or structure.labels
     own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
-    left, first = _left(trial.solved), _left(before)
-    least = _least(before)
-    excess = max(trial.solved.excess, 0.0)
-    instead = [t for t in tried if t.solved.excess < max(excess / DISTINCT, excess + least) and (
-        {t.hypothesis.name, own.name} == {'length', 'com'} or (
-            t.hypothesis.name == own.name == 'yaw' and t is not trial))]
-
-    def dominated(other: _Trial) -> bool:
-        """Return whether another explains clearly less, or not all where this one does."""
-        rival, most = other.hypothesis, _left(other.solved)
-        if rival.freed > own.freed:
-            return rival.datum or left < most
-        part = DISTINCT if own.datum or not rival.datum else DISTINCT**2
-        return left < part * most or (
-            excess < _chance(before) and other.solved.excess - excess > least)
-
-    if before.excess < DOUBTED:
-        # Another setting, without any number that is significant, must explain more than chance.
-        rest = least if len(theta) or own.name == 'structure' else _chance(before)
-        certain = trial.is_all and before.excess - trial.solved.excess > rest and all(
-            _score(t) - _score(trial) > least for t in tried
-            if t.is_significant and t.hypothesis.name != own.name
-            and not any(t is i for i in instead))
-    else:
-        certain = left < DISTINCT**2 * first + _chance(before) and (
-            left < DISTINCT * first and excess < DOUBTED) and all(
-                dominated(t) for t in tried
-                if t.hypothesis.name != own.name and not any(t is i for i in instead))
+    excess, rest, first = max(trial.solved.excess, 0.0), _floored(trial.solved), _floored(before)
+    similar = {'length': 'com', 'com': 'length', 'yaw': 'yaw'}.get(own.name)
+    instead = [t.hypothesis for t in trials if t is not trial and t.hypothesis.name == similar
+               and t.solved.excess < max(excess / DISTINCT, excess + _resolution(before))]
+    rivals = [t for t in trials if t.hypothesis.name != own.name and t.hypothesis not in instead]
     diagonal = [i for i, (row, column) in enumerate(structure.leads)
                 if row == column and structure.labels[i] in labels]
     moved = change = np.zeros(1)
     if own.name != 'structure':
         moved = change = np.abs(trial.solved.x[diagonal] / before.x[diagonal] - 1.0)
-    if own in OTHERWISE:  # the entry of K that shows it best is enough
+    if own in CUP_EFFECTS:  # the entry of K that shows it best is enough
         entries = extra_entries(structure, own.name)
         best = int(np.argmax(np.isin(entries, diagonal) * np.abs(theta) / std))
         value, theta, std = structure.labels[entries[best]], theta[[best]], std[[best]]
         change = np.abs(theta)
-    material = own.name == 'structure' or left < DISTINCT**2 * first or np.any(
-        change > (BENT if own in OTHERWISE else MATERIAL))
+    is_material = own.name == 'structure' or rest < DISTINCT**2 * first or np.any(
+        change > (MIN_CUP_EFFECT if own in CUP_EFFECTS else causes.MATERIAL))
     return Finding(
-        own.name, value, theta, std, float(np.sqrt(left / first)), float(moved.max(initial=0.0)),
-        own.datum, bool(certain and material and trial.is_significant and trial is tried[0]),
-        instead[0].hypothesis.value or instead[0].hypothesis.name if instead else '', excess)
+        own.name, value, theta, std, float(np.sqrt(rest / first)), float(moved.max(initial=0.0)),
+        own.datum, bool(is_material and trial.is_significant and trial is trials[0]
+                        and _is_certain(trial, rivals, before)),
+        instead[0].value or instead[0].name if instead else '', excess)
+
+
+def _is_certain(trial: _Trial, rivals: Sequence[_Trial], before: Solved) -> bool:
+    """Return whether a hypothesis explains nearly all, and each rival clearly less."""
+    own, excess, rest = trial.hypothesis, max(trial.solved.excess, 0.0), _floored(trial.solved)
+    resolution, noise_floor = _resolution(before), _noise_floor(before)
+    if before.excess < causes.DOUBTED:
+        # Another setting, without any number that is significant, must explain more than chance.
+        gain = resolution if len(trial.theta) or own.name == 'structure' else noise_floor
+        return trial.is_sufficient and before.excess - trial.solved.excess > gain and all(
+            _score(t) - _score(trial) > resolution for t in rivals if t.is_significant)
+
+    def is_dominated(other: _Trial) -> bool:
+        """Return whether another explains clearly less, or not all where this one does."""
+        rival, most = other.hypothesis, _floored(other.solved)
+        if rival.freed > own.freed:
+            return rival.datum or rest < most
+        part = DISTINCT if own.datum or not rival.datum else DISTINCT**2
+        return rest < part * most or (
+            excess < noise_floor and other.solved.excess - excess > resolution)
+
+    return excess < causes.DOUBTED and all(map(is_dominated, rivals)) and rest < min(
+        DISTINCT * _floored(before), DISTINCT**2 * _floored(before) + noise_floor)

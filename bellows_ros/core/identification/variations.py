@@ -5,12 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    log_so3,
-    mean_rotation,
-)
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, mean_rotation
 from bellows_ros.core.identification.causes import radius_of_gyration
 from bellows_ros.core.identification.quantities import of_fixed_frame, payload_of, poses_of
 from bellows_ros.core.identification.samples import Samples
@@ -19,17 +14,14 @@ from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.parameters.checks import GYRATION, INERTIA_UNITS
 from bellows_ros.core.recording.alignment import closed_form, levelling, motion_of, R_WORLD_MOTIVE
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-LARGEST_OFFSET = 0.2
-"""Largest time offset considered, s ..."""
+MAX_OFFSET = 0.21
+"""Largest time offset considered, and a margin beyond it for derivatives, s."""
 
-SLIPPING = 0.3
-"""Time (s) over which a slip is looked for."""
-
-SLACK = 0.01
-"""... and the margin beyond it for derivatives, s."""
+SLIP_DURATION = 0.3
+"""Time (s) over which a slip is spread, so that its time has a derivative."""
 
 
 class Given(NamedTuple):
@@ -67,18 +59,15 @@ Variation = Callable[[Given, Array], Given]
 
 def time_offset(given: Given, theta: Array) -> Given:
     """Return it with the tool's stamps earlier by an offset, s."""
-    samples = given.samples
-    stamps = samples.package.stamps_ns
-    furthest = LARGEST_OFFSET + SLACK
-    shift = round(float(np.clip(theta[0], -furthest, furthest)) * NS_PER_S)
-    edge = round(furthest * NS_PER_S)
-    inside = (stamps >= stamps[0] + edge) & (stamps <= stamps[-1] - edge)
-    there = resample(samples.tool, stamps[inside] + shift)
-    package = samples.package.select(inside)
-    lost = samples.tool.stamps_ns[~samples.tool.valid]  # the same samples for every offset
+    tool, stamps_ns = given.samples.tool, given.samples.package.stamps_ns
+    edge = round(MAX_OFFSET * NS_PER_S)
+    shift = round(float(np.clip(theta[0], -MAX_OFFSET, MAX_OFFSET)) * NS_PER_S)
+    package = given.samples.package.between(stamps_ns[0] + edge, stamps_ns[-1] - edge)
+    lost = tool.stamps_ns[~tool.valid]  # the same samples for every offset
     first, last = (np.searchsorted(lost, package.stamps_ns + side) for side in (-edge, edge))
-    tool = replace(there, stamps_ns=package.stamps_ns, valid=first == last)
-    return _with(given, tool=tool, package=package)
+    return _with(given, package=package, tool=replace(
+        resample(tool, package.stamps_ns + shift), stamps_ns=package.stamps_ns,
+        valid=first == last))
 
 
 def quantity(name: str) -> Variation:
@@ -97,15 +86,15 @@ def length(given: Given, theta: Array) -> Given:
     return given._replace(length=given.length + float(theta[0]))
 
 
-def grip(given: Given, theta: Array) -> Given:
+def package_marker(given: Given, theta: Array) -> Given:
     """Return it with the package's frame in the recorded one moved by x, y (m), and turned."""
     return quantity('package_marker')(given, np.insert(theta, 2, 0.0))
 
 
-def tool_grip(given: Given, theta: Array) -> Given:
+def tool_marker(given: Given, theta: Array) -> Given:
     """Return it with the tool's frame in the recorded one moved by x, y (m), and turned."""
-    way = np.append(theta[:2], 0.0)
-    return _with(given, tool=of_fixed_frame(given.samples.tool, theta[2:], way))
+    return _with(given, tool=of_fixed_frame(
+        given.samples.tool, theta[2:], np.append(theta[:2], 0.0)))
 
 
 def slip(first_ns: int) -> Variation:
@@ -121,15 +110,15 @@ def slip(first_ns: int) -> Variation:
         if int(body.stamps_ns[0]) != first_ns:
             return given
         since = (body.stamps_ns - first_ns) / NS_PER_S - theta[2]
-        part = np.clip(since / SLIPPING + 0.5, 0.0, 1.0)[:, None]
-        way = apply(body.rotation, part * [theta[0], theta[1], 0.0])
-        return _with(given, package=replace(body, position=body.position - way))
+        part = np.clip(since / SLIP_DURATION + 0.5, 0.0, 1.0)[:, None]
+        return _with(given, package=replace(body, position=body.position - apply(
+            body.rotation, part * [*theta[:2], 0.0])))
     return slipped
 
 
 def tilt(given: Given, theta: Array) -> Given:
     """Return it with the world of both bodies turned by theta (2,) about x and y, rad."""
-    return gravity(exp_so3(np.append(theta, 0.0)))(given, theta)
+    return other_world(exp_so3(np.append(theta, 0.0)))(given, theta)
 
 
 def exchanged(first: Package, second: Package) -> Variation:
@@ -138,15 +127,13 @@ def exchanged(first: Package, second: Package) -> Variation:
         given, payload=second if given.samples.payload.mass == first.mass else first)
 
 
-def gravity(R: Array) -> Variation:
+def other_world(R: Array) -> Variation:
     """Return a variation that rotates the world of both bodies."""
-    def turned(given: Given, theta: Array) -> Given:
-        """Return it in a world that is turned by R."""
-        tool, package = (
-            replace(body, position=apply(R, body.position), rotation=R @ body.rotation)
-            for body in (given.samples.tool, given.samples.package))
-        return _with(given, tool=tool, package=package)
-    return turned
+    def turned(body: Trajectory) -> Trajectory:
+        return replace(body, position=apply(R, body.position), rotation=R @ body.rotation)
+
+    return lambda given, theta: _with(
+        given, tool=turned(given.samples.tool), package=turned(given.samples.package))
 
 
 def yaw(angle: float, of_tool: bool) -> Variation:
@@ -154,46 +141,36 @@ def yaw(angle: float, of_tool: bool) -> Variation:
     phi = np.array([0.0, 0.0, angle])
 
     def turned(given: Given, theta: Array) -> Given:
-        """Return it with a body turned."""
-        if not of_tool:
-            return _body_moved(given, phi, np.zeros(3), about_lip=True)
-        return _with(given, tool=of_fixed_frame(given.samples.tool, phi, np.zeros(3)))
+        """Return it with a body turned, the package about its lip."""
+        if of_tool:
+            return _with(given, tool=of_fixed_frame(given.samples.tool, phi, np.zeros(3)))
+        com = given.samples.payload.com
+        return _with(given, package=of_fixed_frame(
+            given.samples.package, phi, exp_so3(phi) @ com - com))
     return turned
 
 
 def other_frame(given: Given, theta: Array) -> Given:
     """Return it with the package's poses taken as those of the lip instead of B, or vice versa."""
     com = given.samples.payload.com
-    moved = _body_moved(given, np.zeros(3), -com if given.lip_recorded else com)
-    return moved._replace(lip_recorded=not given.lip_recorded)
+    return _with(given, package=of_fixed_frame(
+        given.samples.package, np.zeros(3), -com if given.lip_recorded else com),
+    )._replace(lip_recorded=not given.lip_recorded)
 
 
 def in_other_unit(factor: float) -> Variation:
-    """Return an inertia so many times as large."""
+    """Return a variation with an inertia so many times as large."""
     return lambda given, theta: quantity('inertia')(given, np.array([np.log(factor)]))
 
 
-def structure(other: Structure) -> Variation:
-    """Return another structure of K and P."""
-    return lambda given, theta: given._replace(structure=other)
-
-
-def extra(name: str) -> Variation:
-    """Return columns of a cup that drifts, is not linear, or has friction."""
-    return lambda given, theta: given._replace(extra=name)
+def other_cup(**changes: Any) -> Variation:
+    """Return a variation with another structure of K and P, or with extra columns."""
+    return lambda given, theta: given._replace(**changes)
 
 
 def _with(given: Given, **changes: Any) -> Given:
     """Return it with other samples."""
     return given._replace(samples=replace(given.samples, **changes))
-
-
-def _body_moved(given: Given, phi: Array, way: Array, about_lip: bool = False) -> Given:
-    """Return it with B displaced in its own axes."""
-    if about_lip:  # B = S + R com
-        com = given.samples.payload.com
-        way = exp_so3(phi) @ com - com
-    return _with(given, package=of_fixed_frame(given.samples.package, phi, way))
 
 
 class Hypothesis(NamedTuple):
@@ -240,10 +217,10 @@ class Hypothesis(NamedTuple):
 RASTER = 0.01
 """Spacing (s) of the offsets tried first; up to 10 Hz the residuals have one minimum within it."""
 
-SLIPS_TRIED, LEAST_SLIP = 12, 2e-3
+SLIP_TIMES, SLIP_SIZE = 12, 2e-3
 """Times at which slips are tried, and their size, m."""
 
-FEWEST_SECONDS = 3.0
+MIN_SECONDS = 3.0
 """Shortest duration of valid samples (s) with which an offset is looked for."""
 
 STARTS_ALONG_Z = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
@@ -259,8 +236,8 @@ def _worlds(given: Given) -> list[Array]:
     return [*along[1:], *(rigid + along)]
 
 
-def _grips(given: Given) -> list[Array]:
-    """Return the grip (5,) with which the lip is turned as the tool on average."""
+def _turns(given: Given) -> list[Array]:
+    """Return the marker (5,) with which the lip is turned as the tool on average."""
     tool, package = given.samples.tool, given.samples.package
     turned = mean_rotation(np.swapaxes(package.rotation, 1, 2) @ tool.rotation)
     return [np.append(np.zeros(2), log_so3(turned))]
@@ -275,9 +252,10 @@ QUANTITIES = (
     Hypothesis('package_world', quantity('package_world'), (1e-5,) * 6, _worlds, 5000.0),
     Hypothesis('inertia', quantity('inertia'), (1e-3,), furthest=1000.0),
     Hypothesis('gravity.direction', tilt, (1e-4,) * 2, furthest=1000.0),
-    Hypothesis('package_marker', grip, (1e-5,) * 5, _grips, 5000.0, 'package'),
-    Hypothesis('package_marker', tool_grip, (1e-5,) * 5, lambda given:
-               [-own for own in _grips(given)], 5000.0, 'tool'))
+    Hypothesis('package_marker', package_marker, (1e-5,) * 5, _turns, 5000.0,
+               'package'),
+    Hypothesis('package_marker', tool_marker, (1e-5,) * 5, lambda given:
+               [-own for own in _turns(given)], 5000.0, 'tool'))
 """
 What was given, as numbers.
 
@@ -285,8 +263,8 @@ K and P scaled with mass and inertia make the same motion. So another mass is th
 inertia, and only one factor of all moments of inertia is tried.
 """
 
-OTHERWISE = tuple(Hypothesis(name, extra(name), more=6, datum=False)
-                  for name in ('drift', 'cubic', 'friction'))
+CUP_EFFECTS = tuple(Hypothesis(name, other_cup(extra=name), more=6, datum=False)
+                    for name in ('drift', 'cubic', 'friction'))
 """What the cup may be, whatever was given."""
 
 
@@ -295,11 +273,11 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
     given = recordings[0]
     inner = time_offset(given, np.zeros(1)).samples
     seconds = np.count_nonzero(inner.valid) * np.median(np.diff(inner.tool.stamps_ns)) / NS_PER_S
-    yield from QUANTITIES[0 if seconds > FEWEST_SECONDS else 1:]
+    yield from QUANTITIES[0 if seconds > MIN_SECONDS else 1:]
     yield from map(_slip_of, recordings)
     yield from _packages(recordings)
     for value, R in _other_worlds(world):
-        yield Hypothesis('recording.world', gravity(R), value=value)
+        yield Hypothesis('recording.world', other_world(R), value=value)
     for body in ('tool', 'package'):
         for degrees in (90, 180, -90):
             yield Hypothesis(
@@ -309,18 +287,19 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
     own = given.structure
     for other in STRUCTURES.values():
         if other.size > own.size and other.contains(own):
-            yield Hypothesis('structure', structure(other), value=other.name,
+            yield Hypothesis('structure', other_cup(structure=other), value=other.name,
                              more=2 * (other.size - own.size), datum=False)
-    yield from OTHERWISE
+    yield from CUP_EFFECTS
 
 
 def _slip_of(given: Given) -> Hypothesis:
     """Return a slip of the package in one recording, tried at times and to sides all over it."""
-    stamps = given.samples.package.stamps_ns
-    times = np.linspace(0.0, float(stamps[-1] - stamps[0]) / NS_PER_S, SLIPS_TRIED + 2)[1:-1]
-    starts = [np.array([*way, when]) for when in times
-              for way in LEAST_SLIP * np.concatenate([np.eye(2), -np.eye(2)])]
-    return Hypothesis('slip', slip(int(stamps[0])), (1e-5, 1e-5, 1e-2), lambda own: starts)
+    seconds = given.samples.package.seconds
+    times = np.linspace(0.0, float(seconds[-1]), SLIP_TIMES + 2)[1:-1]
+    starts = [np.array([*shift, when]) for when in times
+              for shift in SLIP_SIZE * np.concatenate([np.eye(2), -np.eye(2)])]
+    return Hypothesis('slip', slip(int(given.samples.package.stamps_ns[0])), (1e-5, 1e-5, 1e-2),
+                      lambda own: starts)
 
 
 def _packages(recordings: Sequence[Given]) -> Iterator[Hypothesis]:

@@ -62,18 +62,15 @@ def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, C
     """Return the conventions of two streams of one world; as they should be where they may be."""
     first = max(tool.stamps_ns[0], package.stamps_ns[0])
     last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
-    as_given = Convention(), Convention()
+    units = Convention(), Convention()
     if last <= first:
-        return as_given
+        return units
     stamps = np.linspace(0, last - first, SAMPLES).astype(np.int64) + first
     bodies = [resample(own.trajectory(), np.unique(stamps)) for own in (tool, package)]
-    units = as_given
     if _distance(bodies, units)[0] > FARTHEST:
         both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
-        near = [own for own in both if _is_held(bodies, own)]
-        if not near:
-            return as_given
-        units = min(near, key=lambda own: _distance(bodies, own)[1])
+        units = min((own for own in both if _is_held(bodies, own)),
+                    key=lambda own: _distance(bodies, own)[1], default=units)
     if not _is_held(bodies, units):
         return units
     orders = [(units[0]._replace(w_first=a), units[1]._replace(w_first=b))
@@ -109,12 +106,16 @@ def _motion(bodies: list[Trajectory], given: tuple[Convention, Convention]) -> t
     """
     tool, package = map(converted, bodies, given)
     back = np.swapaxes(tool.rotation, 1, 2)
-    way, turned = lie.apply(back, package.position - tool.position), back @ package.rotation
-    way = way / np.median(np.linalg.norm(way, axis=1))
+    offset, turned = lie.apply(back, package.position - tool.position), back @ package.rotation
+    offset = offset / np.median(np.linalg.norm(offset, axis=1))
     turn = lie.log_so3(turned[len(turned) // 2].T @ turned)
-    spread = sum(float(np.linalg.norm(np.subtract(*np.percentile(x, (75, 25), axis=0))))
-                 for x in (way, turn))
-    return spread, 2.0 + float(np.mean(way[:, 2]) - np.mean(turned[:, 2, 2]))
+    return (spread(offset) + spread(turn),
+            2.0 + float(np.mean(offset[:, 2]) - np.mean(turned[:, 2, 2])))
+
+
+def spread(values: Array) -> float:
+    """Return the norm of the interquartile ranges of values (N, 3)."""
+    return float(np.linalg.norm(np.subtract(*np.percentile(values, (75, 25), axis=0))))
 
 
 def convention_sentence(
