@@ -16,8 +16,10 @@ alike.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from math import sqrt
+from operator import attrgetter
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
@@ -30,8 +32,7 @@ from scipy.ndimage import find_objects, label, median_filter
 Indices = Stamps
 
 # Samples on each side of the second, longer look, and how even their times must be.
-LONG_SIDE = 5
-EVEN_WITHIN = 0.1
+LONG_SIDE, EVEN_WITHIN = 5, 0.1
 # A jump counts from this many times the median of its surroundings on. Of white noise, the largest
 # in two million samples reaches 4.0.
 THRESHOLD_FACTOR = 4.5
@@ -39,8 +40,7 @@ THRESHOLD_FACTOR = 4.5
 SMALLEST_JUMP = {'position': 0.5e-3, 'rotation': 1e-3}
 # Motion whose velocity changes at once is no jump: parabolas through the samples on each side, if
 # they are smooth to this part of the jump, then meet to within that part of it.
-SMOOTH_WITHIN = 0.5
-MEETING_DISTANCE = 0.3
+SMOOTH_WITHIN, MEETING_DISTANCE = 0.5, 0.3
 # In the longer look, the lines must fit their samples to this part of the jump.
 LINE_MISFIT = 0.6
 # A jump that may be the other end of one that counts may be weaker, by this factor.
@@ -48,15 +48,13 @@ PARTNER_STRENGTH = 0.5
 # Among fewer jumps than this nothing stands out.
 MIN_SAMPLES = 30
 # Samples of the running median of the surroundings, and of the one that follows the acceleration.
-MEDIAN_SAMPLES = 51
-ACCELERATION_SAMPLES = 7
+MEDIAN_SAMPLES, ACCELERATION_SAMPLES = 51, 7
 # Median size along an axis of the jump in the middle per standard deviation of white noise, from
 # two samples on each side: that of a normal distribution, times the norm of (1, -3, 3, -1) / 2.
 MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Jumps:
+class Jumps(NamedTuple):
     """Jumps (M,) of one quantity, over the interval after each sample but the last."""
 
     jump: Array  # (M, 3)
@@ -170,9 +168,9 @@ def _jumps(start: Array, end: Array, unobserved: Mask, smallest: float) -> Jumps
     jump = start + np.clip(along, 0.0, 1.0)[:, None] * change
     jump[unobserved] = 0.0
     middle = 0.5 * (start + end)
-    typical = _surroundings(np.linalg.norm(middle, axis=1), unobserved)
-    threshold = np.maximum(THRESHOLD_FACTOR * typical, smallest)
-    return Jumps(jump, threshold, np.median(np.abs(middle), axis=0))
+    surroundings = _surroundings(np.linalg.norm(middle, axis=1), unobserved)
+    return Jumps(jump, np.maximum(THRESHOLD_FACTOR * surroundings, smallest),
+                 np.median(np.abs(middle), axis=0))
 
 
 def _surroundings(values: Array, unobserved: Mask) -> Array:
@@ -181,41 +179,35 @@ def _surroundings(values: Array, unobserved: Mask) -> Array:
 
     So the first samples of a motion are compared with the motion, not with the rest before it.
     """
-    seen = np.flatnonzero(~unobserved)
-    if len(seen) < MIN_SAMPLES:
+    observed = np.flatnonzero(~unobserved)
+    if len(observed) < MIN_SAMPLES:
         return np.full_like(values, np.inf)
-    median = median_filter(values[seen], size=MEDIAN_SAMPLES, mode='mirror')
-    shift = MEDIAN_SAMPLES // 2
-    place = np.searchsorted(seen, np.arange(len(values)))
-    before = median[np.clip(place - shift, 0, len(seen) - 1)]
-    after = median[np.clip(place + shift, 0, len(seen) - 1)]
+    median = median_filter(values[observed], size=MEDIAN_SAMPLES, mode='mirror')
+    place = np.searchsorted(observed, np.arange(len(values)))
+    before, after = (median[np.clip(place + shift, 0, len(observed) - 1)]
+                     for shift in (-(MEDIAN_SAMPLES // 2), MEDIAN_SAMPLES // 2))
     return np.asarray(np.maximum(before, after))
 
 
-def strength_of(look: list[Jumps]) -> Array:
+def strength_of(both: list[Jumps]) -> Array:
     """Return how strong the stronger one of the jumps in position and rotation is (M,)."""
-    return np.asarray(np.max([jumps.strength for jumps in look], axis=0))
+    return np.asarray(np.max([jumps.strength for jumps in both], axis=0))
 
 
 # Two jumps cancel when their sum is below this part of the larger one, ...
 CANCELS_WITHIN = 0.5
 # ... or this, when more samples than that lie between.
-CANCELS_LATE_WITHIN = 0.2
-CANCELS_LATE_SAMPLES = 210
+CANCELS_LATE_WITHIN, CANCELS_LATE_SAMPLES = 0.2, 210
 # Noise adds this part of the threshold, and sums of what does not stand out are below that part.
-NOISE_WITHIN = 0.35
-NOTHING_WITHIN = 0.85
+NOISE_WITHIN, NOTHING_WITHIN = 0.35, 0.85
 # A jump lasts if lines through so many samples on each side see this part of it. Those of an
 # excursion of more samples than that must last, the smaller being this part of the larger one;
 # what nothing cancels is a step only if it lasts. Bursts of noise, as real tracks have, do not.
-LINE_SIDE = 5
-LASTS_FROM = 0.5
-ALIKE_FROM = 0.5
+LINE_SIDE, LASTS_FROM, ALIKE_FROM = 5, 0.5, 0.5
 # So many others of at least half its strength, within so many samples, show that tracking flickers
 # there, for instance with a marker that is seen and lost in turn. Such a jump is no step, and no
 # end of a longer excursion.
-FLICKERS_FROM = 3
-FLICKERS_WITHIN = 25
+FLICKERS_FROM, FLICKERS_WITHIN = 3, 25
 # How many of the jumps around one are tried for cancelling it.
 MAX_PARTNERS = 50
 # Without a cancelling jump, what lies between a jump and an end of the recording is marked up to
@@ -223,9 +215,7 @@ MAX_PARTNERS = 50
 LONGEST_AT_END = 1.0
 # A jump over a gap counts when it is larger by this factor than any over equally long parts of
 # the same recording; so many of these are looked at, and at least so many must there be.
-GAP_THRESHOLD_FACTOR = 2.0
-GAPS_SAMPLED = 2000
-MIN_GAPS_SAMPLED = 20
+GAP_THRESHOLD_FACTOR, GAPS_SAMPLED, MIN_GAPS_SAMPLED = 2.0, 2000, 20
 
 
 class LastingStep(NamedTuple):
@@ -236,8 +226,7 @@ class LastingStep(NamedTuple):
     rotation: float
 
 
-@dataclass(frozen=True, eq=False)
-class Edge:
+class Edge(NamedTuple):
     """One jump that may be the end of an excursion, after a sample."""
 
     before: int
@@ -245,7 +234,12 @@ class Edge:
     # Position and rotation, in world and in body axes (the body before, the body after the jump).
     forms: Array  # (2, 3, 3)
     thresholds: Array  # (2,)
-    lasting: Array | None = None  # (2, 3), as lines on each side see it, where they can
+    lasting: Array | None = None  # (2,) size that lines on each side see, where they can
+
+    @property
+    def sizes(self) -> Array:
+        """Size of the jump (2,), m and rad."""
+        return np.asarray(np.linalg.norm(self.forms[:, 0], axis=1))
 
 
 def edges_seen(
@@ -256,25 +250,23 @@ def edges_seen(
     both = np.maximum(from_short, from_long)
     edges = []
     at = np.flatnonzero(certain | (both >= PARTNER_STRENGTH))
-    lasting = _lasting(poses, at)
-    for k, i in enumerate(at):
-        look = short if certain[i] or from_short[i] > from_long[i] else long
-        forms = _forms(poses, int(i), *(jumps.jump[i] for jumps in look))
+    for i, lasting in zip(at.tolist(), _lasting(poses, at), strict=True):
+        window = short if certain[i] or from_short[i] > from_long[i] else long
         edges.append(Edge(
-            int(i), float(both[i]), forms,
-            np.array([jumps.threshold[i] for jumps in look]),
-            None if np.isnan(lasting[k]).any() else lasting[k]))
+            i, float(both[i]), _forms(poses, i, *(jumps.jump[i] for jumps in window)),
+            np.array([jumps.threshold[i] for jumps in window]),
+            None if np.isnan(lasting).any() else lasting))
     return edges
 
 
 def _lasting(poses: Trajectory, at: Indices) -> Array:
     """
-    Return the jumps after samples (K,) that lines through some samples on each side see (K, 2, 3).
+    Return sizes (K, 2) of jumps after samples (K,) that lines through some on each side see.
 
     A sample or two that are off, as in a burst of noise, hardly move a line. NaN near the ends.
     """
     m = LINE_SIDE
-    result = np.full((len(at), 2, 3), np.nan)
+    result = np.full((len(at), 2), np.nan)
     inside = (at >= m - 1) & (at < len(poses) - m)
     i = at[inside]
     around = i[:, None] + np.arange(1 - m, m + 1)
@@ -285,7 +277,7 @@ def _lasting(poses: Trajectory, at: Indices) -> Array:
         back @ poses.rotation[around])
     for q, path in enumerate(paths):
         before, after = (_at_zero(t[:, s], path[:, s]) for s in (slice(m), slice(m, None)))
-        result[inside, q] = after - before
+        result[inside, q] = np.linalg.norm(after - before, axis=1)
     return result
 
 
@@ -312,22 +304,18 @@ def edges_over_gaps(
 ) -> list[Edge]:
     """Return the jumps over gaps, strong where larger than any over like parts without a gap."""
     edges = []
-    period = float(np.median(np.diff(poses.stamps_ns)))
-    thresholds_over: dict[int, Array] = {}
-    for i in np.flatnonzero(gap[1:-1]) + 1:
-        slots = max(int(round(float(poses.stamps_ns[i + 1] - poses.stamps_ns[i]) / period)), 1)
+    steps_ns = np.diff(poses.stamps_ns)
+    slots = np.maximum(np.rint(steps_ns / np.median(steps_ns)), 1.0).astype(int)
+    thresholds_of = cache(lambda count: np.maximum(
+        _thresholds_over(poses, increments, breaks, count), list(SMALLEST_JUMP.values())))
+    for i in (np.flatnonzero(gap[1:-1]) + 1).tolist():
         # A velocity with a jump in it is none, nor is one over a gap; the other side must do.
         beside = [k for k in (i - 1, i + 1) if not breaks[k]]
-        if not beside:
-            continue
-        if slots not in thresholds_over:
-            thresholds_over[slots] = _thresholds_over(poses, increments, breaks, slots)
-        around = np.array([[beside[0], beside[-1]]])
-        jump = _jump_over(poses, increments, np.array([i]), np.array([i + 1]), around)
-        forms = _forms(poses, int(i), *jump[:, 0])
-        thresholds = np.maximum(thresholds_over[slots], list(SMALLEST_JUMP.values()))
-        strength = float((_sizes(forms) / thresholds).max())
-        edges.append(Edge(int(i), strength, forms, thresholds))
+        if beside:
+            jump = _jump_over(poses, increments, np.array([i]), np.array([i + 1]),
+                              np.array([[beside[0], beside[-1]]]))
+            edge = Edge(i, 0.0, _forms(poses, i, *jump[:, 0]), thresholds_of(int(slots[i])))
+            edges.append(edge._replace(strength=float((edge.sizes / edge.thresholds).max())))
     return edges
 
 
@@ -372,9 +360,10 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[Last
     for k, edge in enumerate(edges):
         if edge.strength < 1.0 or k in used:
             continue
-        found = (*_ends_ahead(edges, k, used), *_ends_behind(edges, k, used))
-        ends = [(a, b) for a, b in found if edges[b].before - edges[a].before <= LINE_SIDE
-                or not (flickers[a] or flickers[b]) and _last_alike(edges[a], edges[b])]
+        ends = [(a, b) for a, b in (
+            *_ends_ahead(edges, k, used), *_ends_behind(edges, k, used))
+            if edges[b].before - edges[a].before <= LINE_SIDE
+            or not (flickers[a] or flickers[b]) and _last_alike(edges[a], edges[b])]
         if not ends:
             single.append((edge, flickers[k]))
             continue
@@ -386,7 +375,7 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[Last
         run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else slice(
             edge.before, edge.before + 2)
         if run is None:
-            steps.append(LastingStep(edge.before, *_sizes(edge.forms)))
+            steps.append(LastingStep(edge.before, *edge.sizes))
         else:
             excursions.append(run)
     return excursions, steps
@@ -405,21 +394,19 @@ def _flicker(edges: list[Edge]) -> Mask:
 
 def _lasts(edge: Edge) -> bool:
     """Return whether a jump persists beyond the neighbouring samples, or this is undecidable."""
-    if edge.lasting is None:
-        return True
-    sizes, lasting = _sizes(edge.forms), np.linalg.norm(edge.lasting, axis=1)
-    strong = sizes >= PARTNER_STRENGTH * edge.thresholds
-    return bool(np.any(strong & (lasting >= LASTS_FROM * sizes)))
+    return edge.lasting is None or bool(np.any(
+        (edge.sizes >= PARTNER_STRENGTH * edge.thresholds)
+        & (edge.lasting >= LASTS_FROM * edge.sizes)))
 
 
 def _last_alike(one: Edge, other: Edge) -> bool:
     """Return whether two jumps persist with one size, or this is undecidable."""
     if one.lasting is None or other.lasting is None:
         return _lasts(one) and _lasts(other)
-    stronger = one if one.strength >= other.strength else other
-    q = int(np.argmax(_sizes(stronger.forms) / stronger.thresholds))
-    sizes = sorted(float(np.linalg.norm(seen[q])) for seen in (one.lasting, other.lasting))
-    return _lasts(stronger) and sizes[0] >= ALIKE_FROM * sizes[1]
+    stronger = max(one, other, key=attrgetter('strength'))
+    q = int(np.argmax(stronger.sizes / stronger.thresholds))
+    smaller, larger = sorted((one.lasting[q], other.lasting[q]))
+    return _lasts(stronger) and bool(smaller >= ALIKE_FROM * larger)
 
 
 def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
@@ -458,24 +445,17 @@ def _sum(first: Array, second: Array) -> Array:
 
 def _cancels(edge: Edge, last: Edge, summed: Array, within: float = CANCELS_WITHIN) -> bool:
     """Return whether a jump and others to a last one cancel when summed, in the best form."""
-    sizes, left = _sizes(edge.forms), np.linalg.norm(summed, axis=2).min(axis=1)
-    nothing = np.maximum(edge.thresholds, last.thresholds) if last.lasting is None else (
+    least = np.maximum(edge.thresholds, last.thresholds) if last.lasting is None else (
         edge.thresholds)  # over a gap less is known
     allowed = np.where(
-        sizes >= edge.thresholds, within * sizes + NOISE_WITHIN * edge.thresholds,
-        NOTHING_WITHIN * nothing)
-    return bool(np.all(left < allowed))
-
-
-def _sizes(forms: Array) -> Array:
-    """Return the size of a jump (2,), m and rad."""
-    return np.asarray(np.linalg.norm(forms[:, 0], axis=1))
+        edge.sizes >= edge.thresholds, within * edge.sizes + NOISE_WITHIN * edge.thresholds,
+        NOTHING_WITHIN * least)
+    return bool(np.all(np.linalg.norm(summed, axis=2).min(axis=1) < allowed))
 
 
 def _to_the_end(edge: Edge, poses: Trajectory) -> slice | None:
     """Return the part between a jump and an end of the recording, if short, else nothing."""
-    seconds = poses.seconds
-    first = edge.before + 1
+    seconds, first = poses.seconds, edge.before + 1
     before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[first])
     if before < min(after, LONGEST_AT_END):
         return slice(0, edge.before + 1)
@@ -489,8 +469,7 @@ SHORTEST_RUN = 3
 # A frozen pose ends with a step that is larger than its neighbours' by this factor.
 CATCHES_UP = 1.5
 # ... and has so many moves among so many intervals on each side.
-NEARBY = 5
-MOVES_NEARBY = 3
+NEARBY, MOVES_NEARBY = 5, 3
 # A pose that is published twice is followed by a step larger than the smallest ones, which are
 # rounding, by this factor, and than this (m or rad).
 BEYOND_ROUNDING, LEAST_STEP = 4.0, 1e-9
@@ -536,12 +515,12 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     Outliers
 
     """
-    moving = np.full(len(poses), True)
-    _exclude(moving, _frozen(poses))
-    kept = np.flatnonzero(moving)
-    if len(kept) < 2 * SHORTEST_RUN:
-        return Outliers(moving, (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
-    poses = poses.select(kept)
+    usable = np.full(len(poses), True)
+    _exclude(usable, _frozen(poses))
+    moving = np.flatnonzero(usable)
+    if len(moving) < 2 * SHORTEST_RUN:
+        return Outliers(usable, (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
+    poses = poses.select(moving)
     steps_ns = np.diff(poses.stamps_ns)
     gap = steps_ns > longest_step_ns
     uneven = np.abs(steps_ns / np.median(steps_ns) - 1.0) > EVEN_WITHIN
@@ -552,15 +531,13 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     edges = edges_seen(poses, short, long, breaks & ~gap)
     excursions, steps = paired(edges + edges_over_gaps(poses, increments, gap, breaks), poses)
     good = np.full(len(poses), True)
-    _exclude(good, excursions)
-    for step in steps:
-        good[step.before:step.before + 2] = False
+    _exclude(good, [*excursions, *(slice(step.before, step.before + 2) for step in steps)])
     _exclude(good, _isolated(good, gap))
-    moving[kept] = good
-    deviations = (jumps.typical / MEDIAN_PER_DEVIATION for jumps in short)
+    usable[moving] = good
     return Outliers(
-        moving, tuple(step._replace(before=int(kept[step.before])) for step in steps),
-        dict(zip(increments, deviations, strict=True)))
+        usable, tuple(step._replace(before=int(moving[step.before])) for step in steps),
+        {quantity: jumps.typical / MEDIAN_PER_DEVIATION
+         for quantity, jumps in zip(increments, short, strict=True)})
 
 
 def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
@@ -586,21 +563,19 @@ def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
     at = np.flatnonzero(repeats)
     before = moved[at] > moved[np.maximum(at - NEARBY, 0)]
     after = moved[np.minimum(at + 1 + NEARBY, len(repeats))] > moved[at + 1]
-    moves = np.append(np.flatnonzero(~repeats), -1)
-    next_move = moves[moved[at + 1].astype(int)]
-    seen = np.zeros(len(at), dtype=bool)
+    next_move = np.append(np.flatnonzero(~repeats), -1)[moved[at + 1].astype(int)]
+    is_beyond = np.zeros(len(at), dtype=bool)
     for increment in increments_of(poses).values():
         length = np.linalg.norm(increment, axis=1)
         smallest = length[length > 0.0].min(initial=np.inf)
-        seen |= length[next_move] > max(BEYOND_ROUNDING * smallest, LEAST_STEP)
-    return int(np.count_nonzero(before & after & seen))
+        is_beyond |= length[next_move] > max(BEYOND_ROUNDING * smallest, LEAST_STEP)
+    return int(np.count_nonzero(before & after & is_beyond))
 
 
 def _repeats(poses: Trajectory | PoseStream) -> Mask:
     """Return the samples after which the identical pose comes again (M,)."""
-    same: Mask = np.all(poses.position[1:] == poses.position[:-1], axis=1)
-    same &= np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2))
-    return same
+    return np.asarray(np.all(poses.position[1:] == poses.position[:-1], axis=1)
+                      & np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2)))
 
 
 def _exclude(good: Mask, runs: Iterable[slice]) -> None:
@@ -629,7 +604,7 @@ def _frozen(poses: Trajectory) -> list[slice]:
     if len(moves) in (0, len(repeats)):
         return []
     lengths = [np.linalg.norm(increment, axis=1) for increment in increments_of(poses).values()]
-    found = []
+    frozen = []
     for (run,) in find_objects(label(repeats)[0]):
         first, last = run.start, run.stop - 1
         around = (repeats[max(first - NEARBY, 0):first], repeats[last + 1:last + 1 + NEARBY])
@@ -638,8 +613,8 @@ def _frozen(poses: Trajectory) -> list[slice]:
         k = int(np.searchsorted(moves, last))
         excess = [_catch_up(length, moves, k, last - first + 1) for length in lengths]
         if any(e > floor for e, floor in zip(excess, SMALLEST_JUMP.values(), strict=True)):
-            found.append(slice(first + 1, last + 2))
-    return found
+            frozen.append(slice(first + 1, last + 2))
+    return frozen
 
 
 def _catch_up(length: Array, moves: Indices, k: int, repeats: int) -> float:
