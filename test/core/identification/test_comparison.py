@@ -42,15 +42,6 @@ def changed(values, index, factor):
     return new
 
 
-def test_a_fit_does_not_differ_from_itself():
-    """Find no change, nothing significant, nothing that matters."""
-    found = compare_fits(fitted(), fitted(), PACKAGE, G)
-    assert all(change.percent == 0.0 for change in found.parameters)
-    assert found.p_value == 1.0
-    assert_allclose(found.shake_rms, 0.0)
-    assert not found.significant and not found.matters
-
-
 def test_standard_errors_and_probability_of_one_change():
     """Divide by the root of both variances; take both tails of the normal distribution."""
     change = Change('K x', 'N/m', 100.0, 110.0, 3.0, 4.0)
@@ -213,12 +204,6 @@ def test_probabilities_of_one_cup_are_uniform():
         # 300 draws: a tenth of them below 0.1, with a spread of 0.017
         assert abs(np.mean(np.array(p) < 0.1) - 0.1) < 0.06
         assert abs(np.mean(p) - 0.5) < 0.06
-
-
-def test_the_same_cup_is_said_to_be_the_same():
-    found = same_cup(scattered(1), NAMES[:2])
-    assert found.verdict.startswith('The fits are consistent with one cup') and not found.differs
-    assert 'K and P are the same for light (1.2 kg) and heavy (2.2 kg)' in found.verdict
 
 
 @pytest.mark.parametrize(('change', 'words'), [

@@ -133,14 +133,6 @@ def test_a_body_that_sets_off_too_early_is_refused_with_how_long_it_stands_still
         standstill(poses, START, 5.0, 'tool')
 
 
-def test_a_standstill_without_poses_is_refused():
-    tool, _ = held(np.random.default_rng(49))
-    hidden = Trajectory(
-        tool.stamps_ns, tool.position, tool.rotation, valid=np.arange(len(tool)) > 600)
-    with pytest.raises(BellowsError, match='only 0 of the 541 poses there are usable'):
-        standstill(hidden, START, 1.5, 'tool')
-
-
 @pytest.mark.parametrize('where', [[0.0, 0.0, 0.05], [0.0, -0.05, 0.0]])
 def test_a_lip_that_does_not_hang_below_the_tool_is_refused(where):
     """Exchanged topics put it above, a wrong world aside."""

@@ -60,14 +60,6 @@ def test_poses_in_bursts_have_the_rate_of_their_mean_and_no_gaps(together, count
     assert on_grid(moving(stamps), found).valid.all()
 
 
-def test_every_second_pose_lost_and_a_pause_do_not_change_the_rate():
-    rng = np.random.default_rng(3)
-    kept = np.flatnonzero(rng.random(3000) < 0.6)
-    stamps = rounded_stamps(360, 3000)[kept]
-    stamps[1000:] += 3_600_000_000_000
-    assert_allclose(timing(stamps).rate_hz, 360.0, rtol=1e-6)
-
-
 @pytest.mark.parametrize('lost', [1, 2, 12, 39, 400])
 def test_gaps_are_filled_on_the_grid_and_invalid(lost):
     poses = moving(rounded_stamps(360, 2000))
@@ -99,17 +91,6 @@ def test_jittering_stamps_are_interpolated_at_the_uniform_rate():
     # A chord misses by at most acceleration h^2 / 8, with h up to 1.6 periods: here 0.09 mm.
     assert_allclose(grid.position, expected.position, atol=1e-4)
     assert savgol(grid, 10, 4).valid.any()
-
-
-def test_a_gap_of_a_broken_number_of_periods_is_still_a_gap():
-    stamps = rounded_stamps(360, 1000)
-    stamps[500:] += 29_000_000  # 10.44 periods: a system that was started again
-    found = timing(stamps)
-    assert [gap.index for gap in found.gaps] == [499]
-    grid = on_grid(moving(stamps), found)
-    uniform_rate_hz(grid.stamps_ns)
-    inside = (grid.stamps_ns > stamps[499]) & (grid.stamps_ns < stamps[500])
-    assert_array_equal(grid.valid, ~inside)
 
 
 def test_stamps_far_apart_are_refused_and_not_filled():

@@ -83,17 +83,6 @@ def test_poses_that_need_nothing_are_only_filtered():
     assert_allclose(found.since_start(package.stamps_ns), package.seconds)
 
 
-def test_filters_have_their_own_windows_and_the_common_time_is_theirs():
-    tool, package = held(61)
-    settings = replace(PLAIN, tool_half_window=10, tool_order=3, package_half_window=40)
-    found = prepare(stream(tool), stream(package, '/package', slice(5, -300)), settings)
-    assert found.filters[0].weights.shape == (3, 21)
-    assert found.filters[1].weights.shape == (3, 81)
-    assert_array_equal(found.tool.stamps_ns, package.stamps_ns[45:-340])
-    expected = at(savgol(tool, 10, 3), found.tool.stamps_ns)
-    assert_allclose(found.tool.twist, expected.twist, atol=1e-12)
-
-
 @pytest.mark.parametrize('rate_hz', [100.0, 360.0, 1000.0])
 def test_windows_that_are_not_given_last_equally_long_at_every_rate(rate_hz):
     tool, package = held(71, rate_hz, 6.0)
@@ -228,15 +217,6 @@ def test_poses_stamped_in_bursts_on_arrival_are_said_to_be():
     with pytest.raises(BellowsError, match="'/tool' and '/package' come in bursts"):
         prepare(stream(arrived[0]), stream(arrived[1], '/package'), PLAIN)
     assert prepare(stream(tool), stream(package, '/package'), PLAIN).valid.any()
-
-
-def test_poses_that_are_all_left_out_have_no_way_to_warn_about():
-    stamps = START + np.array([0, 1, 100, 101, 200, 201, 300, 301]) * 1_000_000
-    poses = Trajectory(stamps, 100.0 * np.arange(24).reshape(8, 3), np.tile(np.eye(3), (8, 1, 1)))
-    outliers = find_outliers(poses, 5_000_000)
-    assert not outliers.good.any()
-    warnings = stream_warnings(stream(poses), timing(stamps), outliers)
-    assert not any('moves through' in warning for warning in warnings)
 
 
 def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
