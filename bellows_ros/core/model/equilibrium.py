@@ -16,7 +16,7 @@ from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.jacobians import Square
-from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
+from bellows_ros.core.model.kernels import Blocks, ModelTuple, ORIGIN, State
 from bellows_ros.errors import UnstableError
 import numpy as np
 
@@ -98,6 +98,11 @@ def _matrix(square: Square) -> Array:
     return np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
 
 
+def symmetric_matrix(M: Blocks) -> Array:
+    """Return K or P (6, 6) of its blocks."""
+    return _matrix((M[0], M[1], t3.transposed(M[1]), M[2]))
+
+
 def nominal_system_matrix(model: ModelTuple) -> Array:
     """
     Return the `system_matrix` of the nominal pose, at rest and without load, in closed form.
@@ -110,9 +115,7 @@ def nominal_system_matrix(model: ModelTuple) -> Array:
     X[:3, 3:] = -hat(np.array([-com[0], -com[1], l1 - com[2]]))
     M_inverse[3:, 3:] = np.reshape(inverse, (3, 3))
     by_pose[:3, 3:] = hat(gravity)
-    of_K, of_P = (
-        np.asarray(-M_inverse @ X.T @ _matrix((oo, oR, (*oR[::3], *oR[1::3], *oR[2::3]), RR)))
-        for oo, oR, RR in (K, P))
+    of_K, of_P = (np.asarray(-M_inverse @ X.T @ symmetric_matrix(M)) for M in (K, P))
     by_pose += (1.0 + sum(r for r, _ in branches)) * of_K @ X
     size = 12 + 6 * len(branches)
     A = np.eye(size, k=6)
@@ -167,7 +170,7 @@ def substeps_of(durations: Array, longest_step: float) -> Stamps:
 
 _LOADS = 8
 _ITERATIONS = 50
-_LARGEST_MOVE = 0.3  # m or rad, of one iteration
+_MAX_MOVE = 0.3  # m or rad, of one iteration
 _DIFFERENCE = 1e-6  # m or rad
 
 
@@ -186,15 +189,13 @@ def static_equilibrium(model: ModelTuple, tool: State, near: State | None = None
         If there is none: the cup is too soft for the package in this tool pose.
 
     """
-    if near is None:
-        (_, length, *_), (_, com, *_), _ = model
-        shift, turn, loads = (com[0], com[1], com[2] - length), ORIGIN[1], _LOADS
-    else:
+    start, loads = resting_on_tool(model, ORIGIN), _LOADS
+    if near is not None:
         shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(near[0], tool[0]))
-        turn, loads = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1]), 1
-    body, found = _loaded(
-        model, tool, (shift, turn, *ORIGIN[2:]), loads, np.zeros((6, 6)), np.zeros(6))
-    if not found:
+        turn = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1])
+        start, loads = (shift, turn, ZERO, ZERO), 1
+    body, is_stable = _loaded(model, tool, start[:4], loads, np.zeros((6, 6)), np.zeros(6))
+    if not is_stable:
         raise UnstableError(
             f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '
             'without tipping over. Check package.mass, package.com, cup.stiffness and their '
@@ -226,7 +227,7 @@ def _loaded(
             size, stable = _solve(A, x)
             if not size < math.inf:
                 return body, False
-            part = _LARGEST_MOVE / size if size > _LARGEST_MOVE else 1.0
+            part = _MAX_MOVE / size if size > _MAX_MOVE else 1.0
             body = displaced(
                 body, (part * x[0], part * x[1], part * x[2]),
                 (part * x[3], part * x[4], part * x[5]))

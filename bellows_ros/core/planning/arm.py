@@ -15,12 +15,12 @@ from bellows_ros.core.parameters.checks import LARGEST
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-LARGEST_URDF = 10_000_000
+MAX_URDF_SIZE = 10_000_000
 """Largest number of characters in a URDF."""
 
-POSE_TOLERANCE, MOST_STEPS = 1e-9, 30
+POSE_TOLERANCE, MAX_ITERATIONS = 1e-9, 30
 """Inverse kinematics: largest error of the tool pose (m, rad), and most iterations."""
-LONGEST_STEP, SINGULAR = 0.5, 1e-4
+MAX_JOINT_STEP, MIN_RATIO = 0.5, 1e-4
 """Longest step (rad, m), and singular values below this fraction of the largest are dropped."""
 
 TURNING, SLIDING = ('revolute', 'continuous'), ('prismatic',)
@@ -122,7 +122,7 @@ class Arm:
             q = np.multiply.outer(position[:, len(axes)], joint.axis)
             turns = joint.kind in TURNING
             axes.append((turns, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
-            T = T @ (lie.transform(lie.exp_so3(q), np.zeros(3)) if turns
+            T = T @ (lie.transform(lie.exp_so3(q), [0, 0, 0]) if turns
                      else lie.transform(np.eye(3), q))
         return T, axes
 
@@ -130,11 +130,10 @@ class Arm:
     def _columns(T: Array, axes: list[tuple[bool, Array, Array]]) -> Array:
         """Return the Jacobian (N, 6, M): each joint's twist of the tool, in axes of the tool."""
         columns = [
-            np.hstack([np.cross(axis, T[:, :3, 3] - place), axis]) if turns else
-            np.hstack([axis, np.zeros_like(axis)]) for turns, place, axis in axes]
-        J = np.stack(columns, axis=2).reshape(len(T), 2, 3, len(axes))
-        return np.asarray((np.swapaxes(T[:, None, :3, :3], -1, -2) @ J).reshape(
-            len(T), 6, len(axes)))
+            [np.cross(axis, T[:, :3, 3] - place), axis] if turns else [axis, 0.0 * axis]
+            for turns, place, axis in axes]
+        J = np.swapaxes(T[:, None, :3, :3], -1, -2) @ np.array(columns).transpose(2, 1, 3, 0)
+        return np.asarray(J.reshape(len(T), 6, len(axes)))
 
     def positions(self, T: Array, near: Array) -> Array:
         """
@@ -147,15 +146,15 @@ class Arm:
 
         """
         position = np.array(np.broadcast_to(near, (len(T), len(self.moving))))
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_ITERATIONS):
             error = lie.log_se3(lie.inverse_transform(self.tool(position)[0]) @ T)
             if np.abs(error).max() < POSE_TOLERANCE:
                 return position
-            step = np.linalg.pinv(self.jacobian(position), rcond=SINGULAR) @ error[:, :, None]
-            position = position + np.clip(step[:, :, 0], -LONGEST_STEP, LONGEST_STEP)
-        far = int(np.argmax(np.abs(error).max(axis=1)))
+            step = np.linalg.pinv(self.jacobian(position), rcond=MIN_RATIO) @ error[:, :, None]
+            position = position + np.clip(step[:, :, 0], -MAX_JOINT_STEP, MAX_JOINT_STEP)
+        worst = int(np.argmax(np.abs(error).max(axis=1)))
         raise BellowsError(
-            f'The arm cannot reach {np.round(T[far, :3, 3], 3).tolist()} m from the joint '
+            f'The arm cannot reach {np.round(T[worst, :3, 3], 3).tolist()} m from the joint '
             'positions of the start. Make the workspace smaller, or start away from '
             'singularities and joint limits.')
 
@@ -179,17 +178,14 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
 
     """
     robot = _robot(urdf)
-    by_child: dict[str, ElementTree.Element] = {}
-    for joint in robot.findall('joint'):
-        by_child[_link(joint, 'child')] = joint
+    by_child = {_link(joint, 'child'): joint for joint in robot.findall('joint')}
     links = [link.get('name', '') for link in robot.findall('link')]
     if tool_link not in links:
         near = get_close_matches(tool_link, links, n=1)
         raise BellowsError(
             f"tool_link '{tool_link}' is not in the URDF. "
             + (f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(links[:20])}.'))
-    chain: list[ElementTree.Element] = []
-    link = tool_link
+    chain, link = list[ElementTree.Element](), tool_link
     while link in by_child:
         if len(chain) > len(by_child):
             raise BellowsError(f"The URDF has a circle of joints at the link '{link}'.")
@@ -205,9 +201,9 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
 
 def _robot(urdf: str) -> ElementTree.Element:
     """Return the root of a URDF, which may not define entities: they can be a bomb."""
-    if len(urdf) > LARGEST_URDF or '<!ENTITY' in urdf:
+    if len(urdf) > MAX_URDF_SIZE or '<!ENTITY' in urdf:
         raise BellowsError(
-            f'The URDF is larger than {LARGEST_URDF} characters or defines entities; expected '
+            f'The URDF is larger than {MAX_URDF_SIZE} characters or defines entities; expected '
             'plain XML, as xacro writes it.')
     try:
         robot = ElementTree.fromstring(urdf)
@@ -221,11 +217,15 @@ def _robot(urdf: str) -> ElementTree.Element:
 
 def _link(joint: ElementTree.Element, role: str) -> str:
     """Return the parent's or child's name of a joint."""
-    element = joint.find(role)
-    name = '' if element is None else element.get('link', '')
-    if not name:
+    if not (name := _attributes(joint, role).get('link', '')):
         raise BellowsError(f"Joint '{joint.get('name', '')}' of the URDF has no {role} link.")
     return name
+
+
+def _attributes(joint: ElementTree.Element, tag: str) -> Mapping[str, str]:
+    """Return the attributes of a joint's element, none where there is no such element."""
+    element = joint.find(tag)
+    return {} if element is None else element.attrib
 
 
 def _joint(element: ElementTree.Element) -> Joint:
@@ -236,24 +236,20 @@ def _joint(element: ElementTree.Element) -> Joint:
             f"Joint '{name}' on the way to the tool is {kind or 'of no kind'}"
             f'{" and mimics another" if element.find("mimic") is not None else ""}; fixed, '
             'revolute, continuous and prismatic joints can be followed.')
-    origin = element.find('origin')
-    attributes: Mapping[str, str] = {} if origin is None else origin.attrib
-    axis_of = element.find('axis')
-    axis = _numbers(name, 'axis', '1 0 0' if axis_of is None else axis_of.get('xyz', '1 0 0'))
+    origin, limit = _attributes(element, 'origin'), _attributes(element, 'limit')
+    axis = _numbers(name, 'axis', _attributes(element, 'axis').get('xyz', '1 0 0'))
     length = float(np.linalg.norm(axis))
     if kind != 'fixed' and not length > 0.0:
         raise BellowsError(f"Joint '{name}' of the URDF has an axis of zero length.")
     pose = lie.transform(
-        lie.rpy_rotation(_numbers(name, 'rpy', attributes.get('rpy', '0 0 0'))),
-        _numbers(name, 'xyz', attributes.get('xyz', '0 0 0')))
-    limit = element.find('limit')
-    ends = {} if limit is None else {
-        key: _numbers(name, f'limit {key}', text, 1)[0] for key, text in limit.attrib.items()
-        if key in (('velocity',) if kind == 'continuous' else ('lower', 'upper', 'velocity'))}
-    free = math.inf if limit is None or kind == 'continuous' else 0.0  # as URDF has it
-    return Joint(
-        name, kind, pose, axis / (length or 1.0), float(ends.get('lower', -free)),
-        float(ends.get('upper', free)), float(ends.get('velocity', math.inf)))
+        lie.rpy_rotation(_numbers(name, 'rpy', origin.get('rpy', '0 0 0'))),
+        _numbers(name, 'xyz', origin.get('xyz', '0 0 0')))
+    unlimited = not limit or kind == 'continuous'
+    ends = [-math.inf, math.inf, math.inf] if unlimited else [0.0, 0.0, math.inf]  # as in URDF
+    for i, key in enumerate(('lower', 'upper', 'velocity')):
+        if key in limit and not (kind == 'continuous' and i < 2):
+            ends[i] = float(_numbers(name, f'limit {key}', limit[key], 1)[0])
+    return Joint(name, kind, pose, axis / (length or 1.0), *ends)
 
 
 def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:

@@ -29,7 +29,7 @@ RATES = {
 SPACING_NS = 1_000_000
 """Spacing (ns) of the points that accelerations and jerks are computed from, as in drives."""
 
-SLOWEST, LEAST_STRETCH, RESOLUTION = 20.0, 1.02, 1.001
+MAX_STRETCH, MIN_STRETCH, RESOLUTION = 20.0, 1.02, 1.001
 """The time is sought up to this factor, in steps of at least this factor, and to this factor."""
 STEEPNESS = 4
 """What is asked of the tool falls at most with so many powers of the time more than for a rigid
@@ -41,13 +41,11 @@ NONE = 1e12
 
 def read_rates(settings: Settings, default: float | None = None) -> dict[str, float]:
     """Return the limits by the names of `RATES`, of the blocks `linear` and `angular`."""
-    found = {}
-    for kind, names in (('linear', tuple(RATES)[:3]), ('angular', tuple(RATES)[3:])):
-        block = settings.block(kind)
-        for name in names:
-            found[name] = block.number(
-                name.removeprefix('angular_'), default, RATES[name], above=0.0)
-    return found
+    linear, angular = settings.block('linear'), settings.block('angular')
+    return {
+        name: (angular if name.startswith('angular') else linear).number(
+            name.removeprefix('angular_'), default, unit, above=0.0)
+        for name, unit in RATES.items()}
 
 
 class TooFastError(BellowsError):
@@ -81,19 +79,16 @@ def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float
 
     Of rotations (N, 3, 3) to the world and body twists (N, 6) a step (s) apart, by differences.
     """
-    found = []
-    for part in (twist[:, :3], twist[:, 3:]):
-        rate = apply(rotation, part)
-        for order in range(3):
-            sizes = np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order
-            found.append(float(sizes.max()))
-    return dict(zip(RATES, found, strict=True))
+    rates = [apply(rotation, part) for part in (twist[:, :3], twist[:, 3:])]
+    sizes = [np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order
+             for rate in rates for order in range(3)]
+    return {name: float(size.max()) for name, size in zip(RATES, sizes, strict=True)}
 
 
 def demands(tool: Trajectory) -> dict[str, float]:
     """Return the `largest_rates` of a motion from rest to rest, at points `SPACING_NS` apart."""
-    count = max(3, round(float(tool.stamps_ns[-1] - tool.stamps_ns[0]) / SPACING_NS))
-    at = np.linspace(0, int(tool.stamps_ns[-1] - tool.stamps_ns[0]), count + 1).astype(np.int64)
+    duration_ns = int(tool.stamps_ns[-1] - tool.stamps_ns[0])
+    at = np.linspace(0, duration_ns, max(3, round(duration_ns / SPACING_NS)) + 1).astype(np.int64)
     points = resample(tool, tool.stamps_ns[0] + at)
     ends = ((2, 2), (0, 0))
     return largest_rates(
@@ -106,13 +101,13 @@ def excess(
 ) -> tuple[float, str]:
     """Return the factor on time that is needed at least, 1 if none is, and the limit."""
     asked = demands(tool)
-    over = [((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
-            for i, name in enumerate(RATES)]
     inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
-    over.append((1.0 if inside.all() else LEAST_STRETCH, 'workspace'))
-    over.append((1.0 if safety_factor >= limits.safety_factor else LEAST_STRETCH, 'safety_factor'))
-    over.append(joints)
-    return max([(1.0, ''), *(each for each in over if each[0] > 1.0)])
+    factors = [
+        *(((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
+          for i, name in enumerate(RATES)),
+        (1.0 if inside.all() else MIN_STRETCH, 'workspace'),
+        (1.0 if safety_factor >= limits.safety_factor else MIN_STRETCH, 'safety_factor'), joints]
+    return max([(1.0, ''), *(each for each in factors if each[0] > 1.0)])
 
 
 def stretched(
@@ -136,34 +131,33 @@ def stretched(
         If nothing helps.
 
     """
-    def tried(scale: float) -> tuple[float, str]:
+    def needed(scale: float) -> tuple[float, str]:
         try:
             return excess(limits, *motion(scale))
         except TooFastError as error:
-            if scale >= SLOWEST:
+            if scale >= MAX_STRETCH:
                 raise
-            return LEAST_STRETCH, error.limit
+            return MIN_STRETCH, error.limit
 
     below, scale, reason = 1.0, 1.0, ''
-    while (found := tried(scale))[1]:
-        if scale >= SLOWEST:
+    while True:
+        factor, limit = needed(scale)
+        if not limit:
             break
-        below, reason = scale, found[1]
-        scale = min(scale * max(found[0], LEAST_STRETCH), SLOWEST)
-    else:
-        while scale > RESOLUTION * below:
-            middle = math.sqrt(scale * below)
-            found = tried(middle)
-            below, scale, reason = (middle, scale, found[1]) if found[1] else (
-                below, middle, reason)
-        return scale, reason
-    reason = found[1]
-    raise BellowsError(
-        f'The motion exceeds the limit {reason} even at {SLOWEST:g} times its duration. Check '
-        'the limits.')
+        if scale >= MAX_STRETCH:
+            raise BellowsError(
+                f'The motion exceeds the limit {limit} even at {MAX_STRETCH:g} times its '
+                'duration. Check the limits.')
+        below, reason = scale, limit
+        scale = min(scale * max(factor, MIN_STRETCH), MAX_STRETCH)
+    while scale > RESOLUTION * below:
+        middle = math.sqrt(scale * below)
+        _, limit = needed(middle)
+        below, scale, reason = (middle, scale, limit) if limit else (below, middle, reason)
+    return scale, reason
 
 
-SLOWEST_PLAN, QUICKEST_PLAN = 10.0, 0.02
+MAX_TIME_SCALE, MIN_TIME_SCALE = 10.0, 0.02
 """Range of time scales that is searched."""
 
 SCAN_STEP = 0.006
@@ -172,7 +166,7 @@ SCAN_STEP = 0.006
 ABORT_BELOW = 0.95
 """A run is aborted when its safety factor falls below this fraction of the required one."""
 
-LONGEST_TAIL = 2.0
+MAX_TAIL = 2.0
 """The load may peak up to one period of the slowest mode after the end, at most this long (s)."""
 
 ROW_NS = 4_000_000
@@ -218,14 +212,14 @@ def fastest(
     Returns
     -------
     Fastest or None
-        None where none up to `SLOWEST_PLAN` holds.
+        None where none up to `MAX_TIME_SCALE` holds.
 
     """
     longest = largest_step(model)
     _, first = np.unique(tool.stamps_ns // ROW_NS, return_index=True)
     thin = tool.select(np.unique([*first, len(tool) - 1]))  # with its ends
     slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
-    tail = min(LONGEST_TAIL, 2.0 * math.pi / slowest)
+    tail = min(MAX_TAIL, 2.0 * math.pi / slowest)
     quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE * longest)
     spread = [quick.with_model(each) for _, *both in perturbed(values, model) for each in both]
     fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)
@@ -242,20 +236,20 @@ def fastest(
             2.0 * STEP * _factor(quick, scale))
 
     speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
-    scale = max(QUICKEST_PLAN, speed / LARGEST_SPEED)
-    part, known_at, past = 0.0, 0.0, [-1.0, -1.0]
-    while scale < SLOWEST_PLAN:
-        here = margin(scale, part, quick)
-        if here < past[1] > max(past[0], -SCAN_STEP):  # between two scales it may just hold
-            scale, here = _local_maximum(partial(margin, part=part, run=quick), scale)
-        if here > -UPDATE_WITHIN and scale > (1.0 + UPDATE_WITHIN) * known_at:
-            part, known_at = sigma(scale), scale
-            here = margin(scale, part, quick)
-        if here >= 0.0:
-            part, known_at = sigma(scale), scale
+    scale = max(MIN_TIME_SCALE, speed / LARGEST_SPEED)
+    part, updated_at, past = 0.0, 0.0, [-1.0, -1.0]
+    while scale < MAX_TIME_SCALE:
+        excess = margin(scale, part, quick)
+        if excess < past[1] > max(past[0], -SCAN_STEP):  # between two scales it may just hold
+            scale, excess = _local_maximum(partial(margin, part=part, run=quick), scale)
+        if excess > -UPDATE_WITHIN and scale > (1.0 + UPDATE_WITHIN) * updated_at:
+            part, updated_at = sigma(scale), scale
+            excess = margin(scale, part, quick)
+        if excess >= 0.0:
+            part, updated_at = sigma(scale), scale
             if margin(scale, part, quick) >= 0.0:
                 return _narrowed(partial(margin, part=part, run=fine), scale, fine, part)
-        past = [past[1], here]
+        past = [past[1], excess]
         scale *= 1.0 + SCAN_STEP
     return None
 

@@ -124,25 +124,18 @@ class PlanPrediction:
         peak = dict(zip(PEAKS, self.peaks[:, 0].tolist(), strict=True))
         factor, _, time = self.smallest_safety if self.grip else (math.nan, '', math.nan)
         return {
-            'smallest_safety_factor': factor,
-            'smallest_safety_time': time,
-            'peak_bending': peak['bending'],
-            'peak_deflection': peak['deflection'],
-            'peak_force': peak['force'],
-            'peak_moment': peak['moment'],
+            'smallest_safety_factor': factor, 'smallest_safety_time': time,
+            **{f'peak_{name}': peak[name] for name in PEAKS[2:6]},
             'rigid_peak_moment': peak['rigid_moment'],
             'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
             'settled_after': self.settled_after if self.ends_at_rest else math.nan}
 
     def outside(self, values: Mapping[str, Any]) -> tuple[str, ...]:
         """Return a phrase for each validity range among parameters that is exceeded."""
-        known = parameter_envelope(values)
-        if known is None:
-            return ()
-        here = Envelope(
+        valid = parameter_envelope(values)
+        return () if valid is None else beyond(valid, Envelope(
             self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
-            np.full(2, float(values['package.mass'])))
-        return beyond(known, here)
+            np.full(2, values['package.mass'])))
 
 
 class PlanSimulation:
@@ -217,10 +210,9 @@ class PlanSimulation:
     def states(self) -> Array:
         """Predict along the plan alone, which is available first, as an array (N, 13)."""
         self._simulate_plan(1.0, math.inf)
-        states = self._out[0].copy()
-        if not np.isfinite(states).all():
+        if not np.isfinite(self._out[0]).all():
             raise simulation.diverged()
-        return states
+        return self._out[0].copy()
 
     def prediction(self) -> PlanPrediction:
         """Return the whole prediction after `states`, including the time after the end."""
@@ -249,15 +241,15 @@ class PlanSimulation:
             _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
             self._seconds, h, math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
 
-    def _run(self, simulate: Callable[..., Any], *given: Any) -> Any:
+    def _run(self, simulate: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a kernel does; raise where it diverges or another thread has stopped it."""
         try:
-            found = simulate(self._model, self._grip or UNKNOWN_GRIP, *given, self._stop)
+            result = simulate(self._model, self._grip or UNKNOWN_GRIP, *arguments, self._stop)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             raise simulation.diverged() from None
         if self._stop[0]:
             raise BellowsError('The prediction was stopped before its end.')
-        return found
+        return result
 
 
 def rest_after(
@@ -269,14 +261,14 @@ def rest_after(
     Where the tool hardly tilts in between it hangs nearly alike; else it is sought near a state.
     Where nothing is found there, it is sought from the beginning.
     """
-    R, R_end = (t3.rotation_matrix(tuple(row[3:7].tolist())) for row in (first, last))
-    gravity, gravity_end = (t3.apply_transposed(matrix, model[2]) for matrix in (R, R_end))
-    if t3.norm(t3.subtract(gravity, gravity_end)) <= SAME_TILT * t3.norm(model[2]):
-        shift = t3.apply_transposed(R, t3.subtract(start[0], tuple(first[:3].tolist())))
-        turn = t3.quaternion_product(t3.quaternion_conjugate(tuple(first[3:7].tolist())), start[1])
-        near = (
-            t3.add(tuple(last[:3].tolist()), t3.apply(R_end, shift)),
-            t3.quaternion_product(tuple(last[3:7].tolist()), turn), t3.ZERO, t3.ZERO)
+    (o, q, *_), (o_end, q_end, *_) = simulation.row_state(first), simulation.row_state(last)
+    R, R_end = t3.rotation_matrix(q), t3.rotation_matrix(q_end)
+    tilt = t3.subtract(t3.apply_transposed(R, model[2]), t3.apply_transposed(R_end, model[2]))
+    if t3.norm(tilt) <= SAME_TILT * t3.norm(model[2]):
+        shift = t3.apply_transposed(R, t3.subtract(start[0], o))
+        turn = t3.quaternion_product(t3.quaternion_conjugate(q), start[1])
+        near = (t3.add(o_end, t3.apply(R_end, shift)), t3.quaternion_product(q_end, turn),
+                t3.ZERO, t3.ZERO)
     try:
         return simulation.rest(model, last, near)
     except UnstableError:

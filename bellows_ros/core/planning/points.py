@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry import lie, tuples
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
-from bellows_ros.core.geometry.lie import apply, transform
+from bellows_ros.core.model.kernels import ORIGIN
 from bellows_ros.core.model.simulation import tool_rows, ToolRows, write_row
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.signals.resampling import resample, subdivided
@@ -143,13 +144,8 @@ def plan_of_joints(
     rate, bend = (None if part is None else part[:, columns] for part in (velocity, acceleration))
     _require_points(stamps_ns, (q, rate, bend), 'The plan')
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    curve: Any
-    if rate is None:
-        curve = CubicSpline(t, q, bc_type='clamped')
-    elif bend is None:
-        curve = CubicHermiteSpline(t, q, rate)
-    else:
-        curve = quintic(t, q, rate, bend)
+    curve: Any = CubicSpline(t, q, bc_type='clamped') if rate is None else (
+        CubicHermiteSpline(t, q, rate) if bend is None else quintic(t, q, rate, bend))
     fine = _without_gaps(stamps_ns)
     at = (fine - stamps_ns[0]) / NS_PER_S
     T, twist = arm.tool(curve(at), curve(at, 1))
@@ -295,36 +291,34 @@ def _write_motion(
     turn (rad), and speed (m/s) and rate (rad/s) of the twist. fit (4,), zero before, are sums of
     squares: of the steps' linear and angular velocities, and of what the twists miss them by.
     """
-    o, v, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    q = (0.0, 0.0, 0.0, 1.0)
+    o, q, v, w = ORIGIN
     for k in range(len(rows)):
         o_before, q_before, v_before, w_before = o, q, v, w
         pose, twist = poses[k], twists[k]
         o, q = (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
         length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-        if length > 0.0:
-            q = (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
-        R = tuples.rotation_matrix(q)
+        unit = length if length > 0.0 else 1.0
+        q = (q[0] / unit, q[1] / unit, q[2] / unit, q[3] / unit)
+        R = t3.rotation_matrix(q)
         v, w = (twist[0], twist[1], twist[2]), (twist[3], twist[4], twist[5])
-        linear = tuples.apply_transposed(R, v) if in_world else v
-        w = tuples.apply_transposed(R, w) if in_world else w
-        v = v if in_world else tuples.apply(R, v)
+        linear = t3.apply_transposed(R, v) if in_world else v
+        w = t3.apply_transposed(R, w) if in_world else w
+        v = v if in_world else t3.apply(R, v)
         write_row(rows[k], (o, q, linear, w))
         sizes[k, 0], sizes[k, 1], sizes[k, 2] = length, 0.0, 0.0
-        sizes[k, 3], sizes[k, 4] = math.sqrt(tuples.dot(v, v)), math.sqrt(tuples.dot(w, w))
+        sizes[k, 3], sizes[k, 4] = math.sqrt(t3.dot(v, v)), math.sqrt(t3.dot(w, w))
         if k > 0:
-            step = tuples.subtract(o, o_before)
-            turn = tuples.turn_between(q_before, q)
-            moved, turned = tuples.dot(step, step), tuples.dot(turn, turn)
+            step = t3.subtract(o, o_before)
+            turn = t3.turn_between(q_before, q)
+            moved, turned = t3.dot(step, step), t3.dot(turn, turn)
             sizes[k - 1, 1], sizes[k - 1, 2] = math.sqrt(moved), math.sqrt(turned)
             h = durations[k - 1]
-            miss = tuples.add_scaled(tuples.scale(1.0 / h, step), -0.5, tuples.add(v, v_before))
-            miss_turn = tuples.add_scaled(
-                tuples.scale(1.0 / h, turn), -0.5, tuples.add(w, w_before))
+            miss = t3.add_scaled(t3.scale(1.0 / h, step), -0.5, t3.add(v, v_before))
+            miss_turn = t3.add_scaled(t3.scale(1.0 / h, turn), -0.5, t3.add(w, w_before))
             fit[0] += moved / (h * h)
-            fit[1] += tuples.dot(miss, miss)
+            fit[1] += t3.dot(miss, miss)
             fit[2] += turned / (h * h)
-            fit[3] += tuples.dot(miss_turn, miss_turn)
+            fit[3] += t3.dot(miss_turn, miss_turn)
 
 
 def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
@@ -400,22 +394,22 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
     from scipy.interpolate import CubicSpline  # late: the predictor starts without
 
     seconds = tool.seconds
-    position = arm.positions(transform(tool.rotation, tool.position), near)
+    position = arm.positions(lie.transform(tool.rotation, tool.position), near)
     J = arm.jacobian(position)
     gains = np.linalg.svd(J, compute_uv=False)[:, -1]
-    if (worst := int(np.argmin(gains))) >= 0 and gains[worst] < SMALLEST_GAIN:
+    if gains[worst := int(np.argmin(gains))] < SMALLEST_GAIN:
         raise BellowsError(
             f'The arm is singular at {seconds[worst]:.3f} s: a joint speed of 1 rad/s moves the '
             f'tool by {gains[worst]:.2g} m/s or rad/s in some direction, expected at least '
             f'{SMALLEST_GAIN:g}. Start in another configuration, or move the path.')
     jumps = np.abs(np.diff(position, axis=0)).max(axis=1)
-    if (worst := int(np.argmax(jumps))) >= 0 and jumps[worst] > LARGEST_JUMP:
+    if jumps[worst := int(np.argmax(jumps))] > LARGEST_JUMP:
         raise BellowsError(
             f'The arm changes its configuration at {seconds[worst]:.3f} s: a joint moves by '
             f'{jumps[worst]:.2g} rad or m between two points, expected at most {LARGEST_JUMP:g}. '
             'Start in another configuration, or give more points.')
     slope = CubicSpline(seconds, position)(seconds, 1)
-    missing = np.asarray(tool.twist) - apply(J, slope)
+    missing = np.asarray(tool.twist) - lie.apply(J, slope)
     velocity = np.asarray(slope + (np.linalg.pinv(J) @ missing[..., None])[..., 0])
     return JointPath(seconds, position, velocity, CubicSpline(seconds, velocity)(seconds, 1))
 
@@ -439,27 +433,22 @@ def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float,
         If a joint leaves its range, which no other speed can mend.
 
     """
-    curve = quintic(*path)
-    count = max(2, int(np.ceil(path.seconds[-1] * CHECK_RATE)) + 1)
-    at = np.linspace(0.0, path.seconds[-1], count)
-    position = curve(at)
-    found = [(1.0, '')]
-    for i, joint in enumerate(arm.moving_joints):
-        low, high = (int(np.argmin(position[:, i])), int(np.argmax(position[:, i])))
-        for k in (low, high):
-            if not joint.lower <= position[k, i] <= joint.upper:
+    curve, joints = quintic(*path), arm.moving_joints
+    at = np.linspace(
+        0.0, path.seconds[-1], max(2, int(np.ceil(path.seconds[-1] * CHECK_RATE)) + 1))
+    for joint, position in zip(joints, curve(at).T, strict=True):
+        for k in (np.argmin(position), np.argmax(position)):
+            if not joint.lower <= position[k] <= joint.upper:
                 raise BellowsError(
-                    f"Joint '{joint.name}' would be at {position[k, i]:.4g} at {at[k]:.3f} s; its "
+                    f"Joint '{joint.name}' would be at {position[k]:.4g} at {at[k]:.3f} s; its "
                     f'range is {joint.lower:.4g} to {joint.upper:.4g} (rad or m). Start in '
                     'another configuration, or move the path.')
-    for order, name, limits in (
-            (1, 'speed', [joint.speed for joint in arm.moving_joints]),
-            (2, 'acceleration', [acceleration] * len(arm.moving_joints))):
-        asked = np.abs(curve(at, order)).max(axis=0) / limits
-        worst = int(np.argmax(asked))
-        if asked[worst] > 1.0:
-            found.append((float(asked[worst]) ** (1.0 / order), f'{arm.moving[worst]} {name}'))
-    return max(found)
+    speeds, rates = np.abs(curve(at, 1)).max(axis=0), np.abs(curve(at, 2)).max(axis=0)
+    demands = [(float(speed / joint.speed), f'{joint.name} speed')
+               for joint, speed in zip(joints, speeds, strict=True)]
+    demands += [(math.sqrt(rate / acceleration), f'{joint.name} acceleration')
+                for joint, rate in zip(joints, rates, strict=True)]
+    return max([(1.0, ''), *(each for each in demands if each[0] > 1.0)])
 
 
 @dataclass(frozen=True, eq=False)

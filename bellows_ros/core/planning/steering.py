@@ -19,7 +19,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector
 from bellows_ros.core.model import kernels, simulation
-from bellows_ros.core.model.equilibrium import resting_on_tool, system_matrix
+from bellows_ros.core.model.equilibrium import resting_on_tool, symmetric_matrix, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.planning.limits import TooFastError
@@ -143,16 +143,16 @@ def reference_at(rows: Any, i: int) -> tuple[State, Vector, Vector]:
 
 @kernel
 def _invert_kernel(
-    model: ModelTuple, tool: State, reference: Any, h: float, way: float, turn: float,
+    model: ModelTuple, tool: State, reference: Any, h: float, speed: float, rate: float,
     out: Array, package: Array,
 ) -> int:
     """
     Write the states of tool and package along a motion; return how many there are.
 
     The reference of the package (N, 19) is half a step of h (s) apart; then it rests. Once the
-    tool moves by less than way (m) and turn (rad) per s, it stops over `FADE`.
+    tool is slower than speed (m/s) and rate (rad/s), it stops over `FADE`.
     """
-    still, faded, fading = (0.0, 0.0, 0.0), 0, math.ceil(FADE / h)
+    still, faded, fading = t3.ZERO, 0, math.ceil(FADE / h)
     for k in range(len(out)):
         do, ds, sum_o, sum_s, stage = still, still, still, still, tool
         dz = sum_z = kernels.moved_strains(tool[4:], -1.0, tool[4:])
@@ -162,8 +162,8 @@ def _invert_kernel(
             stage = inverse_dynamics(
                 model, kernels.stage_state(tool, at, do, ds, still, still, dz), body, dv, dw)
             if i == 0 and faded == 0 and 2 * k >= len(reference) - 1 and (
-                    t3.dot(stage[2], stage[2]) < way * way and (
-                        t3.dot(stage[3], stage[3]) < turn * turn)):
+                    t3.dot(stage[2], stage[2]) < speed * speed and (
+                        t3.dot(stage[3], stage[3]) < rate * rate)):
                 faded = k
             if faded > 0:
                 s = min(1.0, (k - faded + 0.5 * ((i + 1) // 2)) / fading)
@@ -198,9 +198,7 @@ def relaxation_rates(model: ModelTuple) -> Array:
         If the damper is too weak for the inverse.
 
     """
-    K, P = (np.block([[np.reshape(A, (3, 3)), np.reshape(B, (3, 3))],
-                      [np.reshape(B, (3, 3)).T, np.reshape(C, (3, 3))]])
-            for A, B, C in model[0][2:4])
+    K, P = map(symmetric_matrix, model[0][2:4])
     with np.errstate(all='ignore'):
         sound = np.linalg.eigvalsh(P).min() > 0.0
         A = np.linalg.solve(P, K) if sound else np.zeros((6, 6))
@@ -301,14 +299,15 @@ def _invert(
     package: Array,
 ) -> int:
     """Fill in the states of tool and package; return how many there are."""
-    way, turn = arrived.tolist()
+    speed, rate = arrived.tolist()
     try:
-        found = int(_invert_kernel(model, tool, *as_inputs(reference), h, way, turn, out, package))
+        count = int(_invert_kernel(
+            model, tool, *as_inputs(reference), h, speed, rate, out, package))
     except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
-        found = 0
-    if not found or not np.isfinite(out[:found]).all():
+        count = 0
+    if not count or not np.isfinite(out[:count]).all():
         raise _too_far()
-    return found
+    return count
 
 
 def _too_far() -> TooFastError:
