@@ -1,6 +1,6 @@
 """The thesis' validation case and random models, shared by the tests of the core."""
 
-from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.geometry.lie import dexp, exp_so3, nearest_rotation, transform
 from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
@@ -37,10 +37,7 @@ T_WORLD_TOOL = np.array([  # (3.49)
 
 def orthonormal(T):
     """Return a pose printed with four digits with the nearest rotation in it."""
-    T = T.copy()
-    U, _, Vt = np.linalg.svd(T[:3, :3])
-    T[:3, :3] = U @ Vt
-    return T
+    return transform(nearest_rotation(T[:3, :3]), T[:3, 3])
 
 
 def thesis_cup(damping=True):
@@ -55,10 +52,8 @@ def thesis_package():
 
 def random_pose(rng, angle=1.0, distance=0.1):
     """Return a pose turned and moved by about the given sizes."""
-    T = np.eye(4)
-    T[:3, :3] = exp_so3(angle * rng.standard_normal(3))
-    T[:3, 3] = distance * rng.standard_normal(3)
-    return T
+    R = exp_so3(angle * rng.standard_normal(3))
+    return transform(R, distance * rng.standard_normal(3))
 
 
 def random_cup(rng, damping=True):
@@ -81,12 +76,9 @@ def random_package(rng):
 
 def still_tool(T_world_tool, duration_ns, steps):
     """Return a tool at rest."""
-    return Trajectory(
-        stamps_ns=np.arange(steps + 1) * (duration_ns // steps),
-        position=np.tile(T_world_tool[:3, 3], (steps + 1, 1)),
-        rotation=np.tile(T_world_tool[:3, :3], (steps + 1, 1, 1)),
-        twist=np.zeros((steps + 1, 6)),
-    )
+    T = np.tile(T_world_tool, (steps + 1, 1, 1))
+    stamps = np.arange(steps + 1) * (duration_ns // steps)
+    return Trajectory(stamps, T[:, :3, 3], T[:, :3, :3], np.zeros((steps + 1, 6)))
 
 
 class ShakenTool:
@@ -99,7 +91,6 @@ class ShakenTool:
 
     def at(self, t):
         """Return position, rotation and body twist at a time (s)."""
-        from bellows_ros.core.geometry.lie import dexp
         s, c, w = np.sin(self.w * t), np.cos(self.w * t), self.w
         position = self.a * s + self.b * (1 - c)
         velocity = w * (self.a * c + self.b * s)

@@ -7,8 +7,9 @@ Derivatives by a complex step are exact to rounding: d f / d x = Im f(x + i h) /
 import numpy as np
 from scipy.linalg import expm
 
+from .oracle import vee, Z
+
 STEP = 1e-30
-Z = np.array([0.0, 0.0, 1.0])
 
 
 def derivative(function, x):
@@ -21,11 +22,6 @@ def derivative(function, x):
 def hat(v):
     """Return v^."""
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def vee(S):
-    """Return v of v^."""
-    return np.array([S[2, 1], S[0, 2], S[1, 0]])
 
 
 def adjoint(R, o):

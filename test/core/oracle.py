@@ -1,6 +1,10 @@
-"""A second, slow implementation of the model: 6x6 matrices as the thesis prints them."""
+"""
+A second, slow implementation of the model: 6x6 matrices as the thesis prints them.
 
-from bellows_ros.core.geometry.lie import adjoint, hat, inverse_transform, transform
+Poses and twists may have leading axes, one package each.
+"""
+
+from bellows_ros.core.geometry.lie import adjoint, apply, hat, inverse_transform, transform
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -12,6 +16,11 @@ def vee(S):
     return S[..., [2, 0, 1], [1, 2, 0]]
 
 
+def transposed(A):
+    """Return A^T of matrices with leading axes."""
+    return np.swapaxes(A, -1, -2)
+
+
 def spring_frames(length, T_E_S):
     """Return S2_H_S1 as the product of poses (3.10-3.12)."""
     half = transform(np.eye(3), 0.5 * length * Z)
@@ -20,8 +29,8 @@ def spring_frames(length, T_E_S):
 
 def strain(H):
     """Return h (3.18)."""
-    R, o = H[:3, :3], H[:3, 3]
-    return np.concatenate([(np.eye(3) + R.T) @ o, vee(R - R.T)])
+    R, R_T = H[..., :3, :3], transposed(H[..., :3, :3])
+    return np.concatenate([apply(np.eye(3) + R_T, H[..., :3, 3]), vee(R - R_T)], axis=-1)
 
 
 def potential(K, H):
@@ -39,21 +48,28 @@ def effective_strain(cup, H, strains=()):
 
 def wrench_at_S1(cup, H, v1, strains=()):
     """Return the wrench of spring and damper on the package at S1 (3.24, 3.32, 3.33)."""
-    R, o = H[:3, :3], H[:3, 3]
-    J = np.block([
-        [R + np.eye(3), hat(R.T @ o)],
-        [np.zeros((3, 3)), np.trace(R) * np.eye(3) - R.T],
-    ])
-    X = adjoint(H)
-    D = 0.5 * (cup.damping + X.T @ cup.damping @ X)
-    return -0.25 * J.T @ cup.stiffness @ effective_strain(cup, H, strains) - D @ v1
+    R, R_T = H[..., :3, :3], transposed(H[..., :3, :3])
+    J, X = np.zeros((*H.shape[:-2], 6, 6)), adjoint(H)
+    J[..., :3, :3], J[..., :3, 3:] = R + np.eye(3), hat(apply(R_T, H[..., :3, 3]))
+    J[..., 3:, 3:] = np.multiply.outer(np.trace(R, axis1=-2, axis2=-1), np.eye(3)) - R_T
+    D = 0.5 * (cup.damping + transposed(X) @ cup.damping @ X)
+    stress = effective_strain(cup, H, strains) @ cup.stiffness
+    return -0.25 * apply(transposed(J), stress) - apply(D, v1)
 
 
 def wrench_at_lip(cup, T_E_S, v_ES, strains=()):
     """Return the cup's wrench on the package at S (3.27, 3.35)."""
     T_S_S1 = transform(np.eye(3), 0.5 * cup.length * Z)
     X = adjoint(inverse_transform(T_S_S1))
-    return X.T @ wrench_at_S1(cup, spring_frames(cup.length, T_E_S), X @ v_ES, strains)
+    return wrench_at_S1(cup, spring_frames(cup.length, T_E_S), v_ES @ X.T, strains) @ X
+
+
+def lip_wrench(cup, package, T_A_E, v_E, T_A_B, v_B, strains=()):
+    """Return the cup's wrench on the package at S for poses and twists of tool and package."""
+    T_E_S = lip_pose(package, T_A_E, T_A_B)
+    v_ES = apply(adjoint(transform(np.eye(3), package.com)), v_B) - apply(
+        adjoint(inverse_transform(T_E_S)), v_E)
+    return wrench_at_lip(cup, T_E_S, v_ES, strains)
 
 
 def lip_pose(package, T_A_E, T_A_B):
@@ -63,18 +79,15 @@ def lip_pose(package, T_A_E, T_A_B):
 
 def acceleration(cup, package, gravity, T_A_E, v_E, T_A_B, v_B, strains=()):
     """Return the rate of the package's body twist (3.5) with the generalized inertia (A.1)."""
-    T_S_B = transform(np.eye(3), package.com)
-    T_E_S = lip_pose(package, T_A_E, T_A_B)
-    v_ES = adjoint(T_S_B) @ v_B - adjoint(inverse_transform(T_E_S)) @ v_E
-    f = adjoint(T_S_B).T @ wrench_at_lip(cup, T_E_S, v_ES, strains)
-    f[:3] += package.mass * T_A_B[:3, :3].T @ gravity
-    M = np.block([
-        [package.mass * np.eye(3), np.zeros((3, 3))],
-        [np.zeros((3, 3)), package.inertia],
-    ])
-    v, w = hat(v_B[:3]), hat(v_B[3:])
-    dual_cross = np.block([[w, np.zeros((3, 3))], [v, w]])  # (2.32)
-    return np.linalg.solve(M, f - dual_cross @ M @ v_B)
+    X = adjoint(transform(np.eye(3), package.com))
+    f = apply(transposed(X), lip_wrench(cup, package, T_A_E, v_E, T_A_B, v_B, strains))
+    weight = np.multiply.outer(package.mass, gravity)
+    f[..., :3] += apply(transposed(T_A_B[..., :3, :3]), weight)
+    M, dual_cross = np.zeros((2, *T_A_B.shape[:-2], 6, 6))
+    M[..., :3, :3], M[..., 3:, 3:] = np.multiply.outer(package.mass, np.eye(3)), package.inertia
+    dual_cross[..., :3, :3] = dual_cross[..., 3:, 3:] = hat(v_B[..., 3:])  # (2.32)
+    dual_cross[..., 3:, :3] = hat(v_B[..., :3])
+    return np.linalg.solve(M, (f - apply(dual_cross @ M, v_B))[..., None])[..., 0]
 
 
 def energies(cup, package, gravity, T_A_E, T_A_B, v_B):

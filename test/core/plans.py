@@ -1,11 +1,13 @@
-"""Plans, and a second integrator that predicts many of them at once: 6x6 matrices, plain RK4."""
+"""Plans, and a second integrator that predicts many of them at once: `oracle`, plain RK4."""
+
+from types import SimpleNamespace
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.planning.points import plan_of
 import numpy as np
 
-from .oracle import vee
+from . import oracle
 
 CUP = Cup(
     np.diag([5400, 5400, 9200, 4.2, 4.2, 1.35]), np.diag([55, 55, 24, 0.06, 0.06, 0.1]), 0.046)
@@ -63,54 +65,23 @@ class Batch:
     """Many packages on one cup, each under its own move: the printed formulas, broadcast."""
 
     def __init__(self, cup, moves, packages):
-        self.K, self.P, self.length = cup.stiffness, cup.damping, cup.length
+        self.cup, self.packages = cup, SimpleNamespace(**{
+            name: np.array([getattr(package, name) for package in packages])
+            for name in ('mass', 'com', 'inertia')})
         self.moves = Move(*(np.array([getattr(move, name) for move in moves])
                             for name in ('way', 'turn', 'duration')))
-        self.mass = np.array([p.mass for p in packages])
-        self.com = np.array([p.com for p in packages])
-        self.inertia = np.array([p.inertia for p in packages])
-        self.T_S_B = lie.transform(np.eye(3), self.com)
-        self.half = lie.transform(np.eye(3), [0.0, 0.0, 0.5 * cup.length])
 
     def tools(self, t):
         """Return poses (N, 4, 4) and body twists (N, 6) of the tools at a time (s)."""
         o, R, v = self.moves.at(t)
         return lie.transform(R, o), v
 
-    def wrench(self, T_E, v_E, T, v):
-        """Return the wrenches (N, 6) of the cup on the packages at the lip (3.7)."""
-        T_E_S = lie.inverse_transform(T_E) @ T @ lie.inverse_transform(self.T_S_B)
-        X_B = lie.adjoint(self.T_S_B)
-        v_ES = _apply(X_B, v) - _apply(lie.adjoint(lie.inverse_transform(T_E_S)), v_E)
-        X_S1 = lie.adjoint(lie.inverse_transform(self.half))
-        H = self.half @ T_E_S @ self.half
-        R, o = H[:, :3, :3], H[:, :3, 3]
-        R_T = np.swapaxes(R, -1, -2)
-        h = np.concatenate([_apply(np.eye(3) + R_T, o), vee(R - R_T)], axis=-1)
-        J = np.zeros((len(R), 6, 6))
-        J[:, :3, :3] = R + np.eye(3)
-        J[:, :3, 3:] = lie.hat(_apply(R_T, o))
-        J[:, 3:, 3:] = np.trace(R, axis1=1, axis2=2)[:, None, None] * np.eye(3) - R_T
-        X = lie.adjoint(H)
-        D = 0.5 * (self.P + np.swapaxes(X, -1, -2) @ self.P @ X)
-        f1 = -0.25 * _apply(np.swapaxes(J, -1, -2), h @ self.K) - _apply(D, v_ES @ X_S1.T)
-        return f1 @ X_S1
-
-    def slope(self, tools, T, v):
-        """Return the accelerations (N, 6) of the packages (3.5)."""
-        f = _apply(np.swapaxes(lie.adjoint(self.T_S_B), -1, -2), self.wrench(*tools, T, v))
-        R = T[:, :3, :3]
-        lin, w = v[:, :3], v[:, 3:]
-        dv = f[:, :3] / self.mass[:, None] + _apply(
-            np.swapaxes(R, -1, -2), np.broadcast_to(GRAVITY, lin.shape)) - np.cross(w, lin)
-        spin = np.cross(w, _apply(self.inertia, w))
-        return np.hstack([dv, np.linalg.solve(self.inertia, (f[:, 3:] - spin)[..., None])[..., 0]])
-
     def run(self, T, v, duration, steps):
         """Yield time, tools, poses, twists and wrenches of all after every step of plain RK4."""
         h, tools = duration / steps, self.tools(0.0)
         for k in range(steps + 1):
-            yield k * h, tools, T, v, self.wrench(*tools, T, v)
+            wrench = oracle.lip_wrench(self.cup, self.packages, *tools, T, v)
+            yield k * h, tools, T, v, wrench
             middle, end = self.tools((k + 0.5) * h), self.tools((k + 1) * h)
             a1 = self.rates(tools, T, v)
             a2 = self.rates(middle, T + 0.5 * h * a1[0], v + 0.5 * h * a1[1])
@@ -124,9 +95,4 @@ class Batch:
         """Return the rates of poses (N, 4, 4), entry by entry, and of twists."""
         twist = np.zeros((len(v), 4, 4))
         twist[:, :3, :3], twist[:, :3, 3] = lie.hat(v[:, 3:]), v[:, :3]
-        return T @ twist, self.slope(tools, T, v)
-
-
-def _apply(A, x):
-    """Return A x for matrices and vectors with leading axes."""
-    return np.einsum('...ij,...j->...i', A, x)
+        return T @ twist, oracle.acceleration(self.cup, self.packages, GRAVITY, *tools, T, v)

@@ -1,19 +1,16 @@
 """A throw in closed form, a cup, a box, and a second implementation of the whole toss."""
 
-from bellows_ros.core.geometry.lie import adjoint, dexp, exp_so3, hat, inverse_transform, transform
+from bellows_ros.core.geometry.lie import dexp, exp_so3, hat, transform
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from . import oracle
+from .plans import CUP, GRAVITY
 
-CUP = Cup(
-    np.diag([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35]),
-    np.diag([55.0, 55.0, 24.0, 0.06, 0.06, 0.1]), 0.046)
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.004, -0.003, -0.03))
 HALF, CENTRE = np.array([0.11, 0.09, 0.06]), np.array([-0.004, 0.003, -0.03])
-GRAVITY = np.array([0.0, 0.0, -9.81])
 GRIP = (90.0, 0.02, 0.5)
 DURATION = 1.0
 
@@ -58,10 +55,7 @@ def values():
 def lip_wrench(model_cup, package, pose, twist, t):
     """Return the wrench at the lip, with matrices."""
     o_E, R_E, v_E = tool_at(t)
-    T_S_B = transform(np.eye(3), package.com)
-    T_E_S = inverse_transform(transform(R_E, o_E)) @ pose @ inverse_transform(T_S_B)
-    v_ES = adjoint(T_S_B) @ twist - adjoint(inverse_transform(T_E_S)) @ v_E
-    return oracle.wrench_at_lip(model_cup, T_E_S, v_ES)
+    return oracle.lip_wrench(model_cup, package, transform(R_E, o_E), v_E, pose, twist)
 
 
 def corners():
@@ -96,9 +90,7 @@ def integrate(start, switched, law, height, grip=GRIP):
 
     def cup_at(T, t):
         o_E, R_E, _ = tool_at(t)
-        T_S_B = transform(np.eye(3), package.com)
-        T_E_S = inverse_transform(transform(R_E, o_E)) @ T @ inverse_transform(T_S_B)
-        return opened(T_E_S, law, t - switched)
+        return opened(oracle.lip_pose(package, transform(R_E, o_E), T), law, t - switched)
 
     def parts(y):
         return transform(y[3:12].reshape(3, 3), y[:3]), y[12:]

@@ -41,16 +41,16 @@ def truths(cases, after=0.5, rate=1000):
     duration = max(move.duration for move, _, _ in cases) + after
     smallest, rigid = np.full((2, len(cases)), math.inf)
     grips = np.array([grip for _, _, grip in cases])
-    before = None
+    mass, com, before = batch.packages.mass[:, None], batch.packages.com, None
+    arm = com - [0.0, 0.0, CUP.length]
     for _, (T_E, v_E), _, _, wrench in batch.run(
             *batch_start(cases), duration, round(rate * duration)):
-        arm = batch.com - [0.0, 0.0, CUP.length]
         R = T_E[:, :3, :3]
         velocity = np.einsum('nij,nj->ni', R, v_E[:, :3] + np.cross(v_E[:, 3:], arm))
         pull = -GRAVITY if before is None else (velocity - before) * rate - GRAVITY
         before = velocity
-        f = batch.mass[:, None] * np.einsum('nji,nj->ni', R, np.broadcast_to(pull, arm.shape))
-        load = np.hstack([f, np.cross(batch.com, f)])  # of m (a - g) at B, held at the lip
+        f = mass * np.einsum('nji,nj->ni', R, np.broadcast_to(pull, arm.shape))
+        load = np.hstack([f, np.cross(com, f)])  # of m (a - g) at B, held at the lip
         smallest = np.minimum(smallest, 1 / loads(grips, wrench))
         rigid = np.minimum(rigid, 1 / loads(grips, load))
     return smallest, rigid
