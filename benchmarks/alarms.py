@@ -19,10 +19,10 @@ from typing import Any
 
 from bellows_ros.core.observer.alarms import MARGIN, ONSET_NS
 from bellows_ros.core.observer.measurement import (
+    at_exposure,
     corrected_pose,
     innovation,
     Measurement,
-    when_exposed,
 )
 import numpy as np
 from scipy.special import logsumexp
@@ -92,7 +92,7 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
         body, theta, model = known.body, known.theta, cell.made.model
         com = model[1][1]
         position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
-        exposed = when_exposed(model, known.tool, body, theta)
+        exposed = at_exposure(model, known.tool, body, theta)
         whitened, _, whitener, *_ = innovation(
             exposed, theta, known.covariance, position, q, noise, marker)
         stamps.append(stamp_ns)

@@ -168,7 +168,7 @@ class LivePayload:
     def see(self, seen: Measurement) -> None:
         """Correct the package with a measured pose."""
         observer, sample = self.observer, self.sample
-        if observer is not None and not observer.see(seen) and sample is not None:
+        if observer is not None and not observer.update(seen) and sample is not None:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
             self._coasted = None
 

@@ -9,37 +9,36 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import hat
-from bellows_ros.core.observer.correction import Outcome
-from bellows_ros.core.observer.filter import CAMERA, Estimate, LATENCY, NOISE, STATE
-from bellows_ros.core.observer.measurement import Measurement
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer.filter import STATE
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.special import gammaincinv
 
-FEWEST = 300
+MIN_POSES = 300
 """Measured poses required: standard deviations are then known to a twentieth."""
 
-LEARNING = 30
+SETTLING_POSES = 30
 """Measured poses at the beginning that are not counted: the filter settles."""
 
-SHORTEST, LONGEST = 1e-3, 1.0
+MEMORY_RANGE = 1e-3, 1.0
 """Bounds of the noise's memory (s)."""
 
-STEPS = 5
+ITERATIONS = 5
 """Iterations of the noise's standard deviations (expectation and maximisation)."""
 
-BEGUN = 4.0
+INITIAL_NOISE_FACTOR = 4.0
 """The noise begins so many times larger: poses beyond the gate would tell nothing."""
 
-MORE = 100.0
+RATE_FACTOR = 100.0
 """
 False alarms are rare: where none is raised they are counted with so many times as many allowed,
 as the likelihood ratios that noise alone makes are A or more one A-th as often.
 """
 
 Run = Callable[[Observer], object]
-"""Lets an observer see a recording."""
+"""Lets an observer process a recording."""
 
 
 class SoundWork(Observer):
@@ -56,59 +55,59 @@ class SoundWork(Observer):
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        """Know of no pose yet."""
+        """Start without poses."""
         super().__init__({**values, 'alarm.false_per_hour': 0.0, 'measured.calibrate': True})
         self._squares: list[Array] = []
         self._places: list[tuple[float, float, float]] = []
 
-    def _updated(self, before: Estimate, seen: Measurement, is_new: bool) -> Outcome:
-        """Return the estimate after a measurement, and keep the expected square of its noise."""
-        outcome = super()._updated(before, seen, is_new)
-        if is_new and outcome.verdict == 'used':
-            known = outcome.known
-            found = known.theta[NOISE - STATE:NOISE - STATE + 6]
-            self._squares.append(found**2 + np.diag(known.covariance)[NOISE:NOISE + 6])
-            self._places.append(seen.position)
-        return outcome
+    def _reprocess(self, first: int) -> None:
+        """Update with a new measurement, and keep the expected square of its noise if used."""
+        used = self.counts['used']
+        super()._reprocess(first)
+        if self.counts['used'] > used:
+            after = self._estimates[first + 1]
+            noise = after.theta[ekf.NOISE - STATE:ekf.NOISE - STATE + 6]
+            self._squares.append(
+                noise**2 + np.diag(after.covariance)[ekf.NOISE:ekf.NOISE + 6])
+            self._places.append(self._measurements[first].position)
 
     @property
-    def found(self) -> int:
+    def count(self) -> int:
         """The number of poses whose noise is known."""
         return len(self._squares)
 
     @property
     def noise_factors(self) -> tuple[float, float]:
-        """By how much position and rotation are noisier than was said (expectation step)."""
-        position, rotation = np.mean(self._squares[LEARNING:], axis=0).reshape(2, 3).mean(axis=1)
-        return math.sqrt(position), math.sqrt(rotation)
+        """By how much position and rotation are noisier than stated (expectation step)."""
+        position, rotation = np.sqrt(
+            np.mean(self._squares[SETTLING_POSES:], axis=0).reshape(2, 3).mean(axis=1)).tolist()
+        return position, rotation
 
     @property
     def memory(self) -> float:
         """The time (s) in which the correlation of the position's noise falls to 1 / e."""
-        seconds, squares, _, products, *_ = self._known[-1].memory.tolist()
+        seconds, squares, _, products, *_ = self._estimates[-1].memory.tolist()
         share = products / squares
         if not 0.0 < share < 1.0:
-            return SHORTEST if share <= 0.0 else LONGEST
-        return float(np.clip(-seconds / math.log(share), SHORTEST, LONGEST))
+            return MEMORY_RANGE[share > 0.0]
+        return float(np.clip(-seconds / math.log(share), *MEMORY_RANGE))
 
     @property
     def offset_std(self) -> tuple[float, float]:
         """RMS error of the camera's position (m), where the package is, and of its rotation."""
-        known, at = self._known[-1], np.mean(self._places, axis=0)
-        rows = slice(CAMERA, CAMERA + 6)
-        there: Array = np.eye(6)
-        there[:3, 3:] = -hat(at)
-        e = there @ known.theta[CAMERA - STATE:CAMERA - STATE + 6]
-        squares = e**2 + np.diag(there @ known.covariance[rows, rows] @ there.T)
+        last, rows = self._estimates[-1], slice(ekf.CAMERA, ekf.CAMERA + 6)
+        at_package: Array = np.eye(6)
+        at_package[:3, 3:] = -hat(np.mean(self._places, axis=0))
+        e = at_package @ last.theta[ekf.CAMERA - STATE:ekf.CAMERA - STATE + 6]
+        squares = e**2 + np.diag(at_package @ last.covariance[rows, rows] @ at_package.T)
         position, rotation = np.sqrt(squares.reshape(2, 3).mean(axis=1)).tolist()
         return position, rotation
 
     @property
     def latency_std(self) -> float:
         """RMS error of the stamps (s)."""
-        known = self._known[-1]
-        return math.hypot(
-            known.theta[LATENCY - STATE], math.sqrt(known.covariance[LATENCY, LATENCY]))
+        last, row = self._estimates[-1], ekf.LATENCY
+        return math.hypot(last.theta[row - STATE], math.sqrt(last.covariance[row, row]))
 
 
 @dataclass(frozen=True)
@@ -128,6 +127,10 @@ class Rate:
     per_hour: float
     at_most: float
     causes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return both rates."""
+        return f'{self.per_hour:.2g} (95 %: at most {self.at_most:.2g})'
 
 
 @dataclass(frozen=True)
@@ -154,21 +157,17 @@ class AlarmCalibration:
     @property
     def sentence(self) -> str:
         """The parameters found, and the false alarms to expect."""
-        found = ', '.join(
+        parameters = ', '.join(
             f'{name} ' + ' '.join(f'{value:.3g}' for value in (
                 values if isinstance(values, tuple) else (values,)))
             for name, values in self.parameters.items())
-        said = (f'From this recording: {found}. False alarms to expect per hour, where '
-                f'{self.allowed:g} are allowed: {_said(self.before)} without these parameters, '
-                f'{_said(self.after)} with them.')
+        text = (f'From this recording: {parameters}. False alarms to expect per hour, where '
+                f'{self.allowed:g} are allowed: {self.before} without these parameters, '
+                f'{self.after} with them.')
         if self.after.causes:
-            said += (f' Alarms remain ({", ".join(self.after.causes)}): what causes them is not '
+            text += (f' Alarms remain ({", ".join(self.after.causes)}): what causes them is not '
                      'the noise. Check whether the work was sound, cup.*_std and package.*_std.')
-        return said
-
-
-def _said(rate: Rate) -> str:
-    return f'{rate.per_hour:.2g} (95 %: at most {rate.at_most:.2g})'
+        return text
 
 
 def calibrated_alarms(
@@ -180,7 +179,7 @@ def calibrated_alarms(
     Parameters
     ----------
     run : callable
-        Lets an observer see the recording.
+        Lets an observer process the recording.
     values : mapping
         Parameters by name.
     seconds : float
@@ -199,30 +198,30 @@ def calibrated_alarms(
         raise BellowsError(
             'alarm.false_per_hour is 0: there are no alarms to calibrate. Set how many false '
             'alarms per hour are acceptable.')
-    found = {**values, 'measured.noise': tuple(BEGUN * x for x in values['measured.noise'])}
-    for _ in range(STEPS):
-        work = SoundWork(found)
+    noise = INITIAL_NOISE_FACTOR * np.array(values['measured.noise'])
+    estimated = {**values, 'measured.noise': tuple(noise.tolist())}
+    for _ in range(ITERATIONS):
+        work = SoundWork(estimated)
         run(work)
-        if work.found < FEWEST:
+        if work.count < MIN_POSES:
             raise BellowsError(
-                f'The recording has {work.found} usable measured poses; calibrating alarms takes '
-                f'at least {FEWEST}. Record sound work for longer, best several minutes.')
-        found['measured.memory'] = work.memory
-        found['measured.noise'] = tuple(
-            noise * factor for noise, factor in zip(
-                found['measured.noise'], work.noise_factors, strict=True))
-    found['measured.offset_std'] = work.offset_std
-    found['measured.latency_std'] = work.latency_std
+                f'The recording has {work.count} usable measured poses; calibrating alarms takes '
+                f'at least {MIN_POSES}. Record sound work for longer, best several minutes.')
+        estimated['measured.memory'] = work.memory
+        estimated['measured.noise'] = tuple(
+            np.multiply(estimated['measured.noise'], work.noise_factors).tolist())
+    estimated['measured.offset_std'] = work.offset_std
+    estimated['measured.latency_std'] = work.latency_std
     names = ('measured.noise', 'measured.memory', 'measured.offset_std', 'measured.latency_std')
     return AlarmCalibration(
-        {name: found[name] for name in names[with_covariance:]}, allowed,
-        _rate(run, values, seconds), _rate(run, found, seconds))
+        {name: estimated[name] for name in names[with_covariance:]}, allowed,
+        _rate(run, values, seconds), _rate(run, estimated, seconds))
 
 
 def _rate(run: Run, values: Mapping[str, Any], seconds: float) -> Rate:
     """Return the false alarms to expect in sound work like that of a recording."""
     allowed = values['alarm.false_per_hour']
-    for more in (1.0, MORE):
+    for more in (1.0, RATE_FACTOR):
         observer = Observer({**values, 'alarm.false_per_hour': more * allowed})
         run(observer)
         count, hours = len(observer.alarms), more * seconds / 3600.0

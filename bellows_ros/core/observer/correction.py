@@ -1,4 +1,4 @@
-"""Estimates of a held package: carried along with the tool, corrected, and judged."""
+"""Estimates of a held package: propagated with the tool, corrected, and judged."""
 
 from __future__ import annotations
 
@@ -9,56 +9,28 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
 from bellows_ros.core.model.grip import one_of
-from bellows_ros.core.model.kernels import Blocks, model_row, ModelTuple, ORIGIN, State
+from bellows_ros.core.model.kernels import model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
-from bellows_ros.core.observer.alarms import Alarm, Alarms, Likeliest, processed
-from bellows_ros.core.observer.filter import (
-    ALL_ROWS,
-    body_ahead,
-    CAMERA,
-    COM,
-    DAMPING,
-    driving,
-    Estimate,
-    Evidence,
-    INERTIA,
-    LATENCY,
-    LEAST_ROWS,
-    MARKER,
-    MASS,
-    NO_EVIDENCE,
-    NOISE,
-    NOT_FOLLOWED,
-    STATE,
-    STIFFNESS,
-    WRENCH,
-)
-from bellows_ros.core.observer.measurement import (
-    changed_by,
-    FIRST_MEMORY,
-    Measurement,
-    OUT_OF_REACH,
-    OUTSIDE,
-    PoseSensor,
-)
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer.alarms import Alarm, Alarms, filter_step, Likeliest
+from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE, STATE
+from bellows_ros.core.observer.measurement import changed_by, Measurement, OUT_OF_REACH, OUTSIDE
 import numpy as np
 
 GATE = 27.86
 """Squared Mahalanobis distance that 1 in 10,000 good measurements exceeds (chi^2 of 6)."""
 
-WRONG_GATE, WRONG_NS = 8, 100_000_000
+RESTART_COUNT, RESTART_NS = 8, 100_000_000
 """Consecutive measurements outside the gate, and their time (ns), after which the filter restarts
 from them."""
 
-NOTHING_SEEN = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
-"""Stands for a measurement where there is none."""
+NO_MEASUREMENT = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
 
-LEAST_ROOM = 4096
+MIN_SAMPLES = 4096
 """Smallest buffer of tool samples: seconds of them."""
 
-
-START = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
+INITIAL_STD = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 """Standard deviations at the start: m, rad, m/s, rad/s."""
 
 MASS_SHARE, COM_UNCERTAIN = 0.1, 0.01
@@ -73,10 +45,17 @@ BIAS_WALK, WALK_ARM = 0.01, 0.02
 BIAS_SHARE = 0.1
 """Initial bias, relative to the effect of the default payload uncertainty."""
 
-OF_MOTION = (*range(STATE), *range(WRENCH, STIFFNESS), *range(NOISE, NOISE + 6))
+FIRST_PERIOD, FIRST_SQUARES = 0.03, 100.0
+"""
+Time (s) between measurements, and sum of squares of noise, before the first: as of 33. With fewer
+a payload that is off from the start is taken for noise with a long memory.
+"""
+
+MOTION_ROWS = (*range(STATE), *range(ekf.WRENCH, ekf.STIFFNESS), *range(ekf.NOISE, ekf.NOISE + 6))
 """Rows that are forgotten at a fresh start with the same package, ..."""
 
-OF_PACKAGE = (*range(MASS, COM + 3), *range(MARKER, MARKER + 6), *range(INERTIA, ALL_ROWS))
+PACKAGE_ROWS = (*range(ekf.MASS, ekf.COM + 3), *range(ekf.MARKER, ekf.MARKER + 6),
+                *range(ekf.INERTIA, ekf.ALL_ROWS))
 """... and with another one, too."""
 
 NUMBERS = 54
@@ -87,7 +66,7 @@ NO_CUPS: Array = np.zeros((0, NUMBERS))
 
 
 def bias_walk(model: ModelTuple) -> Array:
-    """Return the variances (6,) that the wrench beside the cup's gains in 1 s."""
+    """Return the variances (6,) that the wrench bias gains in 1 s."""
     weight = model[1][0] * math.hypot(*model[2])
     walk: Array = np.square(BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3))
     return walk
@@ -95,9 +74,8 @@ def bias_walk(model: ModelTuple) -> Array:
 
 def first_memory(time_constant: float) -> Array:
     """Return the memory (s) of the noise before the first measurement, see `correlations`."""
-    seconds, squares = FIRST_MEMORY
-    products = squares * math.exp(-seconds / time_constant)
-    memory: Array = np.r_[seconds, squares, squares, products, products, np.zeros(6)]
+    products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / time_constant)
+    memory: Array = np.r_[FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6)]
     return memory
 
 
@@ -111,23 +89,18 @@ def prior_std(values: Mapping[str, Any], model: ModelTuple) -> Array:
                    / np.maximum(np.r_[matrix[0][::4], matrix[2][::4]], 1e-12), 1.0)
         for name, matrix in zip(('stiffness', 'damping'), blocks, strict=True))
     inertia = np.array(values['package.inertia_std'][:3])
-    std: Array = np.zeros(ALL_ROWS if P.any() or inertia.any() else LEAST_ROWS)
-    std[:STATE] = START
     mass, com = values['package.mass_std'] / mass, values['package.com_std']
     if values['payload.estimate']:
         mass, com = mass or MASS_SHARE, [each or COM_UNCERTAIN for each in com]
-    std[MASS], std[COM:COM + 3] = mass, com
-    std[WRENCH:WRENCH + 6] = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
-    std[STIFFNESS:STIFFNESS + 6] = K
-    offset, latency = values['measured.offset_std'], values['measured.latency_std']
-    std[MARKER:MARKER + 6] = np.repeat(offset, 3)
+    bias = BIAS_SHARE * weight * np.repeat([MASS_SHARE, COM_UNCERTAIN], 3)
+    marker = camera = np.repeat(values['measured.offset_std'], 3)
+    latency = values['measured.latency_std']
     if values['measured.calibrate']:
-        offset, latency = np.maximum(offset, UNCALIBRATED[:2]), max(latency, UNCALIBRATED[2])
-    std[CAMERA:CAMERA + 6], std[LATENCY] = np.repeat(offset, 3), latency
-    std[NOISE:NOISE + 6] = 1.0
-    if len(std) > LEAST_ROWS:
-        std[DAMPING:INERTIA], std[INERTIA:] = P, inertia
-    return std
+        camera = np.maximum(camera, np.repeat(UNCALIBRATED[:2], 3))
+        latency = max(latency, UNCALIBRATED[2])
+    std: Array = np.r_[
+        INITIAL_STD, mass, com, bias, 0.0, 0.0, K, marker, camera, latency, np.ones(6)]
+    return np.r_[std, P, inertia] if P.any() or inertia.any() else std
 
 
 def cups_of(model: ModelTuple, places: Array) -> Array:
@@ -138,15 +111,12 @@ def cups_of(model: ModelTuple, places: Array) -> Array:
     """
     if len(places) < 2 or is_single(places):
         return NO_CUPS
-    return np.hstack([_of_each(matrix, places) for matrix in model[0][2:4]])
-
-
-def _of_each(gripper: Blocks, places: Array) -> Array:
-    """Return A_i^T K_1 A_i of each cup as rows (n, 27) of blocks."""
-    oo, oR, RR = (np.reshape(block, (3, 3)) for block in one_of(gripper, places))
-    A = maps(places)
-    M = np.swapaxes(A, 1, 2) @ np.block([[oo, oR], [oR.T, RR]]) @ A
-    return np.stack([M[:, :3, :3], M[:, :3, 3:], M[:, 3:, 3:]], axis=1).reshape(-1, 27)
+    A, each = maps(places), []
+    for matrix in model[0][2:4]:  # A_i^T K_1 A_i of each cup, as rows of blocks
+        oo, oR, RR = (np.reshape(block, (3, 3)) for block in one_of(matrix, places))
+        M = np.swapaxes(A, 1, 2) @ np.block([[oo, oR], [oR.T, RR]]) @ A
+        each += [M[:, :3, :3], M[:, :3, 3:], M[:, 3:, 3:]]
+    return np.stack(each, axis=1).reshape(len(places), NUMBERS)
 
 
 class Track:
@@ -155,6 +125,9 @@ class Track:
 
     Attributes
     ----------
+    rows : tuple of array or list
+        Stamp (ns), tool at the beginning and at the end of the motion from the sample before, and
+        package (with internal strains, if there are any), of each sample.
     count, newest_ns : int
         How many samples there are, and the stamp of the newest.
 
@@ -162,15 +135,12 @@ class Track:
 
     def __init__(self) -> None:
         """Start without samples."""
-        self._make(LEAST_ROOM)
-        self.newest_ns = 0
+        self._allocate(MIN_SAMPLES)
+        self.count = self.newest_ns = 0
 
-    def _make(self, room: int) -> None:
-        """Make room for samples."""
-        self.count = 0
-        stamps, (starts, ends) = np.zeros(room, np.int64), np.zeros((2, room, 13))
-        bodies = np.zeros((room, 25))  # with internal strains, if there are any
-        self.rows = as_inputs(stamps, starts, ends, bodies)
+    def _allocate(self, size: int) -> None:
+        stamps, (starts, ends) = np.zeros(size, np.int64), np.zeros((2, size, 13))
+        self.rows = as_inputs(stamps, starts, ends, np.zeros((size, 25)))
 
     def begin(self, stamp_ns: int) -> None:
         """Discard all but the start of a motion."""
@@ -185,17 +155,17 @@ class Track:
         """Make room for another sample; discard those before a stamp."""
         if self.count < len(self.rows[0]):
             return
-        before, kept = self.rows, slice(self.after(since_ns) - 1, self.count)
-        self._make(max(LEAST_ROOM, 4 * (kept.stop - kept.start)))
-        self.count = kept.stop - kept.start
+        before, first, end = self.rows, self.after(since_ns) - 1, self.count
+        self.count = end - first
+        self._allocate(max(MIN_SAMPLES, 4 * self.count))
         for old, new in zip(before, self.rows, strict=True):
-            new[:self.count] = old[kept]
+            new[:self.count] = old[first:end]
 
 
 class Outcome(NamedTuple):
     """What a measured pose makes of an estimate."""
 
-    known: Estimate
+    estimate: Estimate
     verdict: str
     """`used`, `recovered`, `gate` or `out_of_reach`."""
     alarm: Alarm | None = None
@@ -209,10 +179,11 @@ class Correction:
     ----------
     values : mapping
         Parameters by name, as of `Observer`.
-    sensor : PoseSensor
+    marker : tuple
+        Of the `PoseSensor`.
     model : tuple
         Nominal.
-    longest, reach : float
+    max_step, reach : float
         The longest step (s) of the model, and how far (m) a lip can be.
 
     Attributes
@@ -222,124 +193,122 @@ class Correction:
     """
 
     def __init__(
-        self, values: Mapping[str, Any], sensor: PoseSensor, model: ModelTuple, longest: float,
+        self, values: Mapping[str, Any], marker: Any, model: ModelTuple, max_step: float,
         reach: float,
     ) -> None:
-        """Know what is uncertain."""
-        self.nominal, self.longest, self.reach = model, longest, reach
+        """Set what is uncertain."""
+        self.nominal, self.max_step, self.reach = model, max_step, reach
         self.branches = model[0][4:]
         self._row = model_row(model)
         self.prior, self._walk = prior_std(values, model), bias_walk(model)
-        self._marker, places = sensor.marker, places_of(values)
+        self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
         allowed = values['alarm.false_per_hour']
         self.alarms = Alarms(
-            allowed, len(self.prior), self._marker[2], places) if allowed > 0.0 else None
-        self._steps = self.alarms.steps if self.alarms else NOT_FOLLOWED
+            allowed, len(self.prior), marker[2], places) if allowed > 0.0 else None
+        self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
         self.first_memory = first_memory(values['measured.memory'])
         self._tool_noise = np.repeat(
             [values['tool_noise.position'], values['tool_noise.rotation']], 3)
 
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: tuple[Array, Array, Array],
-        opened: tuple[int, ...],
+        lost_cups: tuple[int, ...],
     ) -> Estimate:
         """Return the estimate of a package at rest, with an initial theta, covariance, memory."""
-        self._drive = driving(self.nominal, tool, body, self._tool_noise)
+        self._drive = ekf.driving(self.nominal, tool, body, self._tool_noise)
         return Estimate(
-            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, opened), opened)
+            stamp_ns, tool, body, *initial, self._evidence(stamp_ns, lost_cups), lost_cups)
 
-    def row(self, opened: tuple[int, ...]) -> Any:
+    def row(self, lost_cups: tuple[int, ...]) -> Any:
         """Return the `model_row` without those cups that are lost."""
-        if not opened:
+        if not lost_cups:
             return self._row
         row = np.array(self._row)
-        row[2:2 + NUMBERS] -= self._cups[list(opened)].sum(axis=0)
+        row[2:2 + NUMBERS] -= self._cups[list(lost_cups)].sum(axis=0)
         return row
 
-    def _holding(self, opened: tuple[int, ...]) -> Array:
+    def _holding(self, lost_cups: tuple[int, ...]) -> Array:
         """Return the cups, see `cups_of`, that hold; none where the last would be."""
-        cups = np.delete(self._cups, list(opened), axis=0) if opened else self._cups
+        cups = np.delete(self._cups, list(lost_cups), axis=0) if lost_cups else self._cups
         return cups if len(cups) > 1 else NO_CUPS
 
     def _evidence(
-        self, stamp_ns: int, opened: tuple[int, ...], is_first: bool = True
+        self, stamp_ns: int, lost_cups: tuple[int, ...], from_start: bool = True
     ) -> Evidence:
         """Return that of no fault yet."""
         return NO_EVIDENCE if self.alarms is None else self.alarms.start(
-            stamp_ns, len(self._holding(opened)), is_first)
+            stamp_ns, len(self._holding(lost_cups)), from_start)
 
-    def _processed(
-        self, known: Estimate, track: Track, stamp_ns: int, is_known: bool,
-        seen: Measurement = NOTHING_SEEN, gate: float = 0.0,
+    def _step(
+        self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
+        measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0,
     ) -> tuple[int, Estimate, Likeliest]:
-        """Return verdict, estimate and faults by `processed`; a gate of zero sees nothing."""
-        opened, evidence = known.opened, known.evidence
-        verdict, tool, body, theta, P, memory, E, numbers, onsets, outcome = processed(
-            self.row(opened), self.branches, known.theta, known.tool, known.body,
-            known.covariance, known.memory, *track.rows, is_known, track.count, known.stamp_ns,
-            stamp_ns, self.longest, self._drive, self._walk, evidence.signatures,
-            evidence.numbers, evidence.onsets, evidence.is_first, self._steps,
-            self._holding(opened), gate > 0.0, *seen[1:], self._marker, self.reach, gate)
-        evidence = Evidence(E, numbers, onsets, evidence.half_way, evidence.is_first)
+        """Return verdict, estimate and faults by `filter_step`; only propagate with gate 0."""
+        evidence = before.evidence
+        verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest = filter_step(
+            self.row(before.lost_cups), self.branches, before.theta, before.tool, before.body,
+            before.covariance, before.memory, *track.rows, is_recorded, track.count,
+            before.stamp_ns, stamp_ns, self.max_step, self._drive, self._walk, *evidence[:3],
+            evidence.from_start, self._steps, self._holding(before.lost_cups), gate > 0.0,
+            *measurement[1:], self._marker, self.reach, gate)
         return verdict, Estimate(
-            stamp_ns, tool, body, theta, P, memory, evidence, opened, known.refused,
-            known.away_ns), outcome
+            stamp_ns, tool, body, theta, P, memory,
+            Evidence(E, statistics, onsets, *evidence[3:]), *before[7:]), likeliest
 
-    def carried(
-        self, known: Estimate, track: Track, stamp_ns: int, with_evidence: bool = True
-    ) -> Estimate:
-        """Return an estimate carried along with the tool, where the package has been before."""
-        if not with_evidence:
-            known = known._replace(evidence=NO_EVIDENCE)
-        return self._processed(known, track, stamp_ns, True)[1]
+    def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
+        """Return an estimate at a later stamp; the package has been there before."""
+        return self._step(estimate, track, stamp_ns, True)[1]
 
-    def body_at_end(self, known: Estimate, track: Track) -> State:
+    def body_at_end(self, estimate: Estimate, track: Track) -> State:
         """Return the package at the newest sample of the tool, and write it into the samples."""
-        if known.stamp_ns == track.newest_ns:
-            return known.body
-        return body_ahead(
-            self.row(known.opened), self.branches, known.theta, known.tool, known.body,
-            *track.rows, track.count, known.stamp_ns, track.newest_ns, self.longest)
+        if estimate.stamp_ns == track.newest_ns:
+            return estimate.body
+        return ekf.body_at_end(
+            self.row(estimate.lost_cups), self.branches, estimate.theta, estimate.tool,
+            estimate.body, *track.rows, track.count, estimate.stamp_ns, track.newest_ns,
+            self.max_step)
 
     def updated(
-        self, before: Estimate, track: Track, seen: Measurement, is_known: bool
+        self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool
     ) -> Outcome:
         """Return the estimate after a measurement: the one before it where that is no package."""
-        stamp_ns, opened, half_way = seen.stamp_ns, before.opened, before.evidence.half_way
-        verdict, after, outcome = self._processed(before, track, stamp_ns, is_known, seen, GATE)
+        stamp_ns, lost_cups = measurement.stamp_ns, before.lost_cups
+        verdict, after, likeliest = self._step(
+            before, track, stamp_ns, is_recorded, measurement, GATE)
         if verdict == OUT_OF_REACH:
             return Outcome(before, 'out_of_reach')
-        refused = (*before.refused, stamp_ns) if verdict == OUTSIDE else ()
-        name = 'used' if not refused else 'recovered' if (
-            len(refused) >= WRONG_GATE and stamp_ns - refused[0] >= WRONG_NS) else 'gate'
+        gated = (*before.gated_ns, stamp_ns) if verdict == OUTSIDE else ()
+        name = 'used' if not gated else 'recovered' if (
+            len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
+        fault, evidence = None, after.evidence
         if self.alarms is not None:  # what came back within the gate confirms nothing before
-            is_back = before.refused and not refused
-            half_way = self.alarms.half_way(() if is_back else half_way, stamp_ns, outcome[0])
+            is_back = before.gated_ns and not gated
+            evidence = evidence._replace(suspect_ns=self.alarms.suspect_ns(
+                () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0]))
+            fault = self.alarms.detected(evidence, stamp_ns, likeliest, lost_cups)
         after = after._replace(
-            evidence=after.evidence._replace(half_way=half_way), refused=refused,
-            away_ns=before.away_ns if refused else 0)
-        if self.alarms is not None and (
-                fault := self.alarms.found(after.evidence, stamp_ns, outcome, opened)):
-            opened += (fault.cup,) if fault.cup >= 0 else ()
+            evidence=evidence, gated_ns=gated, away_ns=before.away_ns if gated else 0)
+        if fault is not None:
+            lost_cups += (fault.cup,) if fault.cup >= 0 else ()
             body, theta = changed_by(after.body, after.theta, fault.error)
             return Outcome(after._replace(  # the fault was taken for noise, too
-                body=body, theta=theta, memory=self.first_memory, refused=(), opened=opened,
-                evidence=self._evidence(stamp_ns, opened, False),
+                body=body, theta=theta, memory=self.first_memory, gated_ns=(), lost_cups=lost_cups,
+                evidence=self._evidence(stamp_ns, lost_cups, False),
                 covariance=after.covariance + fault.spread @ fault.spread.T), name, fault.alarm)
         if name == 'recovered':
-            return Outcome(self._restarted(after, before.memory, track, seen), name)
+            return Outcome(self._restarted(after, before.memory, track, measurement), name)
         return Outcome(after, name)
 
     def _restarted(
-        self, known: Estimate, memory: Array, track: Track, seen: Measurement
+        self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
     ) -> Estimate:
-        """Return an estimate as uncertain as at the start, corrected with what is seen there."""
-        rows = np.r_[:STATE, WRENCH:WRENCH + 6]
-        P = known.covariance.copy()
+        """Return an estimate as uncertain as at the start, corrected with a measurement there."""
+        rows = np.r_[:STATE, ekf.WRENCH:ekf.WRENCH + 6]
+        P, stamp_ns = estimate.covariance.copy(), measurement.stamp_ns
         P[rows, rows] += np.square(self.prior[rows])
-        restarted = known._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
-        _, after, _ = self._processed(restarted, track, seen.stamp_ns, True, seen, math.inf)
+        restarted = estimate._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
+        _, after, _ = self._step(restarted, track, stamp_ns, True, measurement, math.inf)
         return after._replace(
-            memory=memory, refused=(), away_ns=0,
-            evidence=self._evidence(seen.stamp_ns, known.opened, False))
+            memory=memory, gated_ns=(), away_ns=0,
+            evidence=self._evidence(stamp_ns, estimate.lost_cups, False))

@@ -64,7 +64,7 @@ FALLEN = 7
 COARSE = 12
 """The covariance is propagated in steps up to this many times longer than the state's."""
 
-NOT_FOLLOWED: Array = np.zeros((0, 0))
+NO_MATRIX: Array = np.zeros((0, 0))
 """Stands for a transition and a covariance that are not computed."""
 
 MOST_CORRELATED = 0.97
@@ -76,13 +76,13 @@ class Evidence(NamedTuple):
 
     signatures: Any
     """(n + 7, columns), of single precision: they are the larger part of the work."""
-    numbers: Array
-    """Scores, squared distances since each onset, and information, see `alarms.INFORMATION`."""
+    statistics: Array
+    """Squared distances since each onset, scores and information, see `alarms.STATISTICS`."""
     onsets: Stamps
     """Measurements since each onset, and its stamp (ns): (2, onsets)."""
-    half_way: tuple[int, ...] = ()
+    suspect_ns: tuple[int, ...] = ()
     """Stamps (ns) since half-way to the threshold."""
-    is_first: bool = True
+    from_start: bool = True
     """Whether faults from the start are looked for: no alarm has been raised."""
 
 
@@ -105,9 +105,9 @@ class Estimate(NamedTuple):
     """Of the noise, see `correlations` (11,)."""
     evidence: Evidence = NO_EVIDENCE
     """Of faults."""
-    opened: tuple[int, ...] = ()
-    """Cups of a gripper that are lost, by their place among those that held."""
-    refused: tuple[int, ...] = ()
+    lost_cups: tuple[int, ...] = ()
+    """Of a gripper, by their place among those that held."""
+    gated_ns: tuple[int, ...] = ()
     """Stamps (ns) of consecutive measurements outside the gate."""
     away_ns: int = 0
     """Stamp of the first of consecutive measurements out of reach, after one within it; 0 for
@@ -156,7 +156,7 @@ def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
 
 
 @kernel
-def wrench_of(theta: Array) -> Wrench:
+def wrench_bias(theta: Array) -> Wrench:
     """Return the wrench beside the cup's (N, N m)."""
     k = math.exp(theta[0])
     return t3.scale(k, (theta[4], theta[5], theta[6])), t3.scale(
@@ -453,24 +453,24 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
 
 
 @kernel
-def is_coarse(stamp_ns: int, next_ns: int, longest: float) -> bool:
+def ends_step(stamp_ns: int, next_ns: int, max_step: float) -> bool:
     """Return whether a covariance step ends at a sample, regardless of where it began."""
-    length_ns = int(1e9 * min(COARSE * longest, 1.0))
+    length_ns = int(1e9 * min(COARSE * max_step, 1.0))
     return stamp_ns // length_ns != next_ns // length_ns
 
 
 @kernel
-def _is_passed(stamps: Any, k: int, until_ns: int, longest: float) -> bool:
+def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool:
     """Return whether a covariance step goes on after the whole of sample k."""
-    return stamps[k] < until_ns and (stamps[k] - stamps[k - 1]) * 1e-9 <= COARSE * longest and (
-        not is_coarse(stamps[k], stamps[k + 1], longest))
+    return stamps[k] < until_ns and (stamps[k] - stamps[k - 1]) * 1e-9 <= COARSE * max_step and (
+        not ends_step(stamps[k], stamps[k + 1], max_step))
 
 
 @kernel
 def propagated(
     model: ModelTuple, theta: Array, tool: State, body: State, T: Array, Q: Array,
-    stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, drive: Array, cups: Array, lost: Array,
+    stamps: Any, starts: Any, ends: Any, bodies: Any, is_recorded: bool, k: int, now_ns: int,
+    until_ns: int, max_step: float, drive: Array, cups: Array, lost: Array,
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, and carry transition and noise there in place.
@@ -488,13 +488,13 @@ def propagated(
         its motion from the sample before.
     bodies : sequence
         The package at each sample (13,).
-    is_known : bool
+    is_recorded : bool
         Whether the package has gone this way before: it is read there, else it is written.
     k : int
         The first sample after the beginning.
     now_ns, until_ns : int
         Beginning, and end.
-    longest : float
+    max_step : float
         Longest step of the state, s.
     drive : ndarray (12, 12)
         Of `driving`.
@@ -504,14 +504,14 @@ def propagated(
         Transitions without each of them, carried along in place.
 
     """
-    push, follows, fresh, h, held = wrench_of(theta), T.shape[0] > 0, True, 0.0, 0.0
+    push, follows, fresh, h, held = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
     nominal, model = model, with_theta(model, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     losses0, losses1 = np.zeros((len(lost), 6, 13)), np.zeros((len(lost), 6, 13))
     while True:
-        if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or is_coarse(
-                now_ns, stamps[k], longest)):
+        if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
+                now_ns, stamps[k], max_step)):
             force = slopes(model, push, math.exp(theta[0]), tool, body, A1, B1)
             write_losses(nominal, theta, cups[:len(lost)], tool, body, losses1)
             if not fresh:
@@ -523,7 +523,8 @@ def propagated(
         if now_ns == until_ns:
             return tool, body
         first = k
-        while is_known and now_ns == stamps[k - 1] and _is_passed(stamps, k, until_ns, longest):
+        while is_recorded and now_ns == stamps[k - 1] and _is_inside_step(
+                stamps, k, until_ns, max_step):
             part = (stamps[k] - now_ns) * 1e-9
             h, held, now_ns, k = h + part, held + part * part, stamps[k], k + 1
         if k > first:
@@ -532,7 +533,7 @@ def propagated(
         if now_ns == stamps[k - 1]:
             tool = row_state(starts[k])
         later_ns = min(stamps[k], until_ns)
-        cuts = substeps_for((later_ns - now_ns) * 1e-9, COARSE * longest)
+        cuts = substeps_for((later_ns - now_ns) * 1e-9, COARSE * max_step)
         later_ns = now_ns + (later_ns - now_ns) // cuts
         there = row_state(ends[k])
         if later_ns < stamps[k]:
@@ -540,7 +541,7 @@ def propagated(
             there = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
         part = (later_ns - now_ns) * 1e-9
         body = _followed(
-            model, push, body, tool, there, part, longest, bodies[k], is_known,
+            model, push, body, tool, there, part, max_step, bodies[k], is_recorded,
             later_ns == stamps[k])
         tool, now_ns, h, held = there, later_ns, h + part, held + part * whole_ns * 1e-9
         if now_ns == stamps[k]:
@@ -550,8 +551,8 @@ def propagated(
 @array_kernel
 def predicted(
     model: ModelTuple, theta: Array, tool: State, body: State, P: Array, memory: Array,
-    stamps: Any, starts: Any, ends: Any, bodies: Any, is_known: bool, k: int, now_ns: int,
-    until_ns: int, longest: float, drive: Array, walk: Array, signatures: Any, cups: Array,
+    stamps: Any, starts: Any, ends: Any, bodies: Any, is_recorded: bool, k: int, now_ns: int,
+    until_ns: int, max_step: float, drive: Array, walk: Array, signatures: Any, cups: Array,
 ) -> tuple[State, State, Array, Array, Any]:
     """Return tool, body, theta and covariance of an estimate at a later stamp, and signatures."""
     T, Q, theta = identity_transition(len(P)), np.zeros((STATE, STATE)), theta.copy()
@@ -559,8 +560,8 @@ def predicted(
     for i in range(STATE):
         lost[:, i, i] = 1.0
     tool, body = propagated(
-        model, theta, tool, body, T, Q, stamps, starts, ends, bodies, is_known, k, now_ns,
-        until_ns, longest, drive, cups, lost)
+        model, theta, tool, body, T, Q, stamps, starts, ends, bodies, is_recorded, k, now_ns,
+        until_ns, max_step, drive, cups, lost)
     P = propagated_covariance(P, T, Q, walk, memory)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], memory)
     if len(signatures) > 0:
@@ -598,12 +599,12 @@ def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
 @kernel
 def _followed(
     model: ModelTuple, push: Wrench, body: State, start: State, end: State, seconds: float,
-    longest: float, row: Any, is_known: bool, is_sample: bool,
+    max_step: float, row: Any, is_recorded: bool, is_sample: bool,
 ) -> State:
     """Return a state after a motion of the tool, from or into the row of a sample at its end."""
-    if is_known and is_sample:
+    if is_recorded and is_sample:
         return body_row(row, body)
-    substeps = substeps_for(seconds, longest)
+    substeps = substeps_for(seconds, max_step)
     body = advanced_with_wrench(model, push, body, start, end, seconds, substeps)
     if is_sample:
         write_row(row, body)
@@ -613,7 +614,7 @@ def _followed(
 @kernel
 def followed(
     row: Any, branches: tuple[Branch, ...], theta: Array, body: State, stamps: Any, starts: Any,
-    ends: Any, bodies: Any, k: int, stamp_ns: int, start: State, end: State, longest: float,
+    ends: Any, bodies: Any, k: int, stamp_ns: int, start: State, end: State, max_step: float,
     reach: float,
 ) -> tuple[State, Wrench, bool]:
     """Keep a sample of the tool as number k; return the package there, and `checked_wrench`."""
@@ -622,14 +623,14 @@ def followed(
     write_row(starts[k], start)
     write_row(ends[k], end)
     seconds, tool = (stamp_ns - stamps[k - 1]) * 1e-9, start
-    cuts = substeps_for(seconds, COARSE * longest)
+    cuts = substeps_for(seconds, COARSE * max_step)
     part = seconds / cuts
     for i in range(cuts):
         there = end
         if i < cuts - 1:
             there = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / cuts)
         body = advanced_with_wrench(
-            model, wrench_of(theta), body, tool, there, part, substeps_for(part, longest))
+            model, wrench_bias(theta), body, tool, there, part, substeps_for(part, max_step))
         tool = there
     write_row(bodies[k], body)
     wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
@@ -637,14 +638,14 @@ def followed(
 
 
 @kernel
-def body_ahead(
+def body_at_end(
     row: Any, branches: tuple[Branch, ...], theta: Array, tool: State, body: State, stamps: Any,
-    starts: Any, ends: Any, bodies: Any, count: int, now_ns: int, until_ns: int, longest: float,
+    starts: Any, ends: Any, bodies: Any, count: int, now_ns: int, until_ns: int, max_step: float,
 ) -> State:
     """Return the package of an estimate at a later stamp, and write it into the samples."""
     none = np.zeros((0, 0))
-    is_known = len(none) > 0  # for the constant False another one would be compiled
+    is_recorded = len(none) > 0  # for the constant False another one would be compiled
     return propagated(
         kernels.model_of(row, branches), theta, tool, body, none, none, stamps, starts, ends,
-        bodies, is_known, first_after(stamps, now_ns, count), now_ns, until_ns, longest, none,
+        bodies, is_recorded, first_after(stamps, now_ns, count), now_ns, until_ns, max_step, none,
         np.zeros((0, 54)), np.zeros((0, 12, 13)))[1]

@@ -21,7 +21,7 @@ from bellows_ros.core.observer.filter import (
     NOISE,
     STATE,
     with_theta,
-    wrench_of,
+    wrench_bias,
 )
 from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
@@ -32,17 +32,11 @@ Position (m) and orientation of what is measured, in axes of B; whether it is me
 lip and not from B; standard deviation (s) of the random part of the stamps' error.
 """
 
-WHITE = 0.05
+WHITE_SHARE = 0.05
 """Part of the noise's variance that has no memory."""
 
-COUNTED = 1000.0
+MEMORY_COUNT = 1000.0
 """The noise's memory is that of so many measurements."""
-
-FIRST_MEMORY = 0.03, 100.0
-"""
-Time (s) between measurements, and sum of squares of noise, before the first: as of 33. With fewer
-a payload that is off from the start is taken for noise with a long memory.
-"""
 
 
 class Measurement(NamedTuple):
@@ -139,7 +133,7 @@ def at_com(
 
 
 @kernel
-def three(theta: Array, row: int) -> Vector:
+def vector_at(theta: Array, row: int) -> Vector:
     """Return three numbers of theta, from a row of the error on."""
     return theta[row - STATE], theta[row - STATE + 1], theta[row - STATE + 2]
 
@@ -149,21 +143,21 @@ def corrected_pose(
     position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
     """Return what `at_com` does, without the estimated errors of camera, marker and noise."""
-    turn = t3.exp_quaternion(t3.scale(-1.0, three(theta, CAMERA + 3)))
-    position = t3.apply(t3.rotation_matrix(turn), t3.subtract(position, three(theta, CAMERA)))
+    turn = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, CAMERA + 3)))
+    position = t3.apply(t3.rotation_matrix(turn), t3.subtract(position, vector_at(theta, CAMERA)))
     position, q, noise = at_com(position, t3.quaternion_product(turn, q), noise, marker, com)
-    q = t3.quaternion_product(q, t3.exp_quaternion(t3.scale(-1.0, three(theta, MARKER + 3))))
-    position = t3.subtract(position, t3.apply(t3.rotation_matrix(q), three(theta, MARKER)))
+    q = t3.quaternion_product(q, t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, MARKER + 3))))
+    position = t3.subtract(position, t3.apply(t3.rotation_matrix(q), vector_at(theta, MARKER)))
     return position, q, noise
 
 
 @kernel
-def when_exposed(model: ModelTuple, tool: State, body: State, theta: Array) -> State:
+def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> State:
     """Return the package by the estimated latency earlier."""
     late = theta[LATENCY - STATE]
     if late == 0.0:
         return body
-    push, half = wrench_of(theta), 0.5 * late * late
+    push, half = wrench_bias(theta), 0.5 * late * late
     dv, dw = kernels.body_acceleration(model, tool, body)
     more = jacobians.acceleration_at(model[1], model[1][1], push[0], push[1])
     dv = t3.add(t3.add(dv, more[0]), t3.cross(body[3], body[2]))
@@ -217,7 +211,7 @@ def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
         H[i, i] = H[i, MARKER + i] = 1.0
         H[i, LATENCY] = -v[i]
         for j in range(i + 1):
-            H[i, NOISE + j] = math.sqrt(1.0 - WHITE) * root[i, j]
+            H[i, NOISE + j] = math.sqrt(1.0 - WHITE_SHARE) * root[i, j]
     for i in range(3):
         if of_lip:
             H[i, COM + i] = -1.0
@@ -270,7 +264,7 @@ def innovation(
     S = observed(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
     for i in range(6):
         for j in range(6):
-            S[i, j] += WHITE * noise[i, j] + jitter * H[i, LATENCY] * H[j, LATENCY]
+            S[i, j] += WHITE_SHARE * noise[i, j] + jitter * H[i, LATENCY] * H[j, LATENCY]
     _, W = cholesky(S)
     z = np.zeros(6)
     for i in range(6):
@@ -306,10 +300,10 @@ def corrected(
 
 
 @kernel
-def remembered(memory: Array, theta: Array, seconds: float) -> Array:
+def updated_memory(memory: Array, theta: Array, seconds: float) -> Array:
     """Return the memory of the noise (see `correlations`) after another measurement."""
-    out, forgetting = memory.copy(), 1.0 - 1.0 / COUNTED
-    out[0] += (seconds - out[0]) / min(max(out[1] / 3.0, 1.0), COUNTED)
+    out, forgetting = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT
+    out[0] += (seconds - out[0]) / min(max(out[1] / 3.0, 1.0), MEMORY_COUNT)
     out[1:5] *= forgetting
     for i in range(6):
         noise = theta[NOISE - STATE + i]
@@ -361,7 +355,7 @@ def updated(
     model = with_theta(model, theta)
     com = model[1][1]
     position, q, noise = corrected_pose(position, quaternion_xyzw, noise, marker, theta, com)
-    exposed = when_exposed(model, tool, body, theta)
+    exposed = at_exposure(model, tool, body, theta)
     found = innovation(exposed, theta, P, position, q, noise, marker)
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     verdict = USED
@@ -371,5 +365,5 @@ def updated(
         verdict = OUTSIDE
     else:
         body, theta = corrected(body, theta, P, found)
-        memory = remembered(memory, theta, seconds)
+        memory = updated_memory(memory, theta, seconds)
     return verdict, found, body, theta, memory

@@ -155,7 +155,7 @@ def follow(made, stamps, tool, start, came, before=None, after=None):
             before(k)
         made.follow(int(stamps[k]), tool[k - 1], tool[k])
         for stamp_ns, pose in came.get(k, []):
-            made.see(measured(made, stamp_ns, pose))
+            made.update(measured(made, stamp_ns, pose))
         if after is not None:
             after(k)
 

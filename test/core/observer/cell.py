@@ -245,7 +245,7 @@ class Cell:
                 seen = made.sensor.measurement(stamp_ns, *pose)
                 if before is not None:
                     before(seen)
-                made.see(seen)
+                made.update(seen)
             if after is not None:
                 after(k)
         return [(alarm.cause, (alarm.stamp_ns - int(self.stamps[0])) * 1e-9 - self.at)

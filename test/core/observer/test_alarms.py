@@ -7,37 +7,10 @@ from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.kernels import model_of
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import SINGLE
-from bellows_ros.core.observer import correction as module
-from bellows_ros.core.observer.alarms import (
-    _place,
-    _set_in,
-    Alarms,
-    AT_START,
-    CAUSES,
-    COLUMNS,
-    DECIDES,
-    FIRSTS,
-    HYPOTHESES,
-    ONSET_NS,
-    ONSETS,
-    SETTLING,
-    SLOTS,
-    START_WEIGHS,
-    UNEXPLAINED,
-    UNSURE,
-)
+from bellows_ros.core.observer import alarms, correction
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer.alarms import Alarms, AT_START, CAUSES, HYPOTHESES
 from bellows_ros.core.observer.correction import NO_CUPS
-from bellows_ros.core.observer.filter import (
-    CAMERA,
-    DAMPING,
-    identity_transition,
-    LENGTH,
-    LENGTHENING,
-    MARKER,
-    NOISE,
-    predicted,
-    propagated,
-)
 from bellows_ros.core.observer.measurement import OUT_OF_REACH, updated, USED
 import numpy as np
 import pytest
@@ -83,7 +56,7 @@ def test_mass_that_is_off_may_be_wear_and_the_alarm_says_both():
         assert float(found[1]) == pytest.approx(10.0, abs=3 * float(found[2]))
         found = re.search(r'and ([0-9.]+) ± ([0-9.]+) % in rotation', alarm.message)
         assert float(found[1]) == pytest.approx(10.0, abs=3 * float(found[2]))
-        assert alarm.message.endswith(DECIDES[frozenset(('wear', 'payload'))])
+        assert alarm.message.endswith(alarms.DECIDES[frozenset(('wear', 'payload'))])
 
 
 @pytest.mark.parametrize('lost', range(4))
@@ -160,14 +133,15 @@ def test_drop_is_always_noticed(kind, rate_hz, within):
 
 def _dense_transition(model, theta, tool, body, P, memory, *track):
     """Give the transition (n + 7, n + 7) of the error with what falls, and the tool at the end."""
-    n, T = len(P), identity_transition(len(P))
-    end, _ = propagated(
+    n, T = len(P), ekf.identity_transition(len(P))
+    end, _ = ekf.propagated(
         model, theta, tool, body, T, np.zeros((12, 12)), *track, NO_CUPS, np.zeros((0, 12, 13)))
     F, h = np.eye(n + 7), T[12, 0]
-    F[:12, [*range(MARKER), *range(DAMPING, n)]], F[LENGTH, LENGTHENING] = T[:12], h
+    F[:12, [*range(ekf.MARKER), *range(ekf.DAMPING, n)]] = T[:12]
+    F[ekf.LENGTH, ekf.LENGTHENING] = h
     for i in range(6):
         share = np.clip(memory[3 + i // 3] / memory[1 + i // 3], 1e-3, 0.97)
-        F[NOISE + i, NOISE + i] = share ** (h / memory[0])
+        F[ekf.NOISE + i, ekf.NOISE + i] = share ** (h / memory[0])
     F[n + 1:n + 4, n], F[n + 4:, n], F[n + 4:, n + 1:n + 4] = T[12, 1:4], T[12, 4:7], h * np.eye(3)
     return F, end
 
@@ -187,18 +161,18 @@ def _dense_total(given):
     known, ratios = [begun(k) for k in range(AT_START)], []
     for count, (F, (z, H, root, distance, whitened), used, now_ns) in enumerate(given, 1):
         C, update = np.hstack([H, np.zeros((6, 7))]), np.eye(n + 7)
-        C[:3, n + 4:] = H[:3, CAMERA:CAMERA + 3]
+        C[:3, n + 4:] = H[:3, ekf.CAMERA:ekf.CAMERA + 3]
         update[:n] -= used * whitened.T @ root @ C
         for each in known:
             E = F @ each['E']
             each['E'], made = update @ E, root @ C @ E
             each['count'] += 1
-            if count > SETTLING:
+            if count > alarms.SETTLING:
                 each['J'] = each['J'] + made.T @ made
                 each['d'] = each['d'] + made.T @ z
                 each['distance'] += distance
-        known += [{**begun(k), 'ns': now_ns} for k in range(AT_START, len(HYPOTHESES)) if (
-            count >= SETTLING and (count - SETTLING) % HYPOTHESES[k].every == 0)]
+        known += [{**begun(k), 'ns': now_ns} for k in range(AT_START, alarms.CUP) if (
+            count >= alarms.SETTLING and (count - alarms.SETTLING) % HYPOTHESES[k].every == 0)]
     for each in known:
         cause, count = each['cause'], each['count']
         is_told = count > 0 and now_ns >= each.get('ns', 0) + cause.after_ns
@@ -207,11 +181,11 @@ def _dense_total(given):
             mean = np.full(m, float(cause.name == 'lost'))
             A, z = np.eye(m) + s @ J @ s, s @ (d - J @ mean)
             explained = z @ np.linalg.solve(A, z) + mean @ (2.0 * d - J @ mean)
-            if each['distance'] - explained <= (
-                    6.0 * count + 4.0 * np.sqrt(12.0 * count) + UNEXPLAINED * explained):
+            usual = 6.0 * count + 4.0 * np.sqrt(12.0 * count)
+            if each['distance'] - explained <= usual + alarms.MAX_UNEXPLAINED * explained:
                 ratios.append(
                     0.5 * (explained - np.linalg.slogdet(A)[1])
-                    + np.log(cause.every if each['later'] else START_WEIGHS)
+                    + np.log(cause.every if each['later'] else alarms.START_WEIGHT)
                     + np.log(cause.share / len(cause.ends)))
     return logsumexp(ratios)
 
@@ -220,8 +194,8 @@ def _dense_total(given):
 @pytest.mark.parametrize('kind', ['slip', 'wear', 'camera', 'drop'])
 def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
-    processed, given, totals = module.processed, [], []
-    interpreted = getattr(predicted, 'py_func', predicted)  # compiling it takes some 7 s
+    processed, given, totals = correction.filter_step, [], []
+    interpreted = getattr(ekf.predicted, 'py_func', ekf.predicted)  # compiling it takes some 7 s
 
     def processing(row, branches, theta, tool, body, P, memory, *more):
         result = processed(row, branches, theta, tool, body, P, memory, *more)
@@ -238,7 +212,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
                 totals.append(result[9][0])
         return result
 
-    monkeypatch.setattr(module, 'processed', processing)
+    monkeypatch.setattr(correction, 'filter_step', processing)
     monkeypatch.setattr('bellows_ros.core.observer.alarms.CONFIRMED', 1000)  # no alarm
     Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.28, size=1.5).run()
     assert len(totals) > 12
@@ -248,25 +222,29 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 
 def test_onset_that_is_named_keeps_its_slot():
     """Put a new onset elsewhere than the likeliest one, from whose slot an alarm has its size."""
-    rng = np.random.default_rng(1)
     made = Alarms(1.0, 49, False, SINGLE)
-    E, numbers, onsets, *_ = made.start(1, 0)
-    for k in range(ONSETS):
-        _set_in(E, numbers, onsets, made.steps, 1_000_000_000 + k * ONSET_NS, 0)
-    numbers[:] = rng.normal(size=len(numbers))
-    now_ns = 1_000_000_000 + ONSETS * ONSET_NS
-    taken = _place(onsets[1], now_ns, 0)
-    before = numbers.copy(), E.copy(), onsets.copy()
-    _set_in(E, numbers, onsets, made.steps, now_ns, taken)
-    other = int(np.flatnonzero(onsets[1] == now_ns)[0])
-    assert taken > 0 and other not in (0, taken)
-    for what in range(AT_START, len(HYPOTHESES)):
-        if SLOTS[what] == ONSETS:
-            for a in range(FIRSTS[what], FIRSTS[what + 1]):
-                column = COLUMNS[a] + taken - 1
-                assert numbers[column] == before[0][column]
-                np.testing.assert_array_equal(E[:, column], before[1][:, column])
-    assert onsets[1, taken] == before[2][1, taken]
+    E, statistics, onsets, *_ = made.start(1, 0)
+
+    def add(k, likeliest):
+        alarms._add_onset(
+            E, statistics, onsets, made.steps, 1_000_000_000 + k * alarms.ONSET_NS, likeliest)
+
+    for k in range(ekf.ONSETS):
+        add(k, 0)
+    statistics[:] = np.random.default_rng(1).normal(size=len(statistics))
+    now_ns = 1_000_000_000 + ekf.ONSETS * alarms.ONSET_NS
+    taken = alarms._free_slot(onsets[1], now_ns, 0)
+    before, stamp_ns = statistics.copy(), onsets[1, taken]
+    E[:] = 7.0
+    add(ekf.ONSETS, taken)
+    changed = statistics != before
+    changed[:1 + ekf.ONSETS] = False
+    leak = alarms.HYPOTHESES.index(alarms.NAMED['leak'])
+    scores = changed[alarms.STATISTICS[leak]:][:ekf.ONSETS]
+    assert scores.sum() == 1 and not scores[taken - 1]
+    column = alarms.COLUMNS[leak] + taken - 1
+    assert (E[:, column] == 7.0).all() and onsets[1, taken] == stamp_ns
+    assert (onsets[1] == now_ns).sum() == 1
 
 
 @pytest.mark.parametrize('lasts', [0.0, 0.25])
@@ -298,7 +276,7 @@ def test_camera_that_moved_is_not_followed():
     rms = [np.sqrt(np.mean(np.square(errors[part]))) for part in (
         slice(250, 375), slice(-125, None))]
     assert rms[1] < 2.0 * rms[0] + 2e-4
-    assert np.abs(cell.made._known[-1].theta[CAMERA - 12:CAMERA - 9]).max() > 3e-3
+    assert np.abs(cell.made._estimates[-1].theta[ekf.CAMERA - 12:ekf.CAMERA - 9]).max() > 3e-3
 
 
 @pytest.mark.parametrize('seed', [114, 117])
@@ -309,7 +287,7 @@ def test_fault_taken_for_another_raises_no_second_alarm(seed):
     (alarm,) = cell.made.alarms
     assert after > 0.0
     assert (cause, alarm.second) == ('camera', 'leak')
-    assert alarm.odds < UNSURE
+    assert alarm.odds < alarms.MIN_CLEAR_ODDS
 
 
 @pytest.mark.parametrize('kind', ['slip', 'camera', 'leak', 'cup'])

@@ -95,7 +95,7 @@ def test_between_samples_and_ahead_of_the_tool():
     made, other = observer(), observer()
     between = {k: [(stamps[k] - 1_234_567, pose)] for k, pose in seen.items()}
     follow(made, stamps, tool, body[0], {}, before=lambda k: [
-        made.see(measured(made, *one)) for one in between.get(k, [])])
+        made.update(measured(made, *one)) for one in between.get(k, [])])
     follow(other, stamps, tool, body[0], between)
     np.testing.assert_array_equal(numbers(made), numbers(other))
     assert made.counts['used'] == len(between)
@@ -134,7 +134,7 @@ def test_error_is_what_the_covariance_says(runs):
         theta = rng.normal(size=10) * std[12:22]
         for k in range(1, len(tool)):
             body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
-            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * bias_walk(made._by.nominal))
+            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * bias_walk(made._correction.nominal))
         seen, noise = {}, rng.normal(size=6)
         for k in range(8, len(tool), 8):  # with the memory that is expected at the beginning
             noise = 0.5 * noise + np.sqrt(0.75) * rng.normal(size=6)
@@ -176,13 +176,13 @@ def test_what_cannot_be_used_is_counted():
     """Say why, and go on."""
     stamps, tool, body, seen = scene(4, seconds=0.8)
     made, first = observer(), seen[8]
-    assert made.see(measured(made, stamps[3], first)) == 'not_held'
+    assert made.update(measured(made, stamps[3], first)) == 'not_held'
     follow(made, stamps, tool, body[0], at_once(stamps, seen))
     before = numbers(made)
-    assert made.see(measured(made, stamps[-1] + 600_000_000, first)) == 'future_stamp'
-    assert made.see(measured(made, stamps[1], first)) == 'late'
-    assert made.see(measured(made, stamps[192], first)) == 'duplicate_stamp'
-    assert made.see(measured(made, stamps[190], shifted(first, 1.0))) == ''
+    assert made.update(measured(made, stamps[-1] + 600_000_000, first)) == 'future_stamp'
+    assert made.update(measured(made, stamps[1], first)) == 'late'
+    assert made.update(measured(made, stamps[192], first)) == 'duplicate_stamp'
+    assert made.update(measured(made, stamps[190], shifted(first, 1.0))) == ''
     np.testing.assert_array_equal(numbers(made), before)
     wrong = {name: made.counts[name] for name in (
         'not_held', 'future_stamp', 'late', 'duplicate_stamp', 'out_of_reach')}
@@ -290,7 +290,7 @@ def watched(away, vacuum, moves=True):
         made.follow(stamps[k], tool[k - 1], tool[k])
         if k in seen:
             pose = shifted(seen[k], 0.0, 0.0, -0.5) if k in gone else seen[k]
-            made.see(measured(made, stamps[k], pose))
+            made.update(measured(made, stamps[k], pose))
             held = vacuum.get(sorted(seen).index(k) + 1 - len(seen))
             if held is not None:
                 made.on_vacuum(held, not held, moves)
@@ -340,7 +340,7 @@ def test_one_wrong_pose_is_no_loss_while_the_vacuum_holds():
     """Raise no alarm where a camera falls silent after a pose out of reach, but the cup holds."""
     for vacuum, causes in (({}, ['lost']), ({0: True}, [])):
         made = watched(1, vacuum)
-        still = made._known[-1].tool
+        still = made._estimates[-1].tool
         for _ in range(40):
             made.follow(made._track.newest_ns + PERIOD_NS, still, still)
         assert [alarm.cause for alarm in made.alarms] == causes
