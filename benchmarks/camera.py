@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.lie import exp_so3, log_so3, rotation_to_quaterni
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import state_row
-from bellows_ros.core.observer import Observer
+from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.files.bag_writer import as_messages, write_bag

@@ -62,7 +62,7 @@ def _compile_plans(relaxation=(0.0, 0.0)):
 
 def _compile_observer(relaxation=(0.0, 0.0)):
     """Compile what observes."""
-    from bellows_ros.core.observer import warm_up_observer
+    from bellows_ros.core.observer.observer import warm_up_observer
     from bellows_ros.core.parameters.checks import resolve
 
     from .core import tosses

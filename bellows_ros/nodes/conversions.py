@@ -15,7 +15,7 @@ import numpy as np
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import Prediction
 from ..core.live.uncertainty import in_world_axes
-from ..core.observer import Payload
+from ..core.observer.observer import Payload
 from ..core.signals.trajectory import NS_PER_S
 
 TOOL_POSES = {

@@ -15,7 +15,8 @@ from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
 from ..core.model.kernels import ModelTuple
-from ..core.observer import Alarm, Observer, VERDICTS, warm_up_observer
+from ..core.observer.alarms import Alarm
+from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.parameters.table import short
 
 ALARM_SHOWN_NS = 5_000_000_000

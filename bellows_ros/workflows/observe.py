@@ -13,9 +13,10 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
 from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.core.observer import Alarm, Calibration, Observer, Payload
 from bellows_ros.core.observer.alarm_calibration import AlarmCalibration, calibrated_alarms
+from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import at_com
+from bellows_ros.core.observer.observer import Calibration, Observer, Payload
 from bellows_ros.core.parameters.checks import pose_text
 from bellows_ros.core.recording.alignment import pose_of, world_rotation
 from bellows_ros.core.recording.recording import Recording, require_one_frame

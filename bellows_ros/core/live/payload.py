@@ -14,7 +14,8 @@ from bellows_ros.core.live.uncertainty import Modes, modes_of, Settling
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import Branch, ModelTuple, State, Wrench
-from bellows_ros.core.observer import Measurement, Observer
+from bellows_ros.core.observer.measurement import Measurement
+from bellows_ros.core.observer.observer import Observer
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike

@@ -9,7 +9,7 @@ from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
-from bellows_ros.core.observer import Observer
+from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.steering import steer

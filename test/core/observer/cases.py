@@ -10,7 +10,7 @@ from bellows_ros.core.model.equilibrium import (
     substeps_for,
 )
 from bellows_ros.core.model.kernels import advance, tool_at, tool_segment
-from bellows_ros.core.observer import Observer
+from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 
