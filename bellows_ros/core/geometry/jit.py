@@ -8,7 +8,7 @@ machine code kept on disk), where it is not the very same source is interpreted.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import ctypes
 from functools import cache
 import gc
@@ -189,13 +189,16 @@ class _TolerantCache:
         try:  # only now: the kernels that it calls may stand below it
             self._cache._cache_file._source_stamp = _source_digest(self._function)
             _bind_runtime()
-            found = self._cache._load_overload(signature, context)
-            if found is None or tuple(found.signature.args) == tuple(signature):
-                return found
+            code = self._cache._load_overload(signature, context)
+            if code is None or tuple(code.signature.args) == tuple(signature):
+                return code
             raise ValueError('the code is for other arguments')
         except Exception as error:  # noqa: BLE001 (a damaged pickle can raise anything)
             self._warn(error)
-            self._start_afresh()
+            with suppress(OSError):
+                self._cache.flush()  # so that new code can be saved
+                return None
+            self._cache.disable()
             return None
 
     def save_overload(self, signature: Any, code: Any) -> None:
@@ -204,13 +207,6 @@ class _TolerantCache:
             self._cache.save_overload(signature, code)
         except Exception as error:  # noqa: BLE001 (what is compiled works all the same)
             self._warn(error)
-            self._cache.disable()
-
-    def _start_afresh(self) -> None:
-        """Empty the index, so that new code can be saved."""
-        try:
-            self._cache.flush()
-        except OSError:
             self._cache.disable()
 
     def _warn(self, error: Exception) -> None:

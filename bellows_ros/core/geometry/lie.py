@@ -43,12 +43,9 @@ def _in_parts(function: Callable[[ArrayLike], Array]) -> Callable[[ArrayLike], A
         array = np.asarray(values, dtype=np.float64)
         if array.ndim < 2 or len(array) <= AT_ONCE:
             return function(array)
-        first = function(array[:AT_ONCE])
-        result = np.empty((len(array), *first.shape[1:]))
-        result[:AT_ONCE] = first
-        for start in range(AT_ONCE, len(array), AT_ONCE):
-            result[start:start + AT_ONCE] = function(array[start:start + AT_ONCE])
-        return result
+        parts = [function(array[start:start + AT_ONCE])
+                 for start in range(0, len(array), AT_ONCE)]
+        return np.ascontiguousarray(np.concatenate(parts))
 
     return converted
 

@@ -136,16 +136,16 @@ def spring_jacobian(
     s_o, s_R = kernels.multiply_blocks(K, h[0], h[1])
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
     Z_oo, Z_oR, Z_Ro, Z_RR = stress_jacobian(o, R, K, branches, strains)
-    far = t3.multiply(q_hat, Z_oo), t3.multiply(q_hat, Z_oR)  # - J_oR^T Z
     RR = t3.add_scaled_matrix(t3.multiply(t3.hat(s_o), q_hat), -1.0, t3.outer(s_R, h_R))
     RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply(R, t3.hat(s_R)))
     RR = t3.add_scaled_matrix(RR, 1.0, t3.multiply_transposed(J_RR, Z_RR))
     Ro = t3.add_scaled_matrix(t3.multiply_transposed(J_RR, Z_Ro), 1.0, t3.hat(s_o))
     oR = t3.add_scaled_matrix(
         t3.multiply_transposed(J_oo, Z_oR), 1.0, t3.hat(t3.apply_transposed(R, s_o)))
-    return scale_square(-0.25, (
+    return scale_square(-0.25, (  # J_oR^T = -q_hat
         t3.multiply_transposed(J_oo, Z_oo), oR,
-        t3.add_scaled_matrix(Ro, -1.0, far[0]), t3.add_scaled_matrix(RR, -1.0, far[1])))
+        t3.add_scaled_matrix(Ro, -1.0, t3.multiply(q_hat, Z_oo)),
+        t3.add_scaled_matrix(RR, -1.0, t3.multiply(q_hat, Z_oR))))
 
 
 @kernel
@@ -289,9 +289,9 @@ def tool_jacobians(model: ModelTuple, tool: State, body: State) -> tuple[Square,
     """Return the derivatives of `body_acceleration` by shift and turn, and twist, of the tool."""
     c, _, R, _, _, o_E_S1, _, _ = ends_of_spring(model, tool, body)
     by_pose, by_twist = wrench_jacobians(model, tool, body)
-    far = t3.scale(-1.0, o_E_S1)
-    pose = accelerations(model[1], shift_left(c, shift_right(turn_right(by_pose, R), far)))
-    twist = accelerations(model[1], shift_left(c, shift_right(turn_right(by_twist, R), far)))
+    arm = t3.scale(-1.0, o_E_S1)
+    pose = accelerations(model[1], shift_left(c, shift_right(turn_right(by_pose, R), arm)))
+    twist = accelerations(model[1], shift_left(c, shift_right(turn_right(by_twist, R), arm)))
     return scale_square(-1.0, pose), scale_square(-1.0, twist)
 
 
@@ -318,9 +318,8 @@ def accelerations_at(
 @kernel
 def write_block(out: Any, i: int, j: int, block: Matrix) -> None:
     """Write a 3x3 matrix into an array."""
-    out[i, j], out[i, j + 1], out[i, j + 2] = block[0], block[1], block[2]
-    out[i + 1, j], out[i + 1, j + 1], out[i + 1, j + 2] = block[3], block[4], block[5]
-    out[i + 2, j], out[i + 2, j + 1], out[i + 2, j + 2] = block[6], block[7], block[8]
+    for k in range(3):
+        out[i + k, j], out[i + k, j + 1], out[i + k, j + 2] = row(block, k)
 
 
 @kernel
@@ -396,7 +395,7 @@ def _entries(
     o_R = t3.multiply(t3.hat(o), R)
     u_R = t3.apply(R, w)
     h = _six(*kernels.effective_strain(kernels.strain(o, R), model[0][4:], body[4:]))
-    near, far = _six(v, w), _six(t3.add(t3.apply(R, v), t3.cross(o, u_R)), u_R)
+    at_S1, at_S2 = _six(v, w), _six(t3.add(t3.apply(R, v), t3.cross(o, u_R)), u_R)
     s = accelerations_at(package, c, J_oo, J_oR, J_RR)
     e = accelerations_at(package, c, IDENTITY, NOTHING, IDENTITY)
     x = accelerations_at(package, c, R, o_R, R)
@@ -408,9 +407,9 @@ def _entries(
                 a, b = _pair(-0.25 * half, s[j], h[k], s[k], h[j])
                 write_column(out, number - first, a, b)
             if first <= number + 21 < last:
-                a, b = _pair(-0.5 * half, e[j], near[k], e[k], near[j])
-                a_far, b_far = _pair(-0.5 * half, x[j], far[k], x[k], far[j])
-                write_column(out, number + 21 - first, t3.add(a, a_far), t3.add(b, b_far))
+                a, b = _pair(-0.5 * half, e[j], at_S1[k], e[k], at_S1[j])
+                c_a, c_b = _pair(-0.5 * half, x[j], at_S2[k], x[k], at_S2[j])
+                write_column(out, number + 21 - first, t3.add(a, c_a), t3.add(b, c_b))
             number += 1
 
 

@@ -83,19 +83,14 @@ def model_of(row: Any, branches: tuple[Branch, ...]) -> ModelTuple:
 @kernel
 def multiply_blocks(M: Blocks, a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return M [a; b] for a symmetric 6x6 matrix in blocks."""
-    return (
-        t3.add(t3.apply(M[0], a), t3.apply(M[1], b)),
-        t3.add(t3.apply_transposed(M[1], a), t3.apply(M[2], b)),
-    )
+    return (t3.add(t3.apply(M[0], a), t3.apply(M[1], b)),
+            t3.add(t3.apply_transposed(M[1], a), t3.apply(M[2], b)))
 
 
 @kernel
 def strain(o: Vector, R: Matrix) -> tuple[Vector, Vector]:
     """Return h = [(I + R^T) o; (R - R^T)^vee] (3.18) of H = S2_H_S1 = (R, o)."""
-    return (
-        t3.add(o, t3.apply_transposed(R, o)),
-        (R[7] - R[5], R[2] - R[6], R[3] - R[1]),
-    )
+    return t3.add(o, t3.apply_transposed(R, o)), (R[7] - R[5], R[2] - R[6], R[3] - R[1])
 
 
 @kernel
@@ -137,10 +132,8 @@ def strain_wrench(o: Vector, R: Matrix, K: Blocks, h: Strain) -> Wrench:
     s_o, s_R = multiply_blocks(K, h[0], h[1])
     trace = R[0] + R[4] + R[8]
     force = t3.add(s_o, t3.apply_transposed(R, s_o))
-    moment = t3.add(
-        t3.subtract(t3.scale(trace, s_R), t3.apply(R, s_R)),
-        t3.cross(s_o, t3.apply_transposed(R, o)),
-    )
+    turned = t3.subtract(t3.scale(trace, s_R), t3.apply(R, s_R))
+    moment = t3.add(turned, t3.cross(s_o, t3.apply_transposed(R, o)))
     return t3.scale(-0.25, force), t3.scale(-0.25, moment)
 
 
@@ -180,8 +173,7 @@ def cup_wrench(
     v_S1 = (v_ES[0] + l1 * w_ES[1], v_ES[1] - l1 * w_ES[0], v_ES[2])  # X(S_H_S1)^-1 (3.34)
     spring_f, spring_m = spring_wrench(o, R_E_S, cup[2], cup[4:], strains)
     damper_f, damper_m = damper_wrench(o, R_E_S, v_S1, w_ES, cup[3])
-    f = t3.add(spring_f, damper_f)
-    m = t3.add(spring_m, damper_m)
+    f, m = t3.add(spring_f, damper_f), t3.add(spring_m, damper_m)
     return f, (m[0] - l1 * f[1], m[1] + l1 * f[0], m[2])  # X(S_H_S1)^-T (3.25)
 
 
@@ -212,8 +204,8 @@ def lip_relative_to_tool(
 
 @kernel
 def newton_euler(
-    package: PackageTuple, gravity: Vector, R_A_B: Matrix,
-    v: Vector, w: Vector, f: Vector, tau: Vector,
+    package: PackageTuple, gravity: Vector, R_A_B: Matrix, v: Vector, w: Vector, f: Vector,
+    tau: Vector,
 ) -> tuple[Vector, Vector]:
     """
     Return the rate of the body twist under the wrench (f, tau) at B and gravity (3.5, 3.42).
@@ -221,9 +213,8 @@ def newton_euler(
     m dv/dt = f - m w x v + m R^T g, I dw/dt = tau - w x I w.
     """
     mass, _, inertia, inertia_inverse = package
-    dv = t3.add_scaled(
-        t3.subtract(t3.apply_transposed(R_A_B, gravity), t3.cross(w, v)), 1.0 / mass, f
-    )
+    weight = t3.apply_transposed(R_A_B, gravity)
+    dv = t3.add_scaled(t3.subtract(weight, t3.cross(w, v)), 1.0 / mass, f)
     dw = t3.apply(inertia_inverse, t3.subtract(tau, t3.cross(w, t3.apply(inertia, w))))
     return dv, dw
 
@@ -344,23 +335,19 @@ def tool_at(segment: ToolSegment, s: float) -> State:
     q = t3.quaternion_product(q0, t3.exp_quaternion(phi))
     velocity = t3.scale(1.0 / duration, cubic_slope(s, a1, a2, a3))
     return (
-        t3.add(o0, cubic(s, a1, a2, a3)),
-        q,
+        t3.add(o0, cubic(s, a1, a2, a3)), q,
         t3.apply_transposed(t3.rotation_matrix(q), velocity),
-        t3.scale(1.0 / duration, t3.body_rate(phi, cubic_slope(s, c1, c2, c3))),
-    )
+        t3.scale(1.0 / duration, t3.body_rate(phi, cubic_slope(s, c1, c2, c3))))
 
 
 @kernel
 def extrapolated(tool: State, duration: float) -> State:
-    """Return the tool a time later, its tip going on straight and its rotation steadily."""
+    """Return the tool a time later, at constant linear and angular velocity in the world."""
     o, q, v, w = tool[:4]
     velocity = t3.apply(t3.rotation_matrix(q), v)
     q_later = t3.quaternion_product(q, t3.exp_quaternion(t3.scale(duration, w)))
-    return (
-        t3.add_scaled(o, duration, velocity), q_later,
-        t3.apply_transposed(t3.rotation_matrix(q_later), velocity), w,
-    )
+    return (t3.add_scaled(o, duration, velocity), q_later,
+            t3.apply_transposed(t3.rotation_matrix(q_later), velocity), w)
 
 
 @kernel
@@ -372,9 +359,7 @@ def stage_state(
         t3.add_scaled(body[0], h, do),
         t3.quaternion_product(body[1], t3.exp_quaternion(t3.scale(h, sigma))),
         t3.add_scaled(body[2], h, dv),
-        t3.add_scaled(body[3], h, dw),
-        *moved_strains(body[4:], h, dz),
-    )
+        t3.add_scaled(body[3], h, dw), *moved_strains(body[4:], h, dz))
 
 
 @kernel

@@ -175,11 +175,9 @@ class PlanSimulation:
         """Take the plan, and find where the package rests."""
         self.tool, self._model, self._grip = tool, model, grip
         self._rows = rows = simulation.tool_rows(tool)
-        self._steady = start is None
-        self._start = adapted(
+        self._steady, self._tail = start is None, tail if simulation.stands(rows[-1]) else 0.0
+        self._start = self._end = adapted(
             model, simulation.row_state(rows[0]), start or simulation.steady_start(model, tool))
-        self._tail = tail if simulation.stands(rows[-1]) else 0.0
-        self._end = self._start
         if self._tail:
             self._end = rest_after(model, rows[0], self._start, rows[-1])
         self._longest, self._stop = longest or largest_step(model), stop
@@ -296,23 +294,27 @@ def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
 
 
 @kernel
-def update_peak(peaks: Array, past: Array, i: int, t: float, value: float) -> None:
+def update_peak(peaks: Array, past: Array, i: int, t: float, value: float) -> bool:
     """
-    Keep the largest value of a quantity: the vertex of the parabola through three samples.
+    Keep the largest value of a quantity, and return whether it grew.
+
+    It is the vertex of the parabola through three samples.
 
     past (., 4) holds time and value of the two samples before.
     """
-    if value > peaks[i, 0]:
+    before = peaks[i, 0]
+    if value > before:
         peaks[i, 0], peaks[i, 1] = value, t
     t0, u0, t1, u1 = past[i, 0], past[i, 1], past[i, 2], past[i, 3]
     if u1 > u0 and u1 > value and t0 < t1 and t1 < t:
-        before, after = (u1 - u0) / (t1 - t0), (value - u1) / (t - t1)
-        curve = (after - before) / (t - t0)  # half the second derivative
-        slope = before + curve * (t1 - t0)
+        slope0, slope1 = (u1 - u0) / (t1 - t0), (value - u1) / (t - t1)
+        curve = (slope1 - slope0) / (t - t0)  # half the second derivative
+        slope = slope0 + curve * (t1 - t0)
         top = u1 - 0.25 * slope * slope / curve
         if top > peaks[i, 0]:
             peaks[i, 0], peaks[i, 1] = top, t1 - 0.5 * slope / curve
     past[i, 0], past[i, 1], past[i, 2], past[i, 3] = t1, u1, t, value
+    return bool(peaks[i, 0] > before)
 
 
 @kernel
@@ -331,12 +333,9 @@ def record_sample(
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
     turn = t3.turn_between(tool[1], body[1])
-    before = peaks[0, 0], peaks[1, 0]
-    update_peak(peaks, past, 0, t, loads[0])
-    update_peak(peaks, past, 1, t, loads[1])
-    if peaks[0, 0] > before[0]:
+    if update_peak(peaks, past, 0, t, loads[0]):
         peaks[0, 2] = peeling
-    if peaks[1, 0] > before[1]:
+    if update_peak(peaks, past, 1, t, loads[1]):
         peaks[1, 2] = slipping
     update_peak(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
     update_peak(peaks, past, 3, t, t3.norm(shift))

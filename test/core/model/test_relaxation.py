@@ -180,6 +180,10 @@ def test_modes_are_those_of_the_complex_stiffness():
 
 
 @pytest.mark.parametrize(('arguments', 'word'), [
+    ({'stiffness': np.eye(5)}, 'stiffness'),
+    ({'damping': np.full((6, 6), np.nan)}, 'damping'),
+    ({'stiffness': np.triu(np.ones((6, 6)))}, 'symmetric'),
+    ({'length': 0.0}, 'length'),
     ({'relaxation': (-0.1, 0.2)}, 'cup.relaxation'),
     ({'relaxation': (0.1,)}, 'cup.relaxation'),
     ({'relaxation': (0.1, np.nan)}, 'cup.relaxation'),

@@ -3,7 +3,7 @@
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, transform
 from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.simulation import lip_wrenches, simulate, state_row
+from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -12,7 +12,6 @@ import pytest
 
 from .. import oracle
 from ..cases import still_tool
-from ..plans import CUP, Move, PACKAGE
 
 PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 LEVEL = state_row((0, 0, 0), (0, 0, 0, 1), np.zeros(6))
@@ -63,17 +62,3 @@ def test_a_simulation_that_blows_up_says_so():
     start = state_row((0, 0, -0.08), (0, 0, 0, 1), np.full(6, 0.1))
     with pytest.raises(BellowsError, match='diverged'):
         simulate(driven, PLATE, still_tool(np.eye(4), 10 * 10**9, 1000), start)
-
-
-def test_the_wrench_at_the_lip_is_what_the_motion_needs():
-    """Newton and Euler of the simulated motion, differentiated: m (a - g), moved to the lip."""
-    tool = Move([0.4, -0.2, 0.1], [0.3, -0.2, 0.6], 0.6).plan(2000)
-    body = simulate(CUP, PACKAGE, tool)
-    rate = np.gradient(body.twist, 1.0 / 2000.0, axis=0)
-    v, w = body.twist[:, :3], body.twist[:, 3:]
-    gravity = np.swapaxes(body.rotation, 1, 2) @ [0.0, 0.0, -9.81]
-    f = PACKAGE.mass * (rate[:, :3] + np.cross(w, v) - gravity)
-    L = w @ PACKAGE.inertia
-    m = rate[:, 3:] @ PACKAGE.inertia + np.cross(w, L) + np.cross(PACKAGE.com, f)
-    found = lip_wrenches(model_tuple(CUP, PACKAGE, 9.81), tool, body)
-    assert_allclose(found[1:-1], np.hstack([f, m])[1:-1], atol=2e-3)

@@ -188,13 +188,6 @@ def test_a_plan_of_the_package_is_one(method):
     assert_allclose(of_package.tool.position, of_tool.tool.position, atol=2e-5)
 
 
-def test_a_tool_that_tilts_ends_where_it_was_sent():
-    plan = Smooth([0.2, 0.0, 0.1], [0.0, 0.4, 0.0], 0.8).plan()
-    found = steering.steer(MODEL, plan, 'inverse').tool
-    assert_allclose(found.position[-1], plan.position[-1], atol=1e-4)
-    assert angle(found.rotation[-1], plan.rotation[-1]) < 0.02
-
-
 def test_what_cannot_be_steered_is_refused():
     plan = SLIDE.plan()
     with pytest.raises(BellowsError):
