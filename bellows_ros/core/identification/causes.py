@@ -137,35 +137,35 @@ IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
 """Of twists of the tool, which are to be in rad/s."""
 
 
-def implausible_inputs(own: Recording) -> tuple[Finding, ...]:
+def implausible_inputs(recording: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with a recording or what was given with it, without any fit."""
     tests = (_package, _clocks, _twists, _smoothed, _jump)
-    return tuple(wrong._replace(is_fact=True) for test in tests if (wrong := test(own)))
+    return tuple(wrong._replace(is_fact=True) for test in tests if (wrong := test(recording)))
 
 
-def corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
+def corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
     """Return what is wrong with a recording without any fit, and the recording without that."""
-    return own.cached('corrected', lambda: _corrected(own))
+    return recording.cached('corrected', lambda: _corrected(recording))
 
 
-def _corrected(own: Recording) -> tuple[tuple[Finding, ...], Recording]:
+def _corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
     """Return the same, each correction showing what is wrong beside it."""
     facts = list[Finding]()
     while len(facts) < MAX_FACTS:
         try:
-            wrong = misread(own)
-            new = [wrong] if wrong else [one for one in implausible_inputs(own) if all(
+            wrong = misread(recording)
+            new = [wrong] if wrong else [one for one in implausible_inputs(recording) if all(
                 one.name != fact.name for fact in facts)]
             facts += new
             for one in new:
-                own = KNOWN_CAUSES[one.name].corrected(own, one)
+                recording = KNOWN_CAUSES[one.name].corrected(recording, one)
         except BellowsError as error:
             if not facts:
                 raise
-            return (*facts, _fact('recording', str(error))), own
+            return (*facts, _fact('recording', str(error))), recording
         if not new:
             break
-    return tuple(facts), own
+    return tuple(facts), recording
 
 
 def _fact(name: str, sentence: str) -> Finding:
@@ -179,7 +179,7 @@ def require_hanging(recording: Recording) -> None:
         raise BellowsError(wrong.sentence)
 
 
-def misread(own: Recording) -> Finding | None:
+def misread(recording: Recording) -> Finding | None:
     """
     Return why a package is mostly not below the tool, None where it is.
 
@@ -189,41 +189,41 @@ def misread(own: Recording) -> Finding | None:
         If that cannot be corrected without the user.
 
     """
-    return own.cached('misread', lambda: _misread(own))
+    return recording.cached('misread', lambda: _misread(recording))
 
 
-def _misread(own: Recording) -> Finding | None:
+def _misread(recording: Recording) -> Finding | None:
     """Return the same."""
-    some = np.flatnonzero(own.whole)[::SAMPLE_STEP]
+    some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]
+    streams = recording.tool_pose, recording.package_pose
     if not len(some):
         return None
-    tool, package = own.measured_tool.select(some), own.measured_package.select(some)
-    in_world = package.position - apply(package.rotation, own.payload.com) - tool.position
+    tool, package = recording.measured_tool.select(some), recording.measured_package.select(some)
+    in_world = package.position - apply(package.rotation, recording.payload.com) - tool.position
     R_tool_world = np.swapaxes(tool.rotation, 1, 2)
     lip, centre = (apply(R_tool_world, offset)
                    for offset in (in_world, package.position - tool.position))
     away, above = float(np.median(np.linalg.norm(lip, axis=1))), float(np.median(lip[:, 2]))
-    if wrong := conventions.convention_sentence(own.tool_pose, own.package_pose, own.name):
+    if wrong := conventions.convention_sentence(*streams, recording.name):
         return _fact('recording', wrong)
-    recorded = lip if own.settings.package_frame == 'lip' else centre
+    recorded = lip if recording.settings.package_frame == 'lip' else centre
     if float(np.median(np.linalg.norm(recorded, axis=1))) < ONE_BODY:
         raise BellowsError(
-            f"topics.tool_pose ('{own.tool_pose.name}') and topics.package_pose "
-            f"('{own.package_pose.name}') are poses of one body. Name that of the package; "
+            f"topics.tool_pose ('{streams[0].name}') and topics.package_pose "
+            f"('{streams[1].name}') are poses of one body. Name that of the package; "
             "'bellows info BAG' lists the topics.")
     if away <= conventions.FARTHEST and above <= 0.0:
         return None
-    if apart := _two_worlds(own, tool, package, lip):
+    if apart := _two_worlds(recording, tool, package, lip):
         return _fact('package_world', apart)
     if away > conventions.FARTHEST:
         raise BellowsError(
-            f"The poses of '{own.tool_pose.name}' and '{own.package_pose.name}' use different "
-            f'worlds: the lip of the cup is {away:.3g} m from the tool tip. Set '
-            'recording.package_world.')
+            f"The poses of '{streams[0].name}' and '{streams[1].name}' use different worlds: the "
+            f'lip of the cup is {away:.3g} m from the tool tip. Set recording.package_world.')
     below = -float(np.median(centre[:, 2]))
     upward = float(np.median(in_world[:, 2]))
     other = float(np.median(apply(alignment.R_WORLD_MOTIVE, in_world)[:, 2]))  # its own inverse
-    if own.settings.package_frame == 'com' and below > 0.0:
+    if recording.settings.package_frame == 'com' and below > 0.0:
         return _fact('recording.package_frame', (
             f'The package is tracked {1e3 * below:.0f} mm below the tool tip, but the lip of the '
             f'cup would be {1e3 * above:.0f} mm above it. If the poses are those of the lip, set '
@@ -242,19 +242,19 @@ def _misread(own: Recording) -> Finding | None:
         'package.com.')
 
 
-def _two_worlds(own: Recording, tool: Trajectory, package: Trajectory, lip: Array) -> str:
+def _two_worlds(recording: Recording, tool: Trajectory, package: Trajectory, lip: Array) -> str:
     """Return a sentence where another world of the package keeps its lip in place, else ''."""
     try:
-        pose = _world_of(own)
+        pose = _world_of(recording)
     except BellowsError:  # too short to say
         return ''
     moved = pose[:3] - tool.position + apply(
         lie.quaternion_to_rotation(pose[3:]),
-        package.position - apply(package.rotation, own.payload.com))
+        package.position - apply(package.rotation, recording.payload.com))
     before, after = map(conventions.spread, (lip, apply(np.swapaxes(tool.rotation, 1, 2), moved)))
     if after > HELD * before:
         return ''
-    body = own.measured_package
+    body = recording.measured_package
     motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
     return (
         f'{alignment.motion_sentence(motion)}: seen from the tool, the lip of the cup moves by '
@@ -262,49 +262,49 @@ def _two_worlds(own: Recording, tool: Trajectory, package: Trajectory, lip: Arra
         f'recording.package_world: {checks.ESTIMATE}, or give its seven numbers.')
 
 
-def _world_of(own: Recording) -> Array:
+def _world_of(recording: Recording) -> Array:
     """Return a first guess (7,) of the pose of the package's world."""
     return alignment.closed_form(
-        own.measured_tool, own.measured_package, THESIS_LENGTH, -own.payload.com)
+        recording.measured_tool, recording.measured_package, THESIS_LENGTH, -recording.payload.com)
 
 
-def _in_one_world(own: Recording, found: Finding) -> Recording:
+def _in_one_world(recording: Recording, finding: Finding) -> Recording:
     """Return a recording with the poses of its package in the world of the tool."""
-    pose, R = _world_of(own), own.settings.R_world_recorded
+    pose, R = _world_of(recording), recording.settings.R_world_recorded
     recorded = np.concatenate([R.T @ pose[:3], lie.rotation_to_quaternion(
         R.T @ lie.quaternion_to_rotation(pose[3:]) @ R)])
-    return _prepared(own, package=alignment.in_tool_world(
-        own.package_pose, recorded, own.tool_pose.frame_id))
+    return _prepared(recording, package=alignment.in_tool_world(
+        recording.package_pose, recorded, recording.tool_pose.frame_id))
 
 
-def _by_convention(own: Recording, found: Finding) -> Recording:
+def _by_convention(recording: Recording, finding: Finding) -> Recording:
     """Return a recording in metres, and with w last."""
-    both = own.tool_pose, own.package_pose
+    both = recording.tool_pose, recording.package_pose
     tool, package = map(conventions.converted, both, conventions.conventions_of(*both))
-    return _prepared(own, tool=tool, package=package)
+    return _prepared(recording, tool=tool, package=package)
 
 
-def _by_one_clock(own: Recording, found: Finding) -> Recording:
+def _by_one_clock(recording: Recording, finding: Finding) -> Recording:
     """Return a recording with the stamps of the tool earlier by what was found."""
-    seconds, twist = float(found.theta[0]), own.tool_twist
-    return _prepared(own, tool=earlier(own.tool_pose, seconds),
+    seconds, twist = float(finding.theta[0]), recording.tool_twist
+    return _prepared(recording, tool=earlier(recording.tool_pose, seconds),
                      tool_twist=twist and earlier(twist, seconds))
 
 
-def _in_other_units(own: Recording, found: Finding) -> Recording:
+def _in_other_units(recording: Recording, finding: Finding) -> Recording:
     """Return a recording whose package is in kg and kg m^2."""
-    held, factor = own.payload, {'g': 1e3, **dict(checks.INERTIA_UNITS)}[found.value]
-    held = (Package(held.mass / factor, held.inertia, held.com) if found.name == 'mass' else
+    held, factor = recording.payload, {'g': 1e3, **dict(checks.INERTIA_UNITS)}[finding.value]
+    held = (Package(held.mass / factor, held.inertia, held.com) if finding.name == 'mass' else
             Package(held.mass, held.inertia / factor, held.com))
-    return replace(own, settings=replace(own.settings, payload=held))
+    return replace(recording, settings=replace(recording.settings, payload=held))
 
 
-def _prepared(own: Recording, **changes: Any) -> Recording:
+def _prepared(recording: Recording, **changes: Any) -> Recording:
     """Return a recording prepared from other streams, or with other settings."""
-    streams: dict[str, Any] = {
-        'tool': own.tool_pose, 'package': own.package_pose, 'settings': own.settings,
-        'tool_twist': own.tool_twist, **changes}
-    return replace(prepare(**streams), name=own.name)
+    inputs: dict[str, Any] = {
+        'tool': recording.tool_pose, 'package': recording.package_pose,
+        'settings': recording.settings, 'tool_twist': recording.tool_twist, **changes}
+    return replace(prepare(**inputs), name=recording.name)
 
 
 def radius_of_gyration(held: Package) -> float:
@@ -312,16 +312,16 @@ def radius_of_gyration(held: Package) -> float:
     return float(np.sqrt(np.trace(held.inertia) / held.mass))
 
 
-def _package(own: Recording) -> Finding | None:
+def _package(recording: Recording) -> Finding | None:
     """Return the unit of a mass or an inertia that no package has, None where it may have it."""
-    gyration = radius_of_gyration(own.payload)
-    if own.payload.mass > checks.LARGEST_MASS:
+    gyration = radius_of_gyration(recording.payload)
+    if recording.payload.mass > checks.LARGEST_MASS:
         return Finding('mass', 'g')
     return None if gyration < checks.GYRATION[-1] else Finding(
         'inertia', checks.unit_of_inertia(gyration))
 
 
-def _clocks(own: Recording) -> Finding | None:
+def _clocks(recording: Recording) -> Finding | None:
     """
     Return by how much the clocks are apart, where both bodies turn alike only later.
 
@@ -330,7 +330,8 @@ def _clocks(own: Recording) -> Finding | None:
     is enough. Where both turn about the same axes as stamped, sizes that are more alike at another
     offset are those of a motion that nearly repeats.
     """
-    lags, correlation = alignment.turn_correlation(own.aligned_tool, own.aligned_package)
+    bodies = recording.aligned_tool, recording.aligned_package
+    lags, correlation = alignment.turn_correlation(*bodies)
     if not len(lags):
         return None
     best, near = int(np.argmax(correlation)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
@@ -338,30 +339,30 @@ def _clocks(own: Recording) -> Finding | None:
     limit = alignment.MIN_CORRELATION * (1.0 if small < DISTINCT * largest else 2.0)
     if largest < limit or near[best] or small > PERIODIC * largest:
         return None
-    in_axes = alignment.turn_correlation(own.aligned_tool, own.aligned_package, one_world=True)[1]
+    in_axes = alignment.turn_correlation(*bodies, one_world=True)[1]
     if np.max(in_axes[near], initial=0.0) > max(
             alignment.MIN_CORRELATION, PERIODIC * np.max(in_axes)):
         return None
     return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
 
 
-def _twists(own: Recording) -> Finding | None:
+def _twists(recording: Recording) -> Finding | None:
     """Return in which axes or unit the tool's recorded twists are, None where it is as given."""
-    measured, half_window = own.measured_tool, own.filters[1].half_window
+    measured, half_window = recording.measured_tool, recording.filters[1].half_window
     if measured.twist is None or len(measured) <= 2 * half_window:
         return None
     if len(measured) > ENOUGH:  # those in which it moves most
         moved = np.cumsum(np.sum(measured.twist**2, axis=1))
         first = int(np.argmax(moved[ENOUGH:] - moved[:-ENOUGH]))
         measured = measured.select(slice(first, first + ENOUGH))
-    tool = savgol(measured, half_window, own.filters[1].order)
+    tool = savgol(measured, half_window, recording.filters[1].order)
     measured = measured.between(*tool.stamps_ns[[0, -1]]).select(tool.valid)
     assert measured.twist is not None and tool.twist is not None
-    given, true = (own.reshape(-1, 2, 3) for own in (measured.twist, tool.twist[tool.valid]))
+    given, true = (twist.reshape(-1, 2, 3) for twist in (measured.twist, tool.twist[tool.valid]))
     if not len(given):
         return None
-    R, markers = own.settings.R_world_recorded, own.alignment.R_tool_markers_tool
-    is_of_tool = own.settings.tool_twist_frame == 'tool'
+    R, markers = recording.settings.R_world_recorded, recording.alignment.R_tool_markers_tool
+    is_of_tool = recording.settings.tool_twist_frame == 'tool'
     turn = (np.swapaxes(measured.rotation, 1, 2) @ R @ markers if is_of_tool else
             markers.T @ R.T @ measured.rotation)  # from the other axes
 
@@ -382,9 +383,9 @@ def _twists(own: Recording) -> Finding | None:
     return None
 
 
-def _jump(own: Recording) -> Finding | None:
+def _jump(recording: Recording) -> Finding | None:
     """Return that the package jumps on the lip and does not return, at the largest such jump."""
-    stream = own.report.package
+    stream = recording.report.package
     steps = lasting_steps(stream.recorded, stream.timing, stream.outliers)
     if not steps:
         return None
@@ -393,10 +394,10 @@ def _jump(own: Recording) -> Finding | None:
     return Finding('slip', '', np.array([largest.position, 0.0, since]), np.zeros(3))
 
 
-def _smoothed(own: Recording) -> Finding | None:
+def _smoothed(recording: Recording) -> Finding | None:
     """Return that poses went through a low-pass: their noise falls too steeply."""
-    topics = [topic for topic, poses in (('tool_pose', own.aligned_tool),
-                                         ('package_pose', own.aligned_package))
+    topics = [topic for topic, poses in (('tool_pose', recording.aligned_tool),
+                                         ('package_pose', recording.aligned_package))
               if _noise_order(poses) > MAX_NOISE_ORDER]
     return Finding('low-pass', ' and '.join(topics)) if topics else None
 
@@ -422,32 +423,32 @@ Words = Callable[[Finding, Mapping[str, Any]], tuple[str, str]]
 
 def _setting_words(what: str, remedy: str) -> Words:
     """Return the words of a setting whose value is otherwise."""
-    return lambda found, given: (what.format(found.value), remedy.format(found.value))
+    return lambda finding, given: (what.format(finding.value), remedy.format(finding.value))
 
 
-def _clock_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _clock_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of clocks that are apart."""
-    (offset,), (std,) = found.theta, found.std
+    (offset,), (std,) = finding.theta, finding.std
     size = f'{_size(offset, std)} ms' if std < ROUGH else f'about {abs(offset):.2f} s'
     return (f'The stamps of the tool are {size} {"behind" if offset > 0.0 else "ahead of"} those '
             'of the package', 'Stamp both by one clock, or set fit.time_offset: true.')
 
 
-def _com_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _com_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a centre of mass that is elsewhere."""
-    if found.instead:
-        return _length_or_com(found.theta[2])
-    moved = np.where(np.abs(found.theta) > 3.0 * found.std, found.theta, 0.0)
+    if finding.instead:
+        return _length_or_com(finding.theta[2])
+    moved = np.where(np.abs(finding.theta) > 3.0 * finding.std, finding.theta, 0.0)
     shifts = ', '.join(f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
-                       zip('xyz', moved, found.std, strict=True) if x)
+                       zip('xyz', moved, finding.std, strict=True) if x)
     return (f'The centre of mass is not at package.com, but {shifts} from there',
             f'Check package.com: it would be {_listed(np.add(given["package.com"], moved))}.')
 
 
-def _length_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _length_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of another length of the cup."""
-    (off,), (std,) = found.theta, found.std
-    if found.instead:
+    (off,), (std,) = finding.theta, finding.std
+    if finding.instead:
         return _length_or_com(off)
     return (f'cup.length is {_size(off, std)} mm too {"short" if off > 0.0 else "long"}',
             'Measure it under vacuum, or with bellows static: it would be '
@@ -461,71 +462,72 @@ def _length_or_com(way: float) -> tuple[str, str]:
             'Measure cup.length under vacuum, or with bellows static, and check package.com.')
 
 
-def _marker_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _marker_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a marker frame that is turned."""
     shift, turn = (float(np.linalg.norm(part))
-                   for part in np.split(found.theta, [len(found.theta) - 3]))
+                   for part in np.split(finding.theta, [len(finding.theta) - 3]))
     return (f'The marker frame of tool or package is turned by {np.rad2deg(turn):.1f} degrees, '
             f'and {1e3 * shift:.1f} mm aside',
             'Correct it, set recording.align_at_rest: true if the recording begins at rest, or '
             'else fit.free: [package_marker].')
 
 
-def _slip_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _slip_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a package that slipped."""
-    x, y, since = found.theta
+    x, y, since = finding.theta
     return (f'The package slipped on the lip by {1e3 * np.hypot(x, y):.1f} mm, {since:.1f} s '
             'after its first sample', 'Fit what is before or after: set recording.end or '
             'recording.start, and check the vacuum.')
 
 
-def _gravity_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _gravity_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a world that is not level."""
     down = alignment.levelling(given.get('gravity.direction', alignment.DOWN)).T @ (
-        lie.exp_so3(np.append(-found.theta, 0.0)) @ alignment.DOWN)
-    return (f'Gravity is {np.rad2deg(np.hypot(*found.theta)):.1f} degrees off gravity.direction',
+        lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN)
+    return (f'Gravity is {np.rad2deg(np.hypot(*finding.theta)):.1f} degrees off gravity.direction',
             f'Level the world, or set gravity.direction: {_listed(down)}.')
 
 
-def _package_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _package_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a mass or an inertia that is otherwise."""
-    name, value = f'package.{found.name}', found.value
+    name, value = f'package.{finding.name}', finding.value
     if not value:
-        factor = float(np.exp(-found.theta[0]))
-        return (f'{name} is {factor:.3g} ± {factor * found.std[0]:.2g} times the value consistent '
-                'with package.mass', 'One of the two is wrong: weigh the package, and compute its '
-                'inertia in kg m^2.')
-    unit = 'kg m^2' if found.name == 'inertia' else 'kg'
+        factor = float(np.exp(-finding.theta[0]))
+        return (f'{name} is {factor:.3g} ± {factor * finding.std[0]:.2g} times the value '
+                'consistent with package.mass', 'One of the two is wrong: weigh the package, and '
+                'compute its inertia in kg m^2.')
+    unit = 'kg m^2' if finding.name == 'inertia' else 'kg'
     size = ', '.join(f'{x:g}' for x in np.atleast_1d(given[name]))
     return (f'{name} is in {value}, not in {unit}: {size} {unit} is beyond any package for such a '
             'cup', f'Give it in {unit}.')
 
 
-def _world_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _world_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of another world of the recording."""
-    if found.value.startswith('gravity'):
+    if finding.value.startswith('gravity'):
         return ('Gravity is not along -z of the world',
-                f'Set gravity.direction: {found.value.removeprefix("gravity ")}.')
-    return (f'The world of the recording is {found.value}', f'Set recording.world: {found.value}.')
+                f'Set gravity.direction: {finding.value.removeprefix("gravity ")}.')
+    return (f'The world of the recording is {finding.value}',
+            f'Set recording.world: {finding.value}.')
 
 
-def _yaw_words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+def _yaw_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a frame that is turned about z."""
     turns = [f"the {body}'s frame is turned by {degrees} degrees about z"
-             for body, degrees in map(str.split, filter(None, (found.value, found.instead)))]
+             for body, degrees in map(str.split, filter(None, (finding.value, finding.instead)))]
     words = ', or '.join(turns)
     return (words[0].upper() + words[1:] + (
-            ': these recordings cannot tell which' if found.instead else ''),
+            ': these recordings cannot tell which' if finding.instead else ''),
             'Correct it in its driver, or set recording.align_at_rest: true if the recording '
             'begins at rest.')
 
 
 def _cup_words(what: str, remedy: str, sides: tuple[str, str] = ('', '')) -> Words:
     """Return the words of a cup that is otherwise in one entry of K, by a part of it."""
-    def words(found: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-        part = f'{100.0 * abs(found.theta[0]):.2g} ± {100.0 * found.std[0]:.1g} %'
-        side = sides[0] if found.theta[0] < 0.0 else sides[1]
-        return what.format(entry=found.value, part=part, side=side), remedy
+    def words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+        part = f'{100.0 * abs(finding.theta[0]):.2g} ± {100.0 * finding.std[0]:.1g} %'
+        side = sides[0] if finding.theta[0] < 0.0 else sides[1]
+        return what.format(entry=finding.value, part=part, side=side), remedy
     return words
 
 
@@ -559,33 +561,34 @@ class KnownCause(NamedTuple):
     setting: str
     words: Words = _setting_words('', '')
     units: Any = '1'
-    corrected: Callable[[Recording, Finding], Recording] = lambda own, found: own
+    corrected: Callable[[Recording, Finding], Recording] = lambda recording, finding: recording
 
 
 KNOWN_CAUSES: Mapping[str, KnownCause] = {
     'recording': KnownCause('the recording', corrected=_by_convention),
     'topics': KnownCause(
-        'topics.tool_pose and topics.package_pose', corrected=lambda own, found: _prepared(
-            own, tool=own.package_pose, package=own.tool_pose, tool_twist=None)),
+        'topics.tool_pose and topics.package_pose', corrected=lambda recording, finding: _prepared(
+            recording, tool=recording.package_pose, package=recording.tool_pose, tool_twist=None)),
     'recording.package_frame': KnownCause(
         'recording.package_frame',
         _setting_words('The package poses are those of the {}',
                        'Set recording.package_frame: {}.'),
-        corrected=lambda own, found: _prepared(
-            own, settings=replace(own.settings, package_frame='lip'))),
+        corrected=lambda recording, finding: _prepared(
+            recording, settings=replace(recording.settings, package_frame='lip'))),
     'package_world': KnownCause(
         'recording.package_world',
-        lambda found, given: (alignment.motion_sentence(found.theta, found.std),
-                              f'Set recording.package_world: {checks.ESTIMATE}.'),
+        lambda finding, given: (alignment.motion_sentence(finding.theta, finding.std),
+                                f'Set recording.package_world: {checks.ESTIMATE}.'),
         POSE_UNITS, _in_one_world),
     'mass': KnownCause('package.mass', _package_words, corrected=_in_other_units),
     'inertia': KnownCause('package.inertia', _package_words, corrected=_in_other_units),
     'time_offset': KnownCause('fit.time_offset', _clock_words, 's', _by_one_clock),
     'tool_twist.frame': KnownCause('tool_twist.frame', _setting_words(
         "The tool's twists match its poses only in axes of the {}", 'Set tool_twist.frame: {}.')),
-    'topics.tool_twist': KnownCause('topics.tool_twist', lambda found, given: (
-        f"The angular twists of '{given.get('topics.tool_twist', 'tool')}' are in {found.value}, "
-        'not in rad/s', "Correct the driver, or set topics.tool_twist: '' to leave them out.")),
+    'topics.tool_twist': KnownCause('topics.tool_twist', lambda finding, given: (
+        f"The angular twists of '{given.get('topics.tool_twist', 'tool')}' are in "
+        f'{finding.value}, not in rad/s',
+        "Correct the driver, or set topics.tool_twist: '' to leave them out.")),
     'low-pass': KnownCause('the tracking system', _setting_words(
         'The poses of {} went through a low-pass: above 25 Hz their noise falls more steeply than '
         'noise does', 'It takes a part of the motion, and biases K and P: record unfiltered '
@@ -617,21 +620,21 @@ KNOWN_CAUSES: Mapping[str, KnownCause] = {
 """All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
 
 
-def setting_of(found: Finding) -> str:
+def setting_of(finding: Finding) -> str:
     """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
-    if found.value.startswith('gravity'):
+    if finding.value.startswith('gravity'):
         return KNOWN_CAUSES['gravity.direction'].setting
-    if found.name == 'yaw':
-        bodies = [own.split()[0] for own in (found.value, found.instead) if own]
+    if finding.name == 'yaw':
+        bodies = [own.split()[0] for own in (finding.value, finding.instead) if own]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
-    names = [own for own in (found.name, found.instead) if own]
+    names = [own for own in (finding.name, finding.instead) if own]
     return ' or '.join(KNOWN_CAUSES[name].setting for name in names)
 
 
-def finding_sentence(found: Finding, given: Mapping[str, Any]) -> str:
+def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
     """Return what was found, its size, by how much residuals fall, and what to change."""
-    if found.sentence:
-        return found.sentence
-    what, remedy = KNOWN_CAUSES[found.name].words(found, given)
-    falls = f' With that, the residuals fall to {100.0 * found.left:.2g} %.'
-    return f'{what}.{falls if found.left else ""} {remedy}'
+    if finding.sentence:
+        return finding.sentence
+    what, remedy = KNOWN_CAUSES[finding.name].words(finding, given)
+    falls = f' With that, the residuals fall to {100.0 * finding.left:.2g} %.'
+    return f'{what}.{falls if finding.left else ""} {remedy}'

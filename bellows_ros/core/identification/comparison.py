@@ -56,9 +56,8 @@ STEP = 1e-4
 
 ORDINALS = ('first', 'second', 'third', 'fourth', 'fifth', 'sixth')
 
-GROUPS = ((0, 1), (2,), (3, 4), (5,))
-
-GROUP_NAMES = ('lateral', 'axial', 'bending', 'torsion')
+DIRECTIONS = ('lateral', 'lateral', 'axial', 'bending', 'bending', 'torsion')
+"""Of the six axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,9 +271,11 @@ def modes(
         omega = float(np.sqrt(max(shape @ stiffness @ shape, 0.0)))
         ratio = float(shape @ damping @ shape) / (2.0 * omega) if omega else float('inf')
         middle = middle_body @ (inverse.T @ shape)
-        energy = np.abs(middle * (cup.stiffness @ middle))
-        direction = GROUP_NAMES[int(np.argmax([energy[list(group)].sum() for group in GROUPS]))]
-        all_modes.append(Mode(direction, omega / (2.0 * np.pi), ratio, shape))
+        energy = dict.fromkeys(DIRECTIONS, 0.0)
+        for direction, part in zip(DIRECTIONS, middle * (cup.stiffness @ middle), strict=True):
+            energy[direction] += abs(part)
+        all_modes.append(Mode(
+            max(energy, key=energy.__getitem__), omega / (2.0 * np.pi), ratio, shape))
     if not like:
         return all_modes
     from scipy.optimize import linear_sum_assignment  # late: slow to load

@@ -40,11 +40,8 @@ from scipy.special import chdtrc
 UPRIGHT_WITHIN = np.radians(2.0)
 """Largest angle (rad) of the cup's axis from the vertical for measuring the nominal length."""
 
-SAME_MASS_WITHIN = 1e-3
-"""Masses (kg) closer than this count as one load."""
-
 SAME_LOAD_WITHIN = 1e-2
-"""The same for loads, N."""
+"""Loads (N) closer than this, of masses 1 g apart, count as one."""
 
 STRAIGHT, CUBIC = 1, 3
 """Degrees of length against load (4.2)."""
@@ -155,11 +152,11 @@ def nominal_length(
 
     """
     upright = [still for still in standstills if still.tilt <= UPRIGHT_WITHIN]
-    masses = np.array([still.payload.mass for still in upright])
-    lengths = np.array([-still.lip[2] for still in upright])
-    errors = np.array([max(still.error.position, 1e-9) for still in upright])
-    groups = _groups(masses, SAME_MASS_WITHIN)
-    loads, different = masses * gravity, len(set(groups.tolist()))
+    loads, lengths, errors = np.reshape([
+        (still.payload.mass * gravity, -still.lip[2], max(still.error.position, 1e-9))
+        for still in upright], (-1, 3)).T
+    groups = _groups(loads)
+    different = len(set(groups.tolist()))
     if different < 2:
         raise UndeterminedError(
             'The nominal length needs two or more different masses, held with the tool '
@@ -194,11 +191,11 @@ def nominal_length(
         coefficients, pick, tuple(_warnings(different, std, (chi2, freedom), pick, loads)))
 
 
-def _groups(values: Array, within: float) -> Places:
-    """Return the number (N,) of the group that each value is in, by its place among them."""
-    order = np.argsort(values)
-    number = np.empty(len(values), dtype=np.int64)
-    number[order] = np.cumsum(np.diff(values[order], prepend=values[order][:1]) > within)
+def _groups(loads: Array) -> Places:
+    """Return the number (N,) of the group of like loads that each is in, in their order."""
+    order = np.argsort(loads)
+    number = np.empty(len(loads), dtype=np.int64)
+    number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order][:1]) > SAME_LOAD_WITHIN)
     return number
 
 
@@ -324,7 +321,7 @@ def _polynomial(
     largest = float(loads.max())
     powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
     x, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
-    is_tested = _groups(loads, SAME_LOAD_WITHIN).max() > degree
+    is_tested = _groups(loads).max() > degree
     freedom = len(loads) - degree - 1 if is_tested else 0
     chi2 = float(np.sum((lengths / errors - powers @ x) ** 2))
     scatter = max(chi2 / freedom, 1.0) if freedom else np.inf

@@ -629,7 +629,7 @@ class Recording:
 
     def as_json(self) -> dict[str, Any]:
         """Return the report on the recording, for a JSON file."""
-        noise, payload = self.noise, self.payload
+        payload = self.payload
         return {
             'bag': self.name,
             'samples': len(self.valid),
@@ -638,12 +638,9 @@ class Recording:
             'package_pose': self.report.package.as_json(),
             'time_offset': self.report.time_offset,
             'package_world': self.report.package_world,
-            'package': {
-                'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com,
-                'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'}},
-            'noise': {
-                body: {**own._asdict(), 'units': {'position': 'm', 'rotation': 'rad'}}
-                for body, own in (('tool', noise.tool), ('package', noise.package))},
+            'package': {'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com,
+                        'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'}},
+            'noise': dict(zip(('tool', 'package'), self._pose_noise, strict=True)),
             'lateral_offset': {'value': self.alignment.lateral_offset, 'unit': 'm'},
             'warnings': self.report.warnings}
 
