@@ -28,7 +28,7 @@ STILL_WITHIN = Noise(1.5e-4, 1.5e-3)
 NOISE_DEVIATIONS = 5.0
 """... and by this many standard deviations of their noise."""
 
-CREEPS, LARGEST_SPREAD = 45.0, 8.0
+CREEP_CHI2, MAX_SPREAD = 45.0, 8.0
 """Creep is significant from this chi^2 of 6 degrees of freedom on (chance 5e-8), and left out
 where the rest pose would be so many times less certain than the mean: hold longer."""
 
@@ -97,21 +97,21 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
 
     """
     bodies, noise = (recording.measured_tool, recording.measured_package), recording.measured_noise
-    spans = _blocks(*bodies)
-    found = _still(bodies, noise, spans)
-    if not found:
+    blocks = _blocks(*bodies)
+    spans = _spans_at_rest(bodies, noise, blocks)
+    if not spans:
         raise BellowsError(
             f'The recording contains no standstill of {SHORTEST:g} s or more: the tool and the '
             'package must both come to rest. Hold each pose until the package has stopped '
             'swinging, some 3 s.')
-    settled = np.array([span[0] for span in found], dtype=np.int64)
+    settled = np.array([span[0] for span in spans], dtype=np.int64)
     failed = sum(
-        not np.any((settled >= span[0] - len(spans[0])) & (settled <= span[-1]))
-        for span in _still(bodies[:1], noise[:1], spans))
+        not np.any((settled >= span[0] - len(blocks[0])) & (settled <= span[-1]))
+        for span in _spans_at_rest(bodies[:1], noise[:1], blocks))
     tool, package = bodies
     return tuple(
         _standstill(tool.select(span), package.select(span), noise, recording.payload)
-        for span in found), failed
+        for span in spans), failed
 
 
 def _standstill(
@@ -126,46 +126,44 @@ def _standstill(
     every = np.arange(len(package))
     at_rest, hanging = _means(tool, [every]), _means(package, [every])
     relative, stamps_ns = relative_coordinates(tool, package), package.stamps_ns
-    found = Standstill(
+    mean = Standstill(
         int(stamps_ns[0]), _seconds(stamps_ns, every), at_rest, hanging, len(every),
         _error(relative, stamps_ns, noise), payload)
     design = np.stack([np.ones(len(every)), np.exp(-package.seconds / RELAXATION_TIMES[1])], 1)
     rest, creep = np.linalg.lstsq(design, relative, rcond=None)[0]
     spread = np.sqrt(len(every) * np.diag(np.linalg.inv(design.T @ design)))  # to that of a mean
     error = _error(relative - design @ [rest, creep], stamps_ns, noise)
-    std = np.repeat(error, 3)
-    if np.sum((creep / (spread[1] * std)) ** 2) < CREEPS or spread[0] > LARGEST_SPREAD:
-        return found
-    E_o_B, turn = np.split(rest, 2)
+    chi2 = np.sum((creep / (spread[1] * np.repeat(error, 3))) ** 2)
+    if chi2 < CREEP_CHI2 or spread[0] > MAX_SPREAD:
+        return mean
     R = at_rest.rotation[0]
     return replace(
-        found, package=Trajectory(
-            hanging.stamps_ns, at_rest.position + R @ E_o_B, (R @ exp_so3(turn))[None]),
+        mean, package=Trajectory(
+            hanging.stamps_ns, at_rest.position + R @ rest[:3], (R @ exp_so3(rest[3:]))[None]),
         error=Noise(*(spread[0] * np.array(error))), creep=-creep)
 
 
-def _still(
-    bodies: Sequence[Trajectory], noise: Sequence[Noise], spans: list[Stamps]
+def _spans_at_rest(
+    bodies: Sequence[Trajectory], noise: Sequence[Noise], blocks: list[Stamps]
 ) -> list[Stamps]:
     """Return the samples of every standstill of all bodies, in the order of time."""
     stamps = bodies[0].stamps_ns
-    means = [_means(body, spans) for body in bodies]
-    factor = NOISE_DEVIATIONS / np.sqrt(np.median([len(span) for span in spans]))
+    means = [_means(body, blocks) for body in bodies]
+    factor = NOISE_DEVIATIONS / np.sqrt(np.median([len(block) for block in blocks]))
     limits = [Noise(*np.add(STILL_WITHIN, np.multiply(factor, n))) for n in noise]
-    ends = stamps[[span[-1] for span in spans]]
-    found, last = [], len(spans) - 1
+    ends = stamps[[block[-1] for block in blocks]]
+    spans, last = [], len(blocks) - 1
     while last >= 0:
         first = last
-        while first > 0 and _joins(means, limits, ends, first, last):
+        while first > 0 and _continues(means, limits, ends, first, last):
             first -= 1
         # The first and the last block may have a little of the moves before and after in them.
         inner = slice(first + 1, last) if last - first > 3 else slice(first, last + 1)
-        span = np.concatenate(spans[inner])
-        long_enough = _seconds(stamps, span) >= SHORTEST
-        if long_enough:
-            found.append(span)
-        last = first - 1 if long_enough else last - 1
-    return found[::-1]
+        span = np.concatenate(blocks[inner])
+        is_long = _seconds(stamps, span) >= SHORTEST
+        spans += [span] if is_long else []
+        last = first - 1 if is_long else last - 1
+    return spans[::-1]
 
 
 def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
@@ -186,20 +184,18 @@ def _means(body: Trajectory, spans: Sequence[Stamps]) -> Trajectory:
         np.array([mean_rotation(body.rotation[span]) for span in spans]))
 
 
-def _joins(
+def _continues(
     means: list[Trajectory], limits: list[Noise], ends: Stamps, first: int, last: int
 ) -> bool:
     """Return whether the block before the first is near blocks first to last."""
     if means[0].stamps_ns[first] - ends[first - 1] > BLOCK_SECONDS * NS_PER_S:
         return False
-    near = slice(first, last + 1)
-    for body, limit in zip(means, limits, strict=True):
-        rotation = mean_rotation(body.rotation[near])
-        moved = np.linalg.norm(body.position[first - 1] - body.position[near].mean(axis=0))
-        turned = np.linalg.norm(log_so3(rotation.T @ body.rotation[first - 1]))
-        if moved > limit.position or turned > limit.rotation:
-            return False
-    return True
+    rest = slice(first, last + 1)
+    return all(
+        np.linalg.norm(body.position[first - 1] - body.position[rest].mean(axis=0))
+        <= limit.position and limit.rotation >= np.linalg.norm(
+            log_so3(mean_rotation(body.rotation[rest]).T @ body.rotation[first - 1]))
+        for body, limit in zip(means, limits, strict=True))
 
 
 def _seconds(stamps_ns: Stamps, span: Stamps) -> float:
@@ -218,10 +214,7 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
     starts = np.unique(blocks, return_index=True)[1]
     counts = np.diff([*starts, len(relative)])[:, None]
     means = np.add.reduceat(relative, starts, axis=0) / counts
-    if len(means) > 1:
-        variances = np.var(means, axis=0, ddof=1) / len(means)
-    else:
-        variances = np.zeros(6)
+    variances = np.var(means, axis=0, ddof=1) / len(means) if len(means) > 1 else np.zeros(6)
     return Noise(*(
         float(np.sqrt(max((a**2 + b**2) / len(relative), np.mean(variances[part]))))
         for a, b, part in zip(*noise, (slice(0, 3), slice(3, 6)), strict=True)))
