@@ -1,12 +1,7 @@
 """Comparison of fits against hand calculation, and the cup's modes against textbook formulas."""
 
-from bellows_ros.core.identification.comparison import (
-    Change,
-    compare_fits,
-    Fitted,
-    modes,
-    same_cup,
-)
+from bellows_ros.core.identification import comparison
+from bellows_ros.core.identification.comparison import compare_fits, Fitted, modes, same_cup
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.structure import structure_named, STRUCTURES
@@ -44,12 +39,12 @@ def changed(values, index, factor):
 
 def test_standard_errors_and_probability_of_one_change():
     """Divide by the root of both variances; take both tails of the normal distribution."""
-    change = Change('K x', 'N/m', 100.0, 110.0, 3.0, 4.0)
+    change = comparison.Change('K x', 'N/m', 100.0, 110.0, 3.0, 4.0)
     assert_allclose(change.standard_errors, 2.0)
     assert_allclose(change.percent, 10.0)
     assert_allclose(change.p_value, 2 * norm.cdf(-2.0))
     assert change.significant
-    unknown = Change('P z', 'N s/m', 100.0, 50.0, np.inf, 1.0)
+    unknown = comparison.Change('P z', 'N s/m', 100.0, 50.0, np.inf, 1.0)
     assert unknown.standard_errors == 0.0 and not unknown.significant
 
 

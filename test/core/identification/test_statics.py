@@ -3,15 +3,10 @@
 from dataclasses import replace
 import functools
 
+from bellows_ros.core.identification import statics
 from bellows_ros.core.identification.equations import covariance_of
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.statics import (
-    check_spring,
-    joined_with_standstills,
-    Length,
-    nominal_length,
-    static_equations,
-)
+from bellows_ros.core.identification.statics import check_spring, nominal_length
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
@@ -255,12 +250,12 @@ def moving(seed, axes=(0, 1, 2, 3, 4, 5), noise=OF_POSES):
 
 def exact(parameters=8):
     """Return the true length, as if known exactly."""
-    return Length(L0, 0.0, np.zeros(parameters))
+    return statics.Length(L0, 0.0, np.zeros(parameters))
 
 
 def whitened(standstills, stiffness=simulated.CUP.stiffness, length_std=0.0):
     """Return A and b of b = A k, whitened, with an error of the length common to all."""
-    A, b, by_length = static_equations(standstills, L0, ROUND, G, stiffness)
+    A, b, by_length = statics.static_equations(standstills, L0, ROUND, G, stiffness)
     root = np.linalg.cholesky(np.eye(len(b)) + length_std**2 * np.outer(by_length, by_length))
     return np.linalg.solve(root, A), np.linalg.solve(root, b)
 
@@ -300,7 +295,7 @@ def test_standstills_narrow_the_errors_and_do_not_shift_the_result():
     off = {'alone': [], 'joined': []}
     for seed in range(6):
         fit = moving(10 + seed)
-        joined = joined_with_standstills(
+        joined = statics.joined_with_standstills(
             fit, resting(seed), exact(), G, simulated.CUP.stiffness)
         for name, found in (('alone', fit), ('joined', joined)):
             x = ROUND.parameters(found.stiffness, found.damping)
@@ -320,7 +315,8 @@ def test_what_no_motion_tells_standstills_do():
     """Take the axial stiffness out of the fit to a motion: it comes from rest alone."""
     fit = simulated.without(moving(3), ['K z', 'P z'])
     assert np.isinf(fit.stiffness_std[2, 2])
-    joined = joined_with_standstills(fit, resting(4), exact(), G, 1.4 * simulated.CUP.stiffness)
+    joined = statics.joined_with_standstills(
+        fit, resting(4), exact(), G, 1.4 * simulated.CUP.stiffness)
     assert np.isfinite(joined.stiffness_std[2, 2]) and np.isinf(joined.damping_std[2, 2])
     assert joined.standstills.narrowed[1] == 0.0
     assert abs(joined.stiffness[2, 2] / TRUTH[1] - 1.0) < 0.01
@@ -331,7 +327,7 @@ def test_standstills_that_do_not_agree_count_less_and_are_warned_about():
     """Say the load was 20 % more than it was."""
     heavy = replace(simulated.HELD, mass=1.2 * simulated.HELD.mass)
     fit, heavier = moving(7), [replace(still, payload=heavy) for still in resting(0)]
-    joined = joined_with_standstills(fit, heavier, exact(), G, simulated.CUP.stiffness)
+    joined = statics.joined_with_standstills(fit, heavier, exact(), G, simulated.CUP.stiffness)
     assert joined.standstills.chi2 > 100.0
     assert 'static recordings and the motion disagree' in joined.warnings[-1]
     # the motion knows its own stiffness better than 20 %

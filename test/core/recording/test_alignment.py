@@ -1,12 +1,8 @@
 """Recorded marker frames brought to E, S and B, against poses that are known."""
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
-from bellows_ros.core.recording.alignment import (
-    aligned_at_rest,
-    in_world,
-    standstill,
-    world_rotation,
-)
+from bellows_ros.core.recording import alignment
+from bellows_ros.core.recording.alignment import aligned_at_rest, standstill
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -96,8 +92,8 @@ def test_a_standstill_on_a_wall_is_aligned_in_a_world_that_is_levelled():
         Trajectory(body.stamps_ns, apply(turn, body.position), turn @ body.rotation)
         for body in (moved(tool, np.zeros(3), TOOL_MARKERS),
                      moved(lip, ASIDE, PACKAGE_MARKERS))]
-    level = world_rotation('z_up', turn @ [0.0, 0.0, -9.0])
-    bodies = [in_world(body, level) for body in recorded]
+    level = alignment.world_rotation('z_up', turn @ [0.0, 0.0, -9.0])
+    bodies = [alignment.in_world(body, level) for body in recorded]
     found = aligned_at_rest(*map(rest_of, bodies), 'lip', COM)
     # levelled, the world may still be turned about z
     back = level @ turn

@@ -2,13 +2,8 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-)
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.lie import apply, exp_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.kernels import advance
@@ -76,7 +71,7 @@ def dragged(row, o, turn, way):
     """Return a row of the tool moved so that the lip, at o and turn in it, is displaced."""
     R, back = quaternion_to_rotation(row[3:7]), turn.T @ exp_so3(-way[3:])
     p = row[:3] + R @ (o - turn @ back @ (o + way[:3]))
-    return np.concatenate([p, rotation_to_quaternion(R @ turn @ back), row[7:]])
+    return np.concatenate([p, lie.rotation_to_quaternion(R @ turn @ back), row[7:]])
 
 
 class Laboratory:
@@ -166,12 +161,12 @@ class Laboratory:
         p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
         if self.low_pass_hz:
             b, a = butter(2, self.low_pass_hz / (self.rate_hz / 2))
-            turn = log_so3(R[0].T @ R)
+            turn = lie.log_so3(R[0].T @ R)
             p, turn = (own[0] + lfilter(b, a, own - own[0], axis=0) for own in (p, turn))
             R = R[0] @ exp_so3(turn)
         late, R = round(1e9 * self.late) if name == 'tool' else 0, self.world @ R
         if name in self.w_first:
-            R = quaternion_to_rotation(np.roll(rotation_to_quaternion(R), 1, axis=1))
+            R = quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(R), 1, axis=1))
         seen = np.ones(len(p), dtype=bool)
         if self.occluded and name == 'package':  # a jump of 30 mm that ends with a dropout
             at = len(p) // 3

@@ -6,13 +6,8 @@ import re
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
-from bellows_ros.core.identification.causes import (
-    DOUBTED,
-    Finding,
-    finding_sentence,
-    implausible_inputs,
-    setting_of,
-)
+from bellows_ros.core.identification import causes
+from bellows_ros.core.identification.causes import Finding, finding_sentence, implausible_inputs
 from bellows_ros.core.identification.hypotheses import diagnose
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.search import Search
@@ -143,7 +138,8 @@ def test_what_is_left_is_said_where_a_second_fault_is_not_found():
     found = verdict_of(None, laboratory.recordings(), laboratory.said_length,
                        parameters(laboratory))
     first = found.diagnosis.findings[0]
-    assert first.likely and not first.certain and first.rest > DOUBTED and not found.refusals
+    assert first.likely and not first.certain and not found.refusals
+    assert first.rest > causes.DOUBTED
     assert f'{np.sqrt(first.rest):.2g} times' in ' '.join(found.cause)
 
 
@@ -225,7 +221,7 @@ def test_both_bodies_are_named_where_either_may_be_turned():
     laboratory.turn['tool'] = np.diag([-1.0, -1.0, 1.0])
     first, *_ = diagnosed(laboratory)
     assert first.material and {first.value, first.instead} == {'tool 180', 'package 180'}
-    for text in (finding_sentence(first, {}), setting_of(first)):
+    for text in (finding_sentence(first, {}), causes.setting_of(first)):
         assert 'tool' in text and ' or ' in text and 'package' in text
     assert 'cannot tell which' in finding_sentence(first, {})
 
