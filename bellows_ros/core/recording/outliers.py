@@ -37,7 +37,7 @@ LONG_SIDE, EVEN_WITHIN = 5, 0.1
 # in two million samples reaches 4.0.
 THRESHOLD_FACTOR = 4.5
 # It must be at least this large: far below what matters, far above rounding and quantisation.
-SMALLEST_JUMP = {'position': 0.5e-3, 'rotation': 1e-3}
+QUANTITIES, SMALLEST_JUMP = ('position', 'rotation'), np.array([0.5e-3, 1e-3])
 # Motion whose velocity changes at once is no jump: parabolas through the samples on each side, if
 # they are smooth to this part of the jump, then meet to within that part of it.
 SMOOTH_WITHIN, MEETING_DISTANCE = 0.5, 0.3
@@ -55,26 +55,31 @@ MEDIAN_PER_DEVIATION = 0.6745 * sqrt(5.0)
 
 
 class Jumps(NamedTuple):
-    """Jumps (M,) of one quantity, over the interval after each sample but the last."""
+    """Jumps of positions and rotations over the interval after each sample but the last."""
 
-    jump: Array  # (M, 3)
-    threshold: Array  # (M,)
-    typical: Array  # (3,) median size along each axis of the jump in the middle of the interval
+    jump: Array  # (2, M, 3)
+    threshold: Array  # (2, M)
+    typical: Array  # (2, 3) median size along each axis of the jump in the middle of the interval
+
+    @property
+    def strengths(self) -> Array:
+        """Jumps over thresholds (2, M)."""
+        return np.asarray(np.linalg.norm(self.jump, axis=2) / self.threshold)
 
     @property
     def strength(self) -> Array:
-        """Jump over threshold (M,)."""
-        return np.asarray(np.linalg.norm(self.jump, axis=1) / self.threshold)
+        """How strong the stronger one of the jumps in position and rotation is (M,)."""
+        return np.asarray(np.max(self.strengths, axis=0))
 
 
-def increments_of(poses: Trajectory | PoseStream) -> dict[str, Array]:
-    """Return the differences of positions and the body rotation vectors between samples (M, 3)."""
-    return {
-        'position': np.diff(poses.position, axis=0),
-        'rotation': log_so3(np.swapaxes(poses.rotation[:-1], -1, -2) @ poses.rotation[1:])}
+def increments_of(poses: Trajectory | PoseStream) -> Array:
+    """Return differences of positions, and body rotation vectors, between samples (2, M, 3)."""
+    return np.stack([
+        np.diff(poses.position, axis=0),
+        log_so3(np.swapaxes(poses.rotation[:-1], -1, -2) @ poses.rotation[1:])])
 
 
-def short_window(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) -> Jumps:
+def short_window(increments: Array, step_ns: Stamps, gap: Mask) -> Jumps:
     """
     Return the jumps seen from two samples on each side, at any stamps.
 
@@ -82,28 +87,31 @@ def short_window(increment: Array, step_ns: Stamps, gap: Mask, quantity: str) ->
     after it; the first and the last interval have only one of both.
     """
     step_s = step_ns[:, None] / NS_PER_S
-    velocity = increment / step_s
-    start = np.zeros_like(increment)
-    end = np.zeros_like(increment)
-    start[:-1] = increment[:-1] - velocity[1:] * step_s[:-1]
-    end[1:] = increment[1:] - velocity[:-1] * step_s[1:]
-    start[-1], end[0] = -end[-1], -start[0]
+    velocity = increments / step_s
+    start, end = np.zeros((2, *increments.shape))
+    start[:, :-1] = increments[:, :-1] - velocity[:, 1:] * step_s[:-1]
+    end[:, 1:] = increments[:, 1:] - velocity[:, :-1] * step_s[1:]
+    start[:, -1], end[:, 0] = -end[:, -1], -start[:, 0]
     start, end = _without_acceleration(start, end, ACCELERATION_SAMPLES)
-    start[-1], end[0] = end[-1], start[0]
-    jumps = _jumps(start, end, gap, SMALLEST_JUMP[quantity])
-    jumps.jump[_bends(increment, jumps, gap)] = 0.0
+    start[:, -1], end[:, 0] = end[:, -1], start[:, 0]
+    return _without_bends(increments, _jumps(start, end, gap), gap)
+
+
+def _without_bends(increments: Array, jumps: Jumps, gap: Mask) -> Jumps:
+    """Return jumps without those that are bends of a motion."""
+    for jump, increment, strength in zip(jumps.jump, increments, jumps.strengths, strict=True):
+        jump[_bends(increment, jump, strength, gap)] = 0.0
     return jumps
 
 
-def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
+def _bends(increment: Array, jump: Array, strength: Array, gap: Mask) -> Indices:
     """Return where an apparent jump is a bend of a motion that is smooth on both sides."""
-    tried = np.flatnonzero(jumps.strength >= PARTNER_STRENGTH)
-    inside = (tried >= 3) & (tried < len(increment) - 3)
-    i = tried[inside]
+    i = np.flatnonzero(strength >= PARTNER_STRENGTH)
+    i = i[(i >= 3) & (i < len(increment) - 3)]
     around = i[:, None] + np.arange(-3, 4)
     path = np.concatenate([np.zeros((len(i), 1, 3)), np.cumsum(increment[around], axis=1)], axis=1)
     before, after = path[:, :4], path[:, :3:-1]  # each from far to near
-    size = np.linalg.norm(jumps.jump[i], axis=1)
+    size = np.linalg.norm(jump[i], axis=1)
     rough = [np.linalg.norm(np.diff(side, 3, axis=1)[:, 0], axis=1) for side in (before, after)]
     smooth = np.maximum(*rough) < SMOOTH_WITHIN * size
     # Parabolas through samples at -2, -1 and 0, from each side, at times from 0 to 1.
@@ -114,28 +122,26 @@ def _bends(increment: Array, jumps: Jumps, gap: Mask) -> Indices:
     return np.asarray(i[smooth & meets & ~gap[around].any(axis=1)])
 
 
-def long_window(increment: Array, breaks: Mask, quantity: str) -> Jumps:
+def long_window(increments: Array, breaks: Mask) -> Jumps:
     """Return the jumps seen from lines through `LONG_SIDE` samples without breaks on each side."""
     m = LONG_SIDE
-    start, end = np.zeros_like(increment), np.zeros_like(increment)
-    misfit = np.zeros(len(increment))
-    count = len(increment) - 2 * m + 2  # intervals with so many samples on each side
-    unobserved = np.full(len(increment), True)
+    start, end = np.zeros((2, *increments.shape))
+    misfit, unobserved = np.zeros(increments.shape[:2]), np.full(len(breaks), True)
+    count = len(breaks) - 2 * m + 2  # intervals with so many samples on each side
     if count > 0:
-        path = np.concatenate([np.zeros((1, 3)), np.cumsum(increment, axis=0)])
-        sides = sliding_window_view(path, m, axis=0)
-        before, after = sides[:count], sides[m:m + count, :, ::-1]
-        here, beyond, left = _line_weights(m)
+        path = np.pad(np.cumsum(increments, axis=1), ((0, 0), (1, 0), (0, 0)))
+        sides = sliding_window_view(path, m, axis=1)
+        before, after = sides[:, :count], sides[:, m:m + count, :, ::-1]
+        here, beyond, curved = _line_weights(m)
         inside = slice(m - 1, m - 1 + count)
-        start[inside] = after @ beyond - before @ here
-        end[inside] = after @ here - before @ beyond
-        misfit[inside] = np.sqrt(np.sum((before @ left) ** 2 + (after @ left) ** 2, axis=(1, 2)))
+        start[:, inside] = after @ beyond - before @ here
+        end[:, inside] = after @ here - before @ beyond
+        misfit[:, inside] = np.sqrt(np.sum(
+            (before @ curved) ** 2 + (after @ curved) ** 2, axis=(2, 3)))
         unobserved[inside] = any_within(breaks, 2 * m - 1)
-    start, end = _without_acceleration(start, end, 2 * m + 1)
-    jumps = _jumps(start, end, unobserved, SMALLEST_JUMP[quantity])
-    jumps.jump[misfit > LINE_MISFIT * np.linalg.norm(jumps.jump, axis=1)] = 0.0
-    jumps.jump[_bends(increment, jumps, breaks)] = 0.0
-    return jumps
+    jumps = _jumps(*_without_acceleration(start, end, 2 * m + 1), unobserved)
+    jumps.jump[misfit > LINE_MISFIT * np.linalg.norm(jumps.jump, axis=2)] = 0.0
+    return _without_bends(increments, jumps, breaks)
 
 
 def _line_weights(count: int) -> tuple[Array, Array, Array]:
@@ -153,24 +159,25 @@ def _line_weights(count: int) -> tuple[Array, Array, Array]:
 def _without_acceleration(start: Array, end: Array, width: int) -> tuple[Array, Array]:
     """Subtract half the difference where it varies smoothly, since it is due to acceleration."""
     smooth = np.empty_like(start)
-    for axis in range(3):  # two to three times faster than one filter of size (width, 1)
-        half = 0.5 * (end[:, axis] - start[:, axis])
-        smooth[:, axis] = median_filter(half, size=width, mode='mirror')
+    for q, axis in np.ndindex(2, 3):  # two to three times faster than one filter of all
+        half = 0.5 * (end[q, :, axis] - start[q, :, axis])
+        smooth[q, :, axis] = median_filter(half, size=width, mode='mirror')
     return start + smooth, end - smooth
 
 
-def _jumps(start: Array, end: Array, unobserved: Mask, smallest: float) -> Jumps:
+def _jumps(start: Array, end: Array, unobserved: Mask) -> Jumps:
     """Return the least of the jumps from those at the start to those at the end of intervals."""
     change = end - start
-    squared = np.sum(change**2, axis=1)
+    squared = np.sum(change**2, axis=2)
     along = np.divide(
-        -np.sum(start * change, axis=1), squared, out=np.zeros_like(squared), where=squared > 0.0)
-    jump = start + np.clip(along, 0.0, 1.0)[:, None] * change
-    jump[unobserved] = 0.0
+        -np.sum(start * change, axis=2), squared, out=np.zeros_like(squared), where=squared > 0.0)
+    jump = start + np.clip(along, 0.0, 1.0)[..., None] * change
+    jump[:, unobserved] = 0.0
     middle = 0.5 * (start + end)
-    surroundings = _surroundings(np.linalg.norm(middle, axis=1), unobserved)
-    return Jumps(jump, np.maximum(THRESHOLD_FACTOR * surroundings, smallest),
-                 np.median(np.abs(middle), axis=0))
+    surroundings = np.array([_surroundings(np.linalg.norm(part, axis=1), unobserved)
+                             for part in middle])
+    return Jumps(jump, np.maximum(THRESHOLD_FACTOR * surroundings, SMALLEST_JUMP[:, None]),
+                 np.median(np.abs(middle), axis=1))
 
 
 def _surroundings(values: Array, unobserved: Mask) -> Array:
@@ -187,11 +194,6 @@ def _surroundings(values: Array, unobserved: Mask) -> Array:
     before, after = (median[np.clip(place + shift, 0, len(observed) - 1)]
                      for shift in (-(MEDIAN_SAMPLES // 2), MEDIAN_SAMPLES // 2))
     return np.asarray(np.maximum(before, after))
-
-
-def strength_of(both: list[Jumps]) -> Array:
-    """Return how strong the stronger one of the jumps in position and rotation is (M,)."""
-    return np.asarray(np.max([jumps.strength for jumps in both], axis=0))
 
 
 # Two jumps cancel when their sum is below this part of the larger one, ...
@@ -243,18 +245,17 @@ class Edge(NamedTuple):
 
 
 def edges_seen(
-    poses: Trajectory, short: list[Jumps], long: list[Jumps], certain: Mask
+    poses: Trajectory, short: Jumps, long: Jumps, certain: Mask
 ) -> list[Edge]:
     """Return the jumps that may be ends of excursions, in both looks, but not those over gaps."""
-    from_short, from_long = strength_of(short), strength_of(long)
-    both = np.maximum(from_short, from_long)
+    from_short, from_long = short.strength, long.strength
+    strength = np.maximum(from_short, from_long)
+    at = np.flatnonzero(certain | (strength >= PARTNER_STRENGTH))
     edges = []
-    at = np.flatnonzero(certain | (both >= PARTNER_STRENGTH))
     for i, lasting in zip(at.tolist(), _lasting(poses, at), strict=True):
-        window = short if certain[i] or from_short[i] > from_long[i] else long
+        jumps = short if certain[i] or from_short[i] > from_long[i] else long
         edges.append(Edge(
-            i, float(both[i]), _forms(poses, i, *(jumps.jump[i] for jumps in window)),
-            np.array([jumps.threshold[i] for jumps in window]),
+            i, float(strength[i]), _forms(poses, i, *jumps.jump[:, i]), jumps.threshold[:, i],
             None if np.isnan(lasting).any() else lasting))
     return edges
 
@@ -300,14 +301,14 @@ def _forms(poses: Trajectory, i: int, position: Array, rotation: Array) -> Array
 
 
 def edges_over_gaps(
-    poses: Trajectory, increments: dict[str, Array], gap: Mask, breaks: Mask
+    poses: Trajectory, increments: Array, gap: Mask, breaks: Mask
 ) -> list[Edge]:
     """Return the jumps over gaps, strong where larger than any over like parts without a gap."""
     edges = []
     steps_ns = np.diff(poses.stamps_ns)
     slots = np.maximum(np.rint(steps_ns / np.median(steps_ns)), 1.0).astype(int)
     thresholds_of = cache(lambda count: np.maximum(
-        _thresholds_over(poses, increments, breaks, count), list(SMALLEST_JUMP.values())))
+        _thresholds_over(poses, increments, breaks, count), SMALLEST_JUMP))
     for i in (np.flatnonzero(gap[1:-1]) + 1).tolist():
         # A velocity with a jump in it is none, nor is one over a gap; the other side must do.
         beside = [k for k in (i - 1, i + 1) if not breaks[k]]
@@ -320,23 +321,23 @@ def edges_over_gaps(
 
 
 def _jump_over(
-    poses: Trajectory, increments: dict[str, Array], i: Indices, j: Indices, around: Indices
+    poses: Trajectory, increments: Array, i: Indices, j: Indices, around: Indices
 ) -> Array:
     """
     Return the jumps (2, K, 3) between samples i and j (K,), in the middle of the time between.
 
     `around` (K, 2) are the intervals that tell the velocity before and after.
     """
-    turn = log_so3(np.swapaxes(poses.rotation[i], -1, -2) @ poses.rotation[j])
-    moved = {'position': poses.position[j] - poses.position[i], 'rotation': turn}
+    moved = np.stack([
+        poses.position[j] - poses.position[i],
+        log_so3(np.swapaxes(poses.rotation[i], -1, -2) @ poses.rotation[j])])
     stamps = poses.stamps_ns
     periods = ((stamps[j] - stamps[i])[:, None] / (stamps[around + 1] - stamps[around]))[..., None]
-    return np.stack(
-        [moved[q] - np.mean(periods * increments[q][around], axis=1) for q in increments])
+    return np.asarray(moved - np.mean(periods * increments[:, around], axis=2))
 
 
 def _thresholds_over(
-    poses: Trajectory, increments: dict[str, Array], breaks: Mask, slots: int
+    poses: Trajectory, increments: Array, breaks: Mask, slots: int
 ) -> Array:
     """Return the thresholds (2,) of jumps over gaps of several periods; infinite if unknown."""
     if len(breaks) < slots + 2:
@@ -519,15 +520,15 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _exclude(usable, _frozen(poses))
     moving = np.flatnonzero(usable)
     if len(moving) < 2 * SHORTEST_RUN:
-        return Outliers(usable, (), dict.fromkeys(SMALLEST_JUMP, np.zeros(3)))
+        return Outliers(usable, (), dict.fromkeys(QUANTITIES, np.zeros(3)))
     poses = poses.select(moving)
     steps_ns = np.diff(poses.stamps_ns)
     gap = steps_ns > longest_step_ns
     uneven = np.abs(steps_ns / np.median(steps_ns) - 1.0) > EVEN_WITHIN
     increments = increments_of(poses)
-    short = [short_window(increments[q], steps_ns, gap, q) for q in increments]
-    breaks = gap | (strength_of(short) >= 1.0)
-    long = [long_window(increments[q], breaks | uneven, q) for q in increments]
+    short = short_window(increments, steps_ns, gap)
+    breaks = gap | (short.strength >= 1.0)
+    long = long_window(increments, breaks | uneven)
     edges = edges_seen(poses, short, long, breaks & ~gap)
     excursions, steps = paired(edges + edges_over_gaps(poses, increments, gap, breaks), poses)
     good = np.full(len(poses), True)
@@ -536,8 +537,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     usable[moving] = good
     return Outliers(
         usable, tuple(step._replace(before=int(moving[step.before])) for step in steps),
-        {quantity: jumps.typical / MEDIAN_PER_DEVIATION
-         for quantity, jumps in zip(increments, short, strict=True)})
+        dict(zip(QUANTITIES, short.typical / MEDIAN_PER_DEVIATION, strict=True)))
 
 
 def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
@@ -565,8 +565,7 @@ def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
     after = moved[np.minimum(at + 1 + NEARBY, len(repeats))] > moved[at + 1]
     next_move = np.append(np.flatnonzero(~repeats), -1)[moved[at + 1].astype(int)]
     is_beyond = np.zeros(len(at), dtype=bool)
-    for increment in increments_of(poses).values():
-        length = np.linalg.norm(increment, axis=1)
+    for length in np.linalg.norm(increments_of(poses), axis=2):
         smallest = length[length > 0.0].min(initial=np.inf)
         is_beyond |= length[next_move] > max(BEYOND_ROUNDING * smallest, LEAST_STEP)
     return int(np.count_nonzero(before & after & is_beyond))
@@ -603,7 +602,7 @@ def _frozen(poses: Trajectory) -> list[slice]:
     moves = np.flatnonzero(~repeats)
     if len(moves) in (0, len(repeats)):
         return []
-    lengths = [np.linalg.norm(increment, axis=1) for increment in increments_of(poses).values()]
+    lengths = np.linalg.norm(increments_of(poses), axis=2)
     frozen = []
     for (run,) in find_objects(label(repeats)[0]):
         first, last = run.start, run.stop - 1
@@ -612,7 +611,7 @@ def _frozen(poses: Trajectory) -> list[slice]:
             continue
         k = int(np.searchsorted(moves, last))
         excess = [_catch_up(length, moves, k, last - first + 1) for length in lengths]
-        if any(e > floor for e, floor in zip(excess, SMALLEST_JUMP.values(), strict=True)):
+        if np.any(excess > SMALLEST_JUMP):
             frozen.append(slice(first + 1, last + 2))
     return frozen
 

@@ -309,7 +309,7 @@ def lasting_steps(
     """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
     if not outliers.steps:
         return []
-    moved = np.array([np.linalg.norm(own, axis=1) for own in increments_of(poses).values()])
+    moved = np.linalg.norm(increments_of(poses), axis=2)
     often = np.zeros(2)
     if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
         often = np.percentile(moved, OFTEN, axis=1)
