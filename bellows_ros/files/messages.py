@@ -27,7 +27,6 @@ Indices = Stamps
 LARGEST_MESSAGE = 4096
 
 _STAMP_AT, _STRINGS_AT = 4, 12
-_FEW = 4
 _LARGEST_PADDING = 3  # at the end, to a multiple of four
 
 HEAD = b'\0\1\0\0'
@@ -93,8 +92,8 @@ class Decoded:
         Index into `frames`; -1 where the message could not be decoded.
     frames : list of tuple of str
         The frame names met: frame_id, and child_frame_id where the type has one.
-    arrivals_ns : int array (N,), optional
-        When the messages were received, ns, not decreasing, where that is known.
+    arrivals_ns : int array (N,)
+        When the messages were received, ns, not decreasing.
 
     """
 
@@ -102,7 +101,7 @@ class Decoded:
     values: Array
     frame: Stamps
     frames: list[tuple[str, ...]]
-    arrivals_ns: Stamps | None = None
+    arrivals_ns: Stamps
 
 
 def decode(
@@ -150,31 +149,24 @@ def _by_layout(
     """
     Yield messages that agree in size and, but for the stamp, in their head.
 
-    Head and strings, their indices, and their bytes as rows. A few heads, which mostly are all,
-    are compared in all messages at once.
+    Head and strings, their indices, and their bytes as rows. Mostly all agree with the first, and
+    are compared with it at once.
     """
-    left = np.flatnonzero((batch.sizes > _STRINGS_AT) & (batch.sizes <= LARGEST_MESSAGE))
-    for _ in range(_FEW):
-        if not len(left):
-            return
-        size = int(batch.sizes[left[0]])
-        same = left[batch.sizes[left] == size]
-        rows = rows_of(batch.data, batch.starts[same], size)
-        found = _strings(rows[0].tobytes(), strings)
-        if found is None:
-            left = left[1:]
-            continue
-        names, end = found
-        of_head = np.ones(size, dtype=bool)
+    rest = np.flatnonzero((batch.sizes > _STRINGS_AT) & (batch.sizes <= LARGEST_MESSAGE))
+    for message in batch.chosen(rest[:1]).messages():
+        names, end = _strings(message, strings)
+        same = rest[batch.sizes[rest] == len(message)]
+        rows = rows_of(batch.data, batch.starts[same], len(message))
+        of_head = np.ones(len(message), dtype=bool)
         of_head[_STAMP_AT:_STRINGS_AT] = of_head[end:] = False
-        like = (rows[:, of_head] == rows[0, of_head]).all(axis=1)
-        yield rows[0, of_head].tobytes(), names, same[like], rows[like]
-        left = np.setdiff1d(left, same[like], assume_unique=True)
+        agree = (rows[:, of_head] == rows[0, of_head]).all(axis=1)
+        if end:
+            yield rows[0, of_head].tobytes(), names, same[agree], rows[agree]
+            rest = np.setdiff1d(rest, same[agree], assume_unique=True)
     groups: dict[tuple[bytes, int], tuple[tuple[str, ...], list[int]]] = {}
-    for i, message in zip(left.tolist(), batch.chosen(left).messages(), strict=True):
-        found = _strings(message, strings)
-        if found is not None:
-            names, end = found
+    for i, message in zip(rest.tolist(), batch.chosen(rest).messages(), strict=True):
+        names, end = _strings(message, strings)
+        if end:
             head = message[:_STAMP_AT] + message[_STRINGS_AT:end]
             groups.setdefault((head, len(message)), (names, []))[1].append(i)
     for (head, size), (names, members) in groups.items():
@@ -243,14 +235,14 @@ def with_text(data: bytes, text: str) -> bytes:
     return with_number(data, len(raw)) + raw
 
 
-def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int] | None:
-    """Return the strings behind a stamp, and where they end; None where they are damaged."""
+def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
+    """Return the strings behind a stamp, and where they end; 0 where they are damaged."""
     try:
         reader = Reader(message)
         reader.at = _STRINGS_AT - _STAMP_AT
         return tuple(reader.text() for _ in range(count)), _STAMP_AT + reader.at
     except BellowsError:
-        return None
+        return (), 0
 
 
 def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
@@ -424,26 +416,25 @@ def _drop_invalid(
         'nan': ~finite,
         'out_of_range': finite & (np.abs(lengths) > LARGEST_VALUE).any(axis=1),
         **unusable}
-    left = np.arange(len(decoded.stamps_ns))
+    usable = np.arange(len(decoded.stamps_ns))
     refused: Refused = {}
     for reason, bad in tests.items():
-        left = _refuse(refused, reason, left, bad[left])
+        usable = _drop(refused, reason, usable, bad[usable])
     # The frame that most messages have; of equals, the one met first.
-    frame = int(np.argmax(np.bincount(decoded.frame[left]))) if len(left) else 0
-    left = _refuse(refused, 'frame_id', left, decoded.frame[left] != frame)
-    arrivals = None if decoded.arrivals_ns is None else decoded.arrivals_ns[left]
-    unusable = unusable_stamps(decoded.stamps_ns[left], arrivals)
-    for reason, bad in unusable.items():
-        _refuse(refused, reason, left, bad)
-    left = left[~np.logical_or.reduce(list(unusable.values()))]
-    return left, decoded.frames[frame][frame_name] if len(left) else '', refused
+    frame = int(np.argmax(np.bincount(decoded.frame[usable]))) if len(usable) else 0
+    usable = _drop(refused, 'frame_id', usable, decoded.frame[usable] != frame)
+    of_stamps = unusable_stamps(decoded.stamps_ns[usable], decoded.arrivals_ns[usable])
+    for reason, bad in of_stamps.items():
+        _drop(refused, reason, usable, bad)
+    usable = usable[~np.logical_or.reduce(list(of_stamps.values()))]
+    return usable, decoded.frames[frame][frame_name] if len(usable) else '', refused
 
 
-def _refuse(refused: Refused, reason: str, left: Stamps, bad: Mask) -> Stamps:
-    """Note the bad ones among the remaining messages, and return the others."""
+def _drop(refused: Refused, reason: str, usable: Stamps, bad: Mask) -> Stamps:
+    """Note the bad ones among usable messages, and return the others."""
     if bad.any():
-        refused[reason] = tuple(int(i) for i in left[bad])
-    return left[~bad]
+        refused[reason] = tuple(usable[bad].tolist())
+    return usable[~bad]
 
 
 def _rotations(quaternion_xyzw: Array) -> Array:

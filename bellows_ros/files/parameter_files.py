@@ -9,6 +9,7 @@ decimal point.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import difflib
 from fnmatch import fnmatchcase
+from os.path import commonprefix
 from pathlib import Path
 import textwrap
 from typing import Any
@@ -33,9 +34,6 @@ _ROW_UNITS = {
 _AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 NamedValue = tuple[str, Any, tuple[str, ...]]
-Group = dict[str, Any]
-"""Parameters and further groups whose names begin alike."""
-
 
 OTHER_FILES = {
     'kind': "a motion, for --motion or 'bellows plan'",
@@ -202,25 +200,14 @@ def _body(values: Mapping[str, Value]) -> Iterator[str]:
         named = NAMED_CUP.fullmatch(name)
         return (1 + cups.index(named[1]), order[f'cup.{named[2]}']) if named else (0, order[name])
 
-    groups: Group = {}
+    groups: list[str] = []
     for name in sorted(values, key=place):
         if values[name] != ():  # ROS has no empty lists
             *path, leaf = name.split('.')
-            group = groups
-            for part in path:
-                group = group.setdefault(part, {})
-            group[leaf] = lookup(name)
-    yield from _lines_of(groups, values, _INDENT * 2)
-
-
-def _lines_of(group: Group, values: Mapping[str, Value], indent: str) -> Iterator[str]:
-    """Yield the lines of a group: each parameter or group below it at this indent."""
-    for leaf, held in group.items():
-        if isinstance(held, Parameter):
-            yield from _entry(held, leaf, values[held.name], indent)
-        else:
-            yield f'{indent}{leaf}:'
-            yield from _lines_of(held, values, indent + _INDENT)
+            for depth in range(len(commonprefix([groups, path])), len(path)):
+                yield f'{_INDENT * (2 + depth)}{path[depth]}:'
+            groups = path
+            yield from _entry(lookup(name), leaf, values[name], _INDENT * (2 + len(path)))
 
 
 def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterator[str]:
@@ -291,19 +278,19 @@ def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
     if not name:
         return dict(values)
     prefix = f'cups.{name}.'
-    known = cup_names(values)
-    if name in known and f'{prefix}stiffness' not in values:
+    cups = cup_names(values)
+    if name in cups and f'{prefix}stiffness' not in values:
         raise BellowsError(
             f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give the cup's "
             'stiffness, damping and length there.')
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-        hint = f"Did you mean '{near[0]}'?" if near else (
-            f'Cups there: {", ".join(known) or "none"}.')
+    if name not in cups:
+        similar = difflib.get_close_matches(name, cups, n=1, cutoff=0.5)
+        hint = f"Did you mean '{similar[0]}'?" if similar else (
+            f'Cups there: {", ".join(cups) or "none"}.')
         raise BellowsError(
             f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}")
     chosen = {
         f'cup.{key.removeprefix(prefix)}': value
         for key, value in values.items() if key.startswith(prefix)}
-    kept = {key: value for key, value in values.items() if not key.startswith('envelope.')}
-    return {**kept, **chosen}
+    others = {key: value for key, value in values.items() if not key.startswith('envelope.')}
+    return {**others, **chosen}

@@ -99,7 +99,7 @@ def decode_multi_dof(data: bytes) -> PlanMessage:
 
 def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
     """Return points with equal layout; their parts are called a, b and c."""
-    rows = reader.rows(_point(reader.order, reader.at % 8, parts), count)
+    rows = reader.rows(_structure(_point(reader.order, parts), reader.at % 8), count)
     for name, size in zip('abc', parts, strict=True):
         if (rows[f'n{name}'] != size).any():
             raise BellowsError(
@@ -109,26 +109,42 @@ def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
     return rows
 
 
+Fields = tuple[tuple[str, str], ...]
+"""Names and formats."""
+
+
+def _point(order: str, parts: tuple[int, ...]) -> Fields:
+    """Return the fields of a point; each part's name with an n is that of its number of items."""
+    fields = [('sec', f'{order}i4'), ('nanosec', f'{order}u4')]
+    for name, size, doubles in zip('cba', parts[::-1], (6, 6, 7), strict=True):
+        fields[:0] = [(f'n{name}', f'{order}u4'), *[(name, f'({doubles},){order}f8')] * size]
+    return tuple(fields)
+
+
 @cache
-def _point(order: str, offset: int, parts: tuple[int, ...]) -> np.dtype[np.void]:
-    """Return the layout of a point that begins 0 or 4 bytes behind a multiple of 8."""
-    names, formats, offsets, at = [], [], [], offset
-    for name, size, doubles in zip('abc', parts, (7, 6, 6), strict=True):
-        names.append(f'n{name}')
-        formats.append(f'{order}u4')
-        offsets.append(at - offset)
-        at += 4
-        if size:
-            at += -at % 8
-            names.append(name)
-            formats.append(f'({doubles},){order}f8')
-            offsets.append(at - offset)
-            at += 8 * doubles
-    names += ['sec', 'nanosec']
-    formats += [f'{order}i4', f'{order}u4']
-    offsets += [at - offset, at + 4 - offset]
+def _structure(fields: Fields, offset: int) -> np.dtype[np.void]:
+    """Return the memory layout of fields that begin so many bytes behind a multiple of 8."""
+    offsets, end = [], offset
+    for _, form in fields:
+        dtype = np.dtype(form)
+        end += -end % dtype.alignment
+        offsets.append(end - offset)
+        end += dtype.itemsize
+    names, formats = zip(*fields, strict=True)
     return np.dtype({
-        'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': at + 8 - offset})
+        'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': end - offset})
+
+
+def _encode(head: bytes, fields: Fields, columns: Mapping[str, Any]) -> bytes:
+    """Return a message of a head and equal structures, whose fields are the columns."""
+    message = head
+    for part in (slice(0, 1), slice(1, None)):  # the first may be padded differently
+        rows = np.zeros(len(columns['sec'][part]), _structure(fields, len(message) % 8))
+        for name, _ in fields:
+            column = columns[name]
+            rows[name] = column[part] if isinstance(column, np.ndarray) else column
+        message += rows.tobytes()
+    return HEAD + message
 
 
 def encode_multi_dof(plan: PlanMessage) -> bytes:
@@ -138,41 +154,23 @@ def encode_multi_dof(plan: PlanMessage) -> bytes:
     for name in plan.names:
         head = with_text(head, name)
     head = with_number(head, len(plan.times_ns))
-    parts = (1, int(plan.twists is not None), int(plan.accelerations is not None))
     values = (plan.poses, plan.twists, plan.accelerations)
-    pieces, at = [head], len(head)
-    for part in (slice(0, 1), slice(1, None)):
-        dtype = _point('<', at % 8, parts)
-        rows = np.zeros(len(plan.times_ns[part]), dtype)
-        rows['sec'], rows['nanosec'] = np.divmod(plan.times_ns[part], NS_PER_S)
-        for name, size, value in zip('abc', parts, values, strict=True):
-            rows[f'n{name}'] = size
-            if value is not None:
-                rows[name] = value[part]
-        pieces.append(rows.tobytes())
-        at += len(pieces[-1])
-    return HEAD + b''.join(pieces)
+    parts = tuple(int(value is not None) for value in values)
+    seconds, nanoseconds = np.divmod(plan.times_ns, NS_PER_S)
+    return _encode(head, _point('<', parts), {
+        'sec': seconds, 'nanosec': nanoseconds, **dict(zip('abc', values, strict=True)),
+        **dict(zip(('na', 'nb', 'nc'), parts, strict=True))})
 
 
 def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) -> bytes:
     """Encode a Path, little-endian: poses (N, 7) at times (ns) from the stamp."""
     head = with_number(_header(stamp_ns, frame_id), len(times_ns))
     text = frame_id.encode() + b'\0'
-    pieces, at = [head], len(head)
-    for part in (slice(0, 1), slice(1, None)):
-        offset = at % 8
-        pose = offset + 12 + len(text)
-        pose += -pose % 8 - offset
-        dtype = np.dtype({
-            'names': ['sec', 'nanosec', 'size', 'text', 'pose'],
-            'formats': ['<i4', '<u4', '<u4', f'S{len(text)}', '(7,)<f8'],
-            'offsets': [0, 4, 8, 12, pose], 'itemsize': pose + 56})
-        rows = np.zeros(len(times_ns[part]), dtype)
-        rows['sec'], rows['nanosec'] = np.divmod(stamp_ns + times_ns[part], NS_PER_S)
-        rows['size'], rows['text'], rows['pose'] = len(text), text, poses[part]
-        pieces.append(rows.tobytes())
-        at += len(pieces[-1])
-    return HEAD + b''.join(pieces)
+    seconds, nanoseconds = np.divmod(stamp_ns + np.asarray(times_ns), NS_PER_S)
+    fields = (('sec', '<i4'), ('nanosec', '<u4'), ('size', '<u4'), ('text', f'S{len(text)}'),
+              ('pose', '(7,)<f8'))
+    return _encode(head, fields, {
+        'sec': seconds, 'nanosec': nanoseconds, 'size': len(text), 'text': text, 'pose': poses})
 
 
 def _header(stamp_ns: int, frame_id: str) -> bytes:

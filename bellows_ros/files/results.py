@@ -69,7 +69,7 @@ UNIT_OF: Mapping[str, Any] = {
         [POSE_COVARIANCE[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]}
 """Units of numbers by their keys, and of their standard errors."""
 
-WITHOUT = ('settings', 'provenance', 'units')
+UNITLESS = ('settings', 'provenance', 'units')
 """Mappings whose numbers have their units in their names, or none."""
 
 
@@ -125,9 +125,8 @@ def read_result(path: File) -> dict[str, Any]:
     if missing:
         raise BellowsError(f"Result '{path}' lacks {', '.join(missing)}. Identify the cup again.")
     for key in _MATRICES:
-        rows = content[key]
-        shaped = isinstance(rows, list) and len(rows) == 6
-        if not shaped or not all(isinstance(row, list) and len(row) == 6 for row in rows):
+        rows = content[key] if isinstance(content[key], list) else []
+        if [len(row) if isinstance(row, list) else 0 for row in rows] != [6] * 6:
             raise BellowsError(f"Result '{path}': '{key}' must be a list of 6 rows of 6 numbers.")
     return dict(content)
 
@@ -170,9 +169,14 @@ def plain(value: Any, units: bool = False) -> Any:
     Python, NaN and infinity become None. With units, every mapping has the units of its numbers by
     `UNIT_OF` beside them.
     """
-    value = _as_mapping(value)
+    if hasattr(value, 'as_json'):
+        value = value.as_json()
+    elif is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    elif hasattr(value, '_asdict'):
+        value = value._asdict()
     if isinstance(value, Mapping):
-        return _plain_mapping(value, units)
+        return with_units(value, units)
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -186,36 +190,22 @@ def plain(value: Any, units: bool = False) -> Any:
     raise BellowsError(f'A result cannot hold {type(value).__name__}: {value!r:.80}.')
 
 
-def with_units(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a result as plain JSON types, with the units of its numbers beside them."""
-    return _plain_mapping(content, True)
-
-
-def _as_mapping(value: Any) -> Any:
-    """Return what a result, a dataclass or a named tuple holds by name; else the value."""
-    if hasattr(value, 'as_json'):
-        return value.as_json()
-    if is_dataclass(value):
-        return {own.name: getattr(value, own.name) for own in fields(value)}
-    return value._asdict() if hasattr(value, '_asdict') else value
-
-
-def _plain_mapping(content: Mapping[str, Any], units: bool) -> dict[str, Any]:
-    """Return a mapping of plain types, with units where wanted."""
+def with_units(content: Mapping[str, Any], wanted: bool = True) -> dict[str, Any]:
+    """Return a result as plain JSON types, with the units of its numbers beside them if wanted."""
     for key in content:
         if not isinstance(key, str):
-            raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are texts.')
-    found = {key: plain(item, units and key not in WITHOUT and UNIT_OF.get(key) != '1')
+            raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are strings.')
+    items = {key: plain(item, wanted and key not in UNITLESS and UNIT_OF.get(key) != '1')
              for key, item in content.items()}  # in a mapping of ratios all are ratios
-    known = {key: UNIT_OF[name] for key, item in content.items() if units and item is not None
+    units = {key: UNIT_OF[name] for key, item in content.items() if wanted and item is not None
              and (name := key.removesuffix('_std')) in UNIT_OF
-             and not (isinstance(found[key], dict) and 'units' in found[key])}
-    return {**found, 'units': {**known, **content.get('units', {})}} if known else found
+             and not (isinstance(items[key], dict) and 'units' in items[key])}
+    return {**items, 'units': {**units, **content.get('units', {})}} if units else items
 
 
-def attributes(found: object, *names: str) -> dict[str, Any]:
+def attributes(result: object, *names: str) -> dict[str, Any]:
     """Return some attributes by name."""
-    return {name: getattr(found, name) for name in names}
+    return {name: getattr(result, name) for name in names}
 
 
 def _text(value: Any, indent: str) -> str:
@@ -257,10 +247,10 @@ def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ())
 
 def versions() -> dict[str, str | None]:
     """Return the versions of this package, of Python, and of what the numbers depend on."""
-    found: dict[str, str | None] = {
+    installed: dict[str, str | None] = {
         'bellows_ros': __version__, 'python': platform.python_version()}
     for name in TOOLS:
-        found[name] = None
+        installed[name] = None
         with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            installed[name] = metadata.version(name)
+    return installed
