@@ -9,7 +9,6 @@ Measure the speed of this package, and write it into docs/performance.json and .
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, UTC
-import importlib.metadata
 import json
 import os
 from pathlib import Path
@@ -18,23 +17,16 @@ import re
 import sys
 from typing import Any
 
-from bellows_ros import __version__
 from bellows_ros.files.atomic import write_text
-from bellows_ros.files.results import write_json
+from bellows_ros.files.results import versions, write_json
 
 from . import camera, live, offline, plans, startup, step
 from .tables import markdown, tables
 
 DOCS = Path(__file__).resolve().parents[1] / 'docs'
 SECTIONS: Mapping[str, Callable[[bool], dict[str, Any]]] = {
-    'step': step.run,
-    'node': live.run,
-    'offline': offline.run,
-    'startup': startup.run,
-    'plans': plans.run,
-    'camera': camera.run,
-}
-PACKAGES = ('numpy', 'scipy', 'numba', 'rosbags')
+    'step': step.run, 'node': live.run, 'offline': offline.run, 'startup': startup.run,
+    'plans': plans.run, 'camera': camera.run}
 _MARKED = re.compile(r'(<!-- bench: (\S+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
@@ -49,22 +41,12 @@ def measured(sections: Sequence[str], short: bool = False) -> dict[str, Any]:
 
 def machine() -> dict[str, Any]:
     """Return what the figures were measured on and with."""
-    versions = {}
-    for name in PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = 'not installed'
+    installed = versions()
     return {
-        'processor': _processor(),
-        'cores': os.cpu_count(),
-        'load': os.getloadavg()[0],
-        'system': f'{platform.system()} {platform.machine()}',
-        'python': platform.python_version(),
-        'bellows_ros': __version__,
-        'versions': versions,
-        'date': datetime.now(UTC).date().isoformat(),
-    }
+        'processor': _processor(), 'cores': os.cpu_count(), 'load': os.getloadavg()[0],
+        'system': f'{platform.system()} {platform.machine()}', 'python': installed.pop('python'),
+        'bellows_ros': installed.pop('bellows_ros'), 'versions': installed,
+        'date': datetime.now(UTC).date().isoformat()}
 
 
 def _processor() -> str:
@@ -78,11 +60,11 @@ def renewed(page: str, found: Mapping[str, Any]) -> str:
     """Return a page with new tables between `<!-- bench: NAME -->` and `<!-- end -->`."""
     new = {name: markdown(table) for name, table in tables(found).items()}
     at = found['machine']
-    versions = ', '.join(f'{name} {version}' for name, version in at['versions'].items())
+    packages = ', '.join(
+        f"{name} {version or 'not installed'}" for name, version in at['versions'].items())
     new['machine'] = (
         f'Measured on {at["date"]} with {at["cores"]} cores of {at["processor"]} '
-        f'(load {at["load"]:.1f} at the start), {at["system"]}, Python {at["python"]}, {versions}.'
-    )
+        f'(load {at["load"]:.1f} at the start), {at["system"]}, Python {at["python"]}, {packages}.')
 
     def table(match: re.Match[str]) -> str:
         name = match.group(2)

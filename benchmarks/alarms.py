@@ -63,21 +63,29 @@ def false_alarms(
     return causes, float(np.mean(errors))
 
 
+def fault_case(
+    kind: str, name: str, seed: int, seconds: float
+) -> tuple[float, float, dict[str, Any]]:
+    """Return when a fault begins and the run ends, s, and the options of its cell."""
+    start = 0.0 if kind in FROM_START else 3.0
+    lost = {'lost': seed % 4} if kind == 'cup' else {}
+    return start, start + seconds, {**lost, **(EXACTLY if name == 'white' else {})}
+
+
 def delays(
     kind: str, runs: int, name: str, seconds: float = 5.0, rate_hz: float = 125 / 4, first: int = 0
 ) -> tuple[float, list[float]]:
     """Return the part of faults whose cause is right, and how long (s) each took, in order."""
-    at, more = 0.0 if kind in FROM_START else 3.0, EXACTLY if name == 'white' else {}
     right, after = 0, []
     for seed in range(first, first + runs):
-        cup = {'lost': seed % 4} if kind == 'cup' else {}
-        cell = Cell(seed, at + seconds, CONDITIONS[name], kind, at, rate_hz, **cup, **more)
+        at, end, options = fault_case(kind, name, seed, seconds)
+        cell = Cell(seed, end, CONDITIONS[name], kind, at, rate_hz, **options)
         cause, delay = (cell.run() or [('', np.inf)])[0]
         if kind == 'mass':  # only the damping tells it from wear: the alarm says both
             right += {cause, *(alarm.second for alarm in cell.made.alarms[:1])} == {
                 'wear', 'payload'}
         else:
-            right += cause == (f'cup {seed % 4}' if cup else NAMED.get(kind, kind))
+            right += cause == (f'cup {seed % 4}' if kind == 'cup' else NAMED.get(kind, kind))
         after.append(delay)
     return right / runs, sorted(after)
 
@@ -141,18 +149,16 @@ def least_delays(
     likelihood ratio ever reaches A in one of A onsets at most; here it has the threshold of the
     alarms.
     """
-    at, more = 0.0 if kind in FROM_START else 3.0, EXACTLY if name == 'white' else {}
     delays: list[list[float]] = [[], []]
     for seed in range(first, first + runs):
-        cup = {'lost': seed % 4} if kind == 'cup' else {}
-        same = {'alarm__false_per_hour': 0.0, **cup, **more}
-        sound = Cell(
-            seed, at + seconds, CONDITIONS[name], kind, at + seconds + 1.0, rate_hz, 0.0, **same)
+        at, end, options = fault_case(kind, name, seed, seconds)
+        options = {'alarm__false_per_hour': 0.0, **options}
+        sound = Cell(seed, end, CONDITIONS[name], kind, end + 1.0, rate_hz, 0.0, **options)
         x, columns, others = directed(kind, sound.numbers, seed)
         stamps, y0, W = innovations(sound)
         M = np.stack([
             np.einsum('kij,kj->ki', W, innovations(Cell(
-                seed, at + seconds, CONDITIONS[name], kind, at, rate_hz, numbers=each, **same)
+                seed, end, CONDITIONS[name], kind, at, rate_hz, numbers=each, **options)
             )[1] - y0) for each in columns], axis=2)
         after = np.append((np.array(stamps) - 1_000_000_000) * 1e-9 - at, np.inf)
         for found, those in zip(delays, (x[None], others), strict=True):

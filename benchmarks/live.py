@@ -26,14 +26,11 @@ BARE = 'bare'
 PREDICTOR = 'predictor'
 
 PARAMETERS = (
-    '-p', 'package.mass:=2.17',
-    '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
-    '-p', 'package.com:=[0.0, 0.0, -0.03]',
-)
+    '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
+    '-p', 'package.com:=[0.0, 0.0, -0.03]')
 NODES: Mapping[str, tuple[str, ...]] = {
     BARE: ('benchmarks.echo',),
-    PREDICTOR: ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS),
-}
+    PREDICTOR: ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS)}
 
 
 def run(short: bool) -> dict[str, Any]:
@@ -53,15 +50,12 @@ def run(short: bool) -> dict[str, Any]:
 def measured(name: str, rate: int, seconds: float, folder: Path) -> dict[str, Any]:
     """Return what the probe finds of one node."""
     environment = {
-        **same_package(),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
-        'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
-    }
+        **same_package(), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_LOG_DIR': str(folder),
+        'ROS_DOMAIN_ID': str(1 + os.getpid() % 100)}
     with process(NODES[name], environment, folder / f'{name}.log') as pid:
         probe = subprocess.run(
             [sys.executable, '-P', '-m', 'benchmarks.probe', str(rate), str(seconds), str(pid)],
-            env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False,
-        )
+            env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False)
     if probe.returncode:
         log = (folder / f'{name}.log').read_text(errors='replace')[-400:]
         raise BellowsError(f'Measuring {name} failed: {probe.stderr.strip()[-400:]} {log}')
@@ -77,8 +71,7 @@ def process(
     with log.open('wb') as output:
         running = subprocess.Popen(
             [sys.executable, '-P', '-m', *module], env=dict(environment),
-            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-        )
+            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT)
     try:
         yield running.pid
     finally:
@@ -96,11 +89,7 @@ def _medians(runs: list[dict[str, Any]]) -> dict[str, float]:
     p50, p99, p999 = np.median(percentiles, axis=0).tolist()
     per_pose = [run['processor_seconds'] / max(run['answered'], 1) for run in runs]
     return {
-        'p50': p50,
-        'p99': p99,
-        'p99.9': p999,
-        'processor_per_pose': float(np.median(per_pose)),
+        'p50': p50, 'p99': p99, 'p99.9': p999, 'processor_per_pose': float(np.median(per_pose)),
         'memory': float(np.median([run['memory'] for run in runs])),
         'sent': sum(run['sent'] for run in runs),
-        'lost': sum(run['sent'] - run['answered'] for run in runs),
-    }
+        'lost': sum(run['sent'] - run['answered'] for run in runs)}

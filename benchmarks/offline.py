@@ -99,8 +99,7 @@ def _in_turn(bag: str, fit_bag: str, rounds: int) -> dict[str, Any]:
         'plain_loop': lambda: in_process(PLAIN_LOOP, bag),
         'least_squares': lambda: in_process(IDENTIFY, bag, 'least_squares'),
         'replay': lambda: _replay(bag),
-        'output_error': lambda: in_process(IDENTIFY, fit_bag, 'output_error'),
-    }
+        'output_error': lambda: in_process(IDENTIFY, fit_bag, 'output_error')}
     for work in works.values():
         work()  # compiles, and fills the disk's cache
     runs: dict[str, list[dict[str, Any]]] = {name: [] for name in works}
@@ -111,8 +110,7 @@ def _in_turn(bag: str, fit_bag: str, rounds: int) -> dict[str, Any]:
         'messages': runs['plain_loop'][0]['messages'],
         **{name: figures([run['seconds'] for run in of]) for name, of in runs.items()},
         **{f'peak_{name}': max(run['peak'] for run in of) for name, of in runs.items()},
-        'replay_factor': figures([run['factor'] for run in runs['replay']]),
-    }
+        'replay_factor': figures([run['factor'] for run in runs['replay']])}
 
 
 def _replay(bag: str) -> dict[str, Any]:

@@ -23,14 +23,11 @@ DURATION = 60.0
 MEBI = 2.0**20
 
 BOUNDS = {
-    'least squares with verdict / rosbags reading': 6.0,
-    'bellows replay / rosbags reading': 10.0,
-    'memory of least squares (MiB)': 300.0,
-    'memory of bellows replay (MiB)': 420.0,
+    'least squares with verdict / rosbags reading': 6.0, 'bellows replay / rosbags reading': 10.0,
+    'memory of least squares (MiB)': 300.0, 'memory of bellows replay (MiB)': 420.0,
     'predictor ready / its imports of numba, numpy and rclpy': 3.5,
     'predictor ready, nothing compiled / compiled before': 25.0,
-    'memory of the predictor when ready (MiB)': 180.0,
-}
+    'memory of the predictor when ready (MiB)': 180.0}
 """Twice what is measured, or a little above where memory is concerned."""
 
 

@@ -41,8 +41,7 @@ def run(short: bool) -> dict[str, Any]:
     return {'seconds': {
         'numba, numpy and rclpy imported': figures(imports),
         'predictor ready with ROS, compiled before': figures(warm),
-        'predictor ready with ROS, nothing compiled': figures(cold),
-    }}
+        'predictor ready with ROS, nothing compiled': figures(cold)}}
 
 
 def _ready(code: str, environment: dict[str, str]) -> float:

@@ -4,13 +4,14 @@ from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.simulation import state_row
 import numpy as np
 
 CUP = Cup.thesis()
 PACKAGE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 MODEL = model_tuple(CUP, PACKAGE, STANDARD_GRAVITY)
 
-STILL: State = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+STILL = state_row((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 PUSH = np.array([2e-3, -1e-3, 1.5e-3])
 """How far from rest the package starts, m."""
 TURN = np.array([0.06, -0.04, 0.10])
@@ -19,8 +20,5 @@ TURN = np.array([0.06, -0.04, 0.10])
 
 def start() -> State:
     """Return the package's state at the beginning of the free motion, at rest."""
-    position, quaternion, _, _ = static_equilibrium(MODEL, STILL)
-    turned = exp_so3(TURN)  # the rest under a still tool is upright
-    x, y, z, w = rotation_to_quaternion(turned).tolist()
-    a, b, c = (np.array(position) + PUSH).tolist()
-    return (a, b, c), (x, y, z, w), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    position, *_ = static_equilibrium(MODEL, STILL)  # upright
+    return state_row(np.add(position, PUSH), rotation_to_quaternion(exp_so3(TURN)))

@@ -81,14 +81,9 @@ def _camera(section: Mapping[str, Any]) -> Table:
 
 
 _TABLES: Mapping[str, Make] = {
-    'step': _times('one step'),
-    'node': _node,
-    'offline': _offline,
-    'startup': _times('start'),
-    'plans': _times('a plan of 1 s at 1 kHz', 'processor time, median'),
-    'camera': _camera,
-    'camera.cost': _times('500 Hz, a camera of 30 Hz'),
-}
+    'step': _times('one step'), 'node': _node, 'offline': _offline, 'startup': _times('start'),
+    'plans': _times('a plan of 1 s at 1 kHz', 'processor time, median'), 'camera': _camera,
+    'camera.cost': _times('500 Hz, a camera of 30 Hz')}
 
 
 def _time(seconds: float) -> str:

@@ -56,11 +56,8 @@ def interleaved(
 def figures(values: Sequence[float]) -> Figures:
     """Return the median and the range of repeated measurements."""
     return {
-        'median': statistics.median(values),
-        'lowest': min(values),
-        'highest': max(values),
-        'runs': len(values),
-    }
+        'median': statistics.median(values), 'lowest': min(values), 'highest': max(values),
+        'runs': len(values)}
 
 
 def in_process(
@@ -78,8 +75,7 @@ def in_process(
     done = subprocess.run(
         [sys.executable, '-P', '-c', code, *arguments],
         env={**same_package(), **(environment or {})},
-        capture_output=True, text=True, timeout=TIMEOUT, check=False,
-    )
+        capture_output=True, text=True, timeout=TIMEOUT, check=False)
     if done.returncode:
         raise BellowsError(f'A measurement failed: {done.stderr.strip()[-800:]}')
     result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

@@ -145,8 +145,7 @@ def listing(path: File) -> Listing:
         raise BellowsError(f"Recording '{str(bag):.200}' cannot be read: {reason}") from None
     wrong = 'is neither a file nor a folder' if bag.exists() else 'does not exist'
     raise BellowsError(
-        f"Recording '{bag}' {wrong}. Give a rosbag2 folder, or a single .mcap or .db3 file."
-    )
+        f"Recording '{bag}' {wrong}. Give a rosbag2 folder, or a single .mcap or .db3 file.")
 
 
 def require_no_input(path: File, inputs: Iterable[File]) -> None:

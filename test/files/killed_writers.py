@@ -88,15 +88,9 @@ def carelessly(path, number):
 
 
 WRITERS = {
-    'cup.yaml': yaml,
-    'fit.json': result,
-    'report.html': page,
-    'picture.png': picture,
-    'package.tum': table,
-    'mcap': recording('mcap', False),
-    'sqlite3': recording('sqlite3', True),
-    'careless': carelessly,
-}
+    'cup.yaml': yaml, 'fit.json': result, 'report.html': page, 'picture.png': picture,
+    'package.tum': table, 'mcap': recording('mcap', False), 'sqlite3': recording('sqlite3', True),
+    'careless': carelessly}
 
 
 def content(path):

@@ -16,8 +16,7 @@ TWIST = 'geometry_msgs/msg/TwistStamped'
 
 FORMS = [
     ('mcap', 'NONE'), ('mcap', 'MESSAGE'), ('mcap', 'FILE'), ('mcap', 'STORAGE'),
-    ('sqlite3', 'NONE'), ('sqlite3', 'MESSAGE'), ('sqlite3', 'FILE'),
-]
+    ('sqlite3', 'NONE'), ('sqlite3', 'MESSAGE'), ('sqlite3', 'FILE')]
 PLUGINS = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 

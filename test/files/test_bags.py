@@ -206,8 +206,7 @@ def test_metadata_of_every_version_is_read(tmp_path, version, storage):
     info = metadata(folder)['rosbag2_bagfile_information']
     later = {
         3: ['compression_format', 'compression_mode'], 5: ['files'], 6: ['custom_data'],
-        8: ['ros_distro'],
-    }
+        8: ['ros_distro']}
     for since, keys in later.items():
         for key in keys if version < since else ():
             del info[key]
@@ -359,8 +358,7 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
         ({'relative_file_paths': ['gone.mcap']}, "lacks 'gone.mcap'"),
         ({'relative_file_paths': ['.']}, "lacks '.'"),
         ({'compression_format': 'lz4'}, "compressed with 'lz4'; zstd is supported"),
-        ({'compression_format': ['zstd']}, 'is compressed with'),
-    ],
+        ({'compression_format': ['zstd']}, 'is compressed with')],
 )
 def test_damaged_metadata_is_refused(tmp_path, changes, reason):
     folder = one_topic(tmp_path / 'b', made.poses(4))

@@ -34,12 +34,8 @@ def names(kind, frame_id, child_frame_id):
 @pytest.mark.parametrize('kind', KINDS)
 @given(
     numbers=strategies.lists(ANY_DOUBLE, min_size=13, max_size=13),
-    sec=strategies.integers(0, 2**31 - 1),
-    nanosec=strategies.integers(0, 10**9 - 1),
-    frame_id=ANY_NAME,
-    child_frame_id=ANY_NAME,
-    little_endian=strategies.booleans(),
-)
+    sec=strategies.integers(0, 2**31 - 1), nanosec=strategies.integers(0, 10**9 - 1),
+    frame_id=ANY_NAME, child_frame_id=ANY_NAME, little_endian=strategies.booleans())
 def test_decoding_returns_what_rosbags_encoded(
     kind, numbers, sec, nanosec, frame_id, child_frame_id, little_endian
 ):

@@ -183,12 +183,10 @@ def test_chunks_are_read_and_unknown_records_passed_over(tmp_path, compression):
         ([chunk(BASE, size=2**62)], 'says it is 4611686018427387904 bytes long'),
         ([chunk(BASE, checksum=1)], 'checksum'),
         ([BASE, message(0), statistics({1: 2})], 'has 1 messages in channel 1, but says 2'),
-        ([record(5, b'')], 'damaged'),
-        ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
+        ([record(5, b'')], 'damaged'), ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
         ([struct.pack('<BQ', 5, 2**63)], 'says it is'),
         ([struct.pack('<BQ', 5, LARGEST_RECORD)], 'beyond its end'),
-        ([record(2, bytes(20))], 'does not end'),
-    ],
+        ([record(2, bytes(20))], 'does not end')],
 )
 def test_records_that_are_not_sound_are_refused(tmp_path, records, reason):
     path = write_mcap(tmp_path / 'a.mcap', *records)
@@ -328,7 +326,6 @@ def test_decompression_stops_at_its_limit(form, pack):
     assert decompressed(form, b'', 0) == b''
     for packed, limit in (
         (pack(data), len(data) - 1), (pack(data) + pack(b'more'), len(data)), (b'nonsense', 9),
-        (pack(data)[:-5], len(data)), (pack(data) + b'x', len(data)),
-    ):
+        (pack(data)[:-5], len(data)), (pack(data) + b'x', len(data))):
         with pytest.raises(BellowsError):
             decompressed(form, packed, limit)

@@ -57,8 +57,7 @@ SDF = {
     'sdf': 'model*', 'model': 'link* joint', 'link': 'pose inertial',
     'inertial': 'pose mass* inertia*', 'inertia': 'ixx* iyy* izz* ixy* ixz* iyz*',
     'joint': 'parent* child* axis', 'axis': 'xyz* dynamics limit*',
-    'dynamics': 'damping spring_reference* spring_stiffness*', 'limit': 'lower* upper*',
-}
+    'dynamics': 'damping spring_reference* spring_stiffness*', 'limit': 'lower* upper*'}
 
 
 def test_sdf_holds_its_schema():

@@ -91,8 +91,7 @@ V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.0
         (V22, False, '2018-10-05T00:05:03.445'),
         (V24.replace('1.24', '1.23'), False, '2023-06-02T12:09:45.344'),
         (V24, True, '2023-06-02T12:09:45.344'),
-        (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344'),
-    ],
+        (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344')],
 )
 def test_all_layouts_are_read(settings, timecode, start, tmp_path):
     """Find poses by their heads, among skeletons, markers and time codes, in millimetres."""
@@ -166,8 +165,7 @@ def test_fewer_markers_may_be_allowed(tmp_path):
         (('Global', 'Local'), 'Coordinate Space Local'),
         (('Length Units,Meters', 'Length Units,Feet'), 'lengths in Feet'),
         (('Length Units,Meters,', ''), 'lengths in an unknown unit'),
-        (('Format Version', 'Version'), 'no CSV export of Motive'),
-    ],
+        (('Format Version', 'Version'), 'no CSV export of Motive')],
 )
 def test_other_exports_are_refused(change, words, tmp_path):
     """Say what to change in the export."""

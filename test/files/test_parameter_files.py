@@ -15,10 +15,8 @@ import pytest
 import yaml
 
 PACKAGE = {
-    'package.mass': 2.17,
-    'package.inertia': (0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0),
-    'package.com': (0.0, 0.0, -0.03),
-}
+    'package.mass': 2.17, 'package.inertia': (0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0),
+    'package.com': (0.0, 0.0, -0.03)}
 LISTS = {p.name: p.choices[:2] or ('a', 'b')
          for p in PARAMETERS.values() if p.kind == 'string_array'}
 
@@ -88,13 +86,11 @@ def test_a_node_is_given_what_ros_would_give_it(file):
         ('cup: {length: 0.05}\ncup.length: 0.06\n', 'line 2: .cup.length. is given before'),
         ('package.mass: 1\npackage.mass: 1\n', 'line 2: .*given twice'),
         ('package: 3\n', "line 1: Unknown parameter 'package'"),
-        ('1: 2\n', "line 1: Unknown parameter '1'"),
-        ('', 'holds no parameters'),
+        ('1: 2\n', "line 1: Unknown parameter '1'"), ('', 'holds no parameters'),
         ('- 1\n', 'holds no parameters'),
         ('camera: {ros__parameters: {a: 1}}\n', 'nothing for identifier or predictor, only'),
         ('/**: {ros__parameters: 3}\n', "must hold 'name: value'"),
-        ('a: !!python/name:os.system\n', 'tags'),
-    ],
+        ('a: !!python/name:os.system\n', 'tags')],
 )
 def test_errors_name_the_line_and_the_remedy(file, text, reason):
     with pytest.raises(BellowsError, match=reason):
@@ -127,8 +123,7 @@ NAMED = {
     'cups.soft.stiffness': SOFT, 'cups.hard.length': 0.05, 'cup.name': 'soft',
     'cups.hard.stiffness': STIFF, 'cups.soft.friction': 0.3, 'package.mass': 2.0,
     'cups.soft.damping': tuple(Cup.thesis().damping.ravel().tolist()),
-    'cups.hard.stiffness_std': (0.0,) * 36,
-}
+    'cups.hard.stiffness_std': (0.0,) * 36}
 
 
 def test_named_cups_come_back(tmp_path):

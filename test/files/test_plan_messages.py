@@ -67,12 +67,10 @@ def test_path_is_what_rosbags_reads(frame):
 
 
 @pytest.mark.parametrize(('spoil', 'words'), [
-    (lambda data: data[:60], 'ends too early'),
-    (lambda data: b'\7\7' + data[2:], 'not plain CDR'),
+    (lambda data: data[:60], 'ends too early'), (lambda data: b'\7\7' + data[2:], 'not plain CDR'),
     (lambda data: data[:-30], 'ends too early'),
     (lambda data: data[:12] + b'\xff\xff\xff\x7f' + data[16:], 'does not end'),
-    (lambda data: b'', 'not plain CDR'),
-])
+    (lambda data: b'', 'not plain CDR')])
 def test_damaged_messages_are_refused(spoil, words):
     data = encode_multi_dof(message()[0])
     with pytest.raises(BellowsError, match=words):

@@ -12,17 +12,11 @@ import pytest
 
 RNG = np.random.default_rng(0)
 RESULT = {
-    'method': 'least_squares',
-    'structure': 'axisymmetric',
-    'stiffness': RNG.normal(size=(6, 6)) * 1e4,
-    'damping': RNG.normal(size=(6, 6)),
-    'stiffness_std': RNG.normal(size=(6, 6)) ** 2,
-    'damping_std': np.full((6, 6), np.nan),
-    'samples_used': np.int64(7051),
-    'samples_rejected': 99,
-    'condition_number': np.float64(np.inf),
-    'more': {'bags': ('a', 'b'), 'refused': {'nan': [1, 2]}, 'ok': np.bool_(True), 'none': None},
-}
+    'method': 'least_squares', 'structure': 'axisymmetric',
+    'stiffness': RNG.normal(size=(6, 6)) * 1e4, 'damping': RNG.normal(size=(6, 6)),
+    'stiffness_std': RNG.normal(size=(6, 6)) ** 2, 'damping_std': np.full((6, 6), np.nan),
+    'samples_used': np.int64(7051), 'samples_rejected': 99, 'condition_number': np.float64(np.inf),
+    'more': {'bags': ('a', 'b'), 'refused': {'nan': [1, 2]}, 'ok': np.bool_(True), 'none': None}}
 
 
 def changed(**values):
@@ -53,8 +47,7 @@ def test_a_result_without_one_of_its_keys_is_refused(tmp_path, key):
 @pytest.mark.parametrize('values, reason', [
     ({'stiffness': np.eye(5)}, "'stiffness' must be a list of 6 rows of 6"),
     ({'stiffness': [1.0] * 36}, "'stiffness' must be"),
-    ({'damping_std': 3}, "'damping_std' must be"),
-])
+    ({'damping_std': 3}, "'damping_std' must be")])
 def test_matrices_of_other_shapes_are_refused(tmp_path, values, reason):
     write_json(tmp_path / 'fit.json', changed(**values))
     with pytest.raises(BellowsError, match=reason):
@@ -64,11 +57,9 @@ def test_matrices_of_other_shapes_are_refused(tmp_path, values, reason):
 @pytest.mark.parametrize(
     'values, reason',
     [
-        ({'more': {1: 2}}, 'key 1'),
-        ({'more': object}, 'cannot hold type'),
+        ({'more': {1: 2}}, 'key 1'), ({'more': object}, 'cannot hold type'),
         ({'more': 1j}, 'cannot hold complex'),
-        ({'more': {'a': [{'b': {1, 2}}]}}, 'cannot hold set'),
-    ],
+        ({'more': {'a': [{'b': {1, 2}}]}}, 'cannot hold set')],
 )
 def test_what_has_no_place_in_a_result_is_refused(tmp_path, values, reason):
     path = tmp_path / 'fit.json'
@@ -81,16 +72,11 @@ def test_what_has_no_place_in_a_result_is_refused(tmp_path, values, reason):
 @pytest.mark.parametrize(
     'data, reason',
     [
-        (b'', 'not JSON'),
-        (b'{', 'not JSON'),
-        (b'\xff', 'not text in UTF-8'),
-        (b'[1]', 'lacks method'),
-        (b'3', 'lacks method'),
+        (b'', 'not JSON'), (b'{', 'not JSON'), (b'\xff', 'not text in UTF-8'),
+        (b'[1]', 'lacks method'), (b'3', 'lacks method'),
         (b'{"method": NaN}', 'NaN is not allowed'),
-        (b'{"method": -Infinity}', 'not JSON: -Infinity'),
-        (b'[' * 200_000, 'nested too deeply'),
-        (b'1' * 5000, 'not JSON'),
-    ],
+        (b'{"method": -Infinity}', 'not JSON: -Infinity'), (b'[' * 200_000, 'nested too deeply'),
+        (b'1' * 5000, 'not JSON')],
 )
 def test_what_is_no_result_is_refused(tmp_path, data, reason):
     (tmp_path / 'fit.json').write_bytes(data)

@@ -27,8 +27,7 @@ def load(path, text, **options):
         ('1:30', '1:30'), ('1:30.5', '1:30.5'), ('0x1F', 31), ('-0b11', -3), ('017', 15),
         ('08', '08'), ('1_000', 1000), ('+.5', 0.5), ('-.inf', -float('inf')), ('0', 0),
         ('1.', 1.0), ('0.5e-3', 0.5e-3), ('.', '.'), ('+', '+'), ('1.2.3', '1.2.3'),
-        ('2024-05-01', '2024-05-01'), ('e5', 'e5'), ("'1'", '1'), ('[1, a]', [1, 'a']),
-    ],
+        ('2024-05-01', '2024-05-01'), ('e5', 'e5'), ("'1'", '1'), ('[1, a]', [1, 'a'])],
 )
 def test_values_are_those_ros_would_take(tmp_path, text, value):
     loaded = load(tmp_path / 'a', f'key: {text}\n')['key']
@@ -45,11 +44,8 @@ def test_values_are_those_ros_would_take(tmp_path, text, value):
         ('a: &x {c: 1}\nb:\n  <<: {d: 1}\n', 3, 'merge keys'),
         ('a: 1\n? [1, 2]\n: 3\n', 2, 'a key must be a plain name'),
         ('a: 1\nb: !!python/object/apply:os.system [echo]\n', 2, 'tags'),
-        ('a: 1\n---\nb: 2\n', 2, 'another document'),
-        ('a: 1\n  b: 2\n', 2, 'mapping values'),
-        ('a: [1,\n', 2, 'expected'),
-        ('a: "x\n', 2, 'end of stream'),
-    ],
+        ('a: 1\n---\nb: 2\n', 2, 'another document'), ('a: 1\n  b: 2\n', 2, 'mapping values'),
+        ('a: [1,\n', 2, 'expected'), ('a: "x\n', 2, 'end of stream')],
 )
 def test_errors_name_the_line(tmp_path, text, line, reason):
     with pytest.raises(BellowsError, match=rf'a, line {line}: not valid YAML here: .*{reason}'):

@@ -13,18 +13,11 @@ from numpy.testing import assert_array_equal
 import pytest
 
 PACKAGE = {
-    'package.mass': 2.17,
-    'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
-    'package.com': [0.0, 0.0, -0.03],
-}
+    'package.mass': 2.17, 'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
+    'package.com': [0.0, 0.0, -0.03]}
 PYTHON = {
-    'bool': bool,
-    'integer': int,
-    'double': float,
-    'string': str,
-    'double_array': tuple,
-    'string_array': tuple,
-}
+    'bool': bool, 'integer': int, 'double': float, 'string': str, 'double_array': tuple,
+    'string_array': tuple}
 IDENTITY = np.eye(6)
 
 
@@ -93,12 +86,8 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
 
 
 @pytest.mark.parametrize('wrong, meant', [
-    ('package.wieght', 'package.mass'),
-    ('weight', 'package.mass'),
-    ('mass', 'package.mass'),
-    ('envelop.mass', 'envelope.mass'),
-    ('cups.soft.stifness', 'cups.soft.stiffness'),
-])
+    ('package.wieght', 'package.mass'), ('weight', 'package.mass'), ('mass', 'package.mass'),
+    ('envelop.mass', 'envelope.mass'), ('cups.soft.stifness', 'cups.soft.stiffness')])
 def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
     with pytest.raises(BellowsError, match=rf"Did you mean '{meant}'\?"):
         lookup(wrong)
@@ -107,8 +96,7 @@ def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
 @pytest.mark.parametrize('name, known', [
     ('package.xyzzy', 'Known there are: package.mass, package.inertia, package.com'),
     ('package', 'Known there are: package.mass, package.inertia, package.com'),
-    ('cups.soft.xyzzy', 'Known there are: cups.soft.length, cups.soft.stiffness'),
-])
+    ('cups.soft.xyzzy', 'Known there are: cups.soft.length, cups.soft.stiffness')])
 def test_a_wrong_name_in_a_group_is_shown_the_group(name, known):
     with pytest.raises(BellowsError, match=known):
         lookup(name)
@@ -130,15 +118,11 @@ def test_unknown_names_are_refused_with_the_nearest_known():
 @pytest.mark.parametrize(
     'name, value, normal',
     [
-        ('package.mass', 2, 2.0),
-        ('package.mass', np.float32(2.5), 2.5),
+        ('package.mass', 2, 2.0), ('package.mass', np.float32(2.5), 2.5),
         ('package.com', np.array([0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
         ('package.com', array('d', [0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
-        ('filter.tool.order', np.int32(3), 3),
-        ('recording.align_at_rest', True, True),
-        ('bags', ['a', 'b'], ('a', 'b')),
-        ('topics.tool_twist', '', ''),
-    ],
+        ('filter.tool.order', np.int32(3), 3), ('recording.align_at_rest', True, True),
+        ('bags', ['a', 'b'], ('a', 'b')), ('topics.tool_twist', '', '')],
 )
 def test_values_are_brought_to_their_normal_form(name, value, normal):
     result = checks.validate(name, value)
@@ -151,25 +135,19 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
 @pytest.mark.parametrize(
     'name, value, reason',
     [
-        ('package.mass', True, 'a number'),
-        ('package.mass', 0.0, 'above 0'),
-        ('package.mass', 10**400, 'above 0'),
-        ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
+        ('package.mass', True, 'a number'), ('package.mass', 0.0, 'above 0'),
+        ('package.mass', 10**400, 'above 0'), ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
         ('package.com', [0.0, 0.0, float('nan')], 'at index 2'),
         ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
         ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
         ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
         ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
         ('release.mass_range', [5e-324, 1.0], '1e-06'),
-        ('filter.tool.half_window', 25.0, 'an integer'),
-        ('filter.tool.order', 1, 'at least 2'),
+        ('filter.tool.half_window', 25.0, 'an integer'), ('filter.tool.order', 1, 'at least 2'),
         ('recording.align_at_rest', 1, 'true or false'),
-        ('recording.world', 'y_up', 'z_up, motive_y_up'),
-        ('topics.tool_pose', '', 'empty'),
-        ('topics.tool_pose', 'a\nb', 'control character'),
-        ('bags', ['a', ''], 'index 1'),
-        ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35'),
-    ],
+        ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', 'empty'),
+        ('topics.tool_pose', 'a\nb', 'control character'), ('bags', ['a', ''], 'index 1'),
+        ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35')],
 )
 def test_values_are_refused_with_the_reason(name, value, reason):
     message = refused(name, value)
@@ -201,10 +179,8 @@ def test_damping_must_be_positive_semidefinite():
 
 @given(
     strategies.lists(
-        strategies.lists(strategies.floats(-1.0, 1.0), min_size=3, max_size=3),
-        min_size=4,
-        max_size=8,
-    )
+        strategies.lists(strategies.floats(-1.0, 1.0), min_size=3, max_size=3), min_size=4,
+        max_size=8)
 )
 def test_inertia_of_any_body_is_taken(points):
     # Point masses: the integral of (r^2 I - r r^T), which is what an inertia is.

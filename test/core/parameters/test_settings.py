@@ -6,18 +6,9 @@ from bellows_ros.files.safe_yaml import load
 import pytest
 
 BLOCK = {
-    'rate': 3,
-    'count': 2,
-    'on': False,
-    'kind': 'b',
-    'name': 'x',
-    'vector': [1, 2.5, -3],
-    'inner': {'size': 0.5},
-    'list': [{'a': 1}, {'a': 2}],
-    'huge': 10**400,
-    'far': -1e300,
-    'none': None,
-}
+    'rate': 3, 'count': 2, 'on': False, 'kind': 'b', 'name': 'x', 'vector': [1, 2.5, -3],
+    'inner': {'size': 0.5}, 'list': [{'a': 1}, {'a': 2}], 'huge': 10**400, 'far': -1e300,
+    'none': None}
 
 
 def test_values_are_given_as_asked_for():
@@ -46,8 +37,7 @@ def test_what_is_not_given_has_its_default():
     [
         (
             lambda s: s.number('rate', unit='Hz', above=3.0),
-            "'rate' must be a number, above 3 (Hz), got 3.",
-        ),
+            "'rate' must be a number, above 3 (Hz), got 3."),
         (lambda s: s.number('missing', unit='Hz'), "'missing' is missing; it must be a number"),
         (lambda s: s.number('huge'), "'huge' must be a number, got 1000"),
         (lambda s: s.whole('rate', 0, maximum=2),

@@ -20,22 +20,16 @@ MULTI_SINE = {
     'multi_sine': {
         'position': {
             'x': {'amplitude': [0.05, 0.01], 'frequency': [0.4, 3.1]},
-            'z': {'amplitude': [0.03], 'frequency': [4.3]},
-        },
+            'z': {'amplitude': [0.03], 'frequency': [4.3]}},
         'rotation': {
             'x': {'amplitude': [0.6, 0.1], 'frequency': [0.5, 2.0]},
             'y': {'amplitude': [0.4], 'frequency': [0.8]},
-            'z': {'amplitude': [1.2], 'frequency': [0.3]},
-        },
+            'z': {'amplitude': [1.2], 'frequency': [0.3]}},
     },
 }
 CHIRP = {
-    'kind': 'chirp',
-    'duration': 6.0,
-    'rest_duration': 1.0,
-    'start': START,
-    'chirp': {'from': 0.5, 'to': 5.0, 'position': [0, 0.02, 0.01], 'rotation': [0.1, 0.3, 0.2]},
-}
+    'kind': 'chirp', 'duration': 6.0, 'rest_duration': 1.0, 'start': START,
+    'chirp': {'from': 0.5, 'to': 5.0, 'position': [0, 0.02, 0.01], 'rotation': [0.1, 0.3, 0.2]}}
 WAYPOINTS = {
     'kind': 'waypoints',
     'rest_duration': 1.0,
@@ -44,22 +38,17 @@ WAYPOINTS = {
         'poses': [
             {'position': [0.6, 0.1, 0.7], 'rpy': [0.1, 0.5, -1.0], 'move': 0.8, 'hold': 0.5},
             {'position': [0.4, 0.1, 0.9], 'quaternion_xyzw': [0, 0, 1, 0], 'move': 1.2},
-            {'position': [0.5, 0.0, 0.8], 'move': 0.6, 'hold': 0.9},
-        ]
+            {'position': [0.5, 0.0, 0.8], 'move': 0.6, 'hold': 0.9}]
     },
 }
 STATIC = {
     'kind': 'static',
     'rest_duration': 1.0,
     'static': {
-        'move': 0.7,
-        'hold': 1.3,
-        'poses': [{'rpy': [0.4, 0.0, 0.0]}, {'rpy': [0.0, 0.4, 0.0]}],
-    },
+        'move': 0.7, 'hold': 1.3, 'poses': [{'rpy': [0.4, 0.0, 0.0]}, {'rpy': [0.0, 0.4, 0.0]}]},
 }
 ALL = pytest.mark.parametrize(
-    'content', [MULTI_SINE, CHIRP, WAYPOINTS, STATIC], ids=lambda c: c['kind']
-)
+    'content', [MULTI_SINE, CHIRP, WAYPOINTS, STATIC], ids=lambda c: c['kind'])
 
 
 def motion(content, seed=0):
@@ -117,10 +106,8 @@ def test_waypoints_are_reached_and_held():
     assert_allclose(velocity, 0.0, atol=1e-12)
     assert_allclose(body_rate, 0.0, atol=1e-12)
     expected = [
-        Rotation.from_euler('xyz', poses[0]['rpy']).as_matrix(),
-        np.diag([-1.0, -1.0, 1.0]),
-        np.eye(3),
-    ]
+        Rotation.from_euler('xyz', poses[0]['rpy']).as_matrix(), np.diag([-1.0, -1.0, 1.0]),
+        np.eye(3)]
     assert_allclose(rotation[[0, 2, 4]], expected, atol=1e-12)
 
 
@@ -165,8 +152,7 @@ LINE = ('multi_sine', 'rotation', 'x')
         (MULTI_SINE, (*LINE, 'frequency'), [1.0, -1.0], 'at most 100 (Hz), got -1.0'),
         (WAYPOINTS, ('waypoints', 'poses'), [], 'a list of one or more blocks'),
         (WAYPOINTS, (*POSES, 'quaternion_xyzw'), [0, 0, 0, 2], 'must be of length 1'),
-        (WAYPOINTS, (*POSES, 'move'), 3600.0, 'at most 3600 s are possible'),
-    ],
+        (WAYPOINTS, (*POSES, 'move'), 3600.0, 'at most 3600 s are possible')],
 )
 def test_a_wrong_setting_is_refused_by_name(content, path, value, message):
     with pytest.raises(BellowsError) as caught:

@@ -51,8 +51,7 @@ def test_noise_has_the_standard_deviation_that_was_asked_for():
     noise = np.hstack(
         [
             (poses.position - truth.position) / 1e-4,
-            turned(truth.rotation, poses.rotation) / 5e-4,
-        ]
+            turned(truth.rotation, poses.rotation) / 5e-4]
     )
     count = len(noise)
     assert count == 10_001
