@@ -64,7 +64,8 @@ def renewed(page: str, found: Mapping[str, Any]) -> str:
         f"{name} {version or 'not installed'}" for name, version in at['versions'].items())
     new['machine'] = (
         f'Measured on {at["date"]} with {at["cores"]} cores of {at["processor"]} '
-        f'(load {at["load"]:.1f} at the start), {at["system"]}, Python {at["python"]}, {packages}.')
+        f'(load {at["load"]:.1f} at the start), {at["system"]}, Python {at["python"]}, '
+        f'{packages}.')
 
     def table(match: re.Match[str]) -> str:
         name = match.group(2)

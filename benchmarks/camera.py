@@ -28,7 +28,7 @@ TOPICS = {'tool': '/tool_arm/pose', 'twist': '/tool_arm/twist', 'package': '/pac
 CAMERA_TOPIC = '/camera/box'
 NOISE = 2e-3, 1e-2
 """Of the camera, m and rad along each axis."""
-PACKAGE_SAMPLES_PER_IMAGE = 12
+IMAGE_STEP = 12
 """The package is recorded at 360 Hz, the camera sees it at 30 Hz."""
 SETTLING_TIME = 2.0
 """Errors count from then on, s."""
@@ -66,7 +66,7 @@ def add_camera(folder: Path) -> None:
     """Write the shipped validation with a camera."""
     streams: dict[str, Any] = dict(read_streams(BAGS / 'validation', TOPICS))
     package, twist, rng = streams['package'], streams['twist'], np.random.default_rng(1)
-    which = np.arange(PACKAGE_SAMPLES_PER_IMAGE - 1, len(package.stamps_ns), PACKAGE_SAMPLES_PER_IMAGE)
+    which = np.arange(IMAGE_STEP - 1, len(package.stamps_ns), IMAGE_STEP)
     shifts, turns = (rng.normal(size=(len(which), 3)) * noise for noise in NOISE)
     streams['camera'] = PoseStream(
         CAMERA_TOPIC, package.frame_id, package.stamps_ns[which], package.position[which] + shifts,

@@ -293,7 +293,8 @@ def messages_of(
     """
     name = _absolute(topic) if topic else ''
     for message in _Bag(path).messages(
-        lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name)):
+        lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name)
+    ):
         data = message.data
         plain = decompressed('zstd', data, LARGEST_PLAN) if data.startswith(ZSTD_MAGIC) else data
         yield message.topic.name, message.topic.type_name, message.log_time_ns, plain

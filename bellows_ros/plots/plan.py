@@ -70,7 +70,8 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
             (panels[1, 0], MILLI * (offset - offset[0]), MILLI * std[:, :3], 'xyz'),
             (panels[2, 0], DEGREES * values[:, 3:4], DEGREES * std[:, 3:4], ['bending']),
             (panels[1, 1], values[:, 6:9], std[:, 6:9], 'xyz'),
-            (panels[2, 1], values[:, 9:], std[:, 9:], 'xyz')):
+            (panels[2, 1], values[:, 9:], std[:, 9:], 'xyz'),
+        ):
             _draw_bands(panel, curves.seconds, shown, sigma, names, colours)
             if len(names) > 1:
                 _legend(panel)
@@ -109,7 +110,8 @@ def _draw_path(panel: Any, curves: Curves, colours: Theme) -> None:
     for axis, style in enumerate(STYLES):
         for values, colour, width, name in (
             (curves.tool[:, axis], colours.quiet, 2.6, 'tool'),
-            (curves.values[:, axis], colours.predicted, 1.2, 'package')):
+            (curves.values[:, axis], colours.predicted, 1.2, 'package'),
+        ):
             panel.plot(curves.seconds, values, style, color=colour, linewidth=width,
                        label=f'{name} {"xyz"[axis]}')
     panel.legend(fontsize=6.5, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 0.98),

@@ -122,7 +122,8 @@ def _fill(rr: Any, recording: Any, replayed: Replayed) -> None:
     for name, position, rotation in (
         ('tool', moved.tool_position, moved.tool_rotation),
         ('predicted', replayed.position, replayed.rotation),
-        ('measured', moved.package_position, moved.package_rotation)):
+        ('measured', moved.package_position, moved.package_rotation),
+    ):
         recording.send_columns(f'world/{name}', times, rr.Transform3D.columns(
             translation=position, quaternion=rotation_to_quaternion(rotation)))
     _send_bodies(rr, recording, replayed)

@@ -38,7 +38,8 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     for path, reason in (
         (tmp_path / 'none' / 'a', 'does not exist'), (tmp_path, 'is a folder'),
         ('/dev/null', 'not a plain file'), ('a\0b', 'cannot be written'),
-        (tmp_path / ('x' * 300), 'cannot be written')):
+        (tmp_path / ('x' * 300), 'cannot be written'),
+    ):
         with pytest.raises(BellowsError, match=reason):
             write_text(path, 'x')
     with pytest.raises(BellowsError):

@@ -326,6 +326,7 @@ def test_decompression_stops_at_its_limit(form, pack):
     assert decompressed(form, b'', 0) == b''
     for packed, limit in (
         (pack(data), len(data) - 1), (pack(data) + pack(b'more'), len(data)), (b'nonsense', 9),
-        (pack(data)[:-5], len(data)), (pack(data) + b'x', len(data))):
+        (pack(data)[:-5], len(data)), (pack(data) + b'x', len(data)),
+    ):
         with pytest.raises(BellowsError):
             decompressed(form, packed, limit)

@@ -69,7 +69,8 @@ def test_both_bodies_are_found_in_the_world(tmp_path):
     assert found['a'].frame_id == found['b'].frame_id == 'hall'
     for role, pose in (
         ('a', lambda s: MOUNT @ base_in_rail(s) @ flange_in_base(s) @ FLANGE),
-        ('b', lambda s: CAMERA @ box_in_camera(s))):
+        ('b', lambda s: CAMERA @ box_in_camera(s))
+    ):
         s = (found[role].stamps_ns - T0) * 1e-9
         expected = np.array([pose(each) for each in s])
         assert_allclose(found[role].position, expected[:, :3, 3], atol=1e-8)
@@ -91,7 +92,8 @@ def test_what_is_missing_is_said(tmp_path):
     for frame, world, words in (
         ('tol', '', "'tol' is not among the transforms of it. There are: base"),
         ('tool', 'elsewhere', "'hall', the other at 'elsewhere'"),
-        ('camera', 'rail', 'does not move')):
+        ('camera', 'rail', 'does not move'),
+    ):
         with pytest.raises(BellowsError, match=words):
             poses_in(links, frame, world, 'it')
     with pytest.raises(BellowsError, match="'box'"):

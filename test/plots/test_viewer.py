@@ -53,7 +53,8 @@ def test_what_is_written_is_what_was_replayed(replayed, tmp_path):
             (f'/package/{name}/measured', replayed.live.measured),
             (f'/package/{name}/predicted', replayed.live.predicted),
             (f'/error/{name}', np.full((COUNT, 6), 5e-3)),
-            (f'/deflection/{name}', replayed.deflection)):
+            (f'/deflection/{name}', replayed.deflection),
+        ):
             (shown,) = zip(*found[path, 'Scalars:scalars'].to_pylist(), strict=True)
             np.testing.assert_allclose(shown, 1e3 * values[:, axis])
     position = np.array(found['/world/predicted', 'Transform3D:translation'].to_pylist())
