@@ -26,13 +26,10 @@ from .panels import bellows_rings, box_corners, BOX_EDGES, BOX_FACES, picture, S
 from .style import FILMS, require_picture, Theme
 
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
-NO_FFMPEG = (
-    'An .mp4 needs ffmpeg, which is not installed. Install it (apt install ffmpeg, or '
-    f'{install("video")}), or write a .gif.')
 SIZE, DPI = (8.0, 4.5), 80
-ARM = 0.10  # m, of the tool that is drawn above its tip
-AFTER = 0.5  # s, that a steered motion is shown after its end
-NEAR_ZOOM, FAR_ZOOM, WAY_ZOOM = 1.6, 1.3, 2.0  # the box stays inside, wherever it swings
+ARM_LENGTH = 0.10  # m, of the tool that is drawn above its tip
+TIME_AFTER_END = 0.5  # s, that a steered motion is shown after its end
+CUP_ZOOM, REPLAY_ZOOM, PLAN_ZOOM = 1.6, 1.3, 2.0  # the box stays inside, wherever it swings
 VIEW = {'elev': 14.0, 'azim': -60.0}
 
 
@@ -48,7 +45,7 @@ def write_animation(
     path : path
         Ends in .gif or .mp4.
     replayed : Replayed
-        What is shown.
+        What is drawn.
     note : str
         Which recording and cup.
     theme : {'light', 'dark'}
@@ -69,10 +66,10 @@ def write_animation(
         'in the world', replayed.seconds, (measured.tool_position, measured.tool_rotation),
         (replayed.position, replayed.rotation),
         (measured.package_position, measured.package_rotation), replayed.com, replayed.box,
-        replayed.cup_length, FAR_ZOOM)
-    near = world._replace(label='moving with the tool tip', zoom=NEAR_ZOOM, near=True)
-    _write(
-        path, (world, near), 'Predicted, and measured as an outline', note, theme, progress, speed)
+        replayed.cup_length, REPLAY_ZOOM)
+    close_up = world._replace(label='moving with the tool tip', zoom=CUP_ZOOM, at_tool=True)
+    _write(path, (world, close_up), 'Predicted, and measured as an outline', note, theme, progress,
+           speed)
 
 
 def write_steering(path: File, report: SteerReport, note: str, speed: float) -> None:
@@ -80,16 +77,17 @@ def write_steering(path: File, report: SteerReport, note: str, speed: float) -> 
     values = report.source.values
     com, box = np.array(values['package.com']), np.array(equivalent_box(values))
     views = []
-    last = max(float(motion.tool.seconds[-1]) for motion in report.motions.values()) + AFTER
+    last = TIME_AFTER_END + max(
+        float(motion.tool.seconds[-1]) for motion in report.motions.values())
     for name in ('as planned', report.method):
         if motion := report.motions.get(name):
-            shown = motion.along.seconds <= last
-            tool, wanted = motion.along.select(shown), motion.wanted.select(shown)
-            states = motion.states[shown]
+            until_end = motion.along.seconds <= last
+            tool, wanted = motion.along.select(until_end), motion.wanted.select(until_end)
+            states = motion.states[until_end]
             views.append(View(
-                name, motion.along.seconds[shown], (tool.position, tool.rotation),
+                name, motion.along.seconds[until_end], (tool.position, tool.rotation),
                 (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
-                (wanted.position, wanted.rotation), com, box, values['cup.length'], WAY_ZOOM))
+                (wanted.position, wanted.rotation), com, box, values['cup.length'], PLAN_ZOOM))
     _write(path, views, 'The same way, with and without swing; wanted as an outline', note,
            'light', silent, speed)
 
@@ -102,7 +100,7 @@ class View(NamedTuple):
     """
     Tool and package at times (N,), s, with the package once more as an outline.
 
-    Seen in the world, or from near and moving with the tool tip.
+    Seen in the world, or close up and moving with the tool tip.
     """
 
     label: str
@@ -114,7 +112,7 @@ class View(NamedTuple):
     box: Array
     cup_length: float
     zoom: float
-    near: bool = False
+    at_tool: bool = False
 
 
 def _write(
@@ -125,24 +123,24 @@ def _write(
     ending = f'.{require_picture(path, FILMS)}'
     rate_hz = FRAMES_PER_SECOND[ending]
     encode = _gif if ending == '.gif' else partial(_mp4, ffmpeg=_ffmpeg())
-    first, last = (limit(view.seconds[end] for view in views)
-                   for limit, end in ((min, 0), (max, -1)))
-    times = np.arange(first, last, speed / rate_hz)
+    times = np.arange(min(view.seconds[0] for view in views),
+                      max(view.seconds[-1] for view in views), speed / rate_hz)
     pictures = _drawn(views, times, title, note, theme, progress)
     write_bytes(path, encode(pictures, rate_hz))
 
 
 def _ffmpeg() -> str:
     """Return the program ffmpeg, that of the system or that of the extra."""
-    found = shutil.which('ffmpeg')
-    if found is None:
-        try:
-            from imageio_ffmpeg import get_ffmpeg_exe
+    if program := shutil.which('ffmpeg'):
+        return program
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
 
-            found = get_ffmpeg_exe()
-        except (ImportError, RuntimeError):
-            raise BellowsError(NO_FFMPEG) from None
-    return str(found)
+        return str(get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        raise BellowsError(
+            'An .mp4 needs ffmpeg, which is not installed. Install it (apt install ffmpeg, or '
+            f'{install("video")}), or write a .gif.') from None
 
 
 def _drawn(
@@ -167,13 +165,12 @@ def _drawn(
 
 
 def _space(figure: Any, left: float, view: View, colours: Theme) -> Any:
-    """Return a panel that shows the whole way, or the cup from near."""
+    """Return a panel that shows the whole way, or the cup close up."""
     bodies = np.vstack([view.tool[0], view.package[0]])
     low, high = bodies.min(axis=0), bodies.max(axis=0)
-    centre, half = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + 0.7 * float(
-        np.max(view.box))
-    if view.near:
-        half = 0.8 * float(np.max(view.box)) + 0.2 * view.cup_length
+    centre, half = 0.5 * (low + high), 0.5 * np.max(high - low) + 0.7 * np.max(view.box)
+    if view.at_tool:
+        half = 0.8 * np.max(view.box) + 0.2 * view.cup_length
         centre = np.array([0.0, 0.0, -0.15 * half])
     space = figure.add_axes((left, -0.06, 0.54, 0.98), projection='3d', computed_zorder=False)
     space.set_axis_off()
@@ -190,7 +187,7 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
     i = min(int(np.searchsorted(view.seconds, t)), len(view.seconds) - 1)
-    shift = view.tool[0][i] if view.near else np.zeros(3)
+    shift = view.tool[0][i] if view.at_tool else np.zeros(3)
     (tool_o, tool_R), (body_o, body_R), (outline_o, outline_R) = (
         (o[i] - shift, R[i]) for o, R in (view.tool, view.package, view.outline))
     lip_o = body_o - body_R @ view.com
@@ -202,7 +199,7 @@ def _draw(space: Any, view: View, t: float, colours: Theme) -> list[Any]:
         [np.array([a[k], a[k + 1], b[k + 1], b[k]])
          for a, b in zip(rings, rings[1:], strict=False) for k in range(SIDES - 1)],
         facecolor=colours.measured, edgecolor=colours.quiet, linewidth=0.3)
-    arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM])])
+    arm = np.array([tool_o, tool_o + tool_R @ np.array([0.0, 0.0, ARM_LENGTH])])
     outline = Line3DCollection(
         list(box_corners(outline_o, outline_R, view.box)[BOX_EDGES]), colors=colours.error,
         linewidths=1.3)

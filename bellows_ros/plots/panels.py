@@ -171,7 +171,7 @@ def six_pairs(
     """
     from matplotlib.ticker import MaxNLocator
 
-    outer, seconds, found = figure.add_gridspec(3, 2, **place), lines[0].x, []
+    outer, seconds, pairs = figure.add_gridspec(3, 2, **place), lines[0].x, []
     for axis in range(6):
         inner = outer[axis % 3, axis // 3].subgridspec(2, 1, height_ratios=(3.2, 1.0), hspace=0.1)
         upper, lower = (figure.add_subplot(inner[i]) for i in (0, 1))
@@ -195,8 +195,8 @@ def six_pairs(
         upper.tick_params(labelbottom=False)
         lower.tick_params(axis='y', labelsize=7.5)
         label_abscissa(lower, axis, 'time (s)')
-        found.append((upper, lower))
-    return found
+        pairs.append((upper, lower))
+    return pairs
 
 
 def broken(values: Array, valid: Mask) -> Array:

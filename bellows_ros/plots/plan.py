@@ -7,6 +7,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.grip import MODES
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
 from bellows_ros.plots.recording import prediction_figure
@@ -25,7 +26,7 @@ WIDE = (9.4, 4.2)  # inches
 SIGMAS = 2.0
 """Half width of the bands, standard deviations."""
 
-LARGEST_SHOWN = 4.0
+MAX_SHOWN_FACTOR = 4.0
 """Safety factors are drawn up to this multiple of the required one."""
 
 DEGREES = 180.0 / math.pi
@@ -108,12 +109,10 @@ def _legend(panel: Any) -> None:
 def _draw_path(panel: Any, curves: Curves, colours: Theme) -> None:
     """Draw the positions of tool and package in the world."""
     for axis, style in enumerate(STYLES):
-        for values, colour, width, name in (
-            (curves.tool[:, axis], colours.quiet, 2.6, 'tool'),
-            (curves.values[:, axis], colours.predicted, 1.2, 'package'),
-        ):
-            panel.plot(curves.seconds, values, style, color=colour, linewidth=width,
-                       label=f'{name} {"xyz"[axis]}')
+        panel.plot(curves.seconds, curves.tool[:, axis], style, color=colours.quiet,
+                   linewidth=2.6, label=f'tool {"xyz"[axis]}')
+        panel.plot(curves.seconds, curves.values[:, axis], style, color=colours.predicted,
+                   linewidth=1.2, label=f'package {"xyz"[axis]}')
     panel.legend(fontsize=6.5, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 0.98),
                  handlelength=2.2, borderaxespad=0.2, columnspacing=1.0, labelspacing=0.2)
 
@@ -159,10 +158,10 @@ def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
                                  (0.5, 'lets go', 'center')):
         panel.text(0.99, height, words, fontsize=7.5, va=place, ha='right',
                    transform=panel.get_yaxis_transform(), color=colours.quiet)
-    panel.set_ylim(0.0, max(LARGEST_SHOWN * margins.least, 1.5 * factor))
+    panel.set_ylim(0.0, max(MAX_SHOWN_FACTOR * margins.least, 1.5 * factor))
 
 
-PARTS = ((slice(0, 3), 1e3, 'mm'), (slice(3, 6), 180.0 / np.pi, 'degrees'))
+PARTS = (('shift', MILLI, 'mm'), ('turn', DEGREES, 'degrees'))
 
 
 def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
@@ -190,15 +189,13 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     hertz = np.arange(1, len(lines) + 1) / motion.period
     with picture('Motion for identifying stiffness and damping', note, theme) as (figure, colours):
         grid = figure.add_gridspec(3, 2, **BELOW_HEAD, hspace=0.6, wspace=0.2)
-        for line, (part, factor, unit) in enumerate(PARTS):
+        for line, (kind, factor, unit) in enumerate(PARTS):
             of_time, of_frequency = (figure.add_subplot(grid[line, i]) for i in (0, 1))
-            for i, colour in enumerate(colours.three):
-                axis = part.start + i
-                name = ('', 'r')[line] + 'xyz'[i]
-                of_time.plot(t, factor * u[:, axis], color=colour, linewidth=0.7, label=name)
-                of_frequency.semilogy(
-                    hertz, factor * lines[:, axis], color=colour, linewidth=0.8, label=name)
-            name_panel(of_time, f'{("shift", "turn")[line]} of the tool ({unit})')
+            for axis, colour in enumerate(colours.three, 3 * line):
+                of_time.plot(t, factor * u[:, axis], color=colour, linewidth=0.7)
+                of_frequency.semilogy(hertz, factor * lines[:, axis], color=colour,
+                                      linewidth=0.8, label=AXES[axis])
+            name_panel(of_time, f'{kind} of the tool ({unit})')
             name_panel(of_frequency, f'amplitude ({unit})')
             of_frequency.legend(fontsize=8, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 1.0),
                                 borderaxespad=0.2)
@@ -215,13 +212,13 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     return figure
 
 
-AFTER = 1.0
+TIME_AFTER_END = 1.0
 """Time (s) shown after the end of the last motion."""
 
 
 def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') -> Any:
     """
-    Draw the tilt of the package, and the way and tilt of the tool, of several motions.
+    Draw the tilt of the package, and the path length and tilt of the tool, of several motions.
 
     Parameters
     ----------
@@ -244,9 +241,9 @@ def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') ->
         lines = (colours.predicted, colours.measured, colours.error)
         for (name, motion), colour in zip(motions.items(), lines, strict=False):
             tool, end = motion.tool, float(motion.tool.seconds[-1])
-            way = np.linalg.norm(tool.position - tool.position[0], axis=1)
+            distance = np.linalg.norm(tool.position - tool.position[0], axis=1)
             z = np.clip(tool.rotation[:, :, 2] @ tool.rotation[0, :, 2], -1.0, 1.0)
-            curves = (np.degrees(motion.tilt), way, np.degrees(np.arccos(z)))
+            curves = (np.degrees(motion.tilt), distance, np.degrees(np.arccos(z)))
             for panel, values in zip(panels, curves, strict=True):
                 seconds = motion.along.seconds if values is curves[0] else tool.seconds
                 panel.plot(seconds, values, color=colour, linewidth=1.4, label=name)
@@ -256,7 +253,7 @@ def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') ->
                 'way of the tool (m)', 'tilt of the tool (degrees)'), strict=True):
             name_panel(panel, title)
         longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
-        panels[0].set_xlim(0.0, longest + AFTER)
+        panels[0].set_xlim(0.0, longest + TIME_AFTER_END)
         panels[0].legend(fontsize=9, loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=3)
         panels[-1].set_xlabel('time (s)')
     return figure
@@ -284,14 +281,14 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    found, motion = result.toss, result.case.held
-    tool, path = motion.tool, flight_path(motion.model, found, PATH_POINTS)
-    held = motion.states[motion.times <= found.release_time]
+    toss, motion = result.toss, result.case.held
+    tool, path = motion.tool, flight_path(motion.model, toss, PATH_POINTS)
+    held = motion.states[motion.times <= toss.release_time]
     valve = held[np.searchsorted(motion.times[:len(held)], result.case.switched) - 1]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
-    x, y, _ = found.landing[0]
-    note = (f'valve {result.case.switched:.3f} s, lets go {found.release_time:.3f} s, lands '
-            f'{found.landing_time:.3f} s at x {x:.3f} m, y {y:.3f} m ± {spread[0]:.1f}, '
+    x, y, _ = toss.landing[0]
+    note = (f'valve {result.case.switched:.3f} s, lets go {toss.release_time:.3f} s, lands '
+            f'{toss.landing_time:.3f} s at x {x:.3f} m, y {y:.3f} m ± {spread[0]:.1f}, '
             f'{spread[1]:.1f} mm')
     with picture(title, note, theme, SIZE) as (figure, colours):
         reach = np.vstack([tool.position, path[:, :3]])
@@ -365,16 +362,16 @@ def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:
 
 
 FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
-    PlanReport: lambda found, theme: plan_figure(found, found.source.path, theme),
-    SteerReport: lambda found, theme: steer_figure(found.motions, found.source.path, theme),
-    TossResult: lambda found, theme: toss_figure(found, f'Toss of {found.source.path}', theme),
-    DesignedMotion: lambda found, theme: excite_figure(
-        found.design, f'{found.design.motion.duration:g} s', theme),
-    Replay: lambda found, theme: prediction_figure(
-        found.recording.since_start(found.validation.stamps_ns), found.validation,
-        'Measured and simulated', f'{found.bag}, relative to the tool', theme)}
+    PlanReport: lambda result, theme: plan_figure(result, result.source.path, theme),
+    SteerReport: lambda result, theme: steer_figure(result.motions, result.source.path, theme),
+    TossResult: lambda result, theme: toss_figure(result, f'Toss of {result.source.path}', theme),
+    DesignedMotion: lambda result, theme: excite_figure(
+        result.design, f'{result.design.motion.duration:g} s', theme),
+    Replay: lambda result, theme: prediction_figure(
+        result.recording.since_start(result.validation.stamps_ns), result.validation,
+        'Measured and simulated', f'{result.bag}, relative to the tool', theme)}
 
 
-def figure_of(found: CommandResult, theme: str = 'light') -> Any:
+def figure_of(result: CommandResult, theme: str = 'light') -> Any:
     """Return the matplotlib Figure of a result."""
-    return FIGURES[type(found)](found, theme)
+    return FIGURES[type(result)](result, theme)

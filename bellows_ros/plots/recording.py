@@ -165,7 +165,7 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
     return figure
 
 
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 UNITS = ('N',) * 3 + ('N m',) * 3
 
 
@@ -188,16 +188,15 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
 
     """
     usable = np.flatnonzero(loads.valid)
-    shown = usable[:: max(1, len(usable) // MOST_POINTS)]
+    shown = usable[:: max(1, len(usable) // MAX_POINTS)]
     title = 'Load on the cup against its deflection'
     with panels.picture(title, note, theme) as (figure, colours):
         panels.legend(figure, (('needed by the motion', colours.measured, 4.0),
                                ('stiffness of the cup', colours.predicted, 1.4)))
         for axis, panel in enumerate(panels.six(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
-            kind, scale, unit = (
-                ('force', panels.MILLI, 'mm') if axis < 3 else (
-                    'moment', np.rad2deg(1.0), 'degrees'))
+            kind, scale, unit = (('force', panels.MILLI, 'mm') if axis < 3
+                                 else ('moment', np.rad2deg(1.0), 'degrees'))
             panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
             ends = np.array([x.min(), x.max()])
@@ -235,8 +234,8 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
         parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
         panels.six_pairs(
             figure, colours, [panels.Line('', 'measured', 1.8, loads.seconds, load)], residual,
-            [f'unexplained RMS {own:.2g} {unit}, {part:.2g} % of the load'
-             for own, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
+            [f'unexplained RMS {value:.2g} {unit}, {part:.2g} % of the load'
+             for value, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
             -0.155, **panels.BELOW_HEAD, hspace=0.24, wspace=0.26)
     return figure
 
@@ -245,7 +244,7 @@ SIZE = (11.0, 8.4)  # inches
 GAP_PERIODS = 3.0
 """A line is interrupted where samples are missing for this many periods."""
 
-LEAST_SPAN = 2.0
+MIN_SPAN = 2.0
 """mm or mrad that an axis shows at least, so that noise at rest does not look like motion."""
 
 
@@ -278,7 +277,8 @@ def prediction_figure(
         scores = comparison.scores
         titles = [
             f'error RMS {two_figures(rms)} {unit}, largest {two_figures(largest)} {unit}, '
-            f'{percent(nrmse)} of the motion' for rms, largest, nrmse, unit in zip(
+            f'{two_figures(100.0 * nrmse) + " %" if np.isfinite(nrmse) else "-"} of the motion'
+            for rms, largest, nrmse, unit in zip(
                 panels.MILLI * scores.rms, panels.MILLI * scores.largest, scores.nrmse,
                 MILLI_UNITS, strict=True)]
         times, measured, predicted = (with_gaps(seconds, values) for values in (
@@ -290,7 +290,7 @@ def prediction_figure(
             right=0.985, top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
         for upper, _ in columns:
             low, high = upper.get_ylim()
-            lack = 0.5 * max(0.0, LEAST_SPAN - (high - low))
+            lack = 0.5 * max(0.0, MIN_SPAN - (high - low))
             upper.set_ylim(low - lack, high + lack)
         for (top, _), what in zip(columns[::3], ('Position', 'Rotation'), strict=True):
             figure.text(top.get_position().x0, 0.885, f'{what} of B in tool axes', fontsize=10.5,
@@ -316,12 +316,12 @@ def errors_figure(estimates: Mapping[str, Comparison], note: str, theme: str = '
     matplotlib.figure.Figure
 
     """
-    start_ns = min(own.stamps_ns[0] for own in estimates.values())
+    start_ns = min(estimate.stamps_ns[0] for estimate in estimates.values())
     styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
     return panels.six_lines('Predicted minus measured', note, theme, [
-        panels.Line(
-            name, colour, width, (own.stamps_ns - start_ns) * 1e-9, panels.MILLI * own.error)
-        for (name, own), (colour, width) in zip(estimates.items(), styles, strict=False)],
+        panels.Line(name, *style, (estimate.stamps_ns - start_ns) * 1e-9,
+                    panels.MILLI * estimate.error)
+        for (name, estimate), style in zip(estimates.items(), styles, strict=False)],
         'time (s)')
 
 
@@ -355,11 +355,6 @@ def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
 def two_figures(value: float) -> str:
     """Return a number with two figures."""
     return f'{value:#.2g}'.removesuffix('.')
-
-
-def percent(ratio: float) -> str:
-    """Return a ratio in percent with two figures, or a dash if nothing moved."""
-    return f'{two_figures(100.0 * ratio)} %' if np.isfinite(ratio) else '-'
 
 
 def with_gaps(seconds: Array, values: Array) -> Array:
