@@ -18,12 +18,9 @@ import signal
 import sys
 import time
 
-from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.files.atomic import write_bytes, write_text
+from bellows_ros.files.atomic import write_bytes
 from bellows_ros.files.bag_writer import as_messages, write_bag
-from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import write_json
-from bellows_ros.files.trajectory_files import write_tum
 import numpy as np
 
 LONG = 2.0  # durations of a write in which it is killed
@@ -37,20 +34,9 @@ Write = Callable[[Path, int], None]
 """Writes the old content, 0, or the new, 1, to a path."""
 
 
-def yaml(path, number):
-    """Write a parameter file."""
-    stiffness = (1.0 + number) * Cup.thesis().stiffness
-    write_parameters(path, {'cup.stiffness': tuple(stiffness.ravel().tolist())}, ['A cup.'])
-
-
 def result(path, number):
     """Write JSON."""
     write_json(path, {'number': number, 'values': VALUES[:200]})
-
-
-def page(path, number):
-    """Write a page."""
-    write_text(path, f'<!DOCTYPE html>{number}' + '<p>line</p>' * 50_000)
 
 
 def picture(path, number):
@@ -64,11 +50,6 @@ def picture(path, number):
     figure = Figure(figsize=(1.0, 1.0))
     figure.text(0.0, 0.0, str(number))
     write_figure(path, figure)
-
-
-def table(path, number):
-    """Write numbers in columns."""
-    write_tum(path, STAMPS, VALUES + number)
 
 
 def recording(storage, zstd):
@@ -88,9 +69,8 @@ def carelessly(path, number):
 
 
 WRITERS = {
-    'cup.yaml': yaml, 'fit.json': result, 'report.html': page, 'picture.png': picture,
-    'package.tum': table, 'mcap': recording('mcap', False), 'sqlite3': recording('sqlite3', True),
-    'careless': carelessly}
+    'fit.json': result, 'picture.png': picture, 'mcap': recording('mcap', False),
+    'sqlite3': recording('sqlite3', True), 'careless': carelessly}
 
 
 def content(path):

@@ -94,10 +94,8 @@ def write(path, topics, storage='mcap', compression='NONE', version=9):
 def poses(count, values=None, frame_id='world'):
     """Return (log time, bytes) of PoseStamped messages."""
     values = pose_values(count) if values is None else values
-    return [
-        (int(t), encoded(POSE, t, pose=v, frame_id=frame_id))
-        for t, v in zip(stamps(count), values, strict=True)
-    ]
+    return [(int(t), encoded(POSE, t, pose=v, frame_id=frame_id))
+            for t, v in zip(stamps(count), values, strict=True)]
 
 
 def storage_file(folder):

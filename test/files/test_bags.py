@@ -91,9 +91,8 @@ def test_a_bare_storage_file_is_a_recording_too(bag):
     'kind', [made.POSE, made.POSE_COVARIANCE, made.TRANSFORM, made.ODOMETRY])
 def test_poses_are_read_from_each_type(tmp_path, kind):
     t, values = made.stamps(4), made.pose_values(4)
-    messages = [
-        (int(t[i]), made.encoded(kind, t[i], pose=values[i], twist=[0.0] * 6)) for i in range(4)
-    ]
+    messages = [(int(t[i]), made.encoded(kind, t[i], pose=values[i], twist=[0.0] * 6))
+                for i in range(4)]
     stream = read_streams(one_topic(tmp_path / 'b', messages, kind), {'p': 'a'})['p']
     assert_array_equal(stream.position, values[:, :3])
     assert_array_equal(stream.rotation, quaternion_to_rotation(values[:, 3:]))
@@ -104,9 +103,8 @@ def test_poses_are_read_from_each_type(tmp_path, kind):
 def test_twists_are_read_with_the_frame_their_axes_are_in(tmp_path, kind, frame_id):
     t, values = made.stamps(4), made.twist_values(4)
     pose = made.pose_values(1)[0]
-    messages = [
-        (int(t[i]), made.encoded(kind, t[i], pose=pose, twist=values[i])) for i in range(4)
-    ]
+    messages = [(int(t[i]), made.encoded(kind, t[i], pose=pose, twist=values[i]))
+                for i in range(4)]
     stream = read_streams(one_topic(tmp_path / 'b', messages, kind), {'tool_twist': 'a'})
     assert_array_equal(stream['tool_twist'].linear, values[:, :3])
     assert_array_equal(stream['tool_twist'].angular, values[:, 3:])
@@ -115,28 +113,17 @@ def test_twists_are_read_with_the_frame_their_axes_are_in(tmp_path, kind, frame_
 
 def faulty(index, reason):
     """Return a PoseStamped message with one fault."""
-    t = made.stamps(100)[index]
+    before, t = made.stamps(100)[[index - 1, index]]
     pose = made.pose_values(100)[index]
-    options = {}
+    t = {'zero_stamp': 0, 'duplicate_stamp': before, 'backward_stamp': before - 1,
+         'future_stamp': t + 3_600_000_000_000}.get(reason, t)
+    pose[3:] *= {'zero_quaternion': 1e-9, 'not_unit': 1.02}.get(reason, 1.0)
     if reason == 'nan':
         pose[2 + index % 5] = (np.nan, np.inf, -np.inf)[index % 3]  # of both parts
-    elif reason == 'zero_quaternion':
-        pose[3:] *= 1e-9
-    elif reason == 'not_unit':
-        pose[3:] *= 1.02
-    elif reason == 'out_of_range':
+    if reason == 'out_of_range':
         pose[0] = 1e300
-    elif reason == 'zero_stamp':
-        t = 0
-    elif reason == 'frame_id':
-        options = {'frame_id': 'elsewhere'}
-    elif reason == 'duplicate_stamp':
-        t = made.stamps(100)[index - 1]
-    elif reason == 'backward_stamp':
-        t = made.stamps(100)[index - 1] - 1
-    elif reason == 'future_stamp':
-        t += 3_600_000_000_000
-    data = made.encoded(made.POSE, t, pose=pose, **options)
+    frame_id = 'elsewhere' if reason == 'frame_id' else 'world'
+    data = made.encoded(made.POSE, t, pose=pose, frame_id=frame_id)
     return data[:-9] if reason == 'malformed' else data
 
 
@@ -144,9 +131,8 @@ def faulty(index, reason):
 def test_messages_that_cannot_be_used_are_counted_by_reason(tmp_path, reason):
     bad = (1, 7, 50, 99)
     good = made.poses(100)
-    messages = [
-        (log, faulty(i, reason) if i in bad else data) for i, (log, data) in enumerate(good)
-    ]
+    messages = [(log, faulty(i, reason) if i in bad else data)
+                for i, (log, data) in enumerate(good)]
     stream = read_streams(one_topic(tmp_path / 'b', messages), {'p': 'a'})['p']
     assert stream.refused == {reason: bad}
     kept = np.setdiff1d(np.arange(100), bad)
@@ -352,14 +338,11 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
     assert 'files outside the folder are not read' in error_of(folder)
 
 
-@pytest.mark.parametrize(
-    'changes, reason',
-    [
-        ({'relative_file_paths': ['gone.mcap']}, "lacks 'gone.mcap'"),
-        ({'relative_file_paths': ['.']}, "lacks '.'"),
-        ({'compression_format': 'lz4'}, "compressed with 'lz4'; zstd is supported"),
-        ({'compression_format': ['zstd']}, 'is compressed with')],
-)
+@pytest.mark.parametrize('changes, reason', [
+    ({'relative_file_paths': ['gone.mcap']}, "lacks 'gone.mcap'"),
+    ({'relative_file_paths': ['.']}, "lacks '.'"),
+    ({'compression_format': 'lz4'}, "compressed with 'lz4'; zstd is supported"),
+    ({'compression_format': ['zstd']}, 'is compressed with')])
 def test_damaged_metadata_is_refused(tmp_path, changes, reason):
     folder = one_topic(tmp_path / 'b', made.poses(4))
     change_metadata(folder, **changes)

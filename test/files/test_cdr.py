@@ -78,10 +78,8 @@ def test_encoding_is_what_rosbags_reads(kind):
 def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
     values = made.pose_values(6)
     frames = ['world', 'a', 'world', 'frame', 'world', 'frame']
-    data = [
-        made.encoded(made.POSE, t, pose=v, frame_id=f, little_endian=i % 2 == 0)
-        for i, (t, v, f) in enumerate(zip(made.stamps(6), values, frames, strict=True))
-    ]
+    data = [made.encoded(made.POSE, t, pose=v, frame_id=f, little_endian=i % 2 == 0)
+            for i, (t, v, f) in enumerate(zip(made.stamps(6), values, frames, strict=True))]
     decoded = cdr.decode(batch(data), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.values, values)
     assert_array_equal(decoded.stamps_ns, made.stamps(6))
@@ -104,19 +102,16 @@ def test_padding_at_the_end_is_allowed_and_more_is_not():
     assert_array_equal(decoded.frame, [0, 0, 0, 0, -1, -1])
 
 
-@pytest.mark.parametrize(
-    'at, value',
-    [
-        (0, 1),  # not CDR
-        (1, 7),  # another version of CDR
-        (7, 0x80),  # seconds below zero
-        (11, 0xFF),  # more nanoseconds than a second has
-        (12, 0),  # a string without its end
-        (15, 0xFF),  # a string longer than memory
-        (16, 0xFF),  # not UTF-8
-        (21, 0x20),  # a string without its zero
-    ],
-)
+@pytest.mark.parametrize('at, value', [
+    (0, 1),  # not CDR
+    (1, 7),  # another version of CDR
+    (7, 0x80),  # seconds below zero
+    (11, 0xFF),  # more nanoseconds than a second has
+    (12, 0),  # a string without its end
+    (15, 0xFF),  # a string longer than memory
+    (16, 0xFF),  # not UTF-8
+    (21, 0x20),  # a string without its zero
+])
 def test_damaged_messages_are_not_decoded(at, value):
     good = made.encoded(made.POSE, made.EPOCH_NS, pose=made.pose_values(1)[0])
     damaged = bytearray(good)

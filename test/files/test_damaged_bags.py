@@ -171,23 +171,20 @@ def test_chunks_are_read_and_unknown_records_passed_over(tmp_path, compression):
     assert len(outcome(path).streams['p']) == 2
 
 
-@pytest.mark.parametrize(
-    'records, reason',
-    [
-        ([message(0)], 'channel 1, which is not defined'),
-        ([BASE, channel(1, '/b'), message(0)], 'defined twice'),
-        ([chunk(BASE + message(0)[:-1])], 'record inside a chunk'),
-        ([chunk(BASE, 'bz2')], "'bz2' is not supported"),
-        ([chunk(BASE, 'zstd', zstd.compress(BASE)[:-2])], 'cannot be decompressed'),
-        ([chunk(BASE, 'zstd', zstd.compress(BASE), len(BASE) - 1)], 'longer than'),
-        ([chunk(BASE, size=2**62)], 'says it is 4611686018427387904 bytes long'),
-        ([chunk(BASE, checksum=1)], 'checksum'),
-        ([BASE, message(0), statistics({1: 2})], 'has 1 messages in channel 1, but says 2'),
-        ([record(5, b'')], 'damaged'), ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
-        ([struct.pack('<BQ', 5, 2**63)], 'says it is'),
-        ([struct.pack('<BQ', 5, LARGEST_RECORD)], 'beyond its end'),
-        ([record(2, bytes(20))], 'does not end')],
-)
+@pytest.mark.parametrize('records, reason', [
+    ([message(0)], 'channel 1, which is not defined'),
+    ([BASE, channel(1, '/b'), message(0)], 'defined twice'),
+    ([chunk(BASE + message(0)[:-1])], 'record inside a chunk'),
+    ([chunk(BASE, 'bz2')], "'bz2' is not supported"),
+    ([chunk(BASE, 'zstd', zstd.compress(BASE)[:-2])], 'cannot be decompressed'),
+    ([chunk(BASE, 'zstd', zstd.compress(BASE), len(BASE) - 1)], 'longer than'),
+    ([chunk(BASE, size=2**62)], 'says it is 4611686018427387904 bytes long'),
+    ([chunk(BASE, checksum=1)], 'checksum'),
+    ([BASE, message(0), statistics({1: 2})], 'has 1 messages in channel 1, but says 2'),
+    ([record(5, b'')], 'damaged'), ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
+    ([struct.pack('<BQ', 5, 2**63)], 'says it is'),
+    ([struct.pack('<BQ', 5, LARGEST_RECORD)], 'beyond its end'),
+    ([record(2, bytes(20))], 'does not end')])
 def test_records_that_are_not_sound_are_refused(tmp_path, records, reason):
     path = write_mcap(tmp_path / 'a.mcap', *records)
     with pytest.raises(BellowsError, match=reason):

@@ -85,14 +85,11 @@ V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.0
        'Millimeters,Coordinate Space,Global')
 
 
-@pytest.mark.parametrize(
-    ('settings', 'timecode', 'start'),
-    [
-        (V22, False, '2018-10-05T00:05:03.445'),
-        (V24.replace('1.24', '1.23'), False, '2023-06-02T12:09:45.344'),
-        (V24, True, '2023-06-02T12:09:45.344'),
-        (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344')],
-)
+@pytest.mark.parametrize(('settings', 'timecode', 'start'), [
+    (V22, False, '2018-10-05T00:05:03.445'),
+    (V24.replace('1.24', '1.23'), False, '2023-06-02T12:09:45.344'),
+    (V24, True, '2023-06-02T12:09:45.344'),
+    (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344')])
 def test_all_layouts_are_read(settings, timecode, start, tmp_path):
     """Find poses by their heads, among skeletons, markers and time codes, in millimetres."""
     columns = [*pose('Hip', kind='Bone'), *pose('Tool'), *marker('Marker', 'Loose 1', ('1', ''))]
@@ -158,15 +155,12 @@ def test_fewer_markers_may_be_allowed(tmp_path):
     assert tool.unseen == 0 and len(tool.stamps_ns) == 4
 
 
-@pytest.mark.parametrize(
-    ('change', 'words'),
-    [
-        (('Quaternion', 'XYZ'), 'Rotation Type XYZ; Quaternion is needed'),
-        (('Global', 'Local'), 'Coordinate Space Local'),
-        (('Length Units,Meters', 'Length Units,Feet'), 'lengths in Feet'),
-        (('Length Units,Meters,', ''), 'lengths in an unknown unit'),
-        (('Format Version', 'Version'), 'no CSV export of Motive')],
-)
+@pytest.mark.parametrize(('change', 'words'), [
+    (('Quaternion', 'XYZ'), 'Rotation Type XYZ; Quaternion is needed'),
+    (('Global', 'Local'), 'Coordinate Space Local'),
+    (('Length Units,Meters', 'Length Units,Feet'), 'lengths in Feet'),
+    (('Length Units,Meters,', ''), 'lengths in an unknown unit'),
+    (('Format Version', 'Version'), 'no CSV export of Motive')])
 def test_other_exports_are_refused(change, words, tmp_path):
     """Say what to change in the export."""
     file = export(tmp_path / 'take.csv', ABOUT.replace(*change))

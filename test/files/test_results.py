@@ -54,13 +54,10 @@ def test_matrices_of_other_shapes_are_refused(tmp_path, values, reason):
         read_result(tmp_path / 'fit.json')
 
 
-@pytest.mark.parametrize(
-    'values, reason',
-    [
-        ({'more': {1: 2}}, 'key 1'), ({'more': object}, 'cannot hold type'),
-        ({'more': 1j}, 'cannot hold complex'),
-        ({'more': {'a': [{'b': {1, 2}}]}}, 'cannot hold set')],
-)
+@pytest.mark.parametrize('values, reason', [
+    ({'more': {1: 2}}, 'key 1'), ({'more': object}, 'cannot hold type'),
+    ({'more': 1j}, 'cannot hold complex'),
+    ({'more': {'a': [{'b': {1, 2}}]}}, 'cannot hold set')])
 def test_what_has_no_place_in_a_result_is_refused(tmp_path, values, reason):
     path = tmp_path / 'fit.json'
     path.write_text('old')
@@ -69,31 +66,16 @@ def test_what_has_no_place_in_a_result_is_refused(tmp_path, values, reason):
     assert path.read_text() == 'old'
 
 
-@pytest.mark.parametrize(
-    'data, reason',
-    [
-        (b'', 'not JSON'), (b'{', 'not JSON'), (b'\xff', 'not text in UTF-8'),
-        (b'[1]', 'lacks method'), (b'3', 'lacks method'),
-        (b'{"method": NaN}', 'NaN is not allowed'),
-        (b'{"method": -Infinity}', 'not JSON: -Infinity'), (b'[' * 200_000, 'nested too deeply'),
-        (b'1' * 5000, 'not JSON')],
-)
+@pytest.mark.parametrize('data, reason', [
+    (b'', 'not JSON'), (b'{', 'not JSON'), (b'\xff', 'not text in UTF-8'),
+    (b'[1]', 'lacks method'), (b'3', 'lacks method'),
+    (b'{"method": NaN}', 'NaN is not allowed'),
+    (b'{"method": -Infinity}', 'not JSON: -Infinity'), (b'[' * 200_000, 'nested too deeply'),
+    (b'1' * 5000, 'not JSON')])
 def test_what_is_no_result_is_refused(tmp_path, data, reason):
     (tmp_path / 'fit.json').write_bytes(data)
     with pytest.raises(BellowsError, match=reason):
         read_result(tmp_path / 'fit.json')
-
-
-def test_a_cup_file_in_place_of_a_result_is_refused_with_the_remedy(tmp_path):
-    (tmp_path / 'cup.yaml').write_text('/**:\n  ros__parameters: {}\n')
-    with pytest.raises(BellowsError, match="not JSON: .*Give what 'bellows identify --json' wro"):
-        read_result(tmp_path / 'cup.yaml')
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    for path in (tmp_path / 'none.json', tmp_path):
-        with pytest.raises(BellowsError, match='does not exist or is not a plain file'):
-            read_result(path)
 
 
 json_values = strategies.recursive(

@@ -19,51 +19,41 @@ def load(path, text, **options):
     return safe_yaml.load(path, **options)
 
 
-@pytest.mark.parametrize(
-    'text, value',
-    [
-        ('1e-05', 1e-5), ('-2E+3', -2e3), ('1.5e4', 1.5e4), ('6417.0', 6417.0), ('12', 12),
-        ('.nan', pytest.approx(float('nan'), nan_ok=True)), ('true', True), ('~', None),
-        ('1:30', '1:30'), ('1:30.5', '1:30.5'), ('0x1F', 31), ('-0b11', -3), ('017', 15),
-        ('08', '08'), ('1_000', 1000), ('+.5', 0.5), ('-.inf', -float('inf')), ('0', 0),
-        ('1.', 1.0), ('0.5e-3', 0.5e-3), ('.', '.'), ('+', '+'), ('1.2.3', '1.2.3'),
-        ('2024-05-01', '2024-05-01'), ('e5', 'e5'), ("'1'", '1'), ('[1, a]', [1, 'a'])],
-)
+@pytest.mark.parametrize('text, value', [
+    ('1e-05', 1e-5), ('-2E+3', -2e3), ('1.5e4', 1.5e4), ('6417.0', 6417.0), ('12', 12),
+    ('.nan', pytest.approx(float('nan'), nan_ok=True)), ('true', True), ('~', None),
+    ('1:30', '1:30'), ('1:30.5', '1:30.5'), ('0x1F', 31), ('-0b11', -3), ('017', 15),
+    ('08', '08'), ('1_000', 1000), ('+.5', 0.5), ('-.inf', -float('inf')), ('0', 0),
+    ('1.', 1.0), ('0.5e-3', 0.5e-3), ('.', '.'), ('+', '+'), ('1.2.3', '1.2.3'),
+    ('2024-05-01', '2024-05-01'), ('e5', 'e5'), ("'1'", '1'), ('[1, a]', [1, 'a'])])
 def test_values_are_those_ros_would_take(tmp_path, text, value):
     loaded = load(tmp_path / 'a', f'key: {text}\n')['key']
     assert loaded == value
     assert type(loaded) is type(value) or not isinstance(value, int | float | str)
 
 
-@pytest.mark.parametrize(
-    'text, line, reason',
-    [
-        ('a: 1\nb: 2\na: 3\n', 3, "key 'a' is given twice"),
-        ('a:\n  b: 1\n  b: 2\n', 3, "key 'b' is given twice"),
-        ('a: &x 1\nb: *x\n', 2, r'aliases \(\*name\) are not allowed'),
-        ('a: &x {c: 1}\nb:\n  <<: {d: 1}\n', 3, 'merge keys'),
-        ('a: 1\n? [1, 2]\n: 3\n', 2, 'a key must be a plain name'),
-        ('a: 1\nb: !!python/object/apply:os.system [echo]\n', 2, 'tags'),
-        ('a: 1\n---\nb: 2\n', 2, 'another document'), ('a: 1\n  b: 2\n', 2, 'mapping values'),
-        ('a: [1,\n', 2, 'expected'), ('a: "x\n', 2, 'end of stream')],
-)
+@pytest.mark.parametrize('text, line, reason', [
+    ('a: 1\nb: 2\na: 3\n', 3, "key 'a' is given twice"),
+    ('a:\n  b: 1\n  b: 2\n', 3, "key 'b' is given twice"),
+    ('a: &x 1\nb: *x\n', 2, r'aliases \(\*name\) are not allowed'),
+    ('a: &x {c: 1}\nb:\n  <<: {d: 1}\n', 3, 'merge keys'),
+    ('a: 1\n? [1, 2]\n: 3\n', 2, 'a key must be a plain name'),
+    ('a: 1\nb: !!python/object/apply:os.system [echo]\n', 2, 'tags'),
+    ('a: 1\n---\nb: 2\n', 2, 'another document'), ('a: 1\n  b: 2\n', 2, 'mapping values'),
+    ('a: [1,\n', 2, 'expected'), ('a: "x\n', 2, 'end of stream')])
 def test_errors_name_the_line(tmp_path, text, line, reason):
     with pytest.raises(BellowsError, match=rf'a, line {line}: not valid YAML here: .*{reason}'):
         load(tmp_path / 'a', text)
 
 
-@pytest.mark.parametrize(
-    'data, reason',
-    [
-        (b'[' * 20_000, 'nested too deeply'),
-        (b'\xff\xff', 'UTF-8'),
-        (b'a: \0', 'not valid YAML'),
-        (b'x: ' + b'1' * 5000, 'cannot be read'),
-        (b'#' * 2**21, 'larger than'),
-        (b'- 1\n' * (2**18 - 1), 'more than 50000 values'),
-        (b'[' + b'1,' * (2**19 - 1) + b']', 'more than 50000 values'),
-    ], ids=range(7),
-)
+@pytest.mark.parametrize('data, reason', [
+    (b'[' * 20_000, 'nested too deeply'),
+    (b'\xff\xff', 'UTF-8'),
+    (b'a: \0', 'not valid YAML'),
+    (b'x: ' + b'1' * 5000, 'cannot be read'),
+    (b'#' * 2**21, 'larger than'),
+    (b'- 1\n' * (2**18 - 1), 'more than 50000 values'),
+    (b'[' + b'1,' * (2**19 - 1) + b']', 'more than 50000 values')], ids=range(7))
 def test_what_is_no_yaml_is_refused(tmp_path, data, reason):
     (tmp_path / 'a').write_bytes(data)
     begin = time.process_time()

@@ -1,8 +1,8 @@
 """The parameter table, and what its values may be."""
 
 from array import array
+import re
 
-from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import inertia_matrix, matrix
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import lookup, PARAMETERS
@@ -55,25 +55,16 @@ def test_the_default_cup_is_that_of_the_thesis():
     assert_array_equal(stiffness, np.diag([6417, 6417, 11530, 3.868, 3.868, 1.123]))
     assert_array_equal(damping, np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]))
     assert values['cup.length'] == 0.0481
-    cup = Cup.thesis()
-    assert_array_equal(stiffness, cup.stiffness)
-    assert_array_equal(damping, cup.damping)
-    assert values['cup.length'] == cup.length
 
 
 def test_resolve_fills_in_defaults_but_not_the_package():
-    values = checks.resolve({'gravity.magnitude': 9})
-    assert values['gravity.magnitude'] == 9.0
+    values = checks.resolve({'gravity': 9})
+    assert values['gravity.magnitude'] == 9.0 and 'gravity' not in values
     assert isinstance(values['gravity.magnitude'], float)
     assert values['filter.tool.half_window'] == 0
     assert not set(checks.RECORDING_PARAMETERS) & set(values)
     known = {**PACKAGE, 'recording.package_frame': 'lip'}
     assert set(checks.resolve(known, checks.RECORDING_PARAMETERS)) == set(PARAMETERS)
-
-
-def test_gravity_alone_is_its_magnitude():
-    assert checks.resolve({'gravity': 9})['gravity.magnitude'] == 9.0
-    assert 'gravity' not in checks.resolve({'gravity': 9})
 
 
 def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
@@ -115,15 +106,12 @@ def test_unknown_names_are_refused_with_the_nearest_known():
     assert '\x1b' not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    'name, value, normal',
-    [
-        ('package.mass', 2, 2.0), ('package.mass', np.float32(2.5), 2.5),
-        ('package.com', np.array([0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
-        ('package.com', array('d', [0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
-        ('filter.tool.order', np.int32(3), 3), ('recording.align_at_rest', True, True),
-        ('bags', ['a', 'b'], ('a', 'b')), ('topics.tool_twist', '', '')],
-)
+@pytest.mark.parametrize('name, value, normal', [
+    ('package.mass', 2, 2.0), ('package.mass', np.float32(2.5), 2.5),
+    ('package.com', np.array([0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
+    ('package.com', array('d', [0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
+    ('filter.tool.order', np.int32(3), 3), ('recording.align_at_rest', True, True),
+    ('bags', ['a', 'b'], ('a', 'b')), ('topics.tool_twist', '', '')])
 def test_values_are_brought_to_their_normal_form(name, value, normal):
     result = checks.validate(name, value)
     assert result == normal
@@ -132,28 +120,23 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         assert {type(x) for x in result} <= {float, str}
 
 
-@pytest.mark.parametrize(
-    'name, value, reason',
-    [
-        ('package.mass', True, 'a number'), ('package.mass', 0.0, 'above 0'),
-        ('package.mass', 10**400, 'above 0'), ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
-        ('package.com', [0.0, 0.0, float('nan')], 'at index 2'),
-        ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
-        ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
-        ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
-        ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
-        ('release.mass_range', [5e-324, 1.0], '1e-06'),
-        ('filter.tool.half_window', 25.0, 'an integer'), ('filter.tool.order', 1, 'at least 2'),
-        ('recording.align_at_rest', 1, 'true or false'),
-        ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', 'empty'),
-        ('topics.tool_pose', 'a\nb', 'control character'), ('bags', ['a', ''], 'index 1'),
-        ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35')],
-)
+@pytest.mark.parametrize('name, value, reason', [
+    ('package.mass', True, 'a number'), ('package.mass', 0.0, 'above 0'),
+    ('package.mass', 10**400, 'above 0'), ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
+    ('package.com', [0.0, 0.0, float('nan')], 'at index 2'),
+    ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
+    ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
+    ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
+    ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
+    ('release.mass_range', [5e-324, 1.0], '1e-06'),
+    ('filter.tool.half_window', 25.0, 'an integer'), ('filter.tool.order', 1, 'at least 2'),
+    ('recording.align_at_rest', 1, 'true or false'),
+    ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', 'empty'),
+    ('topics.tool_pose', 'a\nb', 'control character'), ('bags', ['a', ''], 'index 1'),
+    ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35')])
 def test_values_are_refused_with_the_reason(name, value, reason):
     message = refused(name, value)
-    assert name in message
-    with pytest.raises(BellowsError, match=reason):
-        checks.validate(name, value)
+    assert name in message and re.search(reason, message)
 
 
 def test_matrices_must_be_symmetric():

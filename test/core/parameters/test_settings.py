@@ -32,24 +32,20 @@ def test_what_is_not_given_has_its_default():
     settings.done()
 
 
-@pytest.mark.parametrize(
-    ('read', 'message'),
-    [
-        (
-            lambda s: s.number('rate', unit='Hz', above=3.0),
-            "'rate' must be a number, above 3 (Hz), got 3."),
-        (lambda s: s.number('missing', unit='Hz'), "'missing' is missing; it must be a number"),
-        (lambda s: s.number('huge'), "'huge' must be a number, got 1000"),
-        (lambda s: s.whole('rate', 0, maximum=2),
-         "'rate' must be an integer, at least 0 and at most 2, got"),
-        (lambda s: s.flag('rate', True), "'rate' must be true or false, got 3."),
-        (lambda s: s.choice('kind', ('a', 'c')), "'kind' must be one of a, c, got 'b'."),
-        (lambda s: s.vector('vector', 2, unit='m'), 'a list of 2 numbers (m), got 3 of them.'),
-        (lambda s: s.number('far'), "'far' must be between -1e+15 and 1e+15, got -1e+300."),
-        (lambda s: s.block('rate'), "Setting 'rate' must hold names and values, got 3."),
-        (lambda s: s.blocks('list')[1].number('b'), "'list[1].b' is missing"),
-    ],
-)
+@pytest.mark.parametrize(('read', 'message'), [
+    (
+        lambda s: s.number('rate', unit='Hz', above=3.0),
+        "'rate' must be a number, above 3 (Hz), got 3."),
+    (lambda s: s.number('missing', unit='Hz'), "'missing' is missing; it must be a number"),
+    (lambda s: s.number('huge'), "'huge' must be a number, got 1000"),
+    (lambda s: s.whole('rate', 0, maximum=2),
+     "'rate' must be an integer, at least 0 and at most 2, got"),
+    (lambda s: s.flag('rate', True), "'rate' must be true or false, got 3."),
+    (lambda s: s.choice('kind', ('a', 'c')), "'kind' must be one of a, c, got 'b'."),
+    (lambda s: s.vector('vector', 2, unit='m'), 'a list of 2 numbers (m), got 3 of them.'),
+    (lambda s: s.number('far'), "'far' must be between -1e+15 and 1e+15, got -1e+300."),
+    (lambda s: s.block('rate'), "Setting 'rate' must hold names and values, got 3."),
+    (lambda s: s.blocks('list')[1].number('b'), "'list[1].b' is missing")])
 def test_a_wrong_value_is_named_with_what_it_must_be(read, message):
     with pytest.raises(BellowsError) as caught:
         read(Settings(BLOCK))
@@ -63,9 +59,7 @@ def test_unknown_names_are_refused_with_the_nearest():
     with pytest.raises(BellowsError, match=r"'noise\.postion'.*'noise\.position'"):
         settings.done()
     with pytest.raises(BellowsError, match="'zzz'"):
-        other = Settings({'zzz': 1})
-        other.number('size', 0.0)
-        other.done()
+        Settings({'zzz': 1}).done()
 
 
 @pytest.mark.parametrize('content', [3, 'text', [1], {1: 2}])

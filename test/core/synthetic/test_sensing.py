@@ -48,11 +48,8 @@ def turned(R, other):
 def test_noise_has_the_standard_deviation_that_was_asked_for():
     sensor = Sensor('tool', 500.0, position_noise=1e-4, rotation_noise=5e-4)
     _, truth, poses = measured(sensor)
-    noise = np.hstack(
-        [
-            (poses.position - truth.position) / 1e-4,
-            turned(truth.rotation, poses.rotation) / 5e-4]
-    )
+    noise = np.hstack([(poses.position - truth.position) / 1e-4,
+                       turned(truth.rotation, poses.rotation) / 5e-4])
     count = len(noise)
     assert count == 10_001
     # Five standard errors of mean, deviation, correlation with each other and with the past.
