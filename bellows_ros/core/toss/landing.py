@@ -67,9 +67,9 @@ class Contributions(NamedTuple):
 
     def of(self, prefix: str) -> tuple[Array, Array]:
         """Return standard deviations and covariance (6, 6) that parameters together make up."""
-        own = [k for k, name in enumerate(self.names) if name.startswith(prefix)]
-        rows = self.parts[own]
-        return self.std[own], np.asarray(rows.T @ self.correlation[np.ix_(own, own)] @ rows)
+        chosen = np.char.startswith(self.names, prefix)
+        part = self._replace(parts=self.parts * chosen[:, None])
+        return self.std[chosen], part.covariance
 
 
 class TossProblem(NamedTuple):
@@ -139,24 +139,20 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     names, parts = perturbed.contributions(
         case.values, case.held.model,
         lambda model: case.error(case.with_numbers(model, case.release, until), nominal))
-    std, rows = [perturbed.deviations_of(case.values)[perturbed.NAMES.index(n)] for n in names], []
-    factor, of_cup = release_factor(case.values), len(names)
-    for name, sigma, unit in zip(
-            RELEASE_NAMES, np.linalg.norm(factor, axis=1), np.eye(8), strict=True):
-        if sigma > 0.0:
-            releases = (changed(case.release, side * sigma * unit)
-                        for side in (LAW_STEP, -LAW_STEP))
-            up, down = (case.error(toss(case.held, release, case.switched), nominal)
-                        for release in releases)
-            names.append(name)
-            std.append(sigma)
-            rows.append((up - down) / (2.0 * LAW_STEP))
-    correlation = np.eye(len(names))
-    of_law = (factor @ factor.T)[np.ix_(*[[RELEASE_NAMES.index(n) for n in names[of_cup:]]] * 2)]
-    correlation[of_cup:, of_cup:] = of_law / np.outer(std[of_cup:], std[of_cup:])
-    return Contributions(
-        tuple(names), np.array(std), np.concatenate([parts.reshape(-1, 6), *[[r] for r in rows]]),
-        correlation)
+    std = [perturbed.deviations_of(case.values)[perturbed.NAMES.index(name)] for name in names]
+    factor, count = release_factor(case.values), len(names)
+    of_law = np.linalg.norm(factor, axis=1)
+    uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
+    for k in uncertain:
+        step = LAW_STEP * of_law[k] * np.eye(8)[k]
+        up, down = (case.error(toss(case.held, changed(case.release, by), case.switched), nominal)
+                    for by in (step, -step))
+        rows.append((up - down)[None] / (2.0 * LAW_STEP))
+    correlation = np.eye(count + len(uncertain))
+    correlation[count:, count:] = (factor @ factor.T / np.outer(
+        of_law, of_law).clip(1e-300))[np.ix_(uncertain, uncertain)]
+    return Contributions((*names, *(RELEASE_NAMES[k] for k in uncertain)),
+                         np.r_[std, of_law[uncertain]], np.concatenate(rows), correlation)
 
 
 class MonteCarlo(NamedTuple):

@@ -488,17 +488,20 @@ class HeldMotion:
     def find_release(self, release: Release, switched: float) -> tuple[float, State, float, State]:
         """Return what `toss_along` does, the valve being switched at a time (s)."""
         times, tools, states = self._inputs
-        i = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
+        i = self._step_at(switched)
         return toss_along(
             self.model, self.grip, release, times[i], row_state(tools[i]),
             body_row(states[i], self.start), tools[i + 1:], times[i + 1:], switched, times[-1],
             self._longest)
 
+    def _step_at(self, time: float) -> int:
+        """Return the number of the last integration step that begins at a time (s) or before."""
+        return max(0, int(np.searchsorted(self.times, time, 'right')) - 1)
+
     def released(self, release: Release, switched: float) -> HeldMotion:
         """Return the same with the states that the valve, switched at a time (s), leads to."""
         other = copy(self)
-        other.states = self.states.copy()
-        first = max(0, int(np.searchsorted(self.times, switched, 'right')) - 1)
+        other.states, first = self.states.copy(), self._step_at(switched)
         times, tools, states = self._inputs
         write_toss(
             self.model, self.grip, release.law, body_row(states[first], self.start),
@@ -514,7 +517,7 @@ class HeldMotion:
         times, tools, _ = self._inputs
         rows, out = np.empty((2, len(seconds), 13))
         for k, time in enumerate(seconds.tolist()):
-            j = min(max(int(np.searchsorted(times, time, 'right')) - 1, 0), len(times) - 1)
+            j = self._step_at(time)
             tool, since = row_state(tools[j]), time - float(times[j])
             if since > 0.0 and j + 1 < len(times):
                 duration = float(times[j + 1] - times[j])

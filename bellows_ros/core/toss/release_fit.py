@@ -20,7 +20,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model.equilibrium import adapted, largest_step, moved
+from bellows_ros.core.model.equilibrium import adapted, largest_step, moved_by
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import rest, row_state, state_row, tool_rows
@@ -33,19 +33,19 @@ from bellows_ros.core.toss.release import Law, NO_GRIP, NO_LAW, RELEASE_NAMES, w
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 
-FEWEST = 3
+MIN_DROPS = 3
 """Fewest drops."""
 
-FALLS_BELOW, SHORTEST_FALL = 3.0, 0.012
+FREE_FALL_BELOW, MIN_FALL = 3.0, 0.012
 """A package falls if its specific force stays below this (m/s^2) for at least this time (s)."""
 
-IMPACT = 80.0
+IMPACT_ACCELERATION = 80.0
 """Specific force (m/s^2) of a landing; that of a cup that opens is some 30."""
 
 BEFORE, AFTER = 0.15, 0.3
 """Part of a drop used, before the valve and after the beginning of its fall, s."""
 
-LONGEST_LATE, LATEST_BEGIN = 1.0, 0.01
+MAX_FALL_DELAY, MAX_START_DELAY = 1.0, 0.01
 """Longest time (s) from the valve to the fall, and to the first pose."""
 
 STANDS, RECOIL = (1e-3, 0.01), 3.0
@@ -61,39 +61,39 @@ LEAST_NOISE, VELOCITY_SCALE = (1e-4, 5e-4), 40.0
 SCATTER = {0: 2.5e-3, 2: 0.01}
 """A priori scatter of the instant (s) and of the impulse (N s), by number of the law."""
 
-OFFSETS, SIZES = (1e-3, 0.02), np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
+OFFSET_STD, STATE_STD = np.repeat([1e-3, 0.02], 3), np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
 """A priori scatter of the package on the lip (m, rad), and of the state."""
 
-EXPLAINED, CHI2_EXPLAINED = 1e-3, 2.0
+MAX_RMS, MAX_CHI2 = 1e-3, 2.0
 """A law explains drops if it leaves less than this of their positions (m, rms), or no more
 than the noise, by chi^2 per pose."""
 
 LINEAR_TAU = 0.5
 """A fall of suction with this tau (s) is as good as linear over the time of a release."""
 
-LACKING = 4.0
+MAX_LACK = 4.0
 """A law lacks something if its drops have so many times as much left in common, by mass, as
 their scatter explains."""
 
-GAIN = 0.8
+MAX_SQUARES_RATIO = 0.8
 """A further number is kept if it leaves less than this part of the squares."""
 
 OPENING = (0, 3, 4, 5, 6, 7)
 """The numbers of a cup that opens, without tau and an impulse."""
 
-USUAL: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
+TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
 """The law of a cup that opens, for numbers that are neither given nor identifiable: about that of
 the drops that docs/toss.md shows."""
 
-IDENTIFIABLE, SMALL = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
+MAX_RELATIVE_ERROR, SMALL = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
 """A number is identifiable if its standard error is less than this part of it, or of one that is
 small; one that is given without a standard deviation is known to this part."""
 
-MOST_AT_FIRST, MOST_STEPS, RENEWED = 12, 20, 5
+FIRST_DROPS, MAX_ITERATIONS, STATE_EVERY = 12, 20, 5
 """Drops from which a law is chosen, about, most steps of a fit, and after how many of them the
 derivatives by the state of a drop, which hardly change, are renewed."""
 
-MOST_OWN = 30.0
+MAX_NUISANCE = 30.0
 """Largest numbers of a drop, in their sizes."""
 
 LOWEST = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
@@ -146,17 +146,20 @@ class Drop:
         """The tool as the kernels take it, and the longest integration step."""
         return tool_rows(self.tool), self.tool.seconds, largest_step(self.model)
 
-    def predicted(self, law: Law, by: Array | None = None) -> tuple[float, Array]:
-        """Return when it is let go (s since the first stamp, -1 if not), and states (N, 13)."""
-        rows, seconds, longest = self._inputs
+    def predicted(self, law: Law, change: Array | None = None) -> tuple[float, Array]:
+        """
+        Return when it is let go (s since the first stamp, -1 if not), and states (N, 13).
+
+        The start may be changed (12,), in units of `STATE_STD`.
+        """
+        rows, seconds, max_step = self._inputs
         start = adapted(self.model, row_state(rows[0]), self.start)
-        out = np.empty((len(seconds), 13))
-        if by is not None and by.any():
-            push: Any = (tuple(part.tolist()) for part in np.split(SIZES * by, 4))
-            start = moved(start, *push)
+        if change is not None:
+            start = moved_by(start, STATE_STD * change)
+        states = np.empty((len(seconds), 13))
         released = write_toss(self.model, self.grip, law, start, rows, seconds, self.valve,
-                              longest, out)
-        return float(released), out
+                              max_step, states)
+        return float(released), states
 
     def errors(self, states: Array) -> Array:
         """Return measured less predicted position (m), velocity (m/s), rotation (rad), (9, N)."""
@@ -258,8 +261,8 @@ class ReleaseFit:
     def explains(self) -> bool:
         """Whether the law explains the drops."""
         latest = max(abs(drop.own_delay) for drop in self.drops)
-        return latest <= 5.0 * SCATTER[0] and (self.position <= EXPLAINED or (
-            self.chi2 <= CHI2_EXPLAINED and (self.lack <= LACKING or self.common <= EXPLAINED)))
+        return latest <= 5.0 * SCATTER[0] and (self.position <= MAX_RMS or (
+            self.chi2 <= MAX_CHI2 and (self.lack <= MAX_LACK or self.common <= MAX_RMS)))
 
 
 def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
@@ -287,7 +290,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     Parameters
     ----------
     drops : sequence of Drop
-        At least `FEWEST`.
+        At least `MIN_DROPS`.
     given, given_std : Law
         The numbers that are not identifiable from them, and their standard deviations; without
         an opening, those of a usual cup.
@@ -298,11 +301,11 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
         If there are too few, they do not determine the law, or none explains them.
 
     """
-    if len(drops) < FEWEST:
+    if len(drops) < MIN_DROPS:
         raise UndeterminedError(
-            f'The release needs {FEWEST} or more usable drops, got {len(drops)}. Record more.')
+            f'The release needs {MIN_DROPS} or more usable drops, got {len(drops)}. Record more.')
     known = drops[0].grip[1] > 0.0
-    few = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // MOST_AT_FIRST)]
+    few = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // FIRST_DROPS)]
     fall = float(np.median([_fall(drop) - drop.valve for drop in few]))
     closed = np.array(given)
     closed[[0, 1]] = (max(fall - 0.02, 1e-3), 0.01) if known else (fall, 0.0)
@@ -311,17 +314,17 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     if known and best.std[1] > 0.5 * best.law[1]:
         closed[1] = given[1]
         best = _fitted(few, closed, (0, 2))
-    if not best.explains or best.lack > LACKING:
+    if not best.explains or best.lack > MAX_LACK:
         openings = [_fitted(few, start, OPENING) for start in _openings(few, fall)]
         opened = min(openings, key=_squares)
-        if not best.explains or _squares(opened) < GAIN * _squares(best):
+        if not best.explains or _squares(opened) < MAX_SQUARES_RATIO * _squares(best):
             best = opened
     if best.free == OPENING:
         shorter = np.array(best.law)
         shorter[[1, 3]] = 0.15, max((1.0 + best.law[3]) * 0.15 / best.law[1] - 1.0, 0.0)
         further = _fitted(few, shorter, (1, *OPENING))
-        if _squares(further) < GAIN * _squares(best) and (
-                further.std[1] < IDENTIFIABLE * further.law[1] or not best.explains):
+        if _squares(further) < MAX_SQUARES_RATIO * _squares(best) and (
+                further.std[1] < MAX_RELATIVE_ERROR * further.law[1] or not best.explains):
             best = further
     if len(few) < len(drops):
         best = _fitted(drops, np.array(best.law), best.free)
@@ -331,7 +334,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
         f'No law of release explains the drops: it leaves {1e3 * best.position:.2g} mm of their '
         f'positions (rms, chi2 per pose {best.chi2:.3g}), {1e3 * best.common:.2g} mm of it in all '
         f'drops of a mass alike, with instants that scatter by {1e3 * best.scatter[0]:.2g} ms; '
-        f'expected less than {1e3 * EXPLAINED:g} mm, and {1e3 * SCATTER[0]:g} ms. The likeliest '
+        f'expected less than {1e3 * MAX_RMS:g} mm, and {1e3 * SCATTER[0]:g} ms. The likeliest '
         'cause is a wrong package.mass, cup.stiffness or cup.length, or a valve stamped by '
         'another clock; check the first with bellows static.')
 
@@ -341,13 +344,13 @@ def _identifiable(
 ) -> ReleaseFit:
     """Return a fit of the identifiable numbers alone; the worst of the others go first."""
     opens = fit.law[5] > 0.0
-    known = np.array(USUAL if opens and not given[5] > 0.0 else given)
+    known = np.array(TYPICAL_LAW if opens and not given[5] > 0.0 else given)
     std = np.where(np.array(given_std) > 0.0, given_std,
-                   IDENTIFIABLE * np.where(known > 0.0, known, SMALL))
+                   MAX_RELATIVE_ERROR * np.where(known > 0.0, known, SMALL))
     held = np.zeros(8)
     while True:
         part = fit.std / np.maximum(np.abs(fit.law), SMALL)
-        wide = [k for k in fit.free if part[k] >= IDENTIFIABLE]
+        wide = [k for k in fit.free if part[k] >= MAX_RELATIVE_ERROR]
         if not wide:
             return fit
         worst = max(wide, key=lambda k: float(part[k]) if k else 0.0)
@@ -404,11 +407,11 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
         row = weights(n, ORDER, 1.0 / step)[2]
         windows = np.lib.stride_tricks.sliding_window_view(position, 2 * n + 1, axis=0)
         felt = np.pad(np.linalg.norm(windows @ row - gravity, axis=1), n, 'edge')
-        impact = np.flatnonzero(felt > IMPACT)
-        free = felt[:max(impact[0] - n, 0)] < FALLS_BELOW if len(impact) else felt < FALLS_BELOW
+        impact = np.flatnonzero(felt > IMPACT_ACCELERATION)
+        free = felt[:max(impact[0] - n, 0) if len(impact) else None] < FREE_FALL_BELOW
         edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0)).reshape(-1, 2)
         for first, end in edges[::-1]:
-            if seconds[end - 1] - seconds[first] >= SHORTEST_FALL:
+            if seconds[end - 1] - seconds[first] >= MIN_FALL:
                 return int(first), int(end - 1)
     raise UndeterminedError('no tracked fall follows')
 
@@ -419,15 +422,10 @@ def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
     reach = np.median([
         np.linalg.norm(drop.package.position[np.searchsorted(drop.package.seconds, _fall(drop))]
                        - drop.package.position[0]) for drop in drops])
-    damping = drops[0].model[0][3][0][8]
-    out = []
-    for part in (0.5, 1.0):
-        delay = 0.12 * fall
-        rate = 4.0 / (fall - delay)  # of the suction: through 0 after a quarter of the time
-        out.append(np.array([
-            delay, LINEAR_TAU, 0.0, rate * LINEAR_TAU - 1.0, part * weight, reach / 1.5,
-            max(damping, 10.0), 3.0]))
-    return out
+    damping, delay = max(drops[0].model[0][3][0][8], 10.0), 0.12 * fall
+    rate = 4.0 / (fall - delay)  # of the suction: through 0 after a quarter of the time
+    return [np.array([delay, LINEAR_TAU, 0.0, rate * LINEAR_TAU - 1.0, part * weight, reach / 1.5,
+                      damping, 3.0]) for part in (0.5, 1.0)]
 
 
 def _fitted(
@@ -436,65 +434,62 @@ def _fitted(
     """Return the fit of some numbers of a law, from a start; others are known to `held` (8,)."""
     problem = [_DropFit(drop, free) for drop in drops]
     law, chosen = start.copy(), list(free)
-    lowest, highest = LOWEST[chosen], HIGHEST[chosen]
     damping, cost = 1e-2, math.inf
-    for _ in range(MOST_STEPS):
-        parts = [one.reduced(law) for one in problem]
-        H = np.sum([part[0] for part in parts], axis=0)
-        g = np.sum([part[1] for part in parts], axis=0)
-        cost = sum(one.cost for one in problem)
-        improved = False
-        while damping < 1e6:
-            step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
+    for _ in range(MAX_ITERATIONS):
+        H, gradients = _reduced(problem, law)
+        cost, lower = sum(one.cost for one in problem), math.inf
+        while lower >= cost and damping < 1e6:
+            step = np.linalg.solve(
+                H + damping * np.diag(np.diag(H) + 1e-12), gradients.sum(axis=0))
             trial = law.copy()
-            trial[chosen] = np.clip(law[chosen] + step * SCALES[chosen], lowest, highest)
+            trial[chosen] = np.clip(
+                law[chosen] + step * SCALES[chosen], LOWEST[chosen], HIGHEST[chosen])
             lower = sum(one.trial(trial, step) for one in problem)
-            if lower < cost:
-                improved = True
-                break
-            damping *= 4.0
-        if not improved:
+            damping *= 4.0 if lower >= cost else 1.0
+        if lower >= cost:
             break
         for one in problem:
             one.accept()
-        law, gain = trial, cost - lower
-        damping = max(damping / 6.0, 1e-6)
-        if gain < 1e-3 * cost:
+        law, damping = trial, max(damping / 6.0, 1e-6)
+        if cost - lower < 1e-3 * cost:
             break
-    parts = [one.reduced(law) for one in problem]
-    H = np.sum([part[0] for part in parts], axis=0)
-    gradients = np.array([part[1] for part in parts])
+    H, gradients = _reduced(problem, law)
     inverse = np.linalg.pinv(H)
     covariance = inverse @ (gradients.T @ gradients) @ inverse
     lack, common = _in_common(problem, law)
     covariance *= max(lack, 1.0) * len(drops) / max(len(drops) - len(free), 1)
     covariance += len(free) / len(drops) * cost / sum(
-        one.residuals(law, one.own).size for one in problem) * inverse
+        one.residuals(law, one.nuisance).size for one in problem) * inverse
     placed = SCALES[:, None] * np.eye(8)[:, chosen]
     covariance = placed @ covariance @ placed.T
     if held is not None:
         covariance += _of_held(problem, law, inverse, held)
     scatter = np.sqrt(np.maximum(
-        np.var([one.by() for one in problem], axis=0, ddof=1)
+        np.var([one.law_offset for one in problem], axis=0, ddof=1)
         - np.mean([one.noise for one in problem], axis=0), 0.0))
     return ReleaseFit(
         as_law(law), free, covariance, scatter,
         tuple(one.explained(law) for one in problem), lack, common)
 
 
-def _of_held(problem: Sequence[_DropFit], law: Array, inverse: Array, held: Array) -> Array:
+def _reduced(problem: Sequence[_DropFit], law: Array) -> tuple[Array, Array]:
+    """Return the matrix of the free numbers, and the gradient of each drop."""
+    matrices, gradients = zip(*[one.reduced(law) for one in problem], strict=True)
+    return np.sum(matrices, axis=0), np.array(gradients)
+
+
+def _of_held(problem: Sequence[_DropFit], law: Array, inverse: Any, held: Array) -> Array:
     """Return the covariance (8, 8) from numbers that are known to `held`, and move the others."""
-    free, known = problem[0].free, np.flatnonzero(held)
-    H = np.zeros((len(free) + len(known),) * 2)
-    for one in problem:
-        both = _DropFit(one.drop, (*free, *known.tolist()))
-        both.own = one.own
-        H += both.reduced(law)[0]
-    moves = np.vstack([-inverse @ H[:len(free), len(free):], np.eye(len(known))])
-    moves = SCALES[[*free, *known], None] * moves * (held / SCALES)[known]
-    out = np.zeros((8, 8))
-    out[np.ix_([*free, *known], [*free, *known])] = moves @ moves.T
-    return out
+    free, known = problem[0].free, np.flatnonzero(held).tolist()
+    both = [_DropFit(one.drop, (*free, *known)) for one in problem]
+    for each, one in zip(both, problem, strict=True):
+        each.nuisance = one.nuisance
+    H, _ = _reduced(both, law)
+    moves = np.zeros((8, len(known)))
+    moves[list(free)] = -inverse @ H[:len(free), len(free):]
+    moves[known] = np.eye(len(known))
+    moves *= SCALES[:, None] * (held / SCALES)[known]
+    return np.asarray(moves @ moves.T)
 
 
 def _in_common(problem: Sequence[_DropFit], law: Array) -> tuple[float, float]:
@@ -504,132 +499,128 @@ def _in_common(problem: Sequence[_DropFit], law: Array) -> tuple[float, float]:
     Noise with memory, too, differs from drop to drop; what a law lacks does not. 1 and 0 where
     no two drops are of one mass.
     """
-    between, within, common, groups = 0.0, 0.0, 0.0, dict[float, list[_DropFit]]()
-    for one in problem:
-        groups.setdefault(one.drop.mass, []).append(one)
-    for own in groups.values():
-        seconds = [one.drop.package.seconds - one.drop.valve for one in own]
+    between, within, common = 0.0, 0.0, 0.0
+    masses = {one.drop.mass for one in problem}
+    for mass in masses:
+        group = [one for one in problem if one.drop.mass == mass]
+        seconds = [one.drop.package.seconds - one.drop.valve for one in group]
         at = seconds[0][(seconds[0] >= max(s[0] for s in seconds))
                         & (seconds[0] <= min(s[-1] for s in seconds))]
         errors = np.array([[np.interp(at, s, row) for row in one.errors(law)]
-                           for one, s in zip(own, seconds, strict=True)])
+                           for one, s in zip(group, seconds, strict=True)])
         mean = errors.mean(axis=0)
-        between += len(own) * float(np.sum(mean**2))
+        between += len(group) * float(np.sum(mean**2))
         within += float(np.sum((errors - mean)**2))
-        sizes = own[0].sizes[:3]
-        common += len(own) * float(np.sum(np.mean((mean[:3] * sizes)**2, axis=1)))
-    degrees = len(problem) - len(groups)
+        common += len(group) * float(
+            np.sum(np.mean((mean[:3] * group[0].sizes[:3])**2, axis=1)))
+    degrees = len(problem) - len(masses)
     if not (degrees and within):
         return 1.0, 0.0
-    return (between / len(groups)) / (within / degrees), math.sqrt(common / len(problem))
+    return (between / len(masses)) / (within / degrees), math.sqrt(common / len(problem))
 
 
 class _DropFit:
-    """A drop, its own numbers (of the law, then offset or state), and its part of the fit."""
+    """
+    A drop, and its part of the fit.
+
+    Its nuisance parameters, in units of their a priori scatter, are those of the law that scatter
+    from drop to drop, then the offset of a package at rest, else the state at the start.
+    """
 
     def __init__(self, drop: Drop, free: tuple[int, ...]) -> None:
-        """Begin from none."""
+        """Begin with nuisance parameters of zero."""
         self.drop, self.free = drop, free
         noise = np.maximum(drop.noise, LEAST_NOISE)
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
         self._scattered = [k for k in free if k in SCATTER]
         self._scatter = np.array([SCATTER[k] for k in self._scattered])
-        self._offsets = np.repeat(OFFSETS, 3) if drop.stands else None
-        self.own = np.zeros(len(self._scatter) + (6 if drop.stands else 12))
-        self.cost, self._steps = math.inf, 0
-        self._columns = np.empty((0, 0))
+        self.nuisance = np.zeros(len(self._scatter) + (6 if drop.stands else 12))
+        self._count = 0
 
-    def by(self) -> Array:
-        """Return by how much the law of the drop differs from that of all (8,)."""
-        return self._law(np.zeros(8), self.own)
+    @property
+    def law_offset(self) -> Array:
+        """By how much the law of the drop differs from that of all (8,)."""
+        return self._law(np.zeros(8), self.nuisance)
 
-    def _law(self, law: Array, own: Array) -> Array:
+    def _law(self, law: Array, nuisance: Array) -> Array:
         """Return the law of the drop."""
-        mine = law.copy()
-        mine[self._scattered] += self._scatter * own[:len(self._scatter)]
-        return mine
+        changed = law.copy()
+        changed[self._scattered] += self._scatter * nuisance[:len(self._scatter)]
+        return changed
 
-    def _predicted(self, law: Array, own: Array) -> tuple[float, Array]:
+    def _predicted(self, law: Array, nuisance: Array) -> tuple[float, Array]:
         """Return what `Drop.predicted` does."""
         return self.drop.predicted(
-            as_law(self._law(law, own)), None if self.drop.stands else own[len(self._scatter):])
+            as_law(self._law(law, nuisance)),
+            None if self.drop.stands else nuisance[len(self._scatter):])
 
-    def residuals(self, law: Array, own: Array) -> Array:
-        """Return errors over their sizes, with those of the drop's own numbers."""
-        errors = self.drop.errors(self._predicted(law, own)[1])
-        if self._offsets is not None:
-            errors[[0, 1, 2, 6, 7, 8]] -= (self._offsets * own[-6:])[:, None]
+    def residuals(self, law: Array, nuisance: Array) -> Array:
+        """Return errors over their sizes, and the nuisance parameters, which are to be small."""
+        errors = self.drop.errors(self._predicted(law, nuisance)[1])
+        if self.drop.stands:
+            errors[[0, 1, 2, 6, 7, 8]] -= (OFFSET_STD * nuisance[-6:])[:, None]
         return np.concatenate([
-            np.nan_to_num(errors / self.sizes, nan=1e6).clip(-1e6, 1e6).ravel(), own])
+            np.nan_to_num(errors / self.sizes, nan=1e6).clip(-1e6, 1e6).ravel(), nuisance])
 
     def reduced(self, law: Array) -> tuple[Array, Array]:
-        """Return matrix and gradient of the law's free numbers, its own ones eliminated."""
-        here = self.residuals(law, self.own)
-        self.cost = float(here @ here)
-        n, m, lead = len(self.free), len(self.own), len(self._scatter)
-        J = np.zeros((len(here), n + m))
+        """Return matrix and gradient of the free numbers, nuisance parameters eliminated."""
+        residuals = self.residuals(law, self.nuisance)
+        self.cost = float(residuals @ residuals)
+        n, m, lead = len(self.free), len(self.nuisance), len(self._scatter)
+        J = np.zeros((len(residuals), n + m))
         for i, k in enumerate(self.free):
             changed = law + 1e-3 * SCALES * np.eye(8)[k]
-            J[:, i] = (self.residuals(changed, self.own) - here) / 1e-3
+            J[:, i] = (self.residuals(changed, self.nuisance) - residuals) / 1e-3
         for i, k in enumerate(self._scattered):
             J[:, n + i] = SCATTER[k] / SCALES[k] * J[:, self.free.index(k)]
-        if self._steps % RENEWED == 0:
-            self._columns = self._by_state(law, here)
-        self._steps += 1
-        J[:, n + lead:] = self._columns
+        if self._count % STATE_EVERY == 0:
+            self._by_state = np.transpose([
+                (self.residuals(law, self.nuisance + change) - residuals) / 1e-3
+                for change in 1e-3 * np.eye(m)[lead:]])
+        self._count += 1
+        J[:, n + lead:] = self._by_state
         J[-m:, n:] = np.eye(m)
         A, B, C = J[:, :n].T @ J[:, :n], J[:, :n].T @ J[:, n:], J[:, n:].T @ J[:, n:]
-        g, own = -J[:, :n].T @ here, -J[:, n:].T @ here
+        gradient = -J.T @ residuals
         self.noise = np.zeros(8)
         self.noise[self._scattered] = self._scatter**2 * np.diag(np.linalg.inv(C))[:lead]
-        self._solve, self._own_gradient = np.linalg.solve(C, B.T), np.linalg.solve(C, own)
-        return A - B @ self._solve, g - B @ self._own_gradient
-
-    def _by_state(self, law: Array, here: Array) -> Array:
-        """Return the derivatives of residuals by the offset or the state (N, 6 or 12)."""
-        m, lead = len(self.own), len(self._scatter)
-        out = np.zeros((len(here), m - lead))
-        for k in range(m - lead):
-            if self._offsets is not None:
-                row = k if k < 3 else k + 3
-                count = (len(here) - m) // 9
-                out[row * count:(row + 1) * count, k] = -self._offsets[k] / self.sizes[row]
-            else:
-                other = self.own + 1e-3 * np.eye(m)[lead + k]
-                out[:, k] = (self.residuals(law, other) - here) / 1e-3
-        return out
+        self._follows = np.linalg.solve(C, B.T)
+        self._newton_step = np.linalg.solve(C, gradient[n:])
+        return A - B @ self._follows, gradient[:n] - B @ self._newton_step
 
     def trial(self, law: Array, step: Array) -> float:
-        """Return the squares at another law, a step away, with own numbers that go along."""
-        self._tried = np.clip(
-            self.own + self._own_gradient - self._solve @ step, -MOST_OWN, MOST_OWN)
-        left = self.residuals(law, self._tried)
-        return float(left @ left)
+        """Return the squares at another law, a step away, with nuisance parameters that follow."""
+        self._trial = np.clip(self.nuisance + self._newton_step - self._follows @ step,
+                              -MAX_NUISANCE, MAX_NUISANCE)
+        residuals = self.residuals(law, self._trial)
+        return float(residuals @ residuals)
 
     def accept(self) -> None:
-        """Take the own numbers of the trial."""
-        self.own = self._tried
+        """Keep the nuisance parameters of the trial."""
+        self.nuisance = self._trial
 
     def errors(self, law: Array) -> Array:
         """Return what the law leaves, over the sizes (9, N)."""
-        return self.residuals(law, self.own)[:-len(self.own)].reshape(9, -1)
+        return self.residuals(law, self.nuisance)[:-len(self.nuisance)].reshape(9, -1)
 
     def explained(self, law: Array) -> Explained:
         """Return what the law leaves of the drop."""
         drop = self.drop
-        released, states = self._predicted(law, self.own)
+        released, states = self._predicted(law, self.nuisance)
         errors = self.errors(law) * self.sizes
         n = half_window(float(np.median(np.diff(drop.package.seconds))))
         up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
-        after = int(np.searchsorted(drop.package.seconds, max(released, 0.0)))
-        after = min(after, len(states) - 1)
-        noise = np.maximum(drop.noise, 0.1 * np.array(LEAST_NOISE))
+        after = int(np.searchsorted(drop.package.seconds[:-1], max(released, 0.0)))
+        noise = np.repeat(np.maximum(drop.noise, 0.1 * np.array(LEAST_NOISE)), 3)[:, None]
         return Explained(
-            drop.mass, released - drop.valve if released >= 0.0 else math.nan, float(self.by()[0]),
-            float(np.sqrt(np.mean((up @ errors[:3])**2))),
-            float(np.sqrt(np.mean((up @ errors[3:6, n:-n])**2))),
+            drop.mass, released - drop.valve if released >= 0.0 else math.nan,
+            float(self.law_offset[0]), _rms(up @ errors[:3]), _rms(up @ errors[3:6, n:-n]),
             float(np.linalg.norm(states[after, 7:10])),
-            float(np.mean(np.vstack([errors[:3] / noise[0], errors[6:] / noise[1]])**2)))
+            _rms(errors[[0, 1, 2, 6, 7, 8]] / noise)**2)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def drops_of(
@@ -650,7 +641,7 @@ def drops_of(
     """
     found, left_out = list[Drop](), list[str]()
     for number, valve_ns in enumerate(valves_ns):
-        later_ns = valve_ns + round((LONGEST_LATE + AFTER) * NS_PER_S)
+        later_ns = valve_ns + round((MAX_FALL_DELAY + AFTER) * NS_PER_S)
         until_ns = min([later_ns, *valves_ns[number + 1:number + 2]])
         try:
             found.append(_drop(recording, model, grip or NO_GRIP, valve_ns, until_ns))
@@ -700,7 +691,7 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
     wrong = np.flatnonzero(~poses.valid)
     begin = max([begin, *(wrong[wrong < at][-1:] + 1)])
     end = min([end, *wrong[wrong >= at][:1]])
-    if begin >= end or (stamps_ns[begin] - valve_ns) / NS_PER_S > LATEST_BEGIN:
+    if begin >= end or (stamps_ns[begin] - valve_ns) / NS_PER_S > MAX_START_DELAY:
         raise UndeterminedError('tool or package was not tracked then')
     return poses.select(slice(begin, end))
 
