@@ -11,6 +11,7 @@ in the linear one. The most informative stage is scaled until no limit is violat
 Beside the exciting motion stand recordings of standstills before it, and of a validation after it.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import itertools
@@ -47,8 +48,8 @@ STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
 STARTS = 3
 """Number of random starts; the criterion has several maxima."""
 
-POINTS_PER_PERIOD, MEMORY, ENOUGH = 8, 20, 1e-6
-STRONGER = 1.4
+POINTS_PER_PERIOD, MEMORY, MIN_GAIN = 8, 20, 1e-6
+LOAD_EXPONENT = 1.4
 """Exponent of the correction for loads: part of a load does not shrink with the amplitude."""
 
 MARGIN = 1e-3
@@ -58,9 +59,9 @@ HOLD, TILT_SHARE, SEPTIC_PEAKS = 7.0, 0.9, (2.1875, 7.5132, 52.5)
 """A hold in which rubber relaxes (s), its part of the largest rotation, and the peaks of speed,
 acceleration and jerk of the septic step within one second."""
 
-LESS_TILT, MOST_TRIES = 0.85, 20
+TILT_FACTOR, MAX_TILT_TRIALS = 0.85, 20
 
-CHUNK = 4096
+SAMPLES_AT_ONCE = 4096
 
 LOADS = ('bending', 'torsion', 'safety factor (peel)', 'safety factor (slip)')
 
@@ -132,7 +133,7 @@ class FourierMotion(Vibration):
         both = np.hstack([self.coefficients,
                           2j * np.pi / self.period * harmonics * self.coefficients])
         out = np.empty((2, len(tau), 6))
-        for part in (slice(i, i + CHUNK) for i in range(0, len(tau), CHUNK)):
+        for part in (slice(i, i + SAMPLES_AT_ONCE) for i in range(0, len(tau), SAMPLES_AT_ONCE)):
             first = np.exp(2j * np.pi / self.period * tau[part])
             wave = np.cumprod(np.broadcast_to(first, (len(harmonics), len(first))), axis=0)
             value, rate = np.split((wave.T @ both).real, 2, axis=1)
@@ -212,15 +213,14 @@ class MotionObjective:
     def __call__(self, shape: Array, power: int) -> tuple[float, Array]:
         """Return the value and its derivatives by the shape, a flat array of 2 6 K numbers."""
         value, slope, _ = self._value(self._coefficients(shape), power)
-        slope = slope * self.size
-        return value, np.concatenate([slope.real.ravel(), slope.imag.ravel()])
+        return value, np.ravel([(slope * self.size).real, (slope * self.size).imag])
 
     def _coefficients(self, shape: Array) -> Any:
         """Return the coefficients (6, K) of a shape."""
         real, imaginary = shape.reshape(2, 6, self.count)
         return self.size * (real + 1j * imaginary)
 
-    def within(self, shape: Array, power: int) -> tuple[Any, dict[str, float]]:
+    def within(self, shape: Array, power: int) -> tuple[Any, Mapping[str, float]]:
         """Return the coefficients (K, 6), within limits, and each limit's share in stopping it."""
         c = self._coefficients(shape)
         _, _, (largest, shares) = self._value(c, power)
@@ -232,7 +232,7 @@ class MotionObjective:
         lines = self._lines(waves, self._loads.shape[1]).T * (2.0 / self.points)
         return self._information(lines)[0]
 
-    def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, dict[str, float]]]:
+    def _value(self, c: Any, power: int) -> tuple[float, Any, tuple[float, Mapping[str, float]]]:
         """Return value, slope by the coefficients, and largest ratio with the shares in it."""
         rates = self._signals(self._powers * c)
         u = np.array([
@@ -266,9 +266,9 @@ class MotionObjective:
         by_rates = np.array([sum(self._envelope[n, m] * by_u[n] for n in range(m, 4))
                              for m in range(4)])
         slope = np.sum(np.conj(self._powers) * self._lines(by_rates, self.count), axis=0)
-        shares: dict[str, float] = {}
-        for name, part in zip(self._names, parts, strict=True):
-            shares[name] = shares.get(name, 0.0) + float(np.sum(part)) / total
+        shares = Counter[str]()
+        for name, part in zip(self._names, parts.sum(axis=1).tolist(), strict=True):
+            shares[name] += part / total
         return -value, -slope, (top, shares)
 
     def _information(self, lines: Any) -> tuple[float, Any]:
@@ -355,7 +355,8 @@ def design(
 
     search = MotionObjective(checks, period, responses_at, 1.0 / tracking.package_period)
     rng = np.random.default_rng(seed)
-    best, shares, shape = -math.inf, dict[str, float](), np.empty(0)
+    best, shape = -math.inf, np.empty(0)
+    shares: Mapping[str, float] = {}
     motion = still = _held(checks, period, hold)
     for number, (power, most) in enumerate(STARTS * STAGES):
         progress('designing the motion', number / (STARTS * len(STAGES)))
@@ -363,14 +364,14 @@ def design(
             shape = rng.standard_normal(2 * search.size.size)
             search.allowed = np.ones_like(search.allowed)
         shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
-            'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': ENOUGH}).x
+            'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': MIN_GAIN}).x
         coefficients, now = search.within(shape, power)
         moved = replace(still, coefficients=coefficients)
         worst = checks.loads(moved).ravel()
         reached = search.criterion(coefficients / max(1.0, float(worst.max())))
         if reached > best:
             best, motion, shares = reached, moved, now
-        search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** STRONGER, 1.0)
+        search.allowed = np.minimum(search.allowed / np.maximum(worst, 0.1) ** LOAD_EXPONENT, 1.0)
     motion, ratios = _within(motion, checks)
     progress('computing the expected errors', 1.0)
     tool = motion.at_rate(1.0 / tracking.package_period)
@@ -383,14 +384,14 @@ def _held(checks: Checks, period: float, hold: float) -> FourierMotion:
     limits = checks.limits
     still = FourierMotion(limits.start, period, np.zeros((1, 6)))
     tilt = TILT_SHARE * np.array([*limits.turn[:2], 0.0])
-    for _ in range(MOST_TRIES if hold and tilt.any() else 0):
+    for _ in range(MAX_TILT_TRIALS if hold and tilt.any() else 0):
         most = list(limits.rates.values())[3:]
         move = max((peak * float(np.linalg.norm(tilt)) / (0.9 * limit)) ** (1.0 / order)
                    for order, (peak, limit) in enumerate(zip(SEPTIC_PEAKS, most, strict=True), 1))
         held = replace(still, tilt=tilt, move=max(move, RAMP), hold=hold)
         if max(checks.ratios(held).values()) <= 1.0 - 2.0 * MARGIN:
             return held
-        tilt = LESS_TILT * tilt
+        tilt = TILT_FACTOR * tilt
     return still
 
 
@@ -431,14 +432,12 @@ def _within(motion: FourierMotion, checks: Checks) -> tuple[FourierMotion, dict[
     """Return a motion scaled up to the limits, or down until it is within, and its parts."""
     for attempt in range(20):
         ratios = checks.ratios(motion)
-        worst = max(ratios, key=lambda name: ratios[name])
-        if ratios[worst] <= 1.0 and (attempt > 3 or ratios[worst] > 1.0 - 2.0 * MARGIN):
+        worst = max(ratios.values())
+        if worst <= 1.0 and (attempt > 3 or worst > 1.0 - 2.0 * MARGIN):
             return motion, ratios
-        factor = (1.0 - MARGIN) / min(ratios[worst], 4.0)
+        factor = (1.0 - MARGIN) / min(worst, 4.0)
         motion = replace(motion, coefficients=factor * motion.coefficients)
-    raise BellowsError(
-        f'No motion meets the limits: even at rest, {worst} is {ratios[worst]:.3g} times its '
-        'limit. Raise the limit, or start in another pose.')
+    raise _not_within('No motion meets the limits', 'even at rest', ratios)
 
 
 STANDSTILL, STOPS = 3.0, (0.0, 0.3)
@@ -450,18 +449,18 @@ WORKSPACE_SHARE = 0.9
 SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
 """Peak speed, acceleration and jerk of the smooth step from 0 to 1 within one second."""
 
-SLOWER, MOST_SLOWER = 1.15, 30
+SLOWER, MAX_SLOWER = 1.15, 30
 
 
 def standstills(checks: Checks) -> Waypoints:
     """Return standstills upright and tilted to both sides, within the limits with any model."""
     limits = checks.limits
-    tilt = WORKSPACE_SHARE * limits.turn[:2]
-    turns = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0)]
+    tilts = WORKSPACE_SHARE * limits.turn * np.array(
+        [(0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 0)])
 
     def slowed(factor: float) -> Waypoints:
-        poses = [Pose(limits.start.position, limits.start.rotation @ exp_so3(
-            [x * tilt[0] / factor, y * tilt[1] / factor, 0.0])) for x, y in turns]
+        poses = [Pose(limits.start.position, limits.start.rotation @ exp_so3(tilt / factor))
+                 for tilt in tilts]
         return _through(poses, limits, factor, itertools.repeat(STANDSTILL))
 
     return _slowed_within(slowed, checks)
@@ -491,31 +490,29 @@ def _through(
     poses: Sequence[Pose], limits: ArmLimits, factor: float, holds: Iterable[float]
 ) -> Waypoints:
     """Return moves from the start through poses, slower than the arm can by a factor."""
-    segments, here = [], limits.start
+    segments, start = [], limits.start
     for pose, hold in zip(poses, holds, strict=False):
-        way = float(np.linalg.norm(pose.position - here.position))
-        angle = float(np.linalg.norm(log_so3(here.rotation.T @ pose.rotation)))
-        shortest = max(
-            (steep * size / most) ** (1.0 / order)
-            for order, steep, size, most in zip(
-                2 * (1, 2, 3), 2 * SMOOTH_STEP_PEAKS, [way] * 3 + [angle] * 3,
-                limits.rates.values(),
-                strict=True))
+        sizes = np.repeat([np.linalg.norm(pose.position - start.position),
+                           np.linalg.norm(log_so3(start.rotation.T @ pose.rotation))], 3)
+        ratios = np.tile(SMOOTH_STEP_PEAKS, 2) * sizes / list(limits.rates.values())
+        shortest = float(np.max(ratios ** np.tile([1.0, 1.0 / 2.0, 1.0 / 3.0], 2)))
         segments.append(MoveAndHold(pose, max(0.05, 1.001 * factor * shortest), hold))
-        here = pose
+        start = pose
     return Waypoints(limits.start, REST, tuple(segments))
 
 
 def _slowed_within(slowed: Callable[[float], Waypoints], checks: Checks) -> Waypoints:
     """Return the first of ever slower motions that is within the limits."""
-    factor, ratios = 1.0, {'': 1.0}
-    for _ in range(MOST_SLOWER):
-        motion = slowed(factor)
+    for n in range(MAX_SLOWER):
+        motion = slowed(SLOWER**n)
         ratios = checks.ratios(motion)
         if max(ratios.values()) <= 1.0:
             return motion
-        factor *= SLOWER
+    raise _not_within('No standstills or moves meet the limits', 'even slowly', ratios)
+
+
+def _not_within(finding: str, when: str, ratios: Mapping[str, float]) -> BellowsError:
     worst = max(ratios, key=lambda name: ratios[name])
-    raise BellowsError(
-        f'No standstills or moves meet the limits: {worst} is {ratios[worst]:.3g} times its '
-        'limit, even slowly. Raise the limit, or start in another pose.')
+    return BellowsError(
+        f'{finding}: {worst} is {ratios[worst]:.3g} times its limit, {when}. Raise the limit, or '
+        'start in another pose.')
