@@ -21,7 +21,7 @@ from bellows_ros.core.observer.alarms import MARGIN, ONSET_NS
 from bellows_ros.core.observer.measurement import (
     at_exposure,
     corrected_pose,
-    innovation,
+    innovation_of,
     Measurement,
 )
 import numpy as np
@@ -101,7 +101,7 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
         com = model[1][1]
         position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
         exposed = at_exposure(model, known.tool, body, theta)
-        whitened, _, whitener, *_ = innovation(
+        whitened, _, whitener, *_ = innovation_of(
             exposed, theta, known.covariance, position, q, noise, marker)
         stamps.append(stamp_ns)
         ys.append(np.linalg.solve(whitener, whitened))

@@ -42,7 +42,7 @@ observable. With logarithms it is the same direction of the error at every estim
 the filter would take noise for knowledge of the scale.
 """
 
-MARKER, CAMERA, LATENCY, NOISE, LEAST_ROWS = 30, 36, 42, 43, 49
+MARKER, CAMERA, LATENCY, NOISE, MIN_ROWS = 30, 36, 42, 43, 49
 """
 Pose of the marker, in B axes, and of the camera, in the world (m, rad); how late stamps are (s);
 the noise with memory of the measured pose, in B axes (m, rad).
@@ -61,13 +61,13 @@ ONSETS = 12
 FALLEN = 7
 """Rows of what falls, after those of the error: see `alarms`."""
 
-COARSE = 12
+COVARIANCE_STEPS = 12
 """The covariance is propagated in steps up to this many times longer than the state's."""
 
 NO_MATRIX: Array = np.zeros((0, 0))
 """Stands for a transition and a covariance that are not computed."""
 
-MOST_CORRELATED = 0.97
+MAX_CORRELATION = 0.97
 """Largest correlation of the noise of successive measurements."""
 
 
@@ -178,11 +178,11 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
 
 @kernel
 def advanced_with_wrench(
-    model: ModelTuple, push: Wrench, body: State, start: State, end: State, seconds: float,
+    model: ModelTuple, bias: Wrench, body: State, start: State, end: State, seconds: float,
     substeps: int,
 ) -> State:
     """Return a state after a motion of the tool: half of the push before and half after it."""
-    dv, dw = jac.acceleration_at(model[1], model[1][1], push[0], push[1])
+    dv, dw = jac.acceleration_at(model[1], model[1][1], bias[0], bias[1])
     dv, dw = t3.scale(0.5 * seconds, dv), t3.scale(0.5 * seconds, dw)
     body = kernels.with_twist(body, t3.add(body[2], dv), t3.add(body[3], dw))
     body = kernels.advance(model, body, start, end, seconds, substeps)
@@ -191,16 +191,17 @@ def advanced_with_wrench(
 
 @array_kernel
 def slopes(
-    model: ModelTuple, push: Wrench, grown: float, tool: State, body: State, A: Array, B: Array,
+    model: ModelTuple, bias: Wrench, mass_ratio: float, tool: State, body: State, A: Array,
+    B: Array,
 ) -> Vector:
     """
     Write the slope of the state's error, and return the force of the cup in the world (N).
 
     Parameters
     ----------
-    model, push, tool, body : tuples
+    model, bias, tool, body : tuples
         With the numbers as they are estimated.
-    grown : float
+    mass_ratio : float
         By how much the mass is times the nominal one.
     A : ndarray (12, 12)
         Slope by the state's error: pose and twist change in axes that turn with the body.
@@ -230,7 +231,7 @@ def slopes(
         jac.parameter_jacobian(model, tool, body, 43, 46, by_inertia)
         for i in range(6):
             for j in range(3):
-                by_inertia[i, j] *= grown
+                by_inertia[i, j] *= mass_ratio
     dv, dw = jac.by_length(model, tool, body, f)
     jac.write_column(B, LENGTH, dv, dw)
     dv, dw = jac.acceleration_at(package, com, f, m)
@@ -239,11 +240,11 @@ def slopes(
     for i in range(3):  # by the centre of mass (m), the push has another arm, too
         along = t3.unit(i, 1.0)
         dv, dw = jac.by_com(package, c, slopes_S1[0], slopes_S1[1], turning, f, along)
-        by_push = t3.apply(package[3], t3.cross(along, push[0]))
+        by_push = t3.apply(package[3], t3.cross(along, bias[0]))
         jac.write_column(B, COM + i, dv, t3.subtract(dw, by_push))
-        dv, dw = jac.acceleration_at(package, com, t3.unit(i, grown), ZERO)
+        dv, dw = jac.acceleration_at(package, com, t3.unit(i, mass_ratio), ZERO)
         jac.write_column(B, WRENCH + i, dv, dw)
-        jac.write_column(B, WRENCH + 3 + i, ZERO, t3.apply(package[3], t3.unit(i, grown)))
+        jac.write_column(B, WRENCH + 3 + i, ZERO, t3.apply(package[3], t3.unit(i, mass_ratio)))
     return t3.apply(t3.rotation_matrix(body[1]), f)
 
 
@@ -303,8 +304,8 @@ def write_losses(
 
 @array_kernel
 def accumulate(
-    A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, falling: Vector,
-    losses: Array, lost: Array,
+    A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array, fall_acceleration: Vector,
+    losses: Array, without_cup: Array,
 ) -> None:
     """
     Carry a transition (13, m) and the noise's covariance (12, 12) through a step, in place.
@@ -322,9 +323,9 @@ def accumulate(
         Half of the covariance that is added.
     T, Q : ndarray
         What is changed.
-    falling : tuple
+    fall_acceleration : tuple
         How what falls is accelerated against the model, which holds it (m/s^2, world).
-    losses, lost : ndarray (cups, 6, 13), (cups, 12, 13)
+    losses, without_cup : ndarray (cups, 6, 13), (cups, 12, 13)
         What `write_losses` writes, and the transitions without each cup, which are changed, too.
 
     """
@@ -340,21 +341,21 @@ def accumulate(
     for i in range(12):
         for j in range(6):
             by_twist[i, j] = h * G[i, 6 + j]
-    for c in range(len(lost)):
-        without = lost[c].copy()
+    for c in range(len(without_cup)):
+        after = without_cup[c].copy()
         for _ in range(2):  # with the loss of the step's beginning, then of its mean
-            taken = t3.product(losses[c], 0.5 * (lost[c] + without), np.empty((6, 13)))
-            taken[:, 12] += losses[c, :, 12]
-            t3.product(F, lost[c], without)
-            t3.add_product(-by_twist, taken, without)
-        lost[c] = without
+            loss = t3.product(losses[c], 0.5 * (without_cup[c] + after), np.empty((6, 13)))
+            loss[:, 12] += losses[c, :, 12]
+            t3.product(F, without_cup[c], after)
+            t3.add_product(-by_twist, loss, after)
+        without_cup[c] = after
     T[:STATE] = t3.add_product(by_twist, B, t3.product(F, T[:STATE], np.empty((12, n))))
     for i in range(12):
         for k in range(6):
             T[i, LENGTHENING] += (last[SECONDS] + 0.5 * h) * by_twist[i, k] * B[k, LENGTH]
     for i in range(3):
-        last[FALL + i] += h * (last[FALL_SPEED + i] + 0.5 * h * falling[i])
-        last[FALL_SPEED + i] += h * falling[i]
+        last[FALL + i] += h * (last[FALL_SPEED + i] + 0.5 * h * fall_acceleration[i])
+        last[FALL_SPEED + i] += h * fall_acceleration[i]
     last[SECONDS] += h
 
 
@@ -383,7 +384,7 @@ def identity_transition(rows: int) -> Array:
 
     Its columns are those of the rows before `MARKER` and from `DAMPING` on: others move nothing.
     """
-    T = np.zeros((STATE + 1, MARKER + rows - LEAST_ROWS))
+    T = np.zeros((STATE + 1, MARKER + rows - MIN_ROWS))
     for i in range(STATE):
         T[i, i] = 1.0
     return T
@@ -422,7 +423,7 @@ def correlations(memory: Array, seconds: float) -> tuple[float, float]:
 
 @kernel
 def _correlation(of_next: float, rate: float) -> float:
-    return math.exp(math.log(min(max(of_next, 1e-3), MOST_CORRELATED)) * rate)
+    return math.exp(math.log(min(max(of_next, 1e-3), MAX_CORRELATION)) * rate)
 
 
 @array_kernel
@@ -455,14 +456,15 @@ def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Arr
 @kernel
 def ends_step(stamp_ns: int, next_ns: int, max_step: float) -> bool:
     """Return whether a covariance step ends at a sample, regardless of where it began."""
-    length_ns = int(1e9 * min(COARSE * max_step, 1.0))
+    length_ns = int(1e9 * min(COVARIANCE_STEPS * max_step, 1.0))
     return stamp_ns // length_ns != next_ns // length_ns
 
 
 @kernel
 def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool:
     """Return whether a covariance step goes on after the whole of sample k."""
-    return stamps[k] < until_ns and (stamps[k] - stamps[k - 1]) * 1e-9 <= COARSE * max_step and (
+    seconds = (stamps[k] - stamps[k - 1]) * 1e-9
+    return stamps[k] < until_ns and seconds <= COVARIANCE_STEPS * max_step and (
         not ends_step(stamps[k], stamps[k + 1], max_step))
 
 
@@ -470,7 +472,7 @@ def _is_inside_step(stamps: Any, k: int, until_ns: int, max_step: float) -> bool
 def propagated(
     model: ModelTuple, theta: Array, tool: State, body: State, T: Array, Q: Array,
     stamps: Any, starts: Any, ends: Any, bodies: Any, is_recorded: bool, k: int, now_ns: int,
-    until_ns: int, max_step: float, drive: Array, cups: Array, lost: Array,
+    until_ns: int, max_step: float, drive: Array, cups: Array, without_cup: Array,
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, and carry transition and noise there in place.
@@ -500,50 +502,50 @@ def propagated(
         Of `driving`.
     cups : ndarray (cups, 54)
         Of a gripper, see `cups_of`.
-    lost : ndarray (cups, 12, 13)
+    without_cup : ndarray (cups, 12, 13)
         Transitions without each of them, carried along in place.
 
     """
-    push, follows, fresh, h, held = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
+    bias, follows, is_reset, h, squares = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
     nominal, model = model, with_theta(model, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
-    losses0, losses1 = np.zeros((len(lost), 6, 13)), np.zeros((len(lost), 6, 13))
+    losses0, losses1 = np.zeros((len(without_cup), 6, 13)), np.zeros((len(without_cup), 6, 13))
     while True:
-        if follows and (fresh or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
+        if follows and (is_reset or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
                 now_ns, stamps[k], max_step)):
-            force = slopes(model, push, math.exp(theta[0]), tool, body, A1, B1)
-            write_losses(nominal, theta, cups[:len(lost)], tool, body, losses1)
-            if not fresh:
+            force = slopes(model, bias, math.exp(theta[0]), tool, body, A1, B1)
+            write_losses(nominal, theta, cups[:len(without_cup)], tool, body, losses1)
+            if not is_reset:
                 accumulate(
-                    averaged(A0, A1), averaged(B0, B1), h, 0.5 * held * drive, T, Q,
-                    t3.scale(-1.0 / model[1][0], force), averaged(losses0, losses1), lost)
+                    averaged(A0, A1), averaged(B0, B1), h, 0.5 * squares * drive, T, Q,
+                    t3.scale(-1.0 / model[1][0], force), averaged(losses0, losses1), without_cup)
             A0, B0, losses0, A1, B1, losses1 = A1, B1, losses1, A0, B0, losses0
-            fresh, h, held = False, 0.0, 0.0
+            is_reset, h, squares = False, 0.0, 0.0
         if now_ns == until_ns:
             return tool, body
         first = k
         while is_recorded and now_ns == stamps[k - 1] and _is_inside_step(
                 stamps, k, until_ns, max_step):
             part = (stamps[k] - now_ns) * 1e-9
-            h, held, now_ns, k = h + part, held + part * part, stamps[k], k + 1
+            h, squares, now_ns, k = h + part, squares + part * part, stamps[k], k + 1
         if k > first:
             body = body_row(bodies[k - 1], body)
         whole_ns = stamps[k] - stamps[k - 1]
         if now_ns == stamps[k - 1]:
             tool = row_state(starts[k])
         later_ns = min(stamps[k], until_ns)
-        cuts = substeps_for((later_ns - now_ns) * 1e-9, COARSE * max_step)
-        later_ns = now_ns + (later_ns - now_ns) // cuts
-        there = row_state(ends[k])
+        parts = substeps_for((later_ns - now_ns) * 1e-9, COVARIANCE_STEPS * max_step)
+        later_ns = now_ns + (later_ns - now_ns) // parts
+        tool_end = row_state(ends[k])
         if later_ns < stamps[k]:
-            segment = kernels.tool_segment(row_state(starts[k]), there, whole_ns * 1e-9)
-            there = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
+            segment = kernels.tool_segment(row_state(starts[k]), tool_end, whole_ns * 1e-9)
+            tool_end = kernels.tool_at(segment, (later_ns - stamps[k - 1]) / whole_ns)
         part = (later_ns - now_ns) * 1e-9
         body = _followed(
-            model, push, body, tool, there, part, max_step, bodies[k], is_recorded,
+            model, bias, body, tool, tool_end, part, max_step, bodies[k], is_recorded,
             later_ns == stamps[k])
-        tool, now_ns, h, held = there, later_ns, h + part, held + part * whole_ns * 1e-9
+        tool, now_ns, h, squares = tool_end, later_ns, h + part, squares + part * whole_ns * 1e-9
         if now_ns == stamps[k]:
             k += 1
 
@@ -556,21 +558,21 @@ def predicted(
 ) -> tuple[State, State, Array, Array, Any]:
     """Return tool, body, theta and covariance of an estimate at a later stamp, and signatures."""
     T, Q, theta = identity_transition(len(P)), np.zeros((STATE, STATE)), theta.copy()
-    lost = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
+    without_cup = np.zeros((len(cups) if len(signatures) > 0 else 0, STATE, STATE + 1))
     for i in range(STATE):
-        lost[:, i, i] = 1.0
+        without_cup[:, i, i] = 1.0
     tool, body = propagated(
         model, theta, tool, body, T, Q, stamps, starts, ends, bodies, is_recorded, k, now_ns,
-        until_ns, max_step, drive, cups, lost)
+        until_ns, max_step, drive, cups, without_cup)
     P = propagated_covariance(P, T, Q, walk, memory)
     carry_theta(theta.reshape((-1, 1)), T[STATE, SECONDS], memory)
     if len(signatures) > 0:
-        signatures = propagated_signatures(signatures, T, memory, lost)
+        signatures = propagated_signatures(signatures, T, memory, without_cup)
     return tool, body, theta, P, signatures
 
 
 @array_kernel
-def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
+def propagated_signatures(E: Any, T: Array, memory: Array, without_cup: Array) -> Any:
     """
     Return the signatures of faults (n + 7, columns) after a transition (13, m).
 
@@ -579,18 +581,18 @@ def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
     n, last, out = len(E) - FALLEN, T[STATE], E.copy()
     times_transition(T.astype(np.float32), E[:n], out[:STATE])
     carry_theta(out[STATE:n], last[SECONDS], memory)
-    falling = np.zeros((6, FALLEN), np.float32)
+    fall_acceleration = np.zeros((6, FALLEN), np.float32)
     for i in range(3):
-        falling[i, 0], falling[3 + i, 0] = last[FALL_SPEED + i], last[FALL + i]
-        falling[3 + i, 1 + i] = last[SECONDS]
-    t3.add_product(falling, E[n:], out[n + 1:])
-    first = E.shape[1] - len(lost) * ONSETS
-    for c in range(len(lost)):
-        other = (lost[c, :, :STATE] - T[:STATE, :STATE]).astype(np.float32)
+        fall_acceleration[i, 0], fall_acceleration[3 + i, 0] = last[FALL_SPEED + i], last[FALL + i]
+        fall_acceleration[3 + i, 1 + i] = last[SECONDS]
+    t3.add_product(fall_acceleration, E[n:], out[n + 1:])
+    first = E.shape[1] - len(without_cup) * ONSETS
+    for c in range(len(without_cup)):
+        other = (without_cup[c, :, :STATE] - T[:STATE, :STATE]).astype(np.float32)
         columns = slice(first + c * ONSETS, first + (c + 1) * ONSETS)
         for i in range(STATE):
             row = out[i, columns]
-            row += np.float32(lost[c, i, STATE])
+            row += np.float32(without_cup[c, i, STATE])
             for j in range(STATE):
                 row += other[i, j] * E[j, columns]
     return out
@@ -598,14 +600,14 @@ def propagated_signatures(E: Any, T: Array, memory: Array, lost: Array) -> Any:
 
 @kernel
 def _followed(
-    model: ModelTuple, push: Wrench, body: State, start: State, end: State, seconds: float,
+    model: ModelTuple, bias: Wrench, body: State, start: State, end: State, seconds: float,
     max_step: float, row: Any, is_recorded: bool, is_sample: bool,
 ) -> State:
     """Return a state after a motion of the tool, from or into the row of a sample at its end."""
     if is_recorded and is_sample:
         return body_row(row, body)
     substeps = substeps_for(seconds, max_step)
-    body = advanced_with_wrench(model, push, body, start, end, seconds, substeps)
+    body = advanced_with_wrench(model, bias, body, start, end, seconds, substeps)
     if is_sample:
         write_row(row, body)
     return body
@@ -623,15 +625,15 @@ def followed(
     write_row(starts[k], start)
     write_row(ends[k], end)
     seconds, tool = (stamp_ns - stamps[k - 1]) * 1e-9, start
-    cuts = substeps_for(seconds, COARSE * max_step)
-    part = seconds / cuts
-    for i in range(cuts):
-        there = end
-        if i < cuts - 1:
-            there = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / cuts)
+    parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
+    part = seconds / parts
+    for i in range(parts):
+        tool_end = end
+        if i < parts - 1:
+            tool_end = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / parts)
         body = advanced_with_wrench(
-            model, wrench_bias(theta), body, tool, there, part, substeps_for(part, max_step))
-        tool = there
+            model, wrench_bias(theta), body, tool, tool_end, part, substeps_for(part, max_step))
+        tool = tool_end
     write_row(bodies[k], body)
     wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
     return body, wrench, is_sound

@@ -13,16 +13,8 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.observer.filter import (
-    CAMERA,
-    COM,
-    LATENCY,
-    MARKER,
-    NOISE,
-    STATE,
-    with_theta,
-    wrench_bias,
-)
+from bellows_ros.core.observer import filter as ekf
+from bellows_ros.core.observer.filter import COM, NOISE, STATE, with_theta, wrench_bias
 from bellows_ros.core.signals.screening import why_no_pose
 import numpy as np
 
@@ -128,8 +120,8 @@ def at_com(
         for j in range(3):
             T[i, j] = T[3 + i, 3 + j] = R[3 * j + i]
             T[i, 3 + j] = -across[3 * i + j]
-    found = t3.product(t3.product(T, noise, np.empty((6, 6))), t3.transpose(T), np.empty((6, 6)))
-    return t3.add(position, t3.apply(R, arm)), q, found
+    noise = t3.product(t3.product(T, noise, np.empty((6, 6))), t3.transpose(T), np.empty((6, 6)))
+    return t3.add(position, t3.apply(R, arm)), q, noise
 
 
 @kernel
@@ -143,23 +135,25 @@ def corrected_pose(
     position: Vector, q: Quaternion, noise: Array, marker: Marker, theta: Array, com: Vector
 ) -> tuple[Vector, Quaternion, Array]:
     """Return what `at_com` does, without the estimated errors of camera, marker and noise."""
-    turn = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, CAMERA + 3)))
-    position = t3.apply(t3.rotation_matrix(turn), t3.subtract(position, vector_at(theta, CAMERA)))
-    position, q, noise = at_com(position, t3.quaternion_product(turn, q), noise, marker, com)
-    q = t3.quaternion_product(q, t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, MARKER + 3))))
-    position = t3.subtract(position, t3.apply(t3.rotation_matrix(q), vector_at(theta, MARKER)))
+    back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, ekf.CAMERA + 3)))
+    shift, marker_shift = vector_at(theta, ekf.CAMERA), vector_at(theta, ekf.MARKER)
+    position = t3.apply(t3.rotation_matrix(back), t3.subtract(position, shift))
+    position, q, noise = at_com(position, t3.quaternion_product(back, q), noise, marker, com)
+    back = t3.exp_quaternion(t3.scale(-1.0, vector_at(theta, ekf.MARKER + 3)))
+    q = t3.quaternion_product(q, back)
+    position = t3.subtract(position, t3.apply(t3.rotation_matrix(q), marker_shift))
     return position, q, noise
 
 
 @kernel
 def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> State:
     """Return the package by the estimated latency earlier."""
-    late = theta[LATENCY - STATE]
+    late = theta[ekf.LATENCY - STATE]
     if late == 0.0:
         return body
-    push, half = wrench_bias(theta), 0.5 * late * late
+    bias, half = wrench_bias(theta), 0.5 * late * late
     dv, dw = kernels.body_acceleration(model, tool, body)
-    more = jacobians.acceleration_at(model[1], model[1][1], push[0], push[1])
+    more = jacobians.acceleration_at(model[1], model[1][1], bias[0], bias[1])
     dv = t3.add(t3.add(dv, more[0]), t3.cross(body[3], body[2]))
     return moved(
         body, t3.add_scaled(t3.scale(-late, body[2]), half, dv),
@@ -208,16 +202,16 @@ def observation(body: State, noise: Array, of_lip: bool, rows: int) -> Array:
     lever = t3.multiply(t3.transposed(R), t3.hat(body[0]))
     v = body[2] + body[3]
     for i in range(6):
-        H[i, i] = H[i, MARKER + i] = 1.0
-        H[i, LATENCY] = -v[i]
+        H[i, i] = H[i, ekf.MARKER + i] = 1.0
+        H[i, ekf.LATENCY] = -v[i]
         for j in range(i + 1):
             H[i, NOISE + j] = math.sqrt(1.0 - WHITE_SHARE) * root[i, j]
     for i in range(3):
         if of_lip:
             H[i, COM + i] = -1.0
         for j in range(3):
-            H[i, CAMERA + j] = H[3 + i, CAMERA + 3 + j] = R[3 * j + i]
-            H[i, CAMERA + 3 + j] = -lever[3 * i + j]
+            H[i, ekf.CAMERA + j] = H[3 + i, ekf.CAMERA + 3 + j] = R[3 * j + i]
+            H[i, ekf.CAMERA + 3 + j] = -lever[3 * i + j]
     return H
 
 
@@ -229,16 +223,16 @@ def observed(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
         return out
     for i in range(6):
         row, one = out[i], H[i]
-        late = one[LATENCY]
-        a, b, c = one[CAMERA], one[CAMERA + 1], one[CAMERA + 2]
-        d, e, f = one[CAMERA + 3], one[CAMERA + 4], one[CAMERA + 5]
+        late = one[ekf.LATENCY]
+        a, b, c = one[ekf.CAMERA], one[ekf.CAMERA + 1], one[ekf.CAMERA + 2]
+        d, e, f = one[ekf.CAMERA + 3], one[ekf.CAMERA + 4], one[ekf.CAMERA + 5]
         u, v, w = one[NOISE], one[NOISE + 1], one[NOISE + 2]
         x, y, z = one[NOISE + 3], one[NOISE + 4], one[NOISE + 5]
         for j in range(X.shape[1]):
             row[j] = (
-                X[i, j] + X[MARKER + i, j] + late * X[LATENCY, j]
-                + a * X[CAMERA, j] + b * X[CAMERA + 1, j] + c * X[CAMERA + 2, j]
-                + d * X[CAMERA + 3, j] + e * X[CAMERA + 4, j] + f * X[CAMERA + 5, j]
+                X[i, j] + X[ekf.MARKER + i, j] + late * X[ekf.LATENCY, j]
+                + a * X[ekf.CAMERA, j] + b * X[ekf.CAMERA + 1, j] + c * X[ekf.CAMERA + 2, j]
+                + d * X[ekf.CAMERA + 3, j] + e * X[ekf.CAMERA + 4, j] + f * X[ekf.CAMERA + 5, j]
                 + u * X[NOISE, j] + v * X[NOISE + 1, j] + w * X[NOISE + 2, j]
                 + x * X[NOISE + 3, j] + y * X[NOISE + 4, j] + z * X[NOISE + 5, j])
         if of_lip and i < 3:
@@ -248,7 +242,7 @@ def observed(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
 
 
 @array_kernel
-def innovation(
+def innovation_of(
     body: State, theta: Array, P: Array, position: Vector, q: Quaternion, noise: Array,
     marker: Marker,
 ) -> Innovation:
@@ -264,7 +258,7 @@ def innovation(
     S = observed(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
     for i in range(6):
         for j in range(6):
-            S[i, j] += WHITE_SHARE * noise[i, j] + jitter * H[i, LATENCY] * H[j, LATENCY]
+            S[i, j] += WHITE_SHARE * noise[i, j] + jitter * H[i, ekf.LATENCY] * H[j, ekf.LATENCY]
     _, W = cholesky(S)
     z = np.zeros(6)
     for i in range(6):
@@ -284,10 +278,10 @@ def changed_by(body: State, theta: Array, e: Array) -> tuple[State, Array]:
 
 @array_kernel
 def corrected(
-    body: State, theta: Array, P: Array, found: Innovation
+    body: State, theta: Array, P: Array, innovation: Innovation
 ) -> tuple[State, Array]:
     """Return state and theta after a measurement, by its `Innovation`; P is changed in place."""
-    z, _, _, _, Z = found
+    z, _, _, _, Z = innovation
     error = np.zeros(len(P))
     for i in range(6):
         for j in range(len(P)):
@@ -356,14 +350,14 @@ def updated(
     com = model[1][1]
     position, q, noise = corrected_pose(position, quaternion_xyzw, noise, marker, theta, com)
     exposed = at_exposure(model, tool, body, theta)
-    found = innovation(exposed, theta, P, position, q, noise, marker)
+    innovation = innovation_of(exposed, theta, P, position, q, noise, marker)
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     verdict = USED
     if lip_shift(position, q, com, tool, model[0][1]) > reach + 5.0 * spread:
         verdict = OUT_OF_REACH
-    elif found[3] > gate:
+    elif innovation[3] > gate:
         verdict = OUTSIDE
     else:
-        body, theta = corrected(body, theta, P, found)
+        body, theta = corrected(body, theta, P, innovation)
         memory = updated_memory(memory, theta, seconds)
-    return verdict, found, body, theta, memory
+    return verdict, innovation, body, theta, memory

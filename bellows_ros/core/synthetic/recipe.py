@@ -29,7 +29,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion, motion_from, sample_stamps
 from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
 from bellows_ros.core.toss.landing import changed
-from bellows_ros.core.toss.release import HeldMotion, Law, LONGEST_WAIT, Release, toss
+from bellows_ros.core.toss.release import HeldMotion, Law, MAX_WAIT, Release, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import default_rng, Generator, SeedSequence
@@ -506,7 +506,7 @@ def tossed(
         here = tool.select(slice(first, None))
         try:
             _require_rest(here)
-            hanging = HeldMotion(model, grip, here, until=switched + LONGEST_WAIT)
+            hanging = HeldMotion(model, grip, here, until=switched + MAX_WAIT)
             t = seconds[part] - start
             at = np.searchsorted(hanging.times, t - 1e-9)
             rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]

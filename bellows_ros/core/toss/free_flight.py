@@ -11,17 +11,17 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import PackageTuple, State
 
-ROTATION_PER_STEP, LONGEST_FLIGHT_STEP = 0.01, 0.02
+ROTATION_PER_STEP, MAX_FLIGHT_STEP = 0.01, 0.02
 """Rotation (rad) per integration step of the flight, and the longest step (s)."""
-SHORTEST_FLIGHT_STEP = 1e-5
+MIN_FLIGHT_STEP = 1e-5
 """The shortest step (s): whatever turns faster is no package."""
 COARSE_ROTATION_PER_STEP = 0.1
 """As `ROTATION_PER_STEP`, where 0.01 mrad is accurate enough, as of a landing."""
 
-INSTANT = 1e-10
+INSTANT_TOLERANCE = 1e-10
 """Accuracy (s) of the instants of letting go and landing."""
 
-LONGEST_FLIGHT = 10.0
+MAX_FLIGHT_TIME = 10.0
 """Longest time (s) from the release to the landing."""
 
 Box = tuple[Vector, Vector]
@@ -85,7 +85,7 @@ def _spin(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
 def flight_step(body: State, rotation_per_step: float) -> float:
     """Return how long (s) a step of the flight may be."""
     rate = math.sqrt(t3.dot(body[3], body[3]))
-    return max(SHORTEST_FLIGHT_STEP, min(LONGEST_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
+    return max(MIN_FLIGHT_STEP, min(MAX_FLIGHT_STEP, rotation_per_step / max(rate, 1e-9)))
 
 
 @kernel
@@ -93,11 +93,11 @@ def flight(
     package: PackageTuple, gravity: Vector, body: State, duration: float, rotation_per_step: float
 ) -> State:
     """Return the state a time (s) later in free flight."""
-    left = duration
-    while left > 0.0:
-        h = min(flight_step(body, rotation_per_step), left)
+    remaining = duration
+    while remaining > 0.0:
+        h = min(flight_step(body, rotation_per_step), remaining)
         body = free_flight_step(package, gravity, body, h)
-        left -= h
+        remaining -= h
     return body
 
 
@@ -124,20 +124,20 @@ def land(
     t, up, h = 0.0, upward(gravity), flight_step(body, COARSE_ROTATION_PER_STEP)
     low, high, landed = 0.0, math.inf, body  # the step in which it lands is narrowed (Illinois)
     above, below, side = lowest(box, up, body) - height, 0.0, 0
-    while t < LONGEST_FLIGHT:
+    while t < MAX_FLIGHT_TIME:
         after = free_flight_step(package, gravity, body, h)
-        left = lowest(box, up, after) - height
-        if left <= 0.0:
-            high, below, landed = h, left, after
+        clearance = lowest(box, up, after) - height
+        if clearance <= 0.0:
+            high, below, landed = h, clearance, after
             above, side = above * 0.5 if side < 0 else above, -1
         elif high < math.inf:
-            low, above = h, left
+            low, above = h, clearance
             below, side = below * 0.5 if side > 0 else below, 1
         else:
-            t, body, above = t + h, after, left
+            t, body, above = t + h, after, clearance
             h = flight_step(body, COARSE_ROTATION_PER_STEP)
             continue
-        if high - low <= INSTANT:
+        if high - low <= INSTANT_TOLERANCE:
             return t + high, landed
-        h = secant_root(low, high, above, below, 0.5 * INSTANT)
+        h = secant_root(low, high, above, below, 0.5 * INSTANT_TOLERANCE)
     return -1.0, body

@@ -259,18 +259,18 @@ def aim(
         size = float(np.linalg.norm(miss(switched)))
         return size if math.isfinite(size) else 1e6
 
-    lost = held.lost_before(held.duration)
-    last = min(held.duration if lost is None else lost, until)
+    lost_time = held.lost_before(held.duration)
+    last = min(held.duration if lost_time is None else lost_time, until)
     times = np.linspace(0.0, last, max(2, math.ceil(last / scan) + 1))
     ends = np.array([miss(t) for t in times])
     step = np.diff(ends, axis=0)
     squared = np.maximum(np.einsum('ni,ni->n', step, step), 1e-30)
     along = np.clip(-np.einsum('ni,ni->n', ends[:-1], step) / squared, 0.0, 1.0)
-    near = np.linalg.norm(ends[:-1] + along[:, None] * step, axis=1)
-    near = np.where(np.isfinite(near), near, np.inf)
+    distances = np.linalg.norm(ends[:-1] + along[:, None] * step, axis=1)
+    distances = np.where(np.isfinite(distances), distances, np.inf)
     tried = []
-    for k in np.argsort(near)[:candidates]:
-        if near[k] <= 1.5 * near.min() + 1e-3:
+    for k in np.argsort(distances)[:candidates]:
+        if distances[k] <= 1.5 * distances.min() + 1e-3:
             best = minimize_scalar(
                 cost, bounds=(times[k], times[k + 1]), method='bounded',
                 options={'xatol': TOLERANCE})
@@ -280,5 +280,5 @@ def aim(
         raise NoReleaseError(
             'No release during the plan leads to a landing. Check landing.height, release.*, and '
             'whether the plan throws the package.')
-    left = miss(switched)
-    return Aim(switched, float(np.linalg.norm(left[:2])), float(np.linalg.norm(left[2:])) / reach)
+    shift, turn = (float(np.linalg.norm(part)) for part in np.split(miss(switched), [2]))
+    return Aim(switched, shift, turn / reach)

@@ -37,10 +37,10 @@ from bellows_ros.core.toss.free_flight import Box
 from bellows_ros.errors import BellowsError, NoLandingError
 import numpy as np
 
-LONGEST_WAIT = 2.0
+MAX_WAIT = 2.0
 """Longest time (s) from the valve to letting go."""
 
-MOST_STEPS = 1_000_000
+MAX_STEPS = 1_000_000
 """Most steps of the package held along a plan, each of which is kept."""
 
 RELEASE_NAMES = tuple(f'release.{name}' for name in (
@@ -116,9 +116,7 @@ def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
     """Return a model with another nominal length, and the damping of open bellows."""
     cup, package, gravity = model
     (l1, l0), P = cup[:2], cup[3]
-    D = P[0]
-    damping = law[6] if law[6] > 0.0 else D[8]
-    D = (D[0], D[1], D[2], D[3], D[4], D[5], D[6], D[7], damping)
+    D = P[0][:8] + (law[6] if law[6] > 0.0 else P[0][8],)
     part = l1 / l0  # of the length, that is on the side of the package
     opened = (l1 + part * change, l0 + change, cup[2], (D, P[1], P[2]), *cup[4:])
     return opened, package, gravity
@@ -209,10 +207,10 @@ def _within(
 @kernel
 def find_release(
     model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State,
-    rows: Any, seconds: Any, switched: float, until: float, longest: float,
+    rows: Any, seconds: Any, switched: float, until: float, max_step: float,
 ) -> tuple[float, State]:
     """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
-    longest = min(longest, OPENING_STEP) if law[5] > 0.0 else longest
+    max_step = min(max_step, OPENING_STEP) if law[5] > 0.0 else max_step
     above = -1.0  # by how much it holds, not known before the valve
     for k in range(len(seconds) + 1):
         if start >= until:
@@ -225,32 +223,32 @@ def find_release(
         duration = end - start
         segment = kernels.tool_segment(tool, after, duration)
         part = min(1.0, (until - start) / duration)
-        n = equilibrium.substeps_for(part * duration, longest)
+        n = equilibrium.substeps_for(part * duration, max_step)
         for i in range(n):
-            before, last, caught, below, side = part * i / n, part * (i + 1.0) / n, False, 0.0, 0
-            low, high, freed = max(before, (switched - start) / duration), last, body
+            before, last, is_past, below, side = part * i / n, part * (i + 1.0) / n, False, 0.0, 0
+            low, high, body_released = max(before, (switched - start) / duration), last, body
             s = last if above > 0.0 or low >= last else low
             while True:  # until it lets go: the step in which it does is narrowed (Illinois)
                 since_valve = start + s * duration - switched
-                there, carried = _within(model, law, start - switched, segment, body, before, s)
-                load = load_at(model, grip, law, since_valve, there, carried)
-                left = suction_margin(grip, law, since_valve, load) if s >= low else math.inf
-                if left <= 0.0:
-                    high, below, freed, caught = s, left, carried, True
+                tool_s, carried = _within(model, law, start - switched, segment, body, before, s)
+                load = load_at(model, grip, law, since_valve, tool_s, carried)
+                margin = suction_margin(grip, law, since_valve, load) if s >= low else math.inf
+                if margin <= 0.0:
+                    high, below, body_released, is_past = s, margin, carried, True
                     above, side = above * 0.5 if side < 0 else above, -1
-                elif caught:
-                    low, above = s, left
+                elif is_past:
+                    low, above = s, margin
                     below, side = below * 0.5 if side > 0 else below, 1
                 elif s == last:
-                    above = left if s >= low else -1.0
+                    above = margin if s >= low else -1.0
                     break
                 else:
-                    above, s = left, last
+                    above, s = margin, last
                     continue
-                if (high - low) * duration <= free_flight.INSTANT:
-                    return start + high * duration, freed
+                if (high - low) * duration <= free_flight.INSTANT_TOLERANCE:
+                    return start + high * duration, body_released
                 s = free_flight.secant_root(
-                    low, high, above, below, 0.5 * free_flight.INSTANT / duration)
+                    low, high, above, below, 0.5 * free_flight.INSTANT_TOLERANCE / duration)
             body = carried
         tool, start = after, end
     return -1.0, body
@@ -259,7 +257,7 @@ def find_release(
 @kernel
 def write_toss(
     model: ModelTuple, grip: Grip, law: Law, body: State, rows: Any, seconds: Any,
-    switched: float, longest: float, out: Array,
+    switched: float, max_step: float, out: Array,
 ) -> float:
     """
     Write the package's states at the times (N,) of the tool's rows (N, 13).
@@ -273,7 +271,7 @@ def write_toss(
         if released < 0.0:
             released, body = find_release(
                 model, grip, law, start, row_state(rows[k - 1]), body, rows[k:k + 1],
-                seconds[k:k + 1], switched, seconds[k], longest)
+                seconds[k:k + 1], switched, seconds[k], max_step)
             start = released
             if released >= 0.0:
                 body = free_flight.pushed_off(model[1], body, law[2])
@@ -300,7 +298,7 @@ NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
 @kernel
 def toss_along(
     model: ModelTuple, grip: Grip, release: Release, start: float, tool: State, body: State,
-    rows: Any, seconds: Any, switched: float, until: float, longest: float,
+    rows: Any, seconds: Any, switched: float, until: float, max_step: float,
 ) -> tuple[float, State, float, State]:
     """
     Return when it is let go (s), the state after that, when it lands (s), and the state then.
@@ -308,11 +306,11 @@ def toss_along(
     Tool and package are those at the start (s). The tool moves along rows (N, 13) at seconds (N,),
     and steadily after them; the valve is switched at a time, or was before. Times are -1 where it
     is not let go before `until`, and the first state is that of then, or where it never lands;
-    below the floor it lands at once. Integration steps are at most `longest` (s).
+    below the floor it lands at once. Integration steps are at most `max_step` (s).
     """
     _, package, gravity = model
     released, body = find_release(
-        model, grip, release.law, start, tool, body, rows, seconds, switched, until, longest)
+        model, grip, release.law, start, tool, body, rows, seconds, switched, until, max_step)
     if released < 0.0:
         return released, body, -1.0, body
     body = free_flight.pushed_off(package, body, release.law[2])
@@ -367,7 +365,7 @@ def write_covariance(of_state: Array, by: Array, covariance: Array) -> bool:
 @kernel
 def toss_with_covariance(
     model: ModelTuple, grip: Grip, release: Release, factor: Factor, tool: State, body: State,
-    rows: Any, seconds: Any, until: float, longest: float, first: int, last: int,
+    rows: Any, seconds: Any, until: float, max_step: float, first: int, last: int,
     of_state: Array, by: Array, covariance: Array,
 ) -> tuple[bool, tuple[float, State, float, State]]:
     """
@@ -387,17 +385,17 @@ def toss_with_covariance(
             continue
         size = DIFFERENCE_STEPS[max(j, 0)]
         changed = Release(changed_law(release.law, size, column), release.box, release.height)
-        found = toss_along(
+        toss_changed = toss_along(
             model, grip, changed, 0.0, tool,
             equilibrium.moved(body, t3.unit(j, size), t3.unit(j - 3, size), t3.unit(j - 6, size),
                               t3.unit(j - 9, size)),
-            rows, seconds, 0.0, until, longest)
-        if found[2] <= found[0]:
-            return False, found
+            rows, seconds, 0.0, until, max_step)
+        if toss_changed[2] <= toss_changed[0]:
+            return False, toss_changed
         if j < 0:
-            nominal = found
+            nominal = toss_changed
         else:
-            shift, turn = landing_error(found[3], nominal[3], model[2])
+            shift, turn = landing_error(toss_changed[3], nominal[3], model[2])
             for k in range(3):
                 by[k, j], by[k + 3, j] = shift[k] / size, turn[k] / size
     return write_covariance(of_state, by, covariance), nominal
@@ -464,12 +462,12 @@ class HeldMotion:
         if self.ends_at_rest:
             still = np.concatenate([rows[-1, :7], np.zeros(6)])
             rows = np.vstack([rows[:-1], still, still])
-            starts = np.append(starts, self.duration + LONGEST_WAIT)
+            starts = np.append(starts, self.duration + MAX_WAIT)
         count = min(max(2, int(np.searchsorted(starts, until)) + 1), len(starts))
         self._longest = equilibrium.largest_step(model)
         durations = np.diff(starts[:count])
         counts = equilibrium.substeps_of(durations, self._longest)
-        simulation.require_steps(float(counts.sum()), MOST_STEPS)
+        simulation.require_steps(float(counts.sum()), MAX_STEPS)
         start = start or simulation.steady_start(model, tool)
         self.start = start = equilibrium.adapted(model, row_state(rows[0]), start)
         size = int(counts.sum()) + 1
@@ -580,7 +578,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
             'plan.')
     if landing < 0.0:
         raise NoLandingError(
-            f'The package does not land within {free_flight.LONGEST_FLIGHT:g} s. Check gravity, '
+            f'The package does not land within {free_flight.MAX_FLIGHT_TIME:g} s. Check gravity, '
             'landing.height and release.impulse.')
     return Toss(released, body, landing, landed)
 

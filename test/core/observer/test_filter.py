@@ -10,7 +10,7 @@ from bellows_ros.core.model.equilibrium import (
 from bellows_ros.core.model.kernels import advance, model_row
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.correction import cups_of, first_memory, NO_CUPS
-from bellows_ros.core.observer.measurement import corrected, innovation, updated, WHITE_SHARE
+from bellows_ros.core.observer.measurement import corrected, innovation_of, updated, WHITE_SHARE
 import numpy as np
 import pytest
 
@@ -175,7 +175,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
         P = ekf.propagated_covariance(P, T, Q, np.full(6, 1e-12), memory)
         scale, position, q = seen[37 * k % len(seen)]
         noise = np.diag(NOISE_STD**2) * scale
-        found = innovation(
+        found = innovation_of(
             own, theta, P, position, q, noise, (ZERO, (0.0, 0.0, 0.0, 1.0), False, 0.0))
         own, theta = corrected(own, theta, P, found)
     scale = np.sqrt(np.diag(P))
@@ -205,18 +205,3 @@ def test_common_scale_is_not_observable():
     np.testing.assert_allclose(error_of(
         later(body, theta, start, end, h), later(body, theta + error[12:, 0], start, end, h)),
         0.0, atol=1e-12)
-
-
-def test_model_changes_as_it_says():
-    """Scale K and P along their axes, mass with inertia; change nothing without a change."""
-    model, theta = model_tuple(CUP, PACKAGE, 9.81), np.zeros(ekf.ALL_ROWS - 12)
-    assert ekf.with_theta(model, theta) == model
-    theta[[0, ekf.STIFFNESS - 12, ekf.DAMPING - 12 + 5]] = np.log([1.1, 1.2, 1.3])
-    theta[ekf.INERTIA - 12] = 1e-4
-    (_, _, K, P), (mass, _, inertia, inverse), _ = ekf.with_theta(model, theta)
-    assert mass == pytest.approx(1.1 * PACKAGE.mass)
-    assert K[0][0] == pytest.approx(1.2 * CUP.stiffness[0, 0])
-    assert P[2][8] == pytest.approx(1.3 * CUP.damping[5, 5])
-    assert inertia[0] == pytest.approx(1.1 * (PACKAGE.inertia[0, 0] + 1e-4))
-    np.testing.assert_allclose(
-        np.reshape(inverse, (3, 3)) @ np.reshape(inertia, (3, 3)), np.eye(3), atol=1e-3)

@@ -90,17 +90,6 @@ def test_without_a_grip_it_is_let_go_after_the_delay():
     assert abs(found.release_time - 0.4 - RELEASE.law[0]) < 1e-9
 
 
-def test_the_more_vacuum_the_later_and_by_tau_times_the_logarithm(held):
-    """At an exponential fall the load L is met at delay + tau ln(V0 / L)."""
-    found = toss(held, RELEASE, 0.9)  # where the load hardly changes
-    j = int(np.searchsorted(held.times, found.release_time))
-    late = found.release_time - 0.9
-    expected = RELEASE.law[0] + RELEASE.law[1] * math.log(tosses.GRIP[0] / held.loads[j])
-    assert abs(late - expected) < 2e-4
-    at_once = toss(held, RELEASE._replace(law=(0.012, *NO_LAW[1:])), 0.9)
-    assert abs(at_once.release_time - 0.912) < 1e-9
-
-
 def test_a_grip_that_is_lost_before_is_found(held):
     """The instant from which the load is above the suction, and letting go with the valve."""
     weak = HeldMotion(MODEL, (60.0, *tosses.GRIP[1:]), tosses.plan())
