@@ -110,18 +110,18 @@ class ArmLimits:
                             self.start.position - self.lower)
         found = {'workspace': np.abs(shift / headroom).max(),
                  'rotation': np.abs(turn / self.turn).max()}
-        for name, most in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
-            found[name.replace('_', ' ')] = most / self.rates[name]
+        for name, peak in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
+            found[name.replace('_', ' ')] = peak / self.rates[name]
         if self.arm is not None:
-            few = slice(None, None, round(CHECK_RATE / JOINT_RATE))
-            spline = CubicSpline(
-                tool.seconds[few], self.arm.positions(transform(R[few], o[few]), self.joints))
+            coarse = slice(None, None, round(CHECK_RATE / JOINT_RATE))
+            joints = self.arm.positions(transform(R[coarse], o[coarse]), self.joints)
+            spline = CubicSpline(tool.seconds[coarse], joints)
             q, speed = spline(tool.seconds), spline(tool.seconds, 1)
             for i, joint in enumerate(self.arm.moving_joints):
-                off = q[:, i] - self.joints[i]
-                ends = np.where(off > 0.0, joint.upper, -joint.lower)
-                ends = ends - np.where(off > 0.0, self.joints[i], -self.joints[i])
-                found[f'{joint.name} range'] = np.abs(off / ends).max()
+                offset = q[:, i] - self.joints[i]
+                ends = np.where(offset > 0.0, joint.upper, -joint.lower)
+                ends = ends - np.where(offset > 0.0, self.joints[i], -self.joints[i])
+                found[f'{joint.name} range'] = np.abs(offset / ends).max()
                 found[f'{joint.name} speed'] = np.abs(speed[:, i]).max() / joint.speed
         return {name: float(ratio) for name, ratio in found.items()}
 

@@ -61,7 +61,7 @@ def motion_information(
     """
     body = simulate(gripper_of(cup, structure.places), package, tool, gravity=gravity)
     density = np.sqrt(tracking.tool_period / tracking.package_period)
-    of_tool, of_package = (BodyNoise(np.repeat(own, 3)) for own in (
+    of_tool, of_package = (BodyNoise(np.repeat(std, 3)) for std in (
         density * np.array(tracking.tool), tracking.package))
     measured = Measured(tool, body, package, gravity, of_tool, of_package)
     search = Search([Segment(measured)], structure, cup, {})
@@ -133,8 +133,8 @@ def _linear(
     """Return transfer (F, 6, 6), spectrum of the measured poses' noise (F, 6, 6), and the rest."""
     rest = static_equilibrium(model, tool)
     J, s = linearise(model, tool, rest), 1j * omega.reshape(-1, 1, 1)
-    own: Any = s**2 * np.eye(6) - s * J.body_twist - J.body_pose
-    package = np.linalg.solve(own, J.tool_pose + s * J.tool_twist)
+    dynamics: Any = s**2 * np.eye(6) - s * J.body_twist - J.body_pose
+    package = np.linalg.solve(dynamics, J.tool_pose + s * J.tool_twist)
     if tracking is None:
         return package, package, rest
     period = tracking.package_period
@@ -142,7 +142,7 @@ def _linear(
     lags: Any = np.arange(-TOOL_HALF_WINDOW, TOOL_HALF_WINDOW + 1) * period
     wave = np.exp(s[:, :, 0] * lags)
     driven = np.linalg.solve(
-        own, (wave @ value)[:, None, None] * J.tool_pose
+        dynamics, (wave @ value)[:, None, None] * J.tool_pose
         + (wave @ slope)[:, None, None] * J.tool_twist)
     variances = [np.repeat(noise, 3) ** 2 for noise in (tracking.tool, tracking.package)]
     density = variances[0] * tracking.tool_period / period

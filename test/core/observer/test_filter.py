@@ -181,27 +181,3 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     scale = np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(P / np.outer(scale, scale))[0] > 0.0
     np.testing.assert_array_equal(P, P.T)
-
-
-def test_common_scale_is_not_observable():
-    """Change no motion by scaling mass, inertia, K, P and wrench alike, at any estimate."""
-    rng = np.random.default_rng(3)
-    _, tool = tool_motion(rng, 0.3)
-    theta = theta_of(rng)
-    start, end = tool[30:32]
-    model, h = model_tuple(CUP, PACKAGE, 9.81), 0.004
-    body = moved_by(static_equilibrium(model, start), rng.normal(size=12) * 0.01)
-    rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
-    T = ekf.identity_transition(ekf.ALL_ROWS)
-    ekf.propagated(
-        model, theta, start, body, T, np.zeros((12, 12)), np.array([0, 4_000_000]), *rows, False,
-        1, 0, 4_000_000, largest_step(model), np.zeros((12, 12)), NO_CUPS, np.zeros((0, 12, 13)))
-    error = np.zeros((ekf.ALL_ROWS, 1))
-    error[[ekf.MASS, *range(ekf.STIFFNESS, ekf.MARKER), *range(ekf.DAMPING, ekf.INERTIA)]] = 0.1
-    alone = error * (np.arange(ekf.ALL_ROWS) == ekf.MASS)[:, None]
-    seen, by_mass = (ekf.times_transition(T, e, np.empty((12, 1)))[:, 0] for e in (error, alone))
-    assert np.abs(by_mass[6:]).max() > 1e-3
-    np.testing.assert_allclose(seen, 0.0, atol=1e-12)
-    np.testing.assert_allclose(error_of(
-        later(body, theta, start, end, h), later(body, theta + error[12:, 0], start, end, h)),
-        0.0, atol=1e-12)
