@@ -304,29 +304,29 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     if len(drops) < MIN_DROPS:
         raise UndeterminedError(
             f'The release needs {MIN_DROPS} or more usable drops, got {len(drops)}. Record more.')
-    known = drops[0].grip[1] > 0.0
-    few = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // FIRST_DROPS)]
-    fall = float(np.median([_fall(drop) - drop.valve for drop in few]))
+    has_grip = drops[0].grip[1] > 0.0
+    subset = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // FIRST_DROPS)]
+    fall = float(np.median([_fall(drop) - drop.valve for drop in subset]))
     closed = np.array(given)
-    closed[[0, 1]] = (max(fall - 0.02, 1e-3), 0.01) if known else (fall, 0.0)
+    closed[[0, 1]] = (max(fall - 0.02, 1e-3), 0.01) if has_grip else (fall, 0.0)
     closed[3:] = 0.0
-    best = _fitted(few, closed, (0, 1, 2) if known else (0, 2))
-    if known and best.std[1] > 0.5 * best.law[1]:
+    best = _fitted(subset, closed, (0, 1, 2) if has_grip else (0, 2))
+    if has_grip and best.std[1] > 0.5 * best.law[1]:
         closed[1] = given[1]
-        best = _fitted(few, closed, (0, 2))
+        best = _fitted(subset, closed, (0, 2))
     if not best.explains or best.lack > MAX_LACK:
-        openings = [_fitted(few, start, OPENING) for start in _openings(few, fall)]
+        openings = [_fitted(subset, start, OPENING) for start in _openings(subset, fall)]
         opened = min(openings, key=_squares)
         if not best.explains or _squares(opened) < MAX_SQUARES_RATIO * _squares(best):
             best = opened
     if best.free == OPENING:
         shorter = np.array(best.law)
         shorter[[1, 3]] = 0.15, max((1.0 + best.law[3]) * 0.15 / best.law[1] - 1.0, 0.0)
-        further = _fitted(few, shorter, (1, *OPENING))
+        further = _fitted(subset, shorter, (1, *OPENING))
         if _squares(further) < MAX_SQUARES_RATIO * _squares(best) and (
                 further.std[1] < MAX_RELATIVE_ERROR * further.law[1] or not best.explains):
             best = further
-    if len(few) < len(drops):
+    if len(subset) < len(drops):
         best = _fitted(drops, np.array(best.law), best.free)
     if best.explains:
         return _identifiable(drops, best, given, given_std)
@@ -344,24 +344,24 @@ def _identifiable(
 ) -> ReleaseFit:
     """Return a fit of the identifiable numbers alone; the worst of the others go first."""
     opens = fit.law[5] > 0.0
-    known = np.array(TYPICAL_LAW if opens and not given[5] > 0.0 else given)
+    default = np.array(TYPICAL_LAW if opens and not given[5] > 0.0 else given)
     std = np.where(np.array(given_std) > 0.0, given_std,
-                   MAX_RELATIVE_ERROR * np.where(known > 0.0, known, SMALL))
+                   MAX_RELATIVE_ERROR * np.where(default > 0.0, default, SMALL))
     held = np.zeros(8)
     while True:
-        part = fit.std / np.maximum(np.abs(fit.law), SMALL)
-        wide = [k for k in fit.free if part[k] >= MAX_RELATIVE_ERROR]
+        relative = fit.std / np.maximum(np.abs(fit.law), SMALL)
+        wide = [k for k in fit.free if relative[k] >= MAX_RELATIVE_ERROR]
         if not wide:
             return fit
-        worst = max(wide, key=lambda k: float(part[k]) if k else 0.0)
+        worst = max(wide, key=lambda k: float(relative[k]) if k else 0.0)
         law = np.array(fit.law)
-        law[worst], held[worst] = known[worst], std[worst]
+        law[worst], held[worst] = default[worst], std[worst]
         if worst:
             fit = _fitted(drops, law, tuple(k for k in fit.free if k != worst), held)
         if not (worst and fit.explains):
             raise UndeterminedError(
                 f'The drops do not determine {RELEASE_NAMES[worst]}: they differ too much from '
-                f'each other, or too little in mass. With {known[worst]:.3g} '
+                f'each other, or too little in mass. With {default[worst]:.3g} '
                 f'{PARAMETERS[RELEASE_NAMES[worst]].unit} for it, the law leaves '
                 f'{1e3 * fit.position:.2g} mm of their positions. Record more drops, of packages '
                 'from half to twice this mass, or give the number.')
