@@ -174,14 +174,13 @@ _MAX_MOVE = 0.3  # m or rad, of one iteration
 _DIFFERENCE = 1e-6  # m or rad
 
 
-def static_equilibrium(model: ModelTuple, tool: State, near: State | None = None) -> State:
+def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = None) -> State:
     """
     Return the state in which the package hangs at rest from a tool at rest (3.9).
 
     The load is put on in steps from the nominal pose, each solved by Newton's method, so that of
-    several equilibria the one that a real cup reaches is found; or all of it is at once on a
-    package that is near to its rest. It is sought in tool axes: where in the world the tool is
-    does not matter.
+    several equilibria the one that a real cup reaches is found; or at once from a guess of the
+    package at rest. The search is in tool axes: the tool's pose in the world does not matter.
 
     Raises
     ------
@@ -190,9 +189,9 @@ def static_equilibrium(model: ModelTuple, tool: State, near: State | None = None
 
     """
     start, loads = resting_on_tool(model, ORIGIN), _LOADS
-    if near is not None:
-        shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(near[0], tool[0]))
-        turn = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), near[1])
+    if guess is not None:
+        shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(guess[0], tool[0]))
+        turn = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), guess[1])
         start, loads = (shift, turn, ZERO, ZERO), 1
     body, is_stable = _loaded(model, tool, start[:4], loads, np.zeros((6, 6)), np.zeros(6))
     if not is_stable:

@@ -158,16 +158,16 @@ def damper_jacobians(
     By twist it is -D1 = -1/2 (P + G), G = X^T P X; by shift and turn, with F = G v1,
     -1/2 ([[0, F_o^], [F_o^, F_R^]] - G ad(v1)).
     """
-    whole = P[0], P[1], t3.transposed(P[1]), P[2]
+    full = P[0], P[1], t3.transposed(P[1]), P[2]
     back = t3.transposed(R)
-    at_S2 = turn_right(shift_left(o, shift_right(whole, o)), back)
+    at_S2 = turn_right(shift_left(o, shift_right(full, o)), back)
     G = (t3.multiply(back, at_S2[0]), t3.multiply(back, at_S2[1]),
          t3.multiply(back, at_S2[2]), t3.multiply(back, at_S2[3]))
     F_o, F_R = apply_square(G, v, w)
     force = t3.hat(F_o)
     by_pose = add_scaled_square(
         times_twist(G, v, w), -1.0, (NOTHING, force, force, t3.hat(F_R)))
-    return scale_square(0.5, by_pose), scale_square(-0.5, add_scaled_square(whole, 1.0, G))
+    return scale_square(0.5, by_pose), scale_square(-0.5, add_scaled_square(full, 1.0, G))
 
 
 @kernel

@@ -105,8 +105,8 @@ def effective_strain(h: Strain, branches: tuple[Branch, ...], strains: Strains) 
     if len(strains) == 0:
         return h
     r, s = branches[0][0], branches[1][0]
-    whole = t3.scale(1.0 + r + s, h[0]), t3.scale(1.0 + r + s, h[1])
-    return add_scaled_strain(add_scaled_strain(whole, -r, strains[0]), -s, strains[1])
+    total = t3.scale(1.0 + r + s, h[0]), t3.scale(1.0 + r + s, h[1])
+    return add_scaled_strain(add_scaled_strain(total, -r, strains[0]), -s, strains[1])
 
 
 @kernel

@@ -37,9 +37,9 @@ def stands(row: Array) -> bool:
     return bool(speed <= STILL[0] and rate <= STILL[1])
 
 
-def rest(model: ModelTuple, row: Array, near: State | None = None) -> State:
-    """Return the package at rest under the tool of a row (13,), near a state if given."""
-    return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), near)
+def rest(model: ModelTuple, row: Array, guess: State | None = None) -> State:
+    """Return the package at rest under the tool of a row (13,), sought from a guess if any."""
+    return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), guess)
 
 
 MOST_STEPS = 10_000_000
@@ -60,13 +60,13 @@ MAX_NEWTON_STEPS, MAX_NEWTON_STEP = 30, 0.1
 
 
 def steady_start(
-    model: ModelTuple, tool: Trajectory | ToolRows, near: State | None = None
+    model: ModelTuple, tool: Trajectory | ToolRows, guess: State | None = None
 ) -> State:
     """
     Return the package in steady motion at a plan's first point: at rest where the tool is.
 
     Where the tool moves, the package hangs as if the plan's first acceleration had lasted: it
-    moves with the tool like one body. It is sought near a state if given.
+    moves with the tool like one body. The search at rest starts from a guess.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def steady_start(
     """
     rows = tool_rows(tool)
     if stands(rows[0]):
-        return rest(model, rows[0], near)
+        return rest(model, rows[0], guess)
     hanging, first = rest(model, rows[0]), row_state(rows[0])
     duration = float(tool.seconds[1])
     segment = kernels.tool_segment(first, row_state(rows[1]), duration)

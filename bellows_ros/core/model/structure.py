@@ -32,7 +32,7 @@ THESIS_LENGTH = 0.0481
 CENTRE = (0.0, 0.0, 0.0)
 """The layout of a single cup."""
 
-MOST_CUPS, FARTHEST, NEAREST = 32, 2.0, 5e-3
+MAX_CUPS, REACH, CLEARANCE = 32, 2.0, 5e-3
 """Largest number of cups, and distance (m) from E; smallest distance of two."""
 
 UPPER = np.triu_indices(6)
@@ -55,21 +55,21 @@ def positions_of(layout: Sequence[float]) -> Array:
             f'cup.layout has {len(layout)} numbers; expected x, y and z of each cup in the tool, '
             'one cup after the other: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
     places = np.reshape(np.array(layout, dtype=np.float64), (-1, 3))
-    if len(places) > MOST_CUPS:
+    if len(places) > MAX_CUPS:
         raise BellowsError(
-            f'cup.layout has {len(places)} cups; expected at most {MOST_CUPS}. Fit a gripper of '
+            f'cup.layout has {len(places)} cups; expected at most {MAX_CUPS}. Fit a gripper of '
             'more as one cup (fit.structure: full).')
     farthest = float(np.abs(places).max())
-    if farthest > FARTHEST:
+    if farthest > REACH:
         raise BellowsError(
-            f'cup.layout has a cup {farthest:g} m from the tool; expected at most {FARTHEST:g} m. '
+            f'cup.layout has a cup {farthest:g} m from the tool; expected at most {REACH:g} m. '
             'Is it in mm?')
-    apart = np.linalg.norm(places[:, None] - places, axis=2) + np.diag([np.inf] * len(places))
-    i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
-    if apart[i, j] < NEAREST:
+    gaps = np.linalg.norm(places[:, None] - places, axis=2) + np.diag([np.inf] * len(places))
+    i, j = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
+    if gaps[i, j] < CLEARANCE:
         raise BellowsError(
-            f'cup.layout: cups {min(i, j)} and {max(i, j)} are {1e3 * apart[i, j]:.3g} mm apart; '
-            f'expected at least {1e3 * NEAREST:g} mm. Give each cup once, in m.')
+            f'cup.layout: cups {min(i, j)} and {max(i, j)} are {1e3 * gaps[i, j]:.3g} mm apart; '
+            f'expected at least {1e3 * CLEARANCE:g} mm. Give each cup once, in m.')
     return places
 
 
@@ -378,7 +378,7 @@ The rounded figures of a thin plate's data sheet may be so.
 SYMMETRIC_WITHIN = 1e-9
 """Relative difference of a matrix and its transpose that counts as rounding."""
 
-SOFTEST = 1e-6
+MIN_STIFFNESS = 1e-6
 """Smallest eigenvalue (N/m, N m/rad) of a stiffness: a million times softer than any cup."""
 
 
@@ -404,11 +404,11 @@ def require_stiffness(stiffness: Array, name: str = 'cup.stiffness') -> None:
 
     """
     smallest, rounding = _smallest_eigenvalue(name, stiffness)
-    if smallest <= rounding or smallest < SOFTEST:
+    if smallest <= rounding or smallest < MIN_STIFFNESS:
         what = 'not positive definite' if smallest <= rounding else 'too soft to hold a package'
         raise BellowsError(
             f'{name} is {what}: its smallest eigenvalue is {smallest:.6g}, expected at least '
-            f'{SOFTEST:g}. Check signs, rows and units (N/m, N and N m/rad), or identify it '
+            f'{MIN_STIFFNESS:g}. Check signs, rows and units (N/m, N and N m/rad), or identify it '
             'again.')
 
 

@@ -135,9 +135,9 @@ class Arm:
         J = np.swapaxes(T[:, None, :3, :3], -1, -2) @ np.array(columns).transpose(2, 1, 3, 0)
         return np.asarray(J.reshape(len(T), 6, len(axes)))
 
-    def positions(self, T: Array, near: Array) -> Array:
+    def positions(self, T: Array, guess: Array) -> Array:
         """
-        Return the joints (N, M) for tool poses (N, 4, 4), near the given ones, (M,) or (N, M).
+        Return the joints (N, M) for tool poses (N, 4, 4), sought from a guess, (M,) or (N, M).
 
         Raises
         ------
@@ -145,7 +145,7 @@ class Arm:
             If a pose is out of reach, or lies beyond a singularity.
 
         """
-        position = np.array(np.broadcast_to(near, (len(T), len(self.moving))))
+        position = np.array(np.broadcast_to(guess, (len(T), len(self.moving))))
         for _ in range(MAX_ITERATIONS):
             error = lie.log_se3(lie.inverse_transform(self.tool(position)[0]) @ T)
             if np.abs(error).max() < POSE_TOLERANCE:

@@ -100,10 +100,10 @@ def excess(
     limits: Limits, tool: Trajectory, safety_factor: float, joints: tuple[float, str] = (1.0, '')
 ) -> tuple[float, str]:
     """Return the factor on time that is needed at least, 1 if none is, and the limit."""
-    asked = demands(tool)
+    rates = demands(tool)
     inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
     factors = [
-        *(((asked[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
+        *(((rates[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
           for i, name in enumerate(RATES)),
         (1.0 if inside.all() else MIN_STRETCH, 'workspace'),
         (1.0 if safety_factor >= limits.safety_factor else MIN_STRETCH, 'safety_factor'), joints]

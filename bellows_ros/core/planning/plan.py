@@ -52,6 +52,10 @@ SAME_TILT = 0.05
 NEVER = np.zeros(1, np.bool_)
 """Does not stop a prediction."""
 
+Extremes = tuple[Array, Array, Array]
+"""Peaks (8, 3) as in `PlanPrediction`; time and value of each at the two samples before (8, 4);
+and the range of the lip's shift and rotation vector with the largest twist (6, 3)."""
+
 UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 """Passed to the kernel if the grip is unknown; the loads are then not used."""
 
@@ -198,7 +202,7 @@ class PlanSimulation:
         """Return 1 over the smallest safety factor, or a load above a ceiling if one is."""
         if self._simulate_plan(duration_scale, ceiling):
             self._simulate_decay(ceiling)
-        return float(self._out[3][:2, 0].max())
+        return float(self._extremes[0][:2, 0].max())
 
     def predict(self) -> PlanPrediction:
         """Return the prediction of the plan as it is, and of the package swinging out."""
@@ -208,36 +212,34 @@ class PlanSimulation:
     def states(self) -> Array:
         """Predict along the plan alone, which is available first, as an array (N, 13)."""
         self._simulate_plan(1.0, math.inf)
-        if not np.isfinite(self._out[0]).all():
+        if not np.isfinite(self._samples[0]).all():
             raise simulation.diverged()
-        return self._out[0].copy()
+        return self._samples[0].copy()
 
     def prediction(self) -> PlanPrediction:
         """Return the whole prediction after `states`, including the time after the end."""
         settled = self._simulate_decay(math.inf)
-        states, wrench, loads, peaks, lip = self._out
-        return PlanPrediction(
-            self.tool, states, wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
-            self._grip, self._tail > 0.0)
+        peaks, _, lip = self._extremes
+        return PlanPrediction(self.tool, *self._samples, peaks, settled, lip[:, :2], lip[:, 2],
+                              self._grip, self._tail > 0.0)
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
         """Fill in the arrays along the plan; return whether all loads were below the ceiling."""
-        n = len(self._rows)
-        self._out = (np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2)),
-                     np.empty((len(PEAKS), 3)), np.empty((6, 3)))
-        self._past = np.full((len(PEAKS), 4), math.inf)  # no sample yet
+        n, no_sample = len(self._rows), np.full((len(PEAKS), 4), math.inf)
+        self._samples = np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2))
+        self._extremes = (np.zeros((len(PEAKS), 3)), no_sample,
+                          np.tile([math.inf, -math.inf, 0.0], (6, 1)))
         self._body, self._seconds, below = self._run(
             _simulate_plan, self._start, *self._inputs, duration_scale, self._longest, ceiling,
-            *self._out, self._past)
+            self._samples, self._extremes)
         return bool(below)
 
     def _simulate_decay(self, ceiling: float) -> float:
         """Continue after the end; return the time (s) until the package has settled."""
         h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
-        _, _, _, peaks, lip = self._out
         return float(self._run(
             _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
-            self._seconds, h, math.ceil(self._tail / h), ceiling, peaks, self._past, lip))
+            self._seconds, h, math.ceil(self._tail / h), ceiling, self._extremes))
 
     def _run(self, simulate: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a kernel does; raise where it diverges or another thread has stopped it."""
@@ -251,13 +253,13 @@ class PlanSimulation:
 
 
 def rest_after(
-    model: ModelTuple, first: Array, start: State, last: Array, near: State | None = None
+    model: ModelTuple, first: Array, start: State, last: Array, guess: State | None = None
 ) -> State:
     """
     Return the package at rest under a row, starting from its rest under another one.
 
-    Where the tool hardly tilts in between it hangs nearly alike; else it is sought near a state.
-    Where nothing is found there, it is sought from the beginning.
+    The guess is replaced by the first rest, moved rigidly, where the tool hardly tilts in between.
+    Where the search from it fails, it starts from the nominal pose.
     """
     (o, q, *_), (o_end, q_end, *_) = simulation.row_state(first), simulation.row_state(last)
     R, R_end = t3.rotation_matrix(q), t3.rotation_matrix(q_end)
@@ -265,10 +267,10 @@ def rest_after(
     if t3.norm(tilt) <= SAME_TILT * t3.norm(model[2]):
         shift = t3.apply_transposed(R, t3.subtract(start[0], o))
         turn = t3.quaternion_product(t3.quaternion_conjugate(q), start[1])
-        near = (t3.add(o_end, t3.apply(R_end, shift)), t3.quaternion_product(q_end, turn),
-                t3.ZERO, t3.ZERO)
+        guess = (t3.add(o_end, t3.apply(R_end, shift)), t3.quaternion_product(q_end, turn),
+                 t3.ZERO, t3.ZERO)
     try:
-        return simulation.rest(model, last, near)
+        return simulation.rest(model, last, guess)
     except UnstableError:
         return simulation.rest(model, last)
 
@@ -294,14 +296,13 @@ def rigid_moment(model: ModelTuple, tool: State, acceleration: Vector) -> float:
 
 
 @kernel
-def update_peak(peaks: Array, past: Array, i: int, t: float, value: float) -> bool:
+def update_peak(extremes: Extremes, i: int, t: float, value: float) -> bool:
     """
     Keep the largest value of a quantity, and return whether it grew.
 
     It is the vertex of the parabola through three samples.
-
-    past (., 4) holds time and value of the two samples before.
     """
+    peaks, past, _ = extremes
     before = peaks[i, 0]
     if value > before:
         peaks[i, 0], peaks[i, 1] = value, t
@@ -319,11 +320,12 @@ def update_peak(peaks: Array, past: Array, i: int, t: float, value: float) -> bo
 
 @kernel
 def record_sample(
-    model: ModelTuple, grip: Grip, tool: State, body: State, t: float,
-    wrench: Array, loads: Array, peaks: Array, past: Array, lip: Array,
+    model: ModelTuple, grip: Grip, tool: State, body: State, t: float, wrench: Array,
+    loads: Array, extremes: Extremes,
 ) -> float:
     """Write wrench and loads of a state, update the peaks, and return the larger load."""
     cup, package, _ = model
+    peaks, _, lip = extremes
     o, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
     f, m = kernels.cup_wrench(cup, o, R, v, w, body[4:])
     peel, slip, peeling, slipping = least_factors(grip, cup, o, R, v, w, body[4:], f, m)
@@ -333,14 +335,14 @@ def record_sample(
     wrench[3], wrench[4], wrench[5] = m
     shift = (o[0], o[1], o[2] + cup[1])
     turn = t3.turn_between(tool[1], body[1])
-    if update_peak(peaks, past, 0, t, loads[0]):
+    if update_peak(extremes, 0, t, loads[0]):
         peaks[0, 2] = peeling
-    if update_peak(peaks, past, 1, t, loads[1]):
+    if update_peak(extremes, 1, t, loads[1]):
         peaks[1, 2] = slipping
-    update_peak(peaks, past, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
-    update_peak(peaks, past, 3, t, t3.norm(shift))
-    update_peak(peaks, past, 4, t, t3.norm(f))
-    update_peak(peaks, past, 5, t, t3.norm(m))
+    update_peak(extremes, 2, t, math.atan2(math.sqrt(R[2] * R[2] + R[5] * R[5]), R[8]))
+    update_peak(extremes, 3, t, t3.norm(shift))
+    update_peak(extremes, 4, t, t3.norm(f))
+    update_peak(extremes, 5, t, t3.norm(m))
     for i in range(3):
         lip[i, 0], lip[i, 1] = min(lip[i, 0], shift[i]), max(lip[i, 1], shift[i])
         lip[i + 3, 0], lip[i + 3, 1] = min(lip[i + 3, 0], turn[i]), max(lip[i + 3, 1], turn[i])
@@ -351,8 +353,8 @@ def record_sample(
 @kernel
 def _simulate_plan(
     model: ModelTuple, grip: Grip, start: State, rows: Any, durations: Any, duration_scale: float,
-    longest: float, ceiling: float, states: Array, wrench: Array, loads: Array, peaks: Array,
-    lip: Array, past: Array, stop: Mask
+    longest: float, ceiling: float, samples: tuple[Array, Array, Array], extremes: Extremes,
+    stop: Mask,
 ) -> tuple[State, float, bool]:
     """
     Advance along the plan until a load is above the ceiling.
@@ -360,12 +362,11 @@ def _simulate_plan(
     Return the state at the end, when that is (s), and whether all loads are below.
     """
     arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
-    peaks[:] = 0.0
-    lip[:, 0], lip[:, 1], lip[:, 2] = math.inf, -math.inf, 0.0
+    (states, wrench, loads), (peaks, _, _) = samples, extremes
     body, tool, t = start, slowed(simulation.row_state(rows[0]), duration_scale), 0.0
     simulation.write_row(states[0], body)
     velocity = rigid_velocity(tool, arm)
-    if record_sample(model, grip, tool, body, t, wrench[0], loads[0], peaks, past, lip) > ceiling:
+    if record_sample(model, grip, tool, body, t, wrench[0], loads[0], extremes) > ceiling:
         return body, t, False
     for k in range(len(durations)):
         if stop[0]:
@@ -382,7 +383,7 @@ def _simulate_plan(
             tool = end
             now = t + (i + 1.0) * h
             load = record_sample(
-                model, grip, tool, body, now, wrench[k + 1], loads[k + 1], peaks, past, lip)
+                model, grip, tool, body, now, wrench[k + 1], loads[k + 1], extremes)
             if load > ceiling:
                 return body, now, False
             before, velocity = velocity, rigid_velocity(tool, arm)
@@ -397,7 +398,7 @@ def _simulate_plan(
 @kernel
 def _simulate_decay(
     model: ModelTuple, grip: Grip, hanging: Quaternion, tool: State, body: State, t: float,
-    h: float, count: int, ceiling: float, peaks: Array, past: Array, lip: Array, stop: Mask,
+    h: float, count: int, ceiling: float, extremes: Extremes, stop: Mask,
 ) -> float:
     """
     Let the package swing under a tool at rest, until a load is above the ceiling.
@@ -407,13 +408,13 @@ def _simulate_decay(
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
     settled, turn = 0.0, t3.norm(t3.turn_between(hanging, body[1]))
-    update_peak(peaks, past, 7, t, turn)
+    update_peak(extremes, 7, t, turn)
     for i in range(count):
         before, since = turn, (i + 1.0) * h
         body = kernels.step(model, body, tool, tool, tool, h)
-        load = record_sample(model, grip, tool, body, t + since, wrench, loads, peaks, past, lip)
+        load = record_sample(model, grip, tool, body, t + since, wrench, loads, extremes)
         turn = t3.norm(t3.turn_between(hanging, body[1]))
-        update_peak(peaks, past, 7, t + since, turn)
+        update_peak(extremes, 7, t + since, turn)
         if load > ceiling or turn > OVERTURNED or stop[0]:
             return math.inf
         if turn > SETTLED:

@@ -22,19 +22,19 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-MOST_POINTS, LONGEST = 100_000, 600.0
+MOST_POINTS, MAX_TIME = 100_000, 600.0
 """Most points of a plan, and its longest duration (s)."""
 
-LARGEST_NUMBER = 1e9
+MAX_NUMBER = 1e9
 """No number of a plan (m, rad, and their rates) is as large; more overflows in its polynomials."""
 
-LONGEST_GAP_NS = 10_000_000
+MAX_GAP_NS = 10_000_000
 """Points farther apart (ns) are interpolated."""
 
-SLACK = (1e-3, 1e-2)
+JUMP_TOLERANCE = (1e-3, 1e-2)
 """Points closer than this (m, rad) are no jump, however short the time."""
 
-DENSE, MISFIT = 20, 0.5
+MIN_FITTED_POINTS, MISFIT = 20, 0.5
 """With this many points, velocities that deviate from the steps by this fraction are wrong."""
 
 
@@ -94,10 +94,10 @@ def rows_of(
         q = _near_quaternions(lie.quaternion_to_rotation(poses[:, 3:]))
         curve = CubicSpline(t, np.hstack([poses[:, :3], q]), bc_type='clamped')
         rows[:, 7:] = body_twists(q, curve(t, 1))[1]
-    elif len(poses) >= DENSE:
+    elif len(poses) >= MIN_FITTED_POINTS:
         _require_fitting(np.sqrt(fit / (3 * len(durations))), name)
     plan = ToolRows(stamps_ns, rows)
-    if np.diff(stamps_ns).max() <= LONGEST_GAP_NS:
+    if np.diff(stamps_ns).max() <= MAX_GAP_NS:
         return plan
     if acceleration is not None:
         R, (linear, angular) = lie.quaternion_to_rotation(poses[:, 3:]), np.hsplit(acceleration, 2)
@@ -155,8 +155,8 @@ def plan_of_joints(
 
 
 def _without_gaps(stamps_ns: Stamps) -> Stamps:
-    """Return stamps at most `LONGEST_GAP_NS` apart."""
-    return subdivided(stamps_ns, -(-np.diff(stamps_ns) // LONGEST_GAP_NS))
+    """Return stamps at most `MAX_GAP_NS` apart."""
+    return subdivided(stamps_ns, -(-np.diff(stamps_ns) // MAX_GAP_NS))
 
 
 def _near_quaternions(rotation: Array) -> Array:
@@ -203,7 +203,7 @@ def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
 
 def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
     """
-    Return a plan with points inserted where gaps exceed `LONGEST_GAP_NS`.
+    Return a plan with points inserted where gaps exceed `MAX_GAP_NS`.
 
     With accelerations (N, 6), of the tool tip in world axes and of rotation in its own, positions
     and quaternions of the points put in lie on quintic polynomials, otherwise poses on cubic ones.
@@ -262,9 +262,9 @@ def _refuse(bad: Any, name: str, what: str, expected: str, remedy: str) -> None:
 def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str) -> None:
     """Refuse a bad number of points, numbers that are not finite, and times that no plan has."""
     require_count(len(stamps_ns), name)
-    given = np.hstack([part for part in parts if part is not None])
-    _refuse(~(np.abs(given) < LARGEST_NUMBER).all(axis=1), name,
-            'holds NaN, infinity or a huge number', f'numbers below {LARGEST_NUMBER:g}',
+    numbers = np.hstack([part for part in parts if part is not None])
+    _refuse(~(np.abs(numbers) < MAX_NUMBER).all(axis=1), name,
+            'holds NaN, infinity or a huge number', f'numbers below {MAX_NUMBER:g}',
             'Leave such points out.')
     steps = np.diff(stamps_ns)
     if steps.min() <= 0:
@@ -274,9 +274,9 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
             f'{name}: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one at {t[0]:.6f} '
             's; expected times that increase. Sort the points, and leave repeated ones out.')
     seconds = float(stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
-    if seconds > LONGEST:
+    if seconds > MAX_TIME:
         raise BellowsError(
-            f'{name} takes {seconds:g} s; expected at most {LONGEST:g}. Check that its times are '
+            f'{name} takes {seconds:g} s; expected at most {MAX_TIME:g}. Check that its times are '
             'in seconds.')
 
 
@@ -324,8 +324,8 @@ def _write_motion(
 def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
     """Refuse a motion that no arm can follow; sizes as in `_write_motion`."""
     moved, turned = sizes[:-1, 1], sizes[:-1, 2]
-    jump = (moved > SLACK[0] + LARGEST_SPEED * durations) | (
-        turned > SLACK[1] + LARGEST_RATE * durations)
+    jump = (moved > JUMP_TOLERANCE[0] + LARGEST_SPEED * durations) | (
+        turned > JUMP_TOLERANCE[1] + LARGEST_RATE * durations)
     if jump.any():
         i = int(np.argmax(jump))
         raise BellowsError(
@@ -340,21 +340,21 @@ def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
 def _require_fitting(fit: Array, name: str) -> None:
     """Refuse velocities that are not those of the poses; as `_write_motion` has it, but RMS."""
     for what, (size, miss) in (('velocities', fit[:2]), ('angular velocities', fit[2:])):
-        if miss > MISFIT * size + SLACK[0]:
+        if miss > MISFIT * size + JUMP_TOLERANCE[0]:
             raise BellowsError(
                 f'{name}: its {what} do not fit its poses: they differ by {miss:.3g} from steps '
                 f'of {size:.3g} (RMS, m/s or rad/s); expected the same motion. Check '
                 'tool_twist.frame (world or tool) and the units, or leave velocities out.')
 
 
-SMALLEST_GAIN = 0.01
+MIN_GAIN = 0.01
 """A pose is singular where a unit speed of the joints (rad/s, m/s) moves the tool less in some
 direction, m/s or rad/s."""
 
-LARGEST_JUMP = 0.5
+MAX_JUMP = 0.5
 """Largest step of a joint between points, rad or m: more is another configuration."""
 
-LARGEST_JOINT_STEP = 0.01
+MAX_SPACING = 0.01
 """Largest time between points of a motion of joints, s, however few the request had."""
 
 CHECK_RATE = 1000.0
@@ -397,16 +397,16 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
     position = arm.positions(lie.transform(tool.rotation, tool.position), near)
     J = arm.jacobian(position)
     gains = np.linalg.svd(J, compute_uv=False)[:, -1]
-    if gains[worst := int(np.argmin(gains))] < SMALLEST_GAIN:
+    if gains[worst := int(np.argmin(gains))] < MIN_GAIN:
         raise BellowsError(
             f'The arm is singular at {seconds[worst]:.3f} s: a joint speed of 1 rad/s moves the '
             f'tool by {gains[worst]:.2g} m/s or rad/s in some direction, expected at least '
-            f'{SMALLEST_GAIN:g}. Start in another configuration, or move the path.')
+            f'{MIN_GAIN:g}. Start in another configuration, or move the path.')
     jumps = np.abs(np.diff(position, axis=0)).max(axis=1)
-    if jumps[worst := int(np.argmax(jumps))] > LARGEST_JUMP:
+    if jumps[worst := int(np.argmax(jumps))] > MAX_JUMP:
         raise BellowsError(
             f'The arm changes its configuration at {seconds[worst]:.3f} s: a joint moves by '
-            f'{jumps[worst]:.2g} rad or m between two points, expected at most {LARGEST_JUMP:g}. '
+            f'{jumps[worst]:.2g} rad or m between two points, expected at most {MAX_JUMP:g}. '
             'Start in another configuration, or give more points.')
     slope = CubicSpline(seconds, position)(seconds, 1)
     missing = np.asarray(tool.twist) - lie.apply(J, slope)
@@ -475,7 +475,7 @@ class Joints:
         Return the motion of the same joints that moves the tool as given.
 
         Its points are points of the tool, about as dense as the plan's, or as
-        `LARGEST_JOINT_STEP` where the plan's are further apart.
+        `MAX_SPACING` where the plan's are further apart.
 
         Parameters
         ----------
@@ -492,7 +492,7 @@ class Joints:
         """
         from scipy.interpolate import CubicSpline  # late: the predictor starts without
 
-        step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, LARGEST_JOINT_STEP)
+        step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, MAX_SPACING)
         every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
         rows = np.arange(0, len(tool), every)
         rows[-1] = len(tool) - 1  # at rest, where the plan ends at rest

@@ -45,19 +45,19 @@ SPACING, JUMP, RELATIVE_JUMP = 0.005, 100.0, 0.1
 (m/s^4), or this part of it."""
 SUBDIVISION = 5
 """Smoothing uses points this many times closer ..."""
-SMOOTHED, LONGEST_SMOOTHING = 0.12, 0.2
+SMOOTHED_PART, MAX_SMOOTHING = 0.12, 0.2
 """... over this part of its duration, but no longer than this (s): a longer time makes the rest so
 quick that a cup known to 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""
-MOST_STEPS = 300_000
+MAX_STEPS = 300_000
 """Most steps of the inverse, each of which is kept."""
-FASTEST = 1e5
+MAX_RATE = 1e5
 """A cup that relaxes faster (1/s), because its damper is weak, is not inverted."""
-ARRIVED = (2e-5, 1e-4)
+ARRIVAL_TOLERANCE = (2e-5, 1e-4)
 """The tool has arrived when this is left to go (m, rad)."""
-LONGEST_ARRIVAL = 12.0
+MAX_ARRIVAL = 12.0
 """Longest wait for the arrival, in the cup's longest relaxation times."""
 FADE = 0.02
 """After it the motion fades out over this time (s), without a step of twist or acceleration."""
@@ -110,7 +110,7 @@ def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw
     Return the tool with the twist at which the cup causes these rates of the package.
 
     D1(H) v1 = f_spring(H) - f_needed at S1 (3.27, 3.33) is solved for the relative twist. The
-    internal strains of a cup that relaxes are those of the tool here, as they follow from its way.
+    internal strains of a cup that relaxes are those of the tool here, by its motion.
     """
     cup, package, _ = model
     l1 = cup[0]
@@ -122,12 +122,12 @@ def inverse_dynamics(model: ModelTuple, tool: State, body: State, dv: Vector, dw
     a = t3.subtract(spring_f, f)
     b = t3.subtract(spring_m, (m[0] + l1 * f[1], m[1] - l1 * f[0], m[2]))  # X(S_H_S1)^T
     D = damper_jacobians(o, R, t3.ZERO, t3.ZERO, cup[3])[1]  # -D1, by blocks
-    near = inverse3(D[0])
-    cross_part = t3.multiply(D[2], near)
+    D_oo_inverse = inverse3(D[0])
+    cross_part = t3.multiply(D[2], D_oo_inverse)
     w = t3.apply(
         inverse3(t3.add_scaled_matrix(D[3], -1.0, t3.multiply(cross_part, D[1]))),
         t3.subtract(t3.apply(cross_part, a), b))
-    v = t3.apply(near, t3.subtract(t3.scale(-1.0, a), t3.apply(D[1], w)))
+    v = t3.apply(D_oo_inverse, t3.subtract(t3.scale(-1.0, a), t3.apply(D[1], w)))
     v_ES = (v[0] - l1 * w[1], v[1] + l1 * w[0], v[2])
     w_E = t3.apply(R, t3.subtract(w_S, w))
     v_E = t3.subtract(t3.apply(R, t3.subtract(v_S, v_ES)), t3.cross(w_E, o_E_S))
@@ -208,11 +208,11 @@ def relaxation_rates(model: ModelTuple) -> Array:
             A = np.block([[(1.0 + r + s) * A, -r * A, -s * A], [-eye / tau, eye / tau, none],
                           [-eye / theta, none, eye / theta]])
         rates = np.sort(np.linalg.eigvals(A).real)
-    if not 0.0 < rates[0] <= rates[-1] < FASTEST:
+    if not 0.0 < rates[0] <= rates[-1] < MAX_RATE:
         raise BellowsError(
             'The cup cannot be inverted: its damping is too small for its stiffness, or not '
             f'positive definite; the rates of P^-1 K are {rates[0]:.3g} to {rates[-1]:.3g} 1/s, '
-            f'expected above 0 and below {FASTEST:g}. Use --method zvd.')
+            f'expected above 0 and below {MAX_RATE:g}. Use --method zvd.')
     return rates
 
 
@@ -251,21 +251,21 @@ def inverse(
     duration = float(reference.seconds[-1])
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
     h = duration / count
-    arrival = (LONGEST_ARRIVAL / rates[0] + FADE) / h
-    simulation.require_steps(count + 2.0 * arrival, MOST_STEPS)
+    arrival = (MAX_ARRIVAL / rates[0] + FADE) / h
+    simulation.require_steps(count + 2.0 * arrival, MAX_STEPS)
     if start is None:
         start = _tool_above(model, rows[0])
     out, package = np.empty((2, count + 2 + round(arrival), 13))
     body = simulation.state_row(rows[0, :3], rows[0, 3:7])
     start = kernels.relaxed(model[0], kernels.lip_strain(model, start, body), start)
     states = _reference_states(rows, duration, count)
-    found = _invert(model, start, states, h, rates[0] * np.array(ARRIVED), out, package)
-    every = max(1, round(GRID / h))
-    kept = np.append(np.arange(0, found - 1, every), found - 1)
-    stamps = reference.stamps_ns[0] + np.round(kept * h * NS_PER_S).astype(np.int64)
+    last = _invert(
+        model, start, states, h, rates[0] * np.array(ARRIVAL_TOLERANCE), out, package) - 1
+    index = np.append(np.arange(0, last, max(1, round(GRID / h))), last)
+    stamps = reference.stamps_ns[0] + np.round(index * h * NS_PER_S).astype(np.int64)
     tool, package = (
         Trajectory(stamps, rows[:, :3], lie.quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
-        for rows in (out[kept], package[kept]))
+        for rows in (out[index], package[index]))
     if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
             PEAK_MOMENT_BENDING):
         raise _too_far()
@@ -325,10 +325,10 @@ def _tool_above(model: ModelTuple, body: Array) -> State:
     shift = resting_on_tool(model, kernels.ORIGIN)[0]
     o = body[:3] - lie.quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
-    out = np.empty((2, 2 + round((2.0 * LONGEST_ARRIVAL / rates[0] + FADE) / h), 13))
-    found = _invert(model, simulation.state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
-                    1e-4 * rates[0] * np.array(ARRIVED), *out)
-    return simulation.state_row(out[0, found - 1, :3], out[0, found - 1, 3:7])
+    out = np.empty((2, 2 + round((2.0 * MAX_ARRIVAL / rates[0] + FADE) / h), 13))
+    count = _invert(model, simulation.state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
+                    1e-4 * rates[0] * np.array(ARRIVAL_TOLERANCE), *out)
+    return simulation.state_row(out[0, count - 1, :3], out[0, count - 1, 3:7])
 
 
 def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
@@ -348,7 +348,7 @@ def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
     if is_smooth(curve):
         return rows, 0.0
     fine = (len(rows) - 1) * SUBDIVISION
-    box = round(0.25 * fine * min(SMOOTHED, LONGEST_SMOOTHING / duration)) | 1  # has a middle
+    box = round(0.25 * fine * min(SMOOTHED_PART, MAX_SMOOTHING / duration)) | 1  # has a middle
     reach = 2 * (box - 1)
     quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
     smooth = np.pad(quick, ((reach, reach), (0, 0)), mode='edge')
@@ -395,9 +395,8 @@ def modes_left(model: ModelTuple, prediction: PlanPrediction) -> list[SwingMode]
     state = np.concatenate([shift, turn, end[7:], np.zeros(len(values) - 12)])  # relaxed
     sizes = np.linalg.solve(vectors, state)
     tilts = 2.0 * np.abs(sizes) * np.linalg.norm(vectors[3:6], axis=0)
-    found = [SwingMode(abs(s) / (2.0 * math.pi), -s.real / abs(s), float(tilt))
-             for s, tilt in zip(values, tilts, strict=True) if s.imag > 1e-9 * abs(s)]
-    return sorted(found)
+    return sorted(SwingMode(abs(s) / (2.0 * math.pi), -s.real / abs(s), float(tilt))
+                  for s, tilt in zip(values, tilts, strict=True) if s.imag > 1e-9 * abs(s))
 
 
 def impulses(modes: Sequence[SwingMode], method: str) -> tuple[Array, Array]:
@@ -439,7 +438,7 @@ def to_shape(modes: Sequence[SwingMode], method: str) -> list[SwingMode]:
 def shaped(tool: Trajectory, delays: Array, sizes: Array) -> Trajectory:
     """Return the sum of delayed copies of a motion, quaternions added up and normalised."""
     duration, curve = float(tool.seconds[-1]), curve_of(tool)
-    simulation.require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MOST_STEPS)
+    simulation.require_steps(len(delays) * (duration + delays.max()) / GRID, 5 * MAX_STEPS)
     seconds = np.arange(math.ceil((duration + delays.max()) / GRID - 1e-9) + 1) * GRID
     at = np.clip(seconds - delays[:, None], 0.0, duration)
     rows, rates = (np.tensordot(sizes, of(at), 1) for of in (curve, curve.derivative()))
@@ -496,10 +495,10 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
         first = None if of_package else simulation.state_row(*np.split(row, [3, 7]))
         return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
     tool = tool_above(model, plan) if of_package else plan
-    found = PlanSimulation(model, None, tool, tail=0.0).predict()
-    modes = to_shape(modes_left(model, found), method)
-    moved = shaped(tool, *impulses(modes, method))
-    return Steered(moved, hanging(model, moved), 0.0, modes)
+    prediction = PlanSimulation(model, None, tool, tail=0.0).predict()
+    modes = to_shape(modes_left(model, prediction), method)
+    tool = shaped(tool, *impulses(modes, method))
+    return Steered(tool, hanging(model, tool), 0.0, modes)
 
 
 def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
@@ -516,9 +515,9 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     T_B = lie.transform(lie.quaternion_to_rotation(np.array([state[1] for state in rests])),
                         np.array([state[0] for state in rests]))
     T_E_B = lie.inverse_transform(T_E) @ T_B
-    way = lie.log_se3(lie.inverse_transform(T_E_B[0]) @ T_E_B[1])
+    change = lie.log_se3(lie.inverse_transform(T_E_B[0]) @ T_E_B[1])
     s = (tool.seconds / tool.seconds[-1])[:, None]
     step = s**5 * (126.0 + s * (-420.0 + s * (540.0 + s * (-315.0 + s * 70.0))))
     rate = 630.0 * s**4 * (1.0 - s) ** 4 / tool.seconds[-1]
-    found = at_tip(tool, T_E_B[0] @ lie.exp_se3(step * way))
-    return replace(found, twist=np.asarray(found.twist) + rate * way)
+    package = at_tip(tool, T_E_B[0] @ lie.exp_se3(step * change))
+    return replace(package, twist=np.asarray(package.twist) + rate * change)
