@@ -112,8 +112,16 @@ def multiply_transposed(A: Matrix, B: Matrix) -> Matrix:
 @kernel
 def multiply(A: Matrix, B: Matrix) -> Matrix:
     """Return A B."""
-    # Row by row, as a row of A times B is B^T times that row.
-    return (*apply_transposed(B, A[:3]), *apply_transposed(B, A[3:6]), *apply_transposed(B, A[6:]))
+    return (
+        A[0] * B[0] + A[1] * B[3] + A[2] * B[6],
+        A[0] * B[1] + A[1] * B[4] + A[2] * B[7],
+        A[0] * B[2] + A[1] * B[5] + A[2] * B[8],
+        A[3] * B[0] + A[4] * B[3] + A[5] * B[6],
+        A[3] * B[1] + A[4] * B[4] + A[5] * B[7],
+        A[3] * B[2] + A[4] * B[5] + A[5] * B[8],
+        A[6] * B[0] + A[7] * B[3] + A[8] * B[6],
+        A[6] * B[1] + A[7] * B[4] + A[8] * B[7],
+        A[6] * B[2] + A[7] * B[5] + A[8] * B[8])
 
 
 @kernel

@@ -277,12 +277,13 @@ def _simulate(
     model: ModelTuple, start: State, tool: Any, durations: Any, substeps: Any, out: Array
 ) -> None:
     """Advance from row to row."""
-    body = start
+    body, before = start, row_state(tool[0])
     write_row(out[0], body)
     for k in range(len(durations)):
-        before, after = row_state(tool[k]), row_state(tool[k + 1])
+        after = row_state(tool[k + 1])
         body = kernels.advance(model, body, before, after, durations[k], substeps[k])
         write_row(out[k + 1], body)
+        before = after
 
 
 def lip_wrenches(model: ModelTuple, tool: Trajectory, body: Trajectory) -> Array:
