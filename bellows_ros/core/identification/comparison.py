@@ -183,9 +183,7 @@ class FitComparison:
         return tuple(e for e in self.effects if e.matters and not e.significant)
 
 
-def compare_fits(
-    before: Fitted, after: Fitted, package: Package, gravity: float
-) -> FitComparison:
+def compare_fits(before: Fitted, after: Fitted, package: Package, gravity: float) -> FitComparison:
     """
     Compare two fits of a cup, and their predictions for a package.
 
@@ -241,9 +239,7 @@ class Mode:
     shape: Array
 
 
-def modes(
-    cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ()
-) -> list[Mode]:
+def modes(cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ()) -> list[Mode]:
     """
     Return the six modes, lowest first; or each in the place of the one it is most like.
 
@@ -318,8 +314,7 @@ def _joint_p_value(difference: Array, covariance: Array) -> float:
     std, d = std[usable], difference[usable] / std[usable]
     values, vectors = np.linalg.eigh(covariance[np.ix_(usable, usable)] / np.outer(std, std))
     regular = values > 1e-9 * values[-1]
-    return float(chdtrc(
-        np.sum(regular), np.sum((vectors.T @ d)[regular] ** 2 / values[regular])))
+    return float(chdtrc(np.sum(regular), np.sum((vectors.T @ d)[regular] ** 2 / values[regular])))
 
 
 def _effects(

@@ -321,9 +321,7 @@ def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:
         in zip(AXES, columns.T.tolist(), strict=True))
 
 
-def _correlated(
-    correlation: Array, labels: Sequence[str]
-) -> Iterator[tuple[str, str, float]]:
+def _correlated(correlation: Array, labels: Sequence[str]) -> Iterator[tuple[str, str, float]]:
     """Yield the pairs of strongly correlated parameters, the worst first."""
     upper = np.abs(np.triu(correlation, 1))
     for flat in np.argsort(-upper, axis=None):

@@ -126,9 +126,7 @@ class NominalLength:
         return f'{1e3 * self.length:.3f} mm, without a standard error'
 
 
-def nominal_length(
-    standstills: Sequence[Standstill], gravity: float
-) -> NominalLength:
+def nominal_length(standstills: Sequence[Standstill], gravity: float) -> NominalLength:
     """
     Return the cup's length without load from standstills of several masses (4.2).
 
@@ -265,9 +263,7 @@ class SpringCheck:
     sentence: str
 
 
-def check_spring(
-    cup: Cup, standstills: Sequence[Standstill], gravity: float
-) -> SpringCheck:
+def check_spring(cup: Cup, standstills: Sequence[Standstill], gravity: float) -> SpringCheck:
     """
     Compare where the package hangs with where the spring model puts it (3.9).
 
@@ -496,8 +492,7 @@ def joined_with_standstills(
     weight, z, covariance = 1.0, start, fit.covariance
     for _ in range(ROUNDS):
         guess = _guess(structure, z[:-1], covariance, typical)
-        of_K, b, by_length = static_equations(
-            standstills, length.value, structure, gravity, guess)
+        of_K, b, by_length = static_equations(standstills, length.value, structure, gravity, guess)
         A = np.hstack([of_K, np.zeros_like(of_K), length.std * by_length[:, None]])
         whole = covariance_of(prior + weight * A.T @ A)
         finite = np.where(np.isfinite(whole), whole, 0.0)  # other entries stay as they are
@@ -528,8 +523,7 @@ def _equations(
 ) -> tuple[Array, Array, Array]:
     """Return A (6, n) and b (6,) in coordinates of the lip, and the effect of the length (6,)."""
     x = structure.parameters(stiffness, stiffness)
-    cup = gripper_of(
-        Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
+    cup = gripper_of(Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
     model = model_tuple(cup, still.payload, gravity)
     tool, body = _state(still.tool), _state(still.package)
     for _ in range(NEWTON_STEPS):

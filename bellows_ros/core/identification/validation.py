@@ -110,8 +110,7 @@ class Validation(residuals.Comparison):
     @cached_property
     def wrench(self) -> Array:
         """Of the cup at the lip in the free simulation, in lip axes, N and N m (N, 6)."""
-        model = model_tuple(
-            self.cup, self.recording.payload, self.recording.settings.gravity)
+        model = model_tuple(self.cup, self.recording.payload, self.recording.settings.gravity)
         return lip_wrenches(model, self.tool, self.package)
 
     @cached_property
@@ -315,9 +314,7 @@ def half_window_of(tool: Trajectory) -> int:
     return max(round(LIGHT_HALF_WINDOW * rate_hz), LIGHT_ORDER // 2 + 1)
 
 
-def _start(
-    model: ModelTuple, tool: Trajectory, recording: Recording
-) -> tuple[State, int, str]:
+def _start(model: ModelTuple, tool: Trajectory, recording: Recording) -> tuple[State, int, str]:
     """Return the package's first state, its stamp (ns), and its origin."""
     if rest_of(recording.measured_tool, recording.measured_package).seconds < REST_S:
         package = recording.package

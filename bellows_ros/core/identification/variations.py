@@ -310,8 +310,7 @@ def _packages(recordings: Sequence[Given]) -> Iterator[Hypothesis]:
             yield Hypothesis('inertia', in_other_unit(1.0 / factor), value=unit)
     packages = {own.samples.payload.mass: own.samples.payload for own in recordings}
     if len(packages) == 2:
-        yield Hypothesis('package.files', exchanged(*packages.values()),
-                         value='exchanged')
+        yield Hypothesis('package.files', exchanged(*packages.values()), value='exchanged')
 
 
 def _other_worlds(world: str) -> Iterator[tuple[str, Array]]:

@@ -244,9 +244,7 @@ class Edge(NamedTuple):
         return np.asarray(np.linalg.norm(self.forms[:, 0], axis=1))
 
 
-def edges_seen(
-    poses: Trajectory, short: Jumps, long: Jumps, certain: Mask
-) -> list[Edge]:
+def edges_seen(poses: Trajectory, short: Jumps, long: Jumps, certain: Mask) -> list[Edge]:
     """Return the jumps that may be ends of excursions, in both looks, but not those over gaps."""
     from_short, from_long = short.strength, long.strength
     strength = np.maximum(from_short, from_long)
@@ -300,9 +298,7 @@ def _forms(poses: Trajectory, i: int, position: Array, rotation: Array) -> Array
                      [R_before @ rotation, rotation, rotation]])
 
 
-def edges_over_gaps(
-    poses: Trajectory, increments: Array, gap: Mask, breaks: Mask
-) -> list[Edge]:
+def edges_over_gaps(poses: Trajectory, increments: Array, gap: Mask, breaks: Mask) -> list[Edge]:
     """Return the jumps over gaps, strong where larger than any over like parts without a gap."""
     edges = []
     steps_ns = np.diff(poses.stamps_ns)
@@ -336,9 +332,7 @@ def _jump_over(
     return np.asarray(moved - np.mean(periods * increments[:, around], axis=2))
 
 
-def _thresholds_over(
-    poses: Trajectory, increments: Array, breaks: Mask, slots: int
-) -> Array:
+def _thresholds_over(poses: Trajectory, increments: Array, breaks: Mask, slots: int) -> Array:
     """Return the thresholds (2,) of jumps over gaps of several periods; infinite if unknown."""
     if len(breaks) < slots + 2:
         return np.full(2, np.inf)

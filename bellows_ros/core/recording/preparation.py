@@ -137,8 +137,7 @@ def _joined(
     """Return a recording of aligned streams, the tool brought to the stamps of the package."""
     of_tool, of_package = filters
     common = _common(of_tool.stamps_ns, of_package.stamps_ns, (tool, package))
-    measured_tool = resampling.resample(
-        of_tool.poses, common, report.tool.timing.longest_step_ns)
+    measured_tool = resampling.resample(of_tool.poses, common, report.tool.timing.longest_step_ns)
     if tool_twist is not None:
         measured_tool = _with_twist(measured_tool, tool_twist, alignment, settings)
     recording = Recording(

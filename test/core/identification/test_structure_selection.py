@@ -68,8 +68,7 @@ def test_criteria_are_those_of_the_formulas():
     for candidate in selection.candidates:
         structure = STRUCTURES[candidate.structure]
         ((L, c, _),) = samples.lip.equations(simulated.CUP.length, structure)
-        ((full_L, _, _),) = samples.lip.equations(
-            simulated.CUP.length, STRUCTURES['full'])
+        ((full_L, _, _),) = samples.lip.equations(simulated.CUP.length, STRUCTURES['full'])
         x = STRUCTURES['full'].parameters(rich.stiffness, rich.damping)
         residual = c - full_L @ x
         W = np.linalg.inv(residual.T @ residual / len(residual))

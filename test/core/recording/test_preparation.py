@@ -126,8 +126,7 @@ def test_what_a_window_touches_is_dropped_and_counted():
     gap = np.delete(np.arange(len(package)), slice(5000, 5010))
     found = prepare(stream(bad), stream(package, '/package', gap), PLAIN)
     dropped = np.flatnonzero(~found.valid) + 25
-    assert_array_equal(
-        dropped, np.concatenate([np.arange(2975, 3030), np.arange(4975, 5035)]))
+    assert_array_equal(dropped, np.concatenate([np.arange(2975, 3030), np.arange(4975, 5035)]))
     assert_array_equal(
         np.flatnonzero(~found.measured) + 25,
         np.concatenate([np.arange(3000, 3005), np.arange(5000, 5010)]))
@@ -196,13 +195,11 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     assert '10.0 mm beside the axis' in aside
     twice = np.arange(len(tool)) // 2 * 2
     repeated = Trajectory(tool.stamps_ns, tool.position[twice], tool.rotation[twice])
-    (repeats,) = prepare(
-        stream(repeated), stream(package, '/package'), PLAIN).report.warnings
+    (repeats,) = prepare(stream(repeated), stream(package, '/package'), PLAIN).report.warnings
     assert 'faster than it is measured' in repeats
     late = tool.stamps_ns + rng.integers(0, 1_000_000, len(tool))
     jittered = Trajectory(late, tool.position, tool.rotation)
-    (jitters,) = prepare(
-        stream(jittered), stream(package, '/package'), PLAIN).report.warnings
+    (jitters,) = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.warnings
     assert "stamps of topic '/tool' are times of arrival" in jitters
 
 
