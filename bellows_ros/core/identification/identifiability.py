@@ -264,29 +264,26 @@ def excitation_of(
     """
     statistics, movements = [own.statistics for own in parts], [own.movement for own in parts]
     structure = statistics[0].structure
-    whitening, found, noise = weighted(statistics)
-    axes, filtered = _axes(movements), method == 'least_squares'
-    shares = bias = np.full(len(found.x), np.nan)
-    if filtered and noise is not None:
-        shares, bias = _noise_effects(noise, whitening, found)
-    if fit is None:
-        values, covariance = found.x, found.inverse @ found.inverse.T
-        known = found.identifiable & ~(shares > MAX_SHARE)
-    else:
-        values, covariance = fit
-        known = np.isfinite(np.diag(covariance))
-    spread = np.where(known, np.sqrt(np.diag(covariance)), 1.0)
+    whitening, solved, noise = weighted(statistics)
+    axes, is_filtered = _axes(movements), method == 'least_squares'
+    shares = bias = np.full(len(solved.x), np.nan)
+    if is_filtered and noise is not None:
+        shares, bias = _noise_effects(noise, whitening, solved)
+    values, covariance = fit or (solved.x, solved.inverse @ solved.inverse.T)
+    identifiable = (np.isfinite(np.diag(covariance)) if fit else
+                    solved.identifiable & ~(shares > MAX_SHARE))
+    std = np.where(identifiable, np.sqrt(np.diag(covariance)), 1.0)
     parameters = tuple(map(
-        Identifiability, structure.labels, np.where(known, values, np.nan).tolist(),
-        (np.where(found.identifiable, shares, 1.0) if filtered else shares).tolist(),
+        Identifiability, structure.labels, np.where(identifiable, values, np.nan).tolist(),
+        (np.where(solved.identifiable, shares, 1.0) if is_filtered else shares).tolist(),
         bias.tolist()))
     pairs = tuple(_correlated(
-        without(covariance, ~known) / np.outer(spread, spread), structure.labels))
+        without(covariance, ~identifiable) / np.outer(std, std), structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
-    fast = too_fast(axes, [own.passed for own in movements if own.passed]) if filtered else ()
-    rank = found.rank if fit is None else int(np.count_nonzero(known))
+    fast = too_fast(axes, [own.passed for own in movements if own.passed]) if is_filtered else ()
+    rank = int(np.count_nonzero(identifiable)) if fit else solved.rank
     return Excitation(
-        structure.name, axes, parameters, rank, len(values), found.condition_number, pairs,
+        structure.name, axes, parameters, rank, len(values), solved.condition_number, pairs,
         (*(advice(parameters, structure, pairs, source) if method != 'output_error' else ()),
          *fast))
 

@@ -338,8 +338,7 @@ class StreamReport:
     def as_json(self) -> dict[str, Any]:
         """Return the report on the topic's messages, for a JSON file."""
         return {
-            'topic': self.recorded.name,
-            'poses': len(self.recorded),
+            'topic': self.recorded.name, 'poses': len(self.recorded),
             'rate_hz': self.timing.rate_hz,
             'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
@@ -570,15 +569,12 @@ class Recording:
     @cached_property
     def noise(self) -> FilterNoise:
         """White noise of the poses as they were measured, and the filters that it went through."""
+        of_tool, of_package = self.filters
         position, rotation = self.ar1_noise[1]
         return FilterNoise(
-            *self._pose_noise,
-            resampled_weights(
-                self.aligned_tool.stamps_ns, self.measured_tool.stamps_ns,
-                self.filters[0].weights),
-            self.filters[1].weights,
-            self.filters[0].half_window,
-            (position.correlation, rotation.correlation))
+            *self._pose_noise, resampled_weights(
+                of_tool.poses.stamps_ns, self.measured_tool.stamps_ns, of_tool.weights),
+            of_package.weights, of_tool.half_window, (position.correlation, rotation.correlation))
 
     @cached_property
     def ar1_noise(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
@@ -632,12 +628,9 @@ class Recording:
         payload = self.payload
         return {
             'bag': self.name,
-            'samples': len(self.valid),
-            'valid': int(np.count_nonzero(self.valid)),
-            'tool_pose': self.report.tool.as_json(),
-            'package_pose': self.report.package.as_json(),
-            'time_offset': self.report.time_offset,
-            'package_world': self.report.package_world,
+            'samples': len(self.valid), 'valid': int(np.count_nonzero(self.valid)),
+            'tool_pose': self.report.tool.as_json(), 'package_pose': self.report.package.as_json(),
+            'time_offset': self.report.time_offset, 'package_world': self.report.package_world,
             'package': {'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com,
                         'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'}},
             'noise': dict(zip(('tool', 'package'), self._pose_noise, strict=True)),
