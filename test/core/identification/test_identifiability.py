@@ -53,10 +53,15 @@ def test_axes_are_described_as_they_move(rich):
     assert_allclose(samples.twist_spectrum.peak[5], 1.9, atol=0.5)
 
 
-def test_missing_torsion_is_said_in_plain_words():
-    recording = simulated.record(
+@pytest.fixture(scope='module')
+def poor():
+    """Return a noisy recording of a motion of two axes."""
+    return simulated.record(
         simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
-    _, found = described(recording)
+
+
+def test_missing_torsion_is_said_in_plain_words(poor):
+    _, found = described(poor)
     (torsion,) = (w for w in found.warnings if w.startswith('Torsion'))
     assert torsion == (
         'Torsion is hardly excited: its stiffness and damping are not identifiable from this '
@@ -104,9 +109,7 @@ def test_pairs_are_those_of_the_covariance(name, axes):
     assert bool(expected) == (name == 'full')
 
 
-def test_a_full_fit_of_a_poor_motion_is_advised_against():
-    recording = simulated.record(
-        simulated.shake(axes=(0, 2)), tool=(1e-4, 5e-4), package=(1e-4, 5e-4))
-    _, found = described(recording, FULL)
+def test_a_full_fit_of_a_poor_motion_is_advised_against(poor):
+    _, found = described(poor, FULL)
     couplings = next(w for w in found.warnings if 'couplings' in w)
     assert 'use a simpler fit.structure' in couplings

@@ -35,6 +35,13 @@ def diagnosed(laboratory):
                     STRUCTURES['axisymmetric']).findings
 
 
+def judged(laboratory, with_fit=True):
+    """Return the fit of a laboratory's recordings, if wanted, and the verdict."""
+    recordings, values = laboratory.recordings(), parameters(laboratory)
+    found = fit(recordings, values).fit if with_fit else None
+    return found, verdict_of(found, recordings, values['cup.length'], values)
+
+
 def named(laboratory, cause):
     """Return 'right', 'wrong' and certain, or 'silent': what is said of a laboratory first."""
     try:
@@ -91,8 +98,7 @@ def test_of_two_faults_both_are_named(first, second, seed):
     laboratory = Laboratory(seed)
     for fault in (first, second):
         FAULTS[fault][0](laboratory)
-    found = verdict_of(None, laboratory.recordings(), laboratory.said_length,
-                       parameters(laboratory))
+    _, found = judged(laboratory, with_fit=False)
     named = [f'{own.name} {own.value}{own.sentence}' for own in (
         *found.diagnosis.findings[:2 if found.diagnosis.findings[0].is_fact else 1],
         *found.diagnosis.besides) if own.certain]
@@ -135,8 +141,7 @@ def test_what_is_left_is_said_where_a_second_fault_is_not_found():
     laboratory = Laboratory(319)
     for fault in ('gravity tilted', 'marker frame turned'):
         FAULTS[fault][0](laboratory)
-    found = verdict_of(None, laboratory.recordings(), laboratory.said_length,
-                       parameters(laboratory))
+    _, found = judged(laboratory, with_fit=False)
     first = found.diagnosis.findings[0]
     assert first.likely and not first.certain and not found.refusals
     assert first.rest > causes.DOUBTED
@@ -148,9 +153,7 @@ def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypat
     break_it, cause = FAULTS['yaw']
     break_it(laboratory)
     monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
-    recordings, values = laboratory.recordings(), parameters(laboratory)
-    found = fit(recordings, values).fit
-    verdict = verdict_of(found, recordings, values['cup.length'], values)
+    found, verdict = judged(laboratory)
     assert found.chi2 > 10.0 and 0 < len(simulations) <= 154
     assert verdict.refusals and verdict.diagnosis.findings[0].name == cause
 
@@ -179,13 +182,12 @@ def test_a_cup_that_noise_hides_from_the_wrenches_is_named_by_the_fit(seed, brea
     """Where K z would be 11 % too small, without a word; and a drift with five times the error."""
     laboratory = Laboratory(seed, seconds=6.0)
     break_it(laboratory)
-    recordings, values = laboratory.recordings(), parameters(laboratory)
-    found = fit(recordings, values).fit
+    found, verdict = judged(laboratory)
     first, = found.causes
     size = 0.1 if cause == 'drifts' else -0.06
     assert first.certain and not first.material
     assert abs(first.theta[0] - size) < 3.0 * first.std[0] < 0.02
-    assert cause in verdict_of(found, recordings, values['cup.length'], values).cause[0]
+    assert cause in verdict.cause[0]
 
 
 @pytest.mark.parametrize('seed', [62000, 62002])
