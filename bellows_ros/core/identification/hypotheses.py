@@ -242,15 +242,8 @@ class _Trial(NamedTuple):
     theta: Array
     std: Array
     solved: Solved
-    of_structure: float = np.inf
-    """RMS of what another structure has more, in its standard errors."""
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether one of its numbers is many standard errors from nothing, or it has none."""
-        if len(self.theta):
-            return bool(np.any(np.abs(self.theta) > SIGNIFICANT * self.std))
-        return self.of_structure > SIGNIFICANT
+    is_significant: bool
+    """Whether one of its numbers is many standard errors from nothing, or it has none."""
 
     @property
     def is_sufficient(self) -> bool:
@@ -291,9 +284,10 @@ def _fitted(
         theta, std, is_physical = _cup_effect(hypothesis.name, solved, given.structure)
     is_physical &= bool(rounds) or _is_above_noise(solved)
     excess = solved.excess - level if is_physical else np.inf
-    return _Trial(hypothesis, theta, std, solved._replace(excess=excess), (
-        _beyond(solved, given.structure, STRUCTURES[hypothesis.value])
-        if hypothesis.name == 'structure' else np.inf))
+    is_significant = bool(np.any(np.abs(theta) > SIGNIFICANT * std)) if len(theta) else (
+        hypothesis.name != 'structure' or SIGNIFICANT < _structure_change(
+            solved, given.structure, STRUCTURES[hypothesis.value]))
+    return _Trial(hypothesis, theta, std, solved._replace(excess=excess), is_significant)
 
 
 def _cup_effect(name: str, solved: Solved, own: Structure) -> tuple[Array, Array, bool]:
@@ -314,7 +308,7 @@ def _cup_effect(name: str, solved: Solved, own: Structure) -> tuple[Array, Array
         else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
 
 
-def _beyond(solved: Solved, own: Structure, other: Structure) -> float:
+def _structure_change(solved: Solved, own: Structure, other: Structure) -> float:
     """Return the RMS of what another structure has more than one, in its standard errors."""
     both = [other.parameters(*pair) for unit in own.model_basis
             for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]

@@ -26,6 +26,7 @@ from bellows_ros.core.identification.samples import lip_relative, Samples, sampl
 from bellows_ros.core.identification.variations import Given, Hypothesis, Variation
 from bellows_ros.core.model.structure import Structure, THESIS_DAMPING, THESIS_STIFFNESS
 from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.signals.resampling import cubic
 from bellows_ros.core.signals.savgol import displaced, filtered, weights
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -149,11 +150,9 @@ def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> 
     s, h = (stamps - of_tool[before])[:, None] / step_ns, step_ns / NS_PER_S
     (a, a_rate, _), (b, b_rate, _) = (
         filtered(tool_noise, recording.filters[0].weights, before + k) for k in (0, 1))
-    value = (a + s**2 * (3.0 - 2.0 * s) * (b - a)
-             + h * s * (1.0 - s) * ((1.0 - s) * a_rate - s * b_rate))
-    rate = (6.0 * s * (1.0 - s) * (b - a) / h
-            + (1.0 - s) * (1.0 - 3.0 * s) * a_rate - s * (2.0 - 3.0 * s) * b_rate)
-    return replace(some, tool=displaced(some.tool, *np.split(np.array([value, rate]), 2, axis=2)),
+    value, rate = cubic(s, h * a_rate, b - a, h * b_rate)
+    moved = np.array([a + value, rate / h])
+    return replace(some, tool=displaced(some.tool, *np.split(moved, 2, axis=2)),
                    package=displaced(some.package, *np.split(package, 2, axis=2)))
 
 

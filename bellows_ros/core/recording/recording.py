@@ -18,7 +18,7 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.recording.alignment import Alignment, rest_of, world_rotation
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.resampling import ArrivalStamps, MAD_TO_STD, resample, Timing
+from bellows_ros.core.signals.resampling import ArrivalStamps, cubic, MAD_TO_STD, resample, Timing
 from bellows_ros.core.signals.savgol import correlated, savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -236,15 +236,10 @@ def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) ->
     fractions = (wanted_ns - measured_ns[0]) % step_ns / step_ns
     step_s = step_ns / trajectory.NS_PER_S
     first, second = (np.pad(weights, ((0, 0), ends)) for ends in ((0, 1), (1, 0)))
-    moved, rate_start, rate_end = second[0] - first[0], step_s * first[1], step_s * second[1]
-    parts = []
-    for s in np.quantile(fractions, (np.arange(PLACES) + 0.5) / PLACES).tolist():
-        value = (first[0] + s**2 * (3.0 - 2.0 * s) * moved
-                 + s * (1.0 - s) ** 2 * rate_start - s**2 * (1.0 - s) * rate_end)
-        slope = (6.0 * s * (1.0 - s) * moved
-                 + (1.0 - s) * (1.0 - 3.0 * s) * rate_start - s * (2.0 - 3.0 * s) * rate_end)
-        parts.append([value, slope / step_s, first[2]])
-    return np.asarray(np.hstack(parts) / np.sqrt(PLACES))
+    s = np.quantile(fractions, (np.arange(PLACES) + 0.5) / PLACES)[:, None]
+    value, slope = cubic(s, step_s * first[1], second[0] - first[0], step_s * second[1])
+    parts = np.stack([first[0] + value, slope / step_s, np.tile(first[2], (PLACES, 1))])
+    return np.asarray(parts.reshape(3, -1) / np.sqrt(PLACES))
 
 
 T = TypeVar('T')

@@ -378,20 +378,20 @@ def _hermite(
     R_start, R_end = trajectory.rotation[before], trajectory.rotation[after]
     start, end = twist[before] * interval_s, twist[after] * interval_s
     origin = trajectory.position[before]
-    step, step_rate = _cubic(
+    step, step_rate = cubic(
         s,
         lie.apply(R_start, start[:, :3]),
         trajectory.position[after] - origin,
         lie.apply(R_end, end[:, :3]))
     turn = lie.log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
-    c, c_rate = _cubic(s, start[:, 3:], turn, lie.apply(lie.dexp_inverse(-turn), end[:, 3:]))
+    c, c_rate = cubic(s, start[:, 3:], turn, lie.apply(lie.dexp_inverse(-turn), end[:, 3:]))
     rotation = R_start @ lie.exp_so3(c)
     linear = lie.apply(np.swapaxes(rotation, -1, -2), step_rate)
     angular = lie.apply(lie.dexp(-c), c_rate)
     return origin + step, rotation, np.concatenate([linear, angular], axis=-1) / interval_s
 
 
-def _cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Array, Array]:
+def cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Array, Array]:
     """Return the cubic over 0..1 from zero to `end` with these end rates, and its derivative."""
     quadratic = 3.0 * end - 2.0 * rate_start - rate_end
     cubic = rate_start + rate_end - 2.0 * end
