@@ -211,10 +211,9 @@ def compare_fits(before: Fitted, after: Fitted, package: Package, gravity: float
     tool = SHAKE.at_rate(SHAKE_RATE_HZ)
     first, second = (relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
                      for fit in (before, after))
-    return FitComparison(
-        changes, _effects(before, after, package, gravity),
-        np.sqrt(np.mean((second - first) ** 2, axis=0)),
-        _joint_p_value(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]))
+    return FitComparison(changes, _effects(before, after, package, gravity),
+                         np.sqrt(np.mean((second - first) ** 2, axis=0)),
+                         _joint_p_value(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]))
 
 
 @dataclass(frozen=True)

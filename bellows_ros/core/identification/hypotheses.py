@@ -108,9 +108,8 @@ def diagnose(
     wrong, right = zip(*map(causes.corrected, recordings), strict=True)
     facts: tuple[Finding, ...] = next(filter(None, wrong), ())
     try:
-        rankings = right[0].cached(
-            ('trials', *(own.name for own in right), length, structure),
-            lambda: _rankings(right, length, structure))
+        rankings = right[0].cached(('trials', *(own.name for own in right), length, structure),
+                                   lambda: _rankings(right, length, structure))
     except BellowsError:
         if not facts:
             raise

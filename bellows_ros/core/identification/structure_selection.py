@@ -289,10 +289,9 @@ def _candidate(
             [segment for samples, part in fold for segment in _segments(samples.select(part))]))
     part = problem.effective / problem.used
     squares = part * float(equations.r_factor(parts, size + 1)[-1, -1] ** 2)
-    return Candidate(
-        structure.name, size, fit, refused, squares + 2.0 * size,
-        squares + size * float(np.log(problem.effective)),
-        _over_motion(np.array(simulated)))
+    return Candidate(structure.name, size, fit, refused, squares + 2.0 * size,
+                     squares + size * float(np.log(problem.effective)),
+                     _over_motion(np.array(simulated)))
 
 
 def _over_motion(sums: Array) -> Array:

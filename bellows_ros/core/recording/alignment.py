@@ -439,9 +439,8 @@ def pose_of(text: str) -> Array:
 def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream:
     """Return the package's poses in the frame of the tool's, by the pose (7,) of their world."""
     R = lie.quaternion_to_rotation(pose[3:])
-    return replace(
-        package, frame_id=frame_id, position=pose[:3] + lie.apply(R, package.position),
-        rotation=R @ package.rotation)
+    return replace(package, frame_id=frame_id, position=pose[:3] + lie.apply(R, package.position),
+                   rotation=R @ package.rotation)
 
 
 def closed_form(

@@ -53,9 +53,8 @@ Poses = TypeVar('Poses', PoseStream, Trajectory)
 
 def converted(poses: Poses, own: Convention) -> Poses:
     """Return poses in metres, with w last, that were recorded by a convention."""
-    return replace(
-        poses, position=poses.position * (1e-3 if own.millimetres else 1.0),
-        rotation=reordered(poses.rotation) if own.w_first else poses.rotation)
+    return replace(poses, position=poses.position * (1e-3 if own.millimetres else 1.0),
+                   rotation=reordered(poses.rotation) if own.w_first else poses.rotation)
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:

@@ -115,9 +115,8 @@ def prepare(
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
-    return _joined(
-        tool, package, tool_twist, filters, settings, alignment, report,
-        filters[1].poses if of_package.timing.uniform else alignment.package(tracked))
+    return _joined(tool, package, tool_twist, filters, settings, alignment, report,
+                   filters[1].poses if of_package.timing.uniform else alignment.package(tracked))
 
 
 def with_tool_earlier(own: Recording, seconds: float) -> Recording:

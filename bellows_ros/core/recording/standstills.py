@@ -126,9 +126,8 @@ def _standstill(
     every = np.arange(len(package))
     at_rest, hanging = _means(tool, [every]), _means(package, [every])
     relative, stamps_ns = relative_coordinates(tool, package), package.stamps_ns
-    mean = Standstill(
-        int(stamps_ns[0]), _seconds(stamps_ns, every), at_rest, hanging, len(every),
-        _error(relative, stamps_ns, noise), payload)
+    mean = Standstill(int(stamps_ns[0]), _seconds(stamps_ns, every), at_rest, hanging, len(every),
+                      _error(relative, stamps_ns, noise), payload)
     design = np.stack([np.ones(len(every)), np.exp(-package.seconds / RELAXATION_TIMES[1])], 1)
     rest, creep = np.linalg.lstsq(design, relative, rcond=None)[0]
     spread = np.sqrt(len(every) * np.diag(np.linalg.inv(design.T @ design)))  # to that of a mean
@@ -178,10 +177,9 @@ def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
 
 def _means(body: Trajectory, spans: Sequence[Stamps]) -> Trajectory:
     """Return the mean pose over each span of samples, at its first stamp."""
-    return Trajectory(
-        body.stamps_ns[[span[0] for span in spans]],
-        np.array([body.position[span].mean(axis=0) for span in spans]),
-        np.array([mean_rotation(body.rotation[span]) for span in spans]))
+    return Trajectory(body.stamps_ns[[span[0] for span in spans]],
+                      np.array([body.position[span].mean(axis=0) for span in spans]),
+                      np.array([mean_rotation(body.rotation[span]) for span in spans]))
 
 
 def _continues(
@@ -226,7 +224,5 @@ def with_standstills(
     """Return a validity range with the deflections of standstills in it; these have no rates."""
     nominal = np.array([0.0, 0.0, -cup_length, 0.0, 0.0, 0.0])
     deflections = np.array([still.lip - nominal for still in standstills])
-    return replace(
-        known,
-        deflection_low=np.minimum(known.deflection_low, deflections.min(axis=0)),
-        deflection_high=np.maximum(known.deflection_high, deflections.max(axis=0)))
+    return replace(known, deflection_low=np.minimum(known.deflection_low, deflections.min(axis=0)),
+                   deflection_high=np.maximum(known.deflection_high, deflections.max(axis=0)))

@@ -84,9 +84,8 @@ def mean_pose(recording, still):
     poses = recording.measured_package
     inside = (poses.stamps_ns >= still.start_ns) & (
         poses.stamps_ns <= still.start_ns + still.duration * 1e9)
-    return Trajectory(
-        still.package.stamps_ns, poses.position[inside].mean(axis=0)[None],
-        Rotation.from_matrix(poses.rotation[inside]).mean().as_matrix()[None])
+    return Trajectory(still.package.stamps_ns, poses.position[inside].mean(axis=0)[None],
+                      Rotation.from_matrix(poses.rotation[inside]).mean().as_matrix()[None])
 
 
 def test_standstills_too_short_for_the_package_are_counted():

@@ -79,12 +79,10 @@ def test_criteria_are_those_of_the_formulas():
         deviance = selection.effective_samples / len(residual) * float(left @ left)
         aic.append(deviance + 2 * L.shape[2])
         bic.append(deviance + np.log(selection.effective_samples) * L.shape[2])
-    assert_allclose(
-        [candidate.aic for candidate in selection.candidates], np.array(aic) - min(aic), atol=1e-3
-    )
-    assert_allclose(
-        [candidate.bic for candidate in selection.candidates], np.array(bic) - min(bic), atol=1e-3
-    )
+    assert_allclose([candidate.aic for candidate in selection.candidates],
+                    np.array(aic) - min(aic), atol=1e-3)
+    assert_allclose([candidate.bic for candidate in selection.candidates],
+                    np.array(bic) - min(bic), atol=1e-3)
 
 
 @pytest.mark.parametrize('a', [0.0, 0.6, 0.9])

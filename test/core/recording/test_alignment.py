@@ -35,9 +35,8 @@ def held(rng, count=3000):
 
 def moved(poses, offset, turn):
     """Give poses of another frame on the same body."""
-    return Trajectory(
-        poses.stamps_ns, poses.position + apply(poses.rotation, offset), poses.rotation @ turn
-    )
+    return Trajectory(poses.stamps_ns, poses.position + apply(poses.rotation, offset),
+                      poses.rotation @ turn)
 
 
 def rest_of(poses, seconds=1.5):
@@ -84,9 +83,8 @@ def test_a_standstill_on_a_wall_is_aligned_in_a_world_that_is_levelled():
 
 def test_a_standstill_is_the_mean_of_noise_without_outliers():
     rng = np.random.default_rng(47)
-    still = Trajectory(
-        START + np.arange(720) * 2_777_778, np.tile([1.0, 2.0, 3.0], (720, 1)),
-        np.tile(TOOL_MARKERS, (720, 1, 1)))
+    still = Trajectory(START + np.arange(720) * 2_777_778, np.tile([1.0, 2.0, 3.0], (720, 1)),
+                       np.tile(TOOL_MARKERS, (720, 1, 1)))
     poses = noisy(rng, still, Noise())
     position, rotation = poses.position.copy(), poses.rotation.copy()
     position[100:104] += [0.05, 0.0, 0.0]  # an outlier that was not marked

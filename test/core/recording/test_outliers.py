@@ -269,9 +269,8 @@ def uneven(seed, rough):
         knots = np.arange(0, len(t) + 150, 150)
         bursts = np.exp(np.interp(np.arange(len(t)), knots, rng.normal(0.0, 0.7, len(knots))))
         noise = rng.standard_t(3, size=(len(t), 6)) * bursts[:, None]
-    return Trajectory(
-        np.round(1e9 * t).astype(np.int64), way + 4e-5 * noise[:, :3],
-        turn @ exp_so3(2.5e-4 * noise[:, 3:]))
+    return Trajectory(np.round(1e9 * t).astype(np.int64), way + 4e-5 * noise[:, :3],
+                      turn @ exp_so3(2.5e-4 * noise[:, 3:]))
 
 
 @pytest.mark.parametrize('rough, most', [(False, 0.0), (True, 0.003)])

@@ -127,9 +127,8 @@ def test_what_a_window_touches_is_dropped_and_counted():
     found = prepare(stream(bad), stream(package, '/package', gap), PLAIN)
     dropped = np.flatnonzero(~found.valid) + 25
     assert_array_equal(dropped, np.concatenate([np.arange(2975, 3030), np.arange(4975, 5035)]))
-    assert_array_equal(
-        np.flatnonzero(~found.measured) + 25,
-        np.concatenate([np.arange(3000, 3005), np.arange(5000, 5010)]))
+    assert_array_equal(np.flatnonzero(~found.measured) + 25,
+                       np.concatenate([np.arange(3000, 3005), np.arange(5000, 5010)]))
     report = found.report
     assert (report.tool.marked, report.tool.overlapping_gap) == (5, 50)
     assert (report.package.marked, report.package.overlapping_gap) == (0, 50)
@@ -145,9 +144,8 @@ def test_a_recorded_twist_goes_to_the_measured_tool_alone(axes):
     exact = savgol(tool, 3, 4)
     markers = exp_so3([0.4, 1.0, -2.0])
     R = exact.rotation if axes == 'world' else np.broadcast_to(markers.T, exact.rotation.shape)
-    twist = TwistStream(
-        '/twist', axes, exact.stamps_ns,
-        apply(R, exact.twist[:, :3]), apply(R, exact.twist[:, 3:]))
+    twist = TwistStream('/twist', axes, exact.stamps_ns, apply(R, exact.twist[:, :3]),
+                        apply(R, exact.twist[:, 3:]))
     turned = Trajectory(tool.stamps_ns, tool.position, tool.rotation @ markers)
     settings = replace(AT_REST, tool_twist_frame=axes)
     with_twist = prepare(stream(turned), stream(package, '/package'), settings, twist)
@@ -174,9 +172,8 @@ def test_the_alignment_of_one_recording_serves_another_that_never_rests():
     settings = AT_REST
     first = prepare(stream(tool), stream(package, '/package'), settings)
     later = slice(1500, None)
-    second = prepare(
-        stream(tool, '/tool', later), stream(package, '/package', later), settings,
-        alignment=first.alignment)
+    second = prepare(stream(tool, '/tool', later), stream(package, '/package', later), settings,
+                     alignment=first.alignment)
     expected = at(first.package, second.package.stamps_ns)
     assert_allclose(second.package.position, expected.position, atol=1e-12)
     with pytest.raises(BellowsError, match='at rest'):
@@ -250,9 +247,8 @@ def test_what_cannot_be_prepared_says_why():
     with pytest.raises(BellowsError, match=r"'/tool'.*\b3\b"):
         prepare(stream(tool, '/tool', slice(0, 2)), stream(package, '/package'), settings)
     with pytest.raises(BellowsError):
-        prepare(
-            stream(tool, '/tool', slice(0, 1040)),
-            stream(package, '/package', slice(1000, None)), settings)
+        prepare(stream(tool, '/tool', slice(0, 1040)),
+                stream(package, '/package', slice(1000, None)), settings)
     holes = np.flatnonzero(np.arange(len(tool)) % 40)
     with pytest.raises(BellowsError, match=r"'/tool'.*\b179\b"):
         prepare(stream(tool, '/tool', holes), stream(package, '/package'), settings)
