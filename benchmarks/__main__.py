@@ -32,11 +32,11 @@ _MARKED = re.compile(r'(<!-- bench: (\S+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 def measured(sections: Sequence[str], short: bool = False) -> dict[str, Any]:
     """Return the figures of sections, and of the machine; short ones only show that it works."""
-    found: dict[str, Any] = {'machine': machine()}
+    results: dict[str, Any] = {'machine': machine()}
     for name in sections:
         print(f'measuring {name}', file=sys.stderr, flush=True)
-        found[name] = SECTIONS[name](short)
-    return found
+        results[name] = SECTIONS[name](short)
+    return results
 
 
 def machine() -> dict[str, Any]:
@@ -56,10 +56,10 @@ def _processor() -> str:
     return names[0] if names else platform.processor()
 
 
-def renewed(page: str, found: Mapping[str, Any]) -> str:
+def renewed(page: str, results: Mapping[str, Any]) -> str:
     """Return a page with new tables between `<!-- bench: NAME -->` and `<!-- end -->`."""
-    new = {name: markdown(table) for name, table in tables(found).items()}
-    at = found['machine']
+    new = {name: markdown(table) for name, table in tables(results).items()}
+    at = results['machine']
     packages = ', '.join(
         f"{name} {version or 'not installed'}" for name, version in at['versions'].items())
     new['machine'] = (
@@ -84,14 +84,14 @@ def main() -> None:
     arguments = parser.parse_args()
     figures, page = DOCS / 'performance.json', DOCS / 'performance.md'
     if arguments.tables:
-        found = json.loads(figures.read_text())
+        results = json.loads(figures.read_text())
     else:
-        found = measured([arguments.only] if arguments.only else list(SECTIONS))
-        for table in tables(found).values():
+        results = measured([arguments.only] if arguments.only else list(SECTIONS))
+        for table in tables(results).values():
             print(markdown(table), end='\n\n')
     if not arguments.only:
-        write_json(figures, found)
-        write_text(page, renewed(page.read_text(), found))
+        write_json(figures, results)
+        write_text(page, renewed(page.read_text(), results))
 
 
 if __name__ == '__main__':

@@ -94,15 +94,15 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Return stamps (ns) and innovations of a run, and what whitens them."""
     stamps, ys, whiteners = [], [], []
 
-    def before(seen: Measurement) -> None:
-        stamp_ns, position, q, noise = seen
-        known, marker = cell.made.estimate, cell.made.sensor.marker
-        body, theta, model = known.body, known.theta, cell.made.model
+    def before(measurement: Measurement) -> None:
+        stamp_ns, position, q, noise = measurement
+        estimate, marker = cell.made.estimate, cell.made.sensor.marker
+        body, theta, model = estimate.body, estimate.theta, cell.made.model
         com = model[1][1]
         position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
-        exposed = at_exposure(model, known.tool, body, theta)
+        exposed = at_exposure(model, estimate.tool, body, theta)
         whitened, _, whitener, *_ = innovation_of(
-            exposed, theta, known.covariance, position, q, noise, marker)
+            exposed, theta, estimate.covariance, position, q, noise, marker)
         stamps.append(stamp_ns)
         ys.append(np.linalg.solve(whitener, whitened))
         whiteners.append(whitener)
@@ -118,11 +118,11 @@ def passages(M: np.ndarray, x: np.ndarray, others: np.ndarray, seed: int) -> np.
     Whitened, those of a fault x (c,) have the means M x, with M (k, 6, c). The ratio is the mean
     of those of `others` (n, c), which are as likely; -1 if none is enough.
     """
-    seen = M @ x + np.random.default_rng(seed).normal(size=(DRAWS, *M.shape[:2]))
-    scores = np.cumsum(np.einsum('kic,nki->nkc', M, seen), axis=1) @ others.T
+    measurement = M @ x + np.random.default_rng(seed).normal(size=(DRAWS, *M.shape[:2]))
+    scores = np.cumsum(np.einsum('kic,nki->nkc', M, measurement), axis=1) @ others.T
     squares = np.cumsum(np.square(M @ others.T).sum(axis=1), axis=0)
-    found = logsumexp(scores - 0.5 * squares, axis=2) >= THRESHOLD + math.log(len(others))
-    return np.where(found.any(axis=1), found.argmax(axis=1), -1)
+    passed = logsumexp(scores - 0.5 * squares, axis=2) >= THRESHOLD + math.log(len(others))
+    return np.where(passed.any(axis=1), passed.argmax(axis=1), -1)
 
 
 def directed(
@@ -161,8 +161,8 @@ def least_delays(
                 seed, end, CONDITIONS[name], kind, at, rate_hz, numbers=each, **options)
             )[1] - y0) for each in columns], axis=2)
         after = np.append((np.array(stamps) - 1_000_000_000) * 1e-9 - at, np.inf)
-        for found, those in zip(delays, (x[None], others), strict=True):
-            found += after[passages(M, x, those, seed)].tolist()
+        for passed, those in zip(delays, (x[None], others), strict=True):
+            passed += after[passages(M, x, those, seed)].tolist()
     return [sorted(each) for each in delays]
 
 
@@ -178,33 +178,33 @@ def main() -> None:
     parser.add_argument('--kind', choices=KINDS, help='of faults; default: all')
     parser.add_argument('--condition', choices=CONDITIONS, help='default: white for faults, all')
     parser.add_argument('--seed', type=int, default=0, help='of the first run')
-    given = parser.parse_args()
-    runs = round(given.hours * 3600.0 / SECONDS)
-    for name in (given.condition,) if given.condition else CONDITIONS:
+    arguments = parser.parse_args()
+    runs = round(arguments.hours * 3600.0 / SECONDS)
+    for name in (arguments.condition,) if arguments.condition else CONDITIONS:
         for estimate in (False, True) if runs else ():
-            causes, nees = false_alarms(name, runs, estimate, given.seed)
+            causes, nees = false_alarms(name, runs, estimate, arguments.seed)
             print(f'| {name} | {"on" if estimate else "off"} | {runs * SECONDS / 3600:.2g} | '
                   f'{causes.total()} {dict(causes)} | {nees:.1f} |', flush=True)
-    name = given.condition or 'white'
-    for kind in ((given.kind,) if given.kind else KINDS) if given.faults else ():
-        right, after = delays(kind, given.faults, name, first=given.seed)
-        least = least_delays(kind, given.faults, name, first=given.seed)
+    name = arguments.condition or 'white'
+    for kind in ((arguments.kind,) if arguments.kind else KINDS) if arguments.faults else ():
+        right, after = delays(kind, arguments.faults, name, first=arguments.seed)
+        least = least_delays(kind, arguments.faults, name, first=arguments.seed)
         most = ' | '.join(f'{each[int(0.9 * len(each))]:.2f}' for each in (after, *least))
         print(f'| {name} | {kind} | {100 * right:.0f} % | {after[len(after) // 2]:.2f} | {most} |',
               flush=True)
-    for kind, ends in (('drop', 0.0), ('peel', 0.15)) if given.drops else ():
+    for kind, ends in (('drop', 0.0), ('peel', 0.15)) if arguments.drops else ():
         for rate_hz, within in ((125 / 4, 0.3), (125 / 12, 0.6)):
-            right, after = delays(kind, given.drops, name, 1.5, rate_hz)
+            right, after = delays(kind, arguments.drops, name, 1.5, rate_hz)
             noticed = np.mean([s - ends <= within for s in after])
             print(f'| {name} | {kind} | {rate_hz:.0f} Hz | {100 * noticed:.1f} % within '
                   f'{within} s of its end | slowest {after[-1]:.2f} s after its beginning | '
                   f'{100 * right:.0f} % right |', flush=True)
-    for lasts in (0.0, 0.25) if given.slips else ():
+    for lasts in (0.0, 0.25) if arguments.slips else ():
         right, errors = errors_around_slips(
-            range(given.seed, given.seed + given.slips), CONDITIONS[name], lasts,
+            range(arguments.seed, arguments.seed + arguments.slips), CONDITIONS[name], lasts,
             **EXACT if name == 'white' else {})
         before = np.sqrt(np.mean(np.square(errors[4:8]), axis=0))
-        print(f'| {name} | slip in {lasts} s | {right} of {given.slips} right | before: '
+        print(f'| {name} | slip in {lasts} s | {right} of {arguments.slips} right | before: '
               f'{1e3 * before[0]:.2f} mm, {1e3 * before[1]:.1f} mrad | times of that: '
               + ', '.join(f'{a:.2f} and {b:.2f}' for a, b in errors[8:] / before), flush=True)
 

@@ -43,13 +43,13 @@ def run(short: bool) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         add_camera(Path(folder) / 'bag')
         for grip, more in (('', {}), (', gripped 10 mm beside', OFFSET_GRIP)):
-            found = replay(Path(folder) / 'bag', parameters | more, observe=CAMERA_TOPIC).observed
-            assert found is not None
-            counted = np.isfinite(found.both.error).all(axis=1)
-            counted &= found.both.stamps_ns > found.both.stamps_ns[0] + SETTLING_TIME * 1e9
+            result = replay(Path(folder) / 'bag', parameters | more, observe=CAMERA_TOPIC).observed
+            assert result is not None
+            counted = np.isfinite(result.both.error).all(axis=1)
+            counted &= result.both.stamps_ns > result.both.stamps_ns[0] + SETTLING_TIME * 1e9
             errors |= {
-                name + (grip if name != 'camera alone' else ''): _rms(own.error[counted])
-                for name, own in found.estimates.items()}
+                name + (grip if name != 'camera alone' else ''): _rms(estimate.error[counted])
+                for name, estimate in result.estimates.items()}
     return {
         'noise': {'position': NOISE[0] * 3**0.5, 'rotation': NOISE[1] * 3**0.5},
         'errors': errors, 'seconds': costs(short)}
@@ -84,12 +84,12 @@ def costs(short: bool) -> dict[str, Any]:
     rows = shaken_tool(1000 if short else 10_000, 500.0)
     stamps = ((np.arange(len(rows)) + 500) * 2_000_000).tolist()
     states = [state_row(row[:3], row[3:7], row[7:]) for row in rows]
-    found = {'pose without a camera': _follow(stamps, states, None)[0]}
+    result = {'pose without a camera': _follow(stamps, states, None)[0]}
     for name, alarms in (('', 1.0), (', no alarms', 0.0)):
         observer = Observer(resolve({'alarm.false_per_hour': alarms}, ()))
-        found['pose with one' + name], found['measured pose' + name] = _follow(
+        result['pose with one' + name], result['measured pose' + name] = _follow(
             stamps, states, observer)
-    return {name: figures(times[len(times) // 4:]) for name, times in found.items()}
+    return {name: figures(times[len(times) // 4:]) for name, times in result.items()}
 
 
 def _follow(
@@ -100,15 +100,15 @@ def _follow(
     live.pairing.expect = True
     if observer is not None:
         live.package.observe(observer)
-    poses, seen = [], []
+    poses, measured_times = [], []
     for k, (stamp_ns, (position, q, linear, angular)) in enumerate(
             zip(stamps, states, strict=True)):
         live.on_twist(stamp_ns, linear, angular)
         start = time.perf_counter()
-        (there,) = live.on_pose(stamp_ns, 'world', position, q)
+        (prediction,) = live.on_pose(stamp_ns, 'world', position, q)
         poses.append(time.perf_counter() - start)
         if observer is not None and k % 17 == 16:
             start = time.perf_counter()
-            live.on_measured(stamp_ns, 'world', there.position, there.quaternion_xyzw)
-            seen.append(time.perf_counter() - start)
-    return poses, seen
+            live.on_measured(stamp_ns, 'world', prediction.position, prediction.quaternion_xyzw)
+            measured_times.append(time.perf_counter() - start)
+    return poses, measured_times

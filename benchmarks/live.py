@@ -35,16 +35,16 @@ NODES: Mapping[str, tuple[str, ...]] = {
 
 def run(short: bool) -> dict[str, Any]:
     """Return latencies (s), processor time per pose (s) and memory (bytes)."""
-    found: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         for rate in RATES[short]:
             parts: dict[str, list[dict[str, Any]]] = {name: [] for name in NODES}
             for _ in range(ROUNDS[short]):
                 for name, runs in parts.items():
                     runs.append(measured(name, rate, SECONDS[short], Path(folder)))
-            found += [{'node': name, 'rate_hz': rate, **_medians(runs)}
-                      for name, runs in parts.items()]
-    return {'runs': found}
+            results += [{'node': name, 'rate_hz': rate, **_medians(runs)}
+                        for name, runs in parts.items()]
+    return {'runs': results}
 
 
 def measured(name: str, rate: int, seconds: float, folder: Path) -> dict[str, Any]:

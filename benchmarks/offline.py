@@ -80,10 +80,10 @@ def run(short: bool) -> dict[str, Any]:
         bag, fit_bag = Path(folder) / 'long', Path(folder) / 'fit'
         make_recording(bag, duration)
         make_recording(fit_bag, min(duration, FIT_DURATION))
-        found = _in_turn(str(bag), str(fit_bag), rounds)
-    found['output_error_recorded'] = min(duration, FIT_DURATION)
-    found['recording'] = {'seconds': duration, 'rate_hz': RATE, 'messages': found['messages']}
-    return found
+        result = _in_turn(str(bag), str(fit_bag), rounds)
+    result['output_error_recorded'] = min(duration, FIT_DURATION)
+    result['recording'] = {'seconds': duration, 'rate_hz': RATE, 'messages': result['messages']}
+    return result
 
 
 def make_recording(bag: Path, duration: float, seed: int = 1) -> None:
@@ -116,5 +116,5 @@ def _in_turn(bag: str, fit_bag: str, rounds: int) -> dict[str, Any]:
 def _replay(bag: str) -> dict[str, Any]:
     """Return the time of the whole command, from the start of the interpreter to its end."""
     start = time.perf_counter()
-    found = in_process(REPLAY, bag, f'{bag}.json')
-    return {**found, 'seconds': time.perf_counter() - start}
+    result = in_process(REPLAY, bag, f'{bag}.json')
+    return {**result, 'seconds': time.perf_counter() - start}

@@ -85,8 +85,8 @@ class Probe(Node):
 
     def _wait_until(self, due: float) -> None:
         """Take answers until a message is due."""
-        while (left := due - time.perf_counter()) > 0.0:
-            self.executor_.spin_once(timeout_sec=max(left - BUSY, 0.0))
+        while (remaining := due - time.perf_counter()) > 0.0:
+            self.executor_.spin_once(timeout_sec=max(remaining - BUSY, 0.0))
 
 
 def _messages(seconds: float) -> tuple[PoseStamped, TwistStamped]:

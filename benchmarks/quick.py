@@ -50,16 +50,16 @@ def run(duration: float = DURATION) -> dict[str, float]:
 
 def _best(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Return the run of two that took the processor less; the first may compile."""
-    return min((measure() for _ in range(2)), key=lambda found: float(found['processor']))
+    return min((measure() for _ in range(2)), key=lambda results: float(results['processor']))
 
 
 def main() -> int:
     """Print the figures and their bounds; return 1 where one is exceeded."""
-    found = run()
-    for name, value in found.items():
+    results = run()
+    for name, value in results.items():
         mark = '  EXCEEDED' if value > BOUNDS[name] else ''
         print(f'{value:8.2f}  at most {BOUNDS[name]:5g}  {name}{mark}')
-    return int(any(value > BOUNDS[name] for name, value in found.items()))
+    return int(any(value > BOUNDS[name] for name, value in results.items()))
 
 
 if __name__ == '__main__':

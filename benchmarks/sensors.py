@@ -108,18 +108,18 @@ UNEVEN = np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0])
 JUDGED = 0.2
 
 
-def seen(
+def sensed(
     poses: Trajectory, stamps: Stamps, rate: float, std: Array, cell: Cell,
     rng: np.random.Generator, noise: float = 1.0,
 ) -> tuple[Trajectory, Trajectory, BodyNoise]:
     """Return true poses at stamps, what a sensor with noise std (6,) times a factor sees, std."""
-    there, count = resample(poses, stamps), len(stamps)
+    true, count = resample(poses, stamps), len(stamps)
     e = (rng.standard_t(4.0, (count, 6)) / np.sqrt(2.0) if cell.heavy_tails
          else rng.standard_normal((count, 6)))
-    kept = float(np.exp(-1.0 / (rate * cell.memory))) if cell.memory else 0.0
-    e = noise * std * correlated(e, kept)
-    return there, Trajectory(stamps, there.position + e[:, :3],
-                             there.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, kept)
+    ar1_coefficient = float(np.exp(-1.0 / (rate * cell.memory))) if cell.memory else 0.0
+    e = noise * std * correlated(e, ar1_coefficient)
+    return true, Trajectory(stamps, true.position + e[:, :3],
+                            true.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, ar1_coefficient)
 
 
 def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[Measured]:
@@ -130,14 +130,14 @@ def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list
     body = simulate(Cup.thesis(), PLATE, tool, gravity=GRAVITY)
     axes = UNEVEN if cell.uneven_axes else np.ones(6)
     (_, tool, tool_noise), (_, body, package_noise) = (
-        seen(poses, np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64), rate,
-             np.repeat(size, 3) * axes, cell, rng, noise)
+        sensed(poses, np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64), rate,
+               np.repeat(size, 3) * axes, cell, rng, noise)
         for poses, rate, size in ((tool, cell.tool_hz, cell.tool),
                                   (body, cell.package_hz, cell.package)))
     if cell.jitter and noise:
         tool_stream, package_stream = (
-            PoseStream(name, 'world', _arrivals(own.stamps_ns, cell.jitter, rng), own.position,
-                       own.rotation) for name, own in (('tool', tool), ('package', body)))
+            PoseStream(name, 'world', _arrivals(poses.stamps_ns, cell.jitter, rng), poses.position,
+                       poses.rotation) for name, poses in (('tool', tool), ('package', body)))
         return measured_of(prepare(
             tool_stream, package_stream, PrepareSettings(payload=PLATE, gravity=GRAVITY)))
     if cell.apart:
@@ -188,11 +188,11 @@ def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:
     (true,) = recorded(seed, cell._replace(apart=False), duration, 0.0)
     bound = bound_of(cup, structure, true, free)[:len(sizes)] / sizes
     error, std = (fit.parameters - truth) / sizes, np.sqrt(np.diag(fit.covariance)) / sizes
-    known = np.isfinite(std)
-    left = error[known]
-    covariance = fit.covariance[np.ix_(known, known)] / np.outer(sizes[known], sizes[known])
+    finite = np.isfinite(std)
+    x = error[finite]
+    covariance = fit.covariance[np.ix_(finite, finite)] / np.outer(sizes[finite], sizes[finite])
     return Trial(error, std, bound, float(
-        left @ np.linalg.solve(covariance, left)) / max(known.sum(), 1), fit.converged, seconds)
+        x @ np.linalg.solve(covariance, x)) / max(finite.sum(), 1), fit.converged, seconds)
 
 
 def line(name: str, trials: Sequence[Trial]) -> str:
@@ -202,13 +202,13 @@ def line(name: str, trials: Sequence[Trial]) -> str:
     rms = np.sqrt(np.mean((error / bound) ** 2, axis=0))[judged]
     bias = (error.mean(axis=0) / bound.mean(axis=0))[judged]
     z = (np.abs(error) / std)[:, judged]
-    told = np.isfinite(std[:, judged])
+    given_error = np.isfinite(std[:, judged])
     off = z[:, np.flatnonzero(judged) < error.shape[1] // 2].max(initial=0.0)
     return (f'| {name} | {np.sqrt(np.mean(rms**2)):.2f} ({rms.max():.2f}) | '
             f'{np.sqrt(np.mean(bias**2)):.2f} ({np.abs(bias).max():.2f}) | '
-            f'{100.0 * np.mean(z[told] < 1.96):.0f} | '
+            f'{100.0 * np.mean(z[given_error] < 1.96):.0f} | '
             f'{np.mean([each.mahalanobis for each in trials]):.2f} | {off:.1f} | '
-            f'{judged.sum()} of {error.shape[1]}, {100.0 * told.mean():.0f} % | '
+            f'{judged.sum()} of {error.shape[1]}, {100.0 * given_error.mean():.0f} % | '
             f'{sum(each.converged for each in trials)} of {len(trials)} | '
             f'{np.mean([each.seconds for each in trials]):.1f} |')
 

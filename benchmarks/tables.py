@@ -13,11 +13,11 @@ Make = Callable[[Mapping[str, Any]], Table]
 MEBI = 2**20
 
 
-def tables(found: Mapping[str, Any]) -> dict[str, Table]:
+def tables(results: Mapping[str, Any]) -> dict[str, Table]:
     """Return the tables of what was measured, by name."""
     return {
-        name: make(found[name.partition('.')[0]])
-        for name, make in _TABLES.items() if name.partition('.')[0] in found
+        name: make(results[name.partition('.')[0]])
+        for name, make in _TABLES.items() if name.partition('.')[0] in results
     }
 
 

@@ -89,5 +89,5 @@ def same_package() -> dict[str, str]:
     Python keeps its bytecode there, as it does for users: without, a start takes 1 s longer.
     """
     paths = [str(Path(__file__).resolve().parents[1]), os.environ.get('PYTHONPATH', '')]
-    kept = {key: value for key, value in os.environ.items() if key != 'PYTHONDONTWRITEBYTECODE'}
-    return {**kept, 'PYTHONPATH': os.pathsep.join(filter(None, paths))}
+    passed = {key: value for key, value in os.environ.items() if key != 'PYTHONDONTWRITEBYTECODE'}
+    return {**passed, 'PYTHONPATH': os.pathsep.join(filter(None, paths))}

@@ -32,7 +32,7 @@ from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 
 from .paths import driven, step
-from .sensors import bound_of, CAMERA, ROBOT, seen
+from .sensors import bound_of, CAMERA, ROBOT, sensed
 
 RATE, GRAVITY = 1000.0, 9.81
 FREE = 'time_offset', 'package_world', 'package_marker'
@@ -77,18 +77,18 @@ def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, M
     body = simulate(cup, PLATE, tool, gravity=GRAVITY)
 
     (true_tool, tool, tool_noise), (true_body, body, noise) = (
-        seen(poses, poses.stamps_ns[::round(RATE / rate)], rate, np.repeat(std, 3),
-             CAMERA._replace(memory=memory), rng)
+        sensed(poses, poses.stamps_ns[::round(RATE / rate)], rate, np.repeat(std, 3),
+               CAMERA._replace(memory=memory), rng)
         for poses, rate, std, memory in (
             (tool, 500.0, ROBOT, 0.0),
             (body, 30.0, (5e-4, 2.5e-3), 0.05 if seed % 4 > 1 else 0.0)))
-    way = 0.03 * log_so3(exp_so3(rng.standard_normal(3)))
+    marker_offset = 0.03 * log_so3(exp_so3(rng.standard_normal(3)))
     R_marker, R_world = (exp_so3(rng.uniform(-2.0, 2.0, 3)) for _ in range(2))
     o_world = rng.uniform(-1.0, 1.0, 3)
     late_ns = int(rng.uniform(15e6, 60e6))
     return cup, PoseStream('/tool', 'base', tool.stamps_ns, tool.position, tool.rotation), (
         PoseStream('/camera', 'camera', body.stamps_ns + late_ns,
-                   (body.position + apply(body.rotation, way) - o_world) @ R_world,
+                   (body.position + apply(body.rotation, marker_offset) - o_world) @ R_world,
                    R_world.T @ body.rotation @ R_marker)), Measured(
                        true_tool, true_body, PLATE, GRAVITY, tool_noise, noise)
 
@@ -115,8 +115,8 @@ def line(seed: int, duration: float) -> tuple[str, Array]:
     verdict = verdict_of(both, [recording], values['cup.length'], values)
     refused = verdict is not None and bool(verdict.refusals)
     sizes, with_given = (
-        np.diag(100.0 * own.stiffness_std / cup.stiffness.max(axis=1))[SHOWN]
-        for own in (found, both))
+        np.diag(100.0 * estimate.stiffness_std / cup.stiffness.max(axis=1))[SHOWN]
+        for estimate in (found, both))
     return (f'{about}{" ".join(f"{x:.1f}" for x in z)} | '
             f'{" ".join(f"{x:.2f}" for x in ratio)} | '
             f'{" ".join(f"{x:.2g}" for x in sizes)} | '
@@ -143,8 +143,8 @@ def main() -> None:
         rows.append(errors)
     z, *ratios = np.concatenate(rows, axis=1)
     of_K, of_flexibility = (
-        f'rms {np.sqrt(np.mean(own**2)):.2f}, the largest {np.abs(own).max(initial=0.0):.1f}'
-        for own in ratios)
+        f'rms {np.sqrt(np.mean(ratio**2)):.2f}, the largest {np.abs(ratio).max(initial=0.0):.1f}'
+        for ratio in ratios)
     print(f'{len(rows)} recordings: K within 4 standard errors in '
           f'{100.0 * np.mean(np.abs(z) < 4.0):.0f} %, within 1.96 in '
           f'{100.0 * np.mean(np.abs(z) < 1.96):.0f} % of the entries; the largest '

@@ -143,9 +143,9 @@ def listing(path: File) -> Listing:
     except (OSError, ValueError, RuntimeError) as error:  # the last for links in a circle
         reason = getattr(error, 'strerror', None) or error
         raise BellowsError(f"Recording '{str(bag):.200}' cannot be read: {reason}") from None
-    wrong = 'is neither a file nor a folder' if bag.exists() else 'does not exist'
+    problem = 'is neither a file nor a folder' if bag.exists() else 'does not exist'
     raise BellowsError(
-        f"Recording '{bag}' {wrong}. Give a rosbag2 folder, or a single .mcap or .db3 file.")
+        f"Recording '{bag}' {problem}. Give a rosbag2 folder, or a single .mcap or .db3 file.")
 
 
 def require_no_input(path: File, inputs: Iterable[File]) -> None:

@@ -125,14 +125,14 @@ def write_bag(
         writer = Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
         if zstd:
             writer.set_compression(_ZSTD[storage], CompressionFormat.ZSTD)
-        made: dict[tuple[str, str], Connection] = {}
+        connection_of: dict[tuple[str, str], Connection] = {}
         try:
             with writer:
                 for r in recorded:
-                    if (r.topic, r.type_name) not in made:
-                        made[r.topic, r.type_name] = writer.add_connection(
+                    if (r.topic, r.type_name) not in connection_of:
+                        connection_of[r.topic, r.type_name] = writer.add_connection(
                             r.topic, r.type_name, typestore=types)
-                connections = [made[r.topic, r.type_name] for r in recorded]
+                connections = [connection_of[r.topic, r.type_name] for r in recorded]
                 streams = [r.messages(number) for number, r in enumerate(recorded)]
                 for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
                     writer.write(connections[number], log_time_ns, data)

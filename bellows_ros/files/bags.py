@@ -115,16 +115,16 @@ class _Bag:
     def batches(self, wanted: Wanted) -> Iterator[list[Batch]]:
         """Yield them topic by topic as they are stored together, which is much quicker."""
         for file in self._listed.files:
-            lost: list[str] = []
+            losses: list[str] = []
             try:
-                yield from _file_batches(file, wanted, self.counts, lost)
+                yield from _file_batches(file, wanted, self.counts, losses)
             except (DamagedError, ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
                     'Give a sound copy, or record again.') from None
             except OSError as error:
                 raise BellowsError(f"File '{file}' cannot be read: {error}.") from None
-            self.notes += [f"File '{file}' is not whole: {what}." for what in lost]
+            self.notes += [f"File '{file}' is not whole: {what}." for what in losses]
         count, stated = sum(self.counts.values()), self._listed.information.get('message_count')
         if self._listed.information and stated != count:
             self.notes.append(
@@ -192,18 +192,18 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
         readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
-    found = [message._replace(data=_plain(message.data)) for message in bag.messages(chosen)]
+    stored = [message._replace(data=_plain(message.data)) for message in bag.messages(chosen)]
     bag.require_messages()
-    here = {topic.name for topic in bag.counts if chosen(topic)}
-    if wanted - here or not here:
-        there = ', '.join(sorted(f'{t.name} ({t.type_name})' for t in bag.counts))
+    read_topics = {topic.name for topic in bag.counts if chosen(topic)}
+    if wanted - read_topics or not read_topics:
+        recorded = ', '.join(sorted(f'{t.name} ({t.type_name})' for t in bag.counts))
         raise BellowsError(
             f"Recording '{path}' has no poses or twists on "
-            f'{", ".join(sorted(wanted - here)) or "any topic"}; there are: {there}.')
-    whole = [message for message in found if len(message.data) >= SHORTEST]
-    if len(whole) < len(found):
-        bag.notes.append(f'{len(found) - len(whole)} damaged messages are left out.')
-    return sorted(whole, key=lambda message: message.log_time_ns), bag.notes
+            f'{", ".join(sorted(wanted - read_topics)) or "any topic"}; there are: {recorded}.')
+    sound = [message for message in stored if len(message.data) >= SHORTEST]
+    if len(sound) < len(stored):
+        bag.notes.append(f'{len(stored) - len(sound)} damaged messages are left out.')
+    return sorted(sound, key=lambda message: message.log_time_ns), bag.notes
 
 
 def read_streams(path: File, wanted: Mapping[str, str]) -> dict[str, Stream]:
@@ -262,9 +262,9 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     bag.require_messages()
     contents = Contents({}, {}, tuple(bag.notes))
     for role, name in roles.items():
-        found = [own[role] for own in collectors.values() if role in own]
+        of_role = [of_topic[role] for of_topic in collectors.values() if role in of_topic]
         try:
-            contents.streams[role] = _stream(bag, role, name, found)
+            contents.streams[role] = _stream(bag, role, name, of_role)
         except BellowsError as problem:
             contents.problems[role] = problem
     return contents
@@ -437,7 +437,7 @@ def _plain_batch(batch: Batch) -> Batch:
 
 
 def _file_batches(
-    path: Path, wanted: Wanted, counts: dict[Channel, int], lost: list[str]
+    path: Path, wanted: Wanted, counts: dict[Channel, int], losses: list[str]
 ) -> Iterator[list[Batch]]:
     """Yield the wanted messages of a file, whose first bytes identify storage and compression."""
     with path.open('rb') as stored:
@@ -447,7 +447,7 @@ def _file_batches(
         magic = file.read(len(SQLITE_MAGIC))
         file.seek(0)
         if magic.startswith(mcap.MAGIC):
-            yield from mcap.scan(file, wanted, counts, lost)
+            yield from mcap.scan(file, wanted, counts, losses)
         elif magic == SQLITE_MAGIC and compressed:
             with TemporaryDirectory() as folder:
                 plain = Path(folder, path.stem)
@@ -456,7 +456,7 @@ def _file_batches(
         elif magic == SQLITE_MAGIC:
             yield from scan_database(path, wanted, counts)
         elif not magic:
-            lost.append('it is empty')
+            losses.append('it is empty')
         elif magic.startswith(b'#ROSBAG'):
             raise DamagedError(
                 f"it is a bag of ROS 1. Convert it with 'rosbags-convert --src {path} --dst "
@@ -531,10 +531,10 @@ def scan_database(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Ite
 def _require_closed(path: Path) -> None:
     """Refuse a database whose last changes are still in a file beside it."""
     for suffix in ('-wal', '-journal'):
-        beside = path.with_name(path.name + suffix)
-        if beside.is_file() and beside.stat().st_size:
+        other = path.with_name(path.name + suffix)
+        if other.is_file() and other.stat().st_size:
             raise DamagedError(
-                f'its recording was not closed: {beside.name} holds what is not yet in it. '
+                f'its recording was not closed: {other.name} holds what is not yet in it. '
                 f"Run 'sqlite3 {path.name} .schema' in its folder once, which merges the two")
 
 

@@ -154,9 +154,9 @@ def _sections(
     chosen = [(keys, part) for keys, part in every
               if '/'.join(keys[:-1]).rpartition('/')[2] in ('**', '*', *wanted)]
     if not chosen:
-        there = ', '.join('/'.join(keys[:-1]) for keys, _ in every)
+        named = ', '.join('/'.join(keys[:-1]) for keys, _ in every)
         raise BellowsError(
-            f"Parameter file '{file}' has nothing for {' or '.join(wanted)}, only for: {there}. "
+            f"Parameter file '{file}' has nothing for {' or '.join(wanted)}, only for: {named}. "
             "Name the node, or write '/**:' for any.")
     for keys, part in chosen:
         if not isinstance(part, dict):
@@ -257,8 +257,8 @@ def _scalar(value: object) -> str:
 
 def cup_names(names: Iterable[str]) -> list[str]:
     """Return the names of the cups that parameters of the form cups.NAME.* describe."""
-    found = (NAMED_CUP.fullmatch(name) for name in names)
-    return list(dict.fromkeys(match[1] for match in found if match))
+    matches = (NAMED_CUP.fullmatch(name) for name in names)
+    return list(dict.fromkeys(match[1] for match in matches if match))
 
 
 def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:

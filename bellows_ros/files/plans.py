@@ -66,7 +66,7 @@ def read_transforms(path: File) -> dict[str, Link]:
         If it cannot be read, or a frame has two parents.
 
     """
-    found: dict[str, dict[int, tuple[float, ...]]] = {}
+    transforms: dict[str, dict[int, tuple[float, ...]]] = {}
     parents: dict[str, str] = {}
     for topic, kind, _, data in messages_of(path, (TF,)):
         for each in decoded(data, kind).transforms:
@@ -78,8 +78,8 @@ def read_transforms(path: File) -> dict[str, Link]:
                     f"'{parents[child]}' and '{parent}'. Record one of them.")
             stamp, o, q = each.header.stamp, each.transform.translation, each.transform.rotation
             at = 0 if topic == STATIC_TF else stamp.sec * NS_PER_S + stamp.nanosec
-            found.setdefault(child, {})[at] = (o.x, o.y, o.z, q.x, q.y, q.z, q.w)
-    return {child: _link(parents[child], series) for child, series in found.items()}
+            transforms.setdefault(child, {})[at] = (o.x, o.y, o.z, q.x, q.y, q.z, q.w)
+    return {child: _link(parents[child], series) for child, series in transforms.items()}
 
 
 def _link(parent: str, series: Mapping[int, tuple[float, ...]]) -> Link:
@@ -117,12 +117,12 @@ def poses_in(
 
     """
     frame, world = frame.lstrip('/'), world.lstrip('/')
-    up = _way(links, frame, of)
+    up = _chain(links, frame, of)
     root = world or (links[up[-1]].parent if up else frame)
-    down = _way(links, root, of)
+    down = _chain(links, root, of)
     while up and down and up[-1] == down[-1]:
         up, down = up[:-1], down[:-1]
-    ends = [links[way[-1]].parent if way else end for way, end in ((up, frame), (down, root))]
+    ends = [links[path[-1]].parent if path else end for path, end in ((up, frame), (down, root))]
     if ends[0] != ends[1]:
         raise BellowsError(
             f"No way leads from '{frame}' to '{root}' in the transforms of {of}: one ends at "
@@ -140,8 +140,9 @@ def poses_in(
     first = max(link.stamps_ns[0] for link in moving)
     last = min(link.stamps_ns[-1] for link in moving)
     stamps = stamps[(stamps >= first) & (stamps <= last)]
-    (T, known), (T_common_world, there) = (_along(links, way, stamps) for way in (up, down))
-    T, valid = lie.inverse_transform(T_common_world) @ T, known & there
+    (T, valid), (T_common_world, valid_world) = (
+        _chain_poses(links, chain, stamps) for chain in (up, down))
+    T, valid = lie.inverse_transform(T_common_world) @ T, valid & valid_world
     if valid.sum() < 2:
         raise BellowsError(
             f"The transforms between '{frame}' and '{root}' in {of} have no time in common. "
@@ -156,43 +157,45 @@ def rotations_in_root(links: Mapping[str, Link], frame: str, of: str) -> tuple[A
     All of each link, with the last ones of the others; parameters as of `poses_in`.
     """
     R: Array = np.eye(3)[None]
-    way = _way(links, frame, of)
-    for name in way:
-        own = links[name].poses[:, :3, :3]
-        R = np.concatenate([own @ R[-1], own[-1:] @ R])
-    return R, links[way[-1]].parent if way else frame
+    chain = _chain(links, frame, of)
+    for name in chain:
+        rotations = links[name].poses[:, :3, :3]
+        R = np.concatenate([rotations @ R[-1], rotations[-1:] @ R])
+    return R, links[chain[-1]].parent if chain else frame
 
 
-def _way(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
+def _chain(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
     """Return the frames from this one up to below the root; refuse circles."""
     if frame not in links and frame not in {link.parent for link in links.values()}:
         raise BellowsError(
             f"Frame '{frame}' is not among the transforms of {of}. There are: "
             f"{', '.join(sorted(links)[:8]) or 'none'}.")
-    way: list[str] = []
+    chain: list[str] = []
     while frame in links:
-        way.append(frame)
+        chain.append(frame)
         frame = links[frame].parent
-        if frame in way:
-            circle = ' in '.join(f"'{name}'" for name in [*way[way.index(frame):], frame])
+        if frame in chain:
+            circle = ' in '.join(f"'{name}'" for name in [*chain[chain.index(frame):], frame])
             raise BellowsError(
                 f'The transforms of {of} go in a circle: {circle}. A frame can have only one '
                 'parent, and none that is below it; record without what publishes one of these.')
-    return way
+    return chain
 
 
-def _along(links: Mapping[str, Link], way: list[str], stamps: Stamps) -> tuple[Array, Mask]:
+def _chain_poses(
+    links: Mapping[str, Link], chain: list[str], stamps: Stamps
+) -> tuple[Array, Mask]:
     """Return poses (N, 4, 4) of the first frame of a path above its last, and which are valid."""
     T: Array = np.tile(np.eye(4), (len(stamps), 1, 1))
     valid: Mask = np.ones(len(stamps), dtype=bool)
-    for name in way:
+    for name in chain:
         link = links[name]
         if len(link.stamps_ns) == 1:
             T = link.poses @ T
             continue
-        there = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
+        recorded = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
         longest = LONGEST_GAP * float(np.median(np.diff(link.stamps_ns)))
-        found = resample(there, stamps, round(longest))
+        found = resample(recorded, stamps, round(longest))
         T, valid = lie.transform(found.rotation, found.position) @ T, valid & found.valid
     return T, valid
 

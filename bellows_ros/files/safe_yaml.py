@@ -38,8 +38,8 @@ class Content(dict[str, Any]):
 
     def where(self, keys: Sequence[str]) -> str:
         """Return the file and the line of the innermost of some keys that is given."""
-        given = (self._lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
-        line = next(filter(None, given), None)
+        lines = (self._lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
+        line = next(filter(None, lines), None)
         return f'{self._path}, line {line}: ' if line else f'{self._path}: '
 
 
@@ -74,13 +74,13 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Refuse keys that are not plain or are given twice."""
-        seen: set[str] = set()
+        names: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise _refused('a key must be a plain name', key)
-            if key.value in seen:
+            if key.value in names:
                 raise _refused(f"key '{key.value[:80]}' is given twice", key)
-            seen.add(key.value)
+            names.add(key.value)
         return super().construct_mapping(node, deep)
 
 
@@ -128,14 +128,14 @@ def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
 
     """
     text = _text(path, largest)
-    found = re.search(rf'^({"|".join(names)}): *\n( *- )', text, re.MULTILINE)
-    if found:
-        after = _NEXT_KEY.search(text, found.end())
+    start = re.search(rf'^({"|".join(names)}): *\n( *- )', text, re.MULTILINE)
+    if start:
+        after = _NEXT_KEY.search(text, start.end())
         end = after.start() if after else len(text)
-        records = _records(text[found.end():end].rstrip('\n').split('\n' + found[2]))
+        records = _records(text[start.end():end].rstrip('\n').split('\n' + start[2]))
         if records:
-            content = dict(_parsed(text[:found.end()] + '0\n' + text[end:], path, False))
-            content[found[1]] = records
+            content = dict(_parsed(text[:start.end()] + '0\n' + text[end:], path, False))
+            content[start[1]] = records
             return content
     if len(text) > LARGEST_FILE:
         raise BellowsError(

@@ -60,11 +60,11 @@ def read_kitti(path: File) -> tuple[Stamps, Array]:
     """
     file = Path(path)
     lines = _lines(path, None, 12, 12)
-    beside = [file.with_name(f'{file.stem}_times.txt'), file.with_name('times.txt')]
-    times = next((each for each in beside if each.is_file()), None)
+    files = [file.with_name(f'{file.stem}_times.txt'), file.with_name('times.txt')]
+    times = next((each for each in files if each.is_file()), None)
     if times is None:
         raise BellowsError(
-            f"'{path}' is of KITTI, without times. Put them into '{beside[0]}', one (s) per line.")
+            f"'{path}' is of KITTI, without times. Put them into '{files[0]}', one (s) per line.")
     stamps = _stamps(times, _lines(times, None), 's')
     if len(stamps) != len(lines):
         raise BellowsError(
@@ -221,10 +221,10 @@ def _stamps(path: File, lines: Lines, unit: str) -> Stamps:
     for number, (cell, *_) in lines:
         try:
             time = Decimal(cell)
-            known = 0 <= time < LATEST_NS // factor and (factor > 1 or time % 1 == 0)
+            valid = 0 <= time < LATEST_NS // factor and (factor > 1 or time % 1 == 0)
         except ArithmeticError:
-            known = False
-        if not known:
+            valid = False
+        if not valid:
             raise _unlike(path, number, f"a time in {unit}, got '{cell[:40]}'")
         stamps.append(int(time * factor))
     return np.array(stamps, dtype=np.int64)
@@ -337,19 +337,19 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
     if not len(seconds) or not np.all(np.abs(seconds) < LONGEST):
         raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
     stamps = _start_ns(about) + np.rint(seconds * NS_PER_S).astype(np.int64)
-    found = []
+    bodies = []
     for name, (pose_columns, qualities, positions) in columns.items():
         pose = np.column_stack([table[c] for c in pose_columns])
-        there, enough = np.isfinite(pose).all(axis=1), np.ones(len(pose), dtype=bool)
+        present, enough = np.isfinite(pose).all(axis=1), np.ones(len(pose), dtype=bool)
         if qualities:
             enough = np.sum([table[c] >= SEEN_QUALITY for c in qualities], 0) >= fewest_markers
         elif len(positions) >= FEWEST_MARKERS:
             enough = np.sum([np.isfinite(table[c]) for c in positions], 0) >= fewest_markers
-        kept = there & enough
-        found.append(MotiveBody(
-            name, stamps[kept], np.hstack([scale * pose[kept, 4:], pose[kept, :4]]),
-            int(np.count_nonzero(~there)), int(np.count_nonzero(there & ~enough))))
-    return tuple(found)
+        usable = present & enough
+        bodies.append(MotiveBody(
+            name, stamps[usable], np.hstack([scale * pose[usable, 4:], pose[usable, :4]]),
+            int(np.count_nonzero(~present)), int(np.count_nonzero(present & ~enough))))
+    return tuple(bodies)
 
 
 def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:

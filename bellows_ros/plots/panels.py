@@ -53,11 +53,11 @@ def six(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
     return panels
 
 
-def single_panel(figure: Any, left: float = LEFT) -> Any:
+def single_panel(figure: Any) -> Any:
     """Return the one panel of a figure, below the head."""
     height = figure.get_figheight()
     return figure.subplots(gridspec_kw={
-        'left': left, 'right': 0.985, 'top': 1.0 - HEAD / height, 'bottom': FOOT / height})
+        'left': LEFT, 'right': 0.985, 'top': 1.0 - HEAD / height, 'bottom': FOOT / height})
 
 
 class Line(NamedTuple):

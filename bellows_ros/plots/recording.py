@@ -1,11 +1,10 @@
-"""Pictures of a recording: motion, spectra, samples, path, loads of the cup, predictions."""
+"""Pictures of a recording: motion, spectra, path, loads of the cup, predictions."""
 
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES, Comparison, MILLI_UNITS, Spectrum, Whiteness
 from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
@@ -84,47 +83,6 @@ def spectra_figure(
     return panels.six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
         [f'{unit}/√Hz' for unit in MILLI_UNITS], log=True)
-
-
-def samples_figure(recording: Recording, note: str, theme: str = 'light') -> Any:
-    """
-    Draw which samples of a recording are used, and where poses are lost.
-
-    Parameters
-    ----------
-    recording : Recording
-        What is drawn.
-    note : str
-        How many samples are used.
-    theme : {'light', 'dark'}
-        Colours for a light or a dark background.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
-    seconds = recording.since_start(recording.package.stamps_ns)
-    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    with panels.picture('Used and lost samples', note, theme, (9.4, 2.1)) as (figure, colours):
-        panel = panels.single_panel(figure, left=0.14)
-        rows = ((recording.valid, colours.measured),
-                (~recording.measured_tool.valid, colours.predicted),
-                (~recording.measured_package.valid, colours.predicted))
-        for height, (mask, colour) in enumerate(rows):
-            panel.broken_barh(spans(mask, seconds, step), (height - 0.35, 0.7), facecolor=colour,
-                              edgecolor=colour, linewidth=0.5)
-        panel.set(xlim=(0.0, seconds[-1] + step), ylim=(2.6, -0.6), xlabel='time (s)')
-        panel.set_yticks(range(3), ['used', 'tool poses lost', 'package poses lost'])
-        panel.grid(visible=False, axis='y')
-    return figure
-
-
-def spans(mask: Mask, seconds: Array, step: float) -> list[tuple[float, float]]:
-    """Return start and length (s) of the runs of samples in a mask; each lasts a step."""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
-    return [(float(seconds[first]), float(seconds[end - 1] - seconds[first]) + step)
-            for first, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:

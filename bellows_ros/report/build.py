@@ -198,9 +198,6 @@ def _figures(replayed: Replay) -> Iterator[Any]:
         bag, one_step=found.one_step.spectrum if found.one_step else None)
     yield pictures.whiteness_figure(
         found.one_step.whiteness if found.one_step else found.whiteness, bag)
-    yield pictures.samples_figure(
-        recording, f'{np.count_nonzero(recording.valid)} of {len(recording.valid)} samples '
-        'are used; a lost pose rejects all samples whose filter window contains it')
 
 
 def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:

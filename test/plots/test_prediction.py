@@ -4,7 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 
 from bellows_ros.core.signals.residuals import Comparison, score
-from bellows_ros.plots.recording import prediction_figure, spans, two_figures
+from bellows_ros.plots.recording import prediction_figure, two_figures
 from bellows_ros.plots.style import drawing, inline_svg, THEMES
 import numpy as np
 import pytest
@@ -110,11 +110,3 @@ def test_a_gap_interrupts_the_line_of_a_page():
     first, second = inlined(np.arange(5.0), np.array([1.0, 2, np.nan, 2, 1]))
     assert len(first) == len(second) == 2
     np.testing.assert_allclose(first[1, 1], second[0, 1])
-
-
-def test_runs_of_samples_begin_and_end_where_they_should():
-    """Let a run last from its first sample to a step after its last one."""
-    mask = np.array([True, True, False, False, True])
-    assert spans(mask, np.arange(5) * 0.5, 0.5) == [(0.0, 1.0), (2.0, 0.5)]
-    assert spans(~mask, np.arange(5) * 0.5, 0.5) == [(1.0, 1.0)]
-    assert spans(np.zeros(3, bool), np.arange(3.0), 1.0) == []

@@ -126,22 +126,22 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
 
 def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a sentence for each of the package's data that is unlikely though allowed."""
-    found = []
+    sentences = []
     height, mass = values['package.com'][2], values['package.mass']
     if height > 0.0:
-        found.append(
+        sentences.append(
             f'package.com is {height:g} m above the lip, inside the cup; z points into the arm. '
             f'Is it {-height:g}?')
     if not LEAST_MASS <= mass <= LARGEST_MASS:
-        found.append(
+        sentences.append(
             f'package.mass is {mass:g} kg; cups of this kind carry {LEAST_MASS:g} to '
             f'{LARGEST_MASS:g} kg. Is it in another unit?')
     gyration = math.sqrt(sum(values['package.inertia'][:3]) / mass)
     if gyration > GYRATION[-1]:
-        found.append(
+        sentences.append(
             f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '
             f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
-    return tuple(found)
+    return tuple(sentences)
 
 
 def unit_of_inertia(gyration: float) -> str:
@@ -253,9 +253,9 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     return int(value) if whole else float(value)
 
 
-def require(given: Mapping[str, object], required: Iterable[str]) -> None:
+def require(values: Mapping[str, object], required: Iterable[str]) -> None:
     """Refuse missing required parameters, in one message with an example."""
-    missing = [table.lookup(name) for name in required if name not in given]
+    missing = [table.lookup(name) for name in required if name not in values]
     if missing:
         lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
                  for p in missing]
@@ -363,38 +363,38 @@ class Settings:
         self, name: str, default: float | None = None, unit: str = '', **bounds: float
     ) -> float:
         """Return a finite number in bounds (minimum, above, maximum), required if no default."""
-        return float(self._take(name, default, 'double', unit=unit, **bounds))
+        return float(self._get(name, default, 'double', unit=unit, **bounds))
 
     def whole(self, name: str, default: int, minimum: int = 0, **bounds: int) -> int:
         """Return an integer in bounds (minimum, maximum)."""
-        return int(self._take(name, default, 'integer', minimum=minimum, **bounds))
+        return int(self._get(name, default, 'integer', minimum=minimum, **bounds))
 
     def flag(self, name: str, default: bool) -> bool:
         """Return a truth value."""
-        return bool(self._take(name, default, 'bool'))
+        return bool(self._get(name, default, 'bool'))
 
     def text(self, name: str, default: str | None = None) -> str:
         """Return a string that is not empty."""
-        return str(self._take(name, default, 'string', required_text=True))
+        return str(self._get(name, default, 'string', required_text=True))
 
     def choice(self, name: str, choices: Sequence[str], default: str | None = None) -> str:
         """Return one of some strings."""
-        return str(self._take(name, default, 'string', choices=tuple(choices)))
+        return str(self._get(name, default, 'string', choices=tuple(choices)))
 
     def vector(
         self, name: str, length: int, default: Sequence[float] | None = None, unit: str = ''
     ) -> Array:
         """Return so many finite numbers."""
-        return np.array(self._take(name, default, 'double_array', unit=unit, length=length))
+        return np.array(self._get(name, default, 'double_array', unit=unit, length=length))
 
     def numbers(
         self, name: str, unit: str = '', default: Sequence[float] | None = None, **bounds: float
     ) -> Array:
         """Return finite numbers, each in bounds; one or more without a default."""
-        found = np.array(self._take(name, default, 'double_array', unit=unit, **bounds))
-        if default is None and not len(found):
+        values = np.array(self._get(name, default, 'double_array', unit=unit, **bounds))
+        if default is None and not len(values):
             raise self.refuse(name, 'a list of one or more numbers', [])
-        return found
+        return values
 
     def block(self, name: str) -> Settings:
         """Return a block of this one; an empty one when it is not given."""
@@ -426,9 +426,10 @@ class Settings:
         """
         for name in self._values:
             if name not in self._asked and name not in ignored:
-                near = difflib.get_close_matches(name, self._asked, n=1, cutoff=0.6)
-                known = ', '.join(dict.fromkeys(self._asked))
-                hint = f"Did you mean '{self.name(near[0])}'?" if near else f'Known here: {known}.'
+                similar = difflib.get_close_matches(name, self._asked, n=1, cutoff=0.6)
+                names = ', '.join(dict.fromkeys(self._asked))
+                hint = (f"Did you mean '{self.name(similar[0])}'?" if similar else
+                        f'Known here: {names}.')
                 raise self.error(name, f"Unknown setting '{self.name(name)[:200]}'. {hint}")
         for name, block in self._blocks.items():
             if name not in ignored:
@@ -443,7 +444,7 @@ class Settings:
         """Return an error on a setting, which begins with where it stands."""
         return BellowsError(self._where(tuple(self.name(name).split('.'))) + message)
 
-    def _take(self, name: str, default: object, kind: Kind, **constraint: Any) -> Any:
+    def _get(self, name: str, default: object, kind: Kind, **constraint: Any) -> Any:
         """Return a setting as it is given, or its default, if it is as a parameter would be."""
         self._asked.append(name)
         value = self._values.get(name, default)
@@ -454,9 +455,9 @@ class Settings:
             raise self.error(
                 name, f'{parameter.name} is missing; it must be {parameter.constraint}.')
         try:
-            found = convert(parameter, value)
+            normal = convert(parameter, value)
         except BellowsError as error:
             raise self.error(name, str(error)) from None
-        if kind in ('double', 'double_array') and np.max(np.abs(found), initial=0.0) > LARGEST:
+        if kind in ('double', 'double_array') and np.max(np.abs(normal), initial=0.0) > LARGEST:
             raise self.refuse(name, f'between {-LARGEST:g} and {LARGEST:g}', value)
-        return found
+        return normal

@@ -113,8 +113,8 @@ class Parameter:
         if isinstance(default, tuple):
             if len(set(default)) < 2:
                 return f'default all {default[0]:g}' if default else 'default none'
-            known = 'the unit matrix' if self.name == 'release.correlation' else 'from the thesis'
-            return f'default {known if len(default) > 6 else list(default)}'
+            name = 'the unit matrix' if self.name == 'release.correlation' else 'from the thesis'
+            return f'default {name if len(default) > 6 else list(default)}'
         return f'default {str(default).lower() if isinstance(default, bool) else repr(default)}'
 
     def _range(self) -> str:
@@ -159,12 +159,12 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
     """Return a parameter as its entry in the file describes it."""
-    given: dict[str, Any] = {
+    fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in (
             {'default': None, 'unit': '', **entry, **_COMPUTED.get(name, {})}).items()}
-    if isinstance(given['default'], float) and 'length' in given:
-        given['default'] = (given['default'],) * given['length']
-    return Parameter(name, **given)
+    if isinstance(fields['default'], float) and 'length' in fields:
+        fields['default'] = (fields['default'],) * fields['length']
+    return Parameter(name, **fields)
 
 
 PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
@@ -217,19 +217,19 @@ def _nearest(name: str, known: Sequence[str]) -> str:
     name = name[:80]
     group, _, leaf = name.rpartition('.')
     inside = [other for other in known if other.startswith(f'{name}.')]
-    beside = inside or [other for other in known if group and other.startswith(f'{group}.')]
+    in_group = inside or [other for other in known if group and other.startswith(f'{group}.')]
     words = {word: other for word, other in OTHER_WORDS.items() if other in known}
-    leaves = {} if beside else {o.rpartition('.')[2]: o for o in reversed(known)}
-    near = get_close_matches(name, known, 1, CERTAIN) if group else []
-    near += [words[word] for word in get_close_matches(leaf, words, 1, ALIKE)]
-    near += [] if inside else get_close_matches(name, beside, 1, ALIKE)
-    near += [] if inside else get_close_matches(name, known, 1, ALIKE)
-    near += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
-    if near:
-        return f"Did you mean '{near[0]}'?"
-    if beside:
-        return f'Known there are: {", ".join(beside)}.'
-    groups = dict.fromkeys(f'{own.partition(".")[0]}.*' for own in known if '.' in own)
+    leaves = {} if in_group else {o.rpartition('.')[2]: o for o in reversed(known)}
+    similar = get_close_matches(name, known, 1, CERTAIN) if group else []
+    similar += [words[word] for word in get_close_matches(leaf, words, 1, ALIKE)]
+    similar += [] if inside else get_close_matches(name, in_group, 1, ALIKE)
+    similar += [] if inside else get_close_matches(name, known, 1, ALIKE)
+    similar += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
+    if similar:
+        return f"Did you mean '{similar[0]}'?"
+    if in_group:
+        return f'Known there are: {", ".join(in_group)}.'
+    groups = dict.fromkeys(f'{other.partition(".")[0]}.*' for other in known if '.' in other)
     return f"Known are {', '.join(groups)}; 'bellows parameters' lists them all."
 
 

@@ -254,16 +254,16 @@ class Waypoints(Motion):
         still = np.zeros((len(t), 3))
         position, rotation = still + self.start.position, still[..., None] + self.start.rotation
         velocity, body_rate = still.copy(), still.copy()
-        begin, here = self.rest_duration, self.start
+        begin, start = self.rest_duration, self.start
         for segment in self.segments:
             now = t >= begin  # what a later segment covers, it overwrites
             step, slope = smooth_step((t[now] - begin) / segment.move)[:2, :, None]
             slope = slope / segment.move
-            way = segment.goal.position - here.position
-            turn = lie.log_so3(here.rotation.T @ segment.goal.rotation)
-            position[now], velocity[now] = here.position + step * way, slope * way
-            rotation[now], body_rate[now] = here.rotation @ lie.exp_so3(step * turn), slope * turn
-            begin, here = begin + segment.move + segment.hold, segment.goal
+            shift = segment.goal.position - start.position
+            turn = lie.log_so3(start.rotation.T @ segment.goal.rotation)
+            position[now], velocity[now] = start.position + step * shift, slope * shift
+            rotation[now], body_rate[now] = start.rotation @ lie.exp_so3(step * turn), slope * turn
+            begin, start = begin + segment.move + segment.hold, segment.goal
         return position, velocity, rotation, body_rate
 
     @property
@@ -300,9 +300,9 @@ class Planned(Motion):
         first, last = self.tool.stamps_ns[[0, -1]]
         stamps = np.clip(first + np.round(t * NS_PER_S).astype(np.int64), first, last)
         at, places = np.unique(stamps, return_inverse=True)
-        found = resample(self.tool, at)
-        R, twist = found.rotation, np.asarray(found.twist)
-        return (found.position[places], lie.apply(R, twist[:, :3])[places], R[places],
+        sampled = resample(self.tool, at)
+        R, twist = sampled.rotation, np.asarray(sampled.twist)
+        return (sampled.position[places], lie.apply(R, twist[:, :3])[places], R[places],
                 twist[places, 3:])
 
 
@@ -384,10 +384,10 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
     for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
         block = settings.block(name)
         for index, axis in enumerate(AXES):
-            lines, given = block.block(axis), () if axis not in block else None
-            amplitude = lines.numbers('amplitude', unit, default=given)
+            lines, default = block.block(axis), () if axis not in block else None
+            amplitude = lines.numbers('amplitude', unit, default=default)
             frequency = lines.numbers(
-                'frequency', 'Hz', minimum=0.0, maximum=LARGEST_FREQUENCY, default=given)
+                'frequency', 'Hz', minimum=0.0, maximum=LARGEST_FREQUENCY, default=default)
             if len(amplitude) != len(frequency):
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "

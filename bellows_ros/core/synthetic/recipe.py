@@ -503,37 +503,37 @@ def tossed(
             break
         part, start = slice(first, last), float(seconds[first])
         switched = times[k] - start if k < len(times) else math.inf
-        here = tool.select(slice(first, None))
+        remaining = tool.select(slice(first, None))
         try:
-            _require_rest(here)
-            hanging = HeldMotion(model, grip, here, until=switched + MAX_WAIT)
+            _require_rest(remaining)
+            hanging = HeldMotion(model, grip, remaining, until=switched + MAX_WAIT)
             t = seconds[part] - start
             at = np.searchsorted(hanging.times, t - 1e-9)
             rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]
             if k == len(times):
                 break
             drawn = changed(release, changes[k])
-            found = toss(hanging, drawn, switched)
+            thrown = toss(hanging, drawn, switched)
             hanging = hanging.released(drawn, switched)
             rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]
-            if found.landing_time > t[-1] and last < count:
+            if thrown.landing_time > t[-1] and last < count:
                 raise BellowsError(
-                    f'The package lands {found.landing_time - switched:.3g} s after the valve is '
+                    f'The package lands {thrown.landing_time - switched:.3g} s after the valve is '
                     f'switched, but the next one is picked up after {pickup:g} s. Raise '
                     'release.pickup.')
         except BellowsError as error:
             raise BellowsError(f'Package {k + 1}, held from {start:.3g} s on: {error}') from None
-        held[part] = t <= found.release_time
-        tracked[part] = t <= found.landing_time
-        body, now = found.release, found.release_time
+        held[part] = t <= thrown.release_time
+        tracked[part] = t <= thrown.landing_time
+        body, now = thrown.release, thrown.release_time
         for j in np.flatnonzero(tracked[part] & ~held[part]):
             body = flight(model[1], model[2], body, float(t[j] - now), ROTATION_PER_STEP)
             now = float(t[j])
             write_row(rows[first + j], body)
-        write_row(resting := np.zeros(13), (*found.landing[:2], (0.0,) * 3, (0.0,) * 3))
-        rows[part][t > found.landing_time] = resting
+        write_row(resting := np.zeros(13), (*thrown.landing[:2], (0.0,) * 3, (0.0,) * 3))
+        rows[part][t > thrown.landing_time] = resting
         tosses.append(Thrown(
-            times[k], start + found.release_time, start + found.landing_time, drawn.law))
+            times[k], start + thrown.release_time, start + thrown.landing_time, drawn.law))
     package = Trajectory(
         tool.stamps_ns, rows[:, :3], quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
     return Truth(tool, package, held, tracked, tuple(tosses))
