@@ -102,8 +102,7 @@ def _messages(seconds: float) -> tuple[PoseStamped, TwistStamped]:
 def used(pid: int) -> dict[str, float]:
     """Return the processor time (s) and the memory (bytes) of a process."""
     nanoseconds = sum(
-        int(path.read_text().split()[0]) for path in Path(f'/proc/{pid}/task').glob('*/schedstat')
-    )
+        int(path.read_text().split()[0]) for path in Path(f'/proc/{pid}/task').glob('*/schedstat'))
     lines = Path(f'/proc/{pid}/status').read_text().splitlines()
     memory = next(1024 * int(line.split()[1]) for line in lines if line.startswith('VmRSS'))
     return {'seconds': nanoseconds * 1e-9, 'memory': memory}
@@ -130,11 +129,9 @@ def _result(probe: Probe, before: dict[str, float], after: dict[str, float]) -> 
         'answered': len(probe.answered),
         'latency': [
             (probe.answered[stamp] - probe.sent[stamp]) * 1e-9
-            for stamp in counted if stamp in probe.answered
-        ],
+            for stamp in counted if stamp in probe.answered],
         'processor_seconds': after['seconds'] - before['seconds'],
-        'memory': after['memory'],
-    }
+        'memory': after['memory']}
 
 
 if __name__ == '__main__':

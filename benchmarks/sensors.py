@@ -46,14 +46,10 @@ MOTION = {
     'multi_sine': {
         'position': {
             axis: {'amplitude': [0.02, 0.01, 0.003], 'frequency': [0.4 + i / 50, 1.3, 3 - i / 9]}
-            for i, axis in enumerate('xyz')
-        },
+            for i, axis in enumerate('xyz')},
         'rotation': {
             axis: {'amplitude': [0.08, 0.04, 0.01], 'frequency': [0.5 + i / 40, 1.4, 2.9 - i / 7]}
-            for i, axis in enumerate('xyz')
-        },
-    },
-}
+            for i, axis in enumerate('xyz')}}}
 
 Pair = tuple[float, float]
 
@@ -96,8 +92,7 @@ CELLS: dict[str, Cell] = {
     'motion capture, 0.3 mm, 100 ms': MOCAP._replace(memory=0.1),
     'motion capture, 0.3 mm, Student t': MOCAP._replace(heavy_tails=True),
     'motion capture, 0.3 mm, bursts': MOCAP._replace(
-        tool_hz=120.0, package_hz=120.0, jitter=8e-3),
-}
+        tool_hz=120.0, package_hz=120.0, jitter=8e-3)}
 
 APART = {'time_offset': (8e-3,), 'package_world': (4e-3, -3e-3, 5e-3, 0.01, -0.015, 0.02),
          'package_marker': (0.004, 0.003, -0.005, 0.02, 0.03, -0.02)}

@@ -17,8 +17,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, Table]:
     """Return the tables of what was measured, by name."""
     return {
         name: make(results[name.partition('.')[0]])
-        for name, make in _TABLES.items() if name.partition('.')[0] in results
-    }
+        for name, make in _TABLES.items() if name.partition('.')[0] in results}
 
 
 def markdown(table: Table) -> str:
@@ -66,8 +65,7 @@ def _offline(section: Mapping[str, Any]) -> Table:
          _memory(section['peak_replay'])),
         ('predicting alone, of that',
          f'{section["replay_factor"]["median"]:.0f} times real time', ''),
-        ('output-error fit', f'{_time(error)} per recorded second', ''),
-    ]
+        ('output-error fit', f'{_time(error)} per recorded second', '')]
 
 
 def _camera(section: Mapping[str, Any]) -> Table:

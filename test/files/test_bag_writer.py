@@ -50,8 +50,7 @@ def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):
         tmp_path / 'b',
         [
             recorded(log_times_ns=late[::-1]),
-            as_messages('/b', made.TWIST, t, made.twist_values(COUNT))],
-    )
+            as_messages('/b', made.TWIST, t, made.twist_values(COUNT))])
     with AnyReader([tmp_path / 'b']) as reader:
         order = [(t, c.topic) for c, t, _ in reader.messages()]
     assert order == sorted([(x, '/a') for x in late] + [(x, '/b') for x in t])

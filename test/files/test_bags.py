@@ -54,10 +54,8 @@ def bag(request, tmp_path):
         ('/tool/pose', made.POSE): made.poses(COUNT),
         ('/tool/twist', made.TWIST): [
             (int(t[i]), made.encoded(made.TWIST, t[i], twist=made.twist_values(COUNT)[i]))
-            for i in range(COUNT)
-        ],
-        ('/unused', made.POSE): made.poses(3),
-    }
+            for i in range(COUNT)],
+        ('/unused', made.POSE): made.poses(3)}
     return made.write(tmp_path / 'bag', content, storage, compression)
 
 
@@ -421,8 +419,7 @@ AS_DATA = ['ALTER TABLE messages RENAME COLUMN data TO old',
         'CREATE TABLE other (x TEXT, y AS (hex(zeroblob(100000000 * x))) VIRTUAL NOT NULL)',
         "INSERT INTO other (x) VALUES ('1')"]),
     (COMPUTED, ['DROP TABLE messages',
-                'CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)']),
-])
+                'CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)'])])
 def test_a_damaged_or_computing_database_is_refused(tmp_path, reason, statements):
     assert reason in error_of(altered_database(tmp_path, *statements))
 
@@ -432,8 +429,7 @@ def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
     folder = altered_database(
         tmp_path,
         'WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c LIMIT 200000)'
-        ' INSERT INTO messages (topic_id, timestamp, data) SELECT 1, x, zeroblob(0) FROM c',
-    )
+        ' INSERT INTO messages (topic_id, timestamp, data) SELECT 1, x, zeroblob(0) FROM c')
     monkeypatch.setattr(bags, '_STEPS_PER_BYTE', 0)
     assert 'interrupted' in error_of(folder)
 

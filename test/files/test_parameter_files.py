@@ -5,11 +5,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import parameter_files
-from bellows_ros.files.parameter_files import (
-    format_parameters,
-    read_parameters,
-    write_parameters,
-)
+from bellows_ros.files.parameter_files import format_parameters, read_parameters, write_parameters
 from hypothesis import given, settings, strategies
 import pytest
 import yaml

@@ -69,7 +69,7 @@ def test_both_bodies_are_found_in_the_world(tmp_path):
     assert found['a'].frame_id == found['b'].frame_id == 'hall'
     for role, pose in (
         ('a', lambda s: MOUNT @ base_in_rail(s) @ flange_in_base(s) @ FLANGE),
-        ('b', lambda s: CAMERA @ box_in_camera(s))
+        ('b', lambda s: CAMERA @ box_in_camera(s)),
     ):
         s = (found[role].stamps_ns - T0) * 1e-9
         expected = np.array([pose(each) for each in s])

@@ -29,8 +29,7 @@ def plan_messages(count=4):
         'joints': {'header': header, 'joint_names': ['turn', 'slide', 'spin'], 'points': [{
             'positions': [place['x'], 0.0, 0.0], 'velocities': [], 'accelerations': [],
             'effort': [], 'time_from_start': at,
-        } for place, at in zip(places, times, strict=True)]},
-    }))
+        } for place, at in zip(places, times, strict=True)]}}))
 
 
 def places_in(content, keys=()):

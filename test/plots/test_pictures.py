@@ -69,8 +69,7 @@ def draw_all(motion, loads, theme):
         'spectra': spectra_figure(
             spectra, 'note', theme, Spectrum(frequency, np.full((40, 6), 1e-12))),
         'deflection': deflection_figure(loads, 'note', theme),
-        'residual': residual_figure(loads, 'note', theme),
-    }
+        'residual': residual_figure(loads, 'note', theme)}
 
 
 @pytest.mark.parametrize('theme', THEMES)

@@ -163,8 +163,7 @@ def test_damping_must_be_positive_semidefinite():
 @given(
     strategies.lists(
         strategies.lists(strategies.floats(-1.0, 1.0), min_size=3, max_size=3), min_size=4,
-        max_size=8)
-)
+        max_size=8))
 def test_inertia_of_any_body_is_taken(points):
     # Point masses: the integral of (r^2 I - r r^T), which is what an inertia is.
     r = np.array(points)
@@ -210,8 +209,7 @@ anything = strategies.recursive(
     | strategies.dates(),
     lambda inner: strategies.lists(inner, max_size=36)
     | strategies.dictionaries(strategies.text(max_size=2), inner, max_size=2),
-    max_leaves=40,
-)
+    max_leaves=40)
 
 
 @given(strategies.sampled_from(sorted(PARAMETERS)), anything)

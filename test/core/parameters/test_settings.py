@@ -74,8 +74,7 @@ def test_a_file_that_is_no_block_is_refused(content):
     (lambda s: s.block('inner').number('other'), 2),  # missing: the block that lacks it
     (lambda s: [each.number('a', maximum=1.5) for each in s.blocks('list')], 6),
     (lambda s: (s.block('inner').text('size', 'x'), s.number('rate'), s.done()), 4),
-    (lambda s: s.block('rate'), 1),
-])
+    (lambda s: s.block('rate'), 1)])
 def test_an_error_begins_with_the_file_and_the_line(tmp_path, read, line):
     file = tmp_path / 'limits.yaml'
     file.write_text('rate: 3.0\ninner:\n  size: "x"\nlist:\n  - a: 1.0\n  - a: 2.0\n')

@@ -24,9 +24,7 @@ MULTI_SINE = {
         'rotation': {
             'x': {'amplitude': [0.6, 0.1], 'frequency': [0.5, 2.0]},
             'y': {'amplitude': [0.4], 'frequency': [0.8]},
-            'z': {'amplitude': [1.2], 'frequency': [0.3]}},
-    },
-}
+            'z': {'amplitude': [1.2], 'frequency': [0.3]}}}}
 CHIRP = {
     'kind': 'chirp', 'duration': 6.0, 'rest_duration': 1.0, 'start': START,
     'chirp': {'from': 0.5, 'to': 5.0, 'position': [0, 0.02, 0.01], 'rotation': [0.1, 0.3, 0.2]}}
@@ -38,15 +36,12 @@ WAYPOINTS = {
         'poses': [
             {'position': [0.6, 0.1, 0.7], 'rpy': [0.1, 0.5, -1.0], 'move': 0.8, 'hold': 0.5},
             {'position': [0.4, 0.1, 0.9], 'quaternion_xyzw': [0, 0, 1, 0], 'move': 1.2},
-            {'position': [0.5, 0.0, 0.8], 'move': 0.6, 'hold': 0.9}]
-    },
-}
+            {'position': [0.5, 0.0, 0.8], 'move': 0.6, 'hold': 0.9}]}}
 STATIC = {
     'kind': 'static',
     'rest_duration': 1.0,
     'static': {
-        'move': 0.7, 'hold': 1.3, 'poses': [{'rpy': [0.4, 0.0, 0.0]}, {'rpy': [0.0, 0.4, 0.0]}]},
-}
+        'move': 0.7, 'hold': 1.3, 'poses': [{'rpy': [0.4, 0.0, 0.0]}, {'rpy': [0.0, 0.4, 0.0]}]}}
 ALL = pytest.mark.parametrize(
     'content', [MULTI_SINE, CHIRP, WAYPOINTS, STATIC], ids=lambda c: c['kind'])
 
