@@ -17,13 +17,8 @@ from collections import Counter
 import math
 from typing import Any
 
+from bellows_ros.core.observer import measurement as sensor
 from bellows_ros.core.observer.alarms import MARGIN, ONSET_NS
-from bellows_ros.core.observer.measurement import (
-    at_exposure,
-    corrected_pose,
-    innovation_of,
-    Measurement,
-)
 import numpy as np
 from scipy.special import logsumexp
 
@@ -94,14 +89,14 @@ def innovations(cell: Cell) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Return stamps (ns) and innovations of a run, and what whitens them."""
     stamps, ys, whiteners = [], [], []
 
-    def before(measurement: Measurement) -> None:
+    def before(measurement: sensor.Measurement) -> None:
         stamp_ns, position, q, noise = measurement
         estimate, marker = cell.made.estimate, cell.made.sensor.marker
         body, theta, model = estimate.body, estimate.theta, cell.made.model
         com = model[1][1]
-        position, q, noise = corrected_pose(position, q, noise, marker, theta, com)
-        exposed = at_exposure(model, estimate.tool, body, theta)
-        whitened, _, whitener, *_ = innovation_of(
+        position, q, noise = sensor.corrected_pose(position, q, noise, marker, theta, com)
+        exposed = sensor.at_exposure(model, estimate.tool, body, theta)
+        whitened, _, whitener, *_ = sensor.innovation_of(
             exposed, theta, estimate.covariance, position, q, noise, marker)
         stamps.append(stamp_ns)
         ys.append(np.linalg.solve(whitener, whitened))

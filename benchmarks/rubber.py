@@ -14,21 +14,9 @@ from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotati
 from bellows_ros.core.geometry.tuples import add, add_scaled, apply, rotation_matrix, scale
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, static_equilibrium
-from bellows_ros.core.model.kernels import (
-    damper_wrench,
-    lip_relative_to_tool,
-    newton_euler,
-    rotation_rate,
-    spring_frames,
-    stage_state,
-    strain,
-    strain_wrench,
-    tool_at,
-    tool_segment,
-    wrench_at_com,
-)
 from bellows_ros.core.model.simulation import row_state, simulate, state_row, tool_rows, write_row
 from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.core.parameters.checks import resolve
@@ -66,19 +54,19 @@ def _rates(model: Any, r: Any, tau: Any, tool: Any, body: Any, z: Array, dz: Arr
     """Return the rate of the body twist, and write those of the internal strains (5, 6)."""
     cup, package, gravity = model
     R_A_B = rotation_matrix(body[1])
-    o_E_S, R, v, w = lip_relative_to_tool(package[1], tool, body)
-    o, l1 = spring_frames(cup, o_E_S, R), cup[0]
-    a, b = strain(o, R)
+    o_E_S, R, v, w = kernels.lip_relative_to_tool(package[1], tool, body)
+    o, l1 = kernels.spring_frames(cup, o_E_S, R), cup[0]
+    a, b = kernels.strain(o, R)
     h = np.array([a[0], a[1], a[2], b[0], b[1], b[2]])
     g = h.copy()
     for k in range(5):
         dz[k] = (h - z[k]) / tau[k]
         g += r[k] * (h - z[k])
-    f, m = strain_wrench(o, R, cup[2], ((g[0], g[1], g[2]), (g[3], g[4], g[5])))
-    d, n = damper_wrench(o, R, (v[0] + l1 * w[1], v[1] - l1 * w[0], v[2]), w, cup[3])
+    f, m = kernels.strain_wrench(o, R, cup[2], ((g[0], g[1], g[2]), (g[3], g[4], g[5])))
+    d, n = kernels.damper_wrench(o, R, (v[0] + l1 * w[1], v[1] - l1 * w[0], v[2]), w, cup[3])
     f, m = add(f, d), add(m, n)
-    f, m = wrench_at_com(package[1], f, (m[0] - l1 * f[1], m[1] + l1 * f[0], m[2]))
-    return newton_euler(package, gravity, R_A_B, body[2], body[3], f, m)
+    f, m = kernels.wrench_at_com(package[1], f, (m[0] - l1 * f[1], m[1] + l1 * f[0], m[2]))
+    return kernels.newton_euler(package, gravity, R_A_B, body[2], body[3], f, m)
 
 
 @kernel
@@ -92,21 +80,22 @@ def _simulate(
         z[k] = dz[k] * tau[k]  # h, as z was zero
     write_row(out[0], body)
     for k in range(len(durations)):
-        segment = tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
+        segment = kernels.tool_segment(row_state(rows[k]), row_state(rows[k + 1]), durations[k])
         h = durations[k] / count
         for i in range(count):
             o = s = v = w = sum_o = sum_s = sum_v = sum_w = (0.0, 0.0, 0.0)
             dz, sum_z = np.zeros((5, 6)), np.zeros((5, 6))
             for stage in range(4):
                 at, weight = 0.5 * ((stage + 1) // 2), 1.0 if stage % 3 == 0 else 2.0
-                b = stage_state(body, at * h, o, s, v, w)
-                o, s = apply(rotation_matrix(b[1]), b[2]), rotation_rate(scale(at * h, s), b[3])
-                v, w = _rates(
-                    model, r, tau, tool_at(segment, (i + at) / count), b, z + at * h * dz, dz)
+                b = kernels.stage_state(body, at * h, o, s, v, w)
+                o = apply(rotation_matrix(b[1]), b[2])
+                s = kernels.rotation_rate(scale(at * h, s), b[3])
+                tool = kernels.tool_at(segment, (i + at) / count)
+                v, w = _rates(model, r, tau, tool, b, z + at * h * dz, dz)
                 sum_o, sum_s = add_scaled(sum_o, weight, o), add_scaled(sum_s, weight, s)
                 sum_v, sum_w = add_scaled(sum_v, weight, v), add_scaled(sum_w, weight, w)
                 sum_z += weight * dz
-            body = stage_state(body, h / 6.0, sum_o, sum_s, sum_v, sum_w)
+            body = kernels.stage_state(body, h / 6.0, sum_o, sum_s, sum_v, sum_w)
             z = z + h / 6.0 * sum_z
         write_row(out[k + 1], body)
 
