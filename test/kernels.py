@@ -3,14 +3,6 @@
 import multiprocessing
 
 
-def compile_most():
-    """Compile or load what most processes need."""
-    from bellows_ros.core.live.uncertainty import warm_up_uncertainty
-
-    _model()
-    warm_up_uncertainty()
-
-
 def compile_all():
     """Compile nearly everything once, before the workers start: three parts that share little."""
     from bellows_ros.core.geometry.jit import COMPILED

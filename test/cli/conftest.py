@@ -1,13 +1,15 @@
-"""The command as a process of its own, and small recordings of a known cup for it."""
+"""The command, and small recordings of a known cup for it."""
 
-from pathlib import Path
+from contextlib import chdir, redirect_stderr, redirect_stdout
+import io
+import os
 import subprocess
 import sys
+from unittest import mock
 
+from bellows_ros.cli import main
 import pytest
 import yaml
-
-from .served import Server
 
 # The cup and the package that the recordings are made with.
 STIFFNESS = (5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35)
@@ -55,9 +57,6 @@ TRANSPORT = {
     'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0},
 }
 
-# What starts processes itself does so from a process that was started as usual.
-ALONE = {'--jobs', '--dask'}
-
 
 def diagonal(values):
     """Return a diagonal matrix as 36 numbers."""
@@ -81,20 +80,24 @@ def contents(folder):
 @pytest.fixture(scope='session')
 def bellows(user_environment):
     """Give a function that runs `bellows` with arguments, in a folder."""
-    server = Server(user_environment)
-
-    def run(*arguments, cwd=None, **environment):
+    def run(*arguments, cwd='.', **environment):
         words = list(map(str, arguments))
-        if not environment and not ALONE & set(words):
-            return server.run(words, cwd or Path.cwd())
-        return subprocess.run(
-            [sys.executable, '-m', 'bellows_ros.cli', *words],
-            cwd=cwd, env={**user_environment, **environment}, capture_output=True, text=True,
-            stdin=subprocess.DEVNULL, timeout=100,
-        )
+        if environment:  # only a process of its own reads them
+            return subprocess.run(
+                [sys.executable, '-m', 'bellows_ros.cli', *words], cwd=cwd,
+                env={**user_environment, **environment}, capture_output=True, text=True,
+                stdin=subprocess.DEVNULL, timeout=100)
+        out, err = io.StringIO(), io.StringIO()
+        with (chdir(cwd), redirect_stdout(out), redirect_stderr(err),
+              mock.patch.dict(os.environ)):
+            os.environ.pop('COLUMNS', None)  # of whoever started the tests
+            try:
+                code = main(words)
+            except SystemExit as end:
+                code = end.code
+        return subprocess.CompletedProcess(words, code or 0, out.getvalue(), err.getvalue())
 
-    yield run
-    server.close()
+    return run
 
 
 @pytest.fixture(scope='session')

@@ -2,7 +2,6 @@
 
 import json
 
-from bellows_ros.cli import main
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import topics
 
@@ -37,7 +36,7 @@ def test_says_writes_and_draws(bellows, workshop, transport, tmp_path):
 
 
 def test_what_was_written_before_a_full_disk_is_named(
-    workshop, transport, tmp_path, monkeypatch, capsys
+    bellows, workshop, transport, tmp_path, monkeypatch
 ):
     """Say which outputs exist where a later one fails."""
     def fails(*_):
@@ -45,10 +44,10 @@ def test_what_was_written_before_a_full_disk_is_named(
 
     monkeypatch.setattr('bellows_ros.cli.options.write_json', fails)
     out = tmp_path / 'predicted'
-    code = main(['plan', f'{transport}', '--params', f'{workshop / "cup.yaml"}', '--out', f'{out}',
-                 '--json', f'{tmp_path / "plan.json"}'])
-    said = ''.join(capsys.readouterr().err.split())
-    assert code == 2 and ''.join(f'Already written: {out}.'.split()) in said
+    done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--out', out, '--json',
+                   tmp_path / 'plan.json')
+    assert done.returncode == 2
+    assert ''.join(f'Already written: {out}.'.split()) in ''.join(done.stderr.split())
     assert topics(out) and not (tmp_path / 'plan.json').exists()
 
 

@@ -3,59 +3,52 @@
 import importlib.util
 import json
 
-from bellows_ros.cli import main
 from bellows_ros.core.identification import search
 import pytest
-
-
-@pytest.fixture
-def call(root, monkeypatch):
-    """Return a function that runs a command in the repository's folder."""
-    monkeypatch.chdir(root)
-    return lambda *words: main([str(word) for word in words])
-
 
 QUICK = ('--set', 'fit.method=least_squares')
 
 
-def test_identify_on_two_cores_leaves_out_what_is_bad(call, tmp_path, capsys):
+def test_identify_on_two_cores_leaves_out_what_is_bad(bellows, root, tmp_path):
     """Say so, and show on the page what was read."""
     pytest.importorskip('joblib', reason='extra parallel')
     cup, fit, page = tmp_path / 'cup.yaml', tmp_path / 'fit.json', tmp_path / 'page.html'
-    assert call('identify', 'bags/identification', 'bags/none', '--params', 'bags/package.yaml',
-                *QUICK, '--jobs', 2, '--out', cup, '--json', fit, '--report', page) == 0
-    warnings = capsys.readouterr().err
-    assert "Recording 'bags/none' was left out" in warnings.replace('\n  ', ' ')
+    done = bellows(
+        'identify', 'bags/identification', 'bags/none', '--params', 'bags/package.yaml', *QUICK,
+        '--jobs', 2, '--out', cup, '--json', fit, '--report', page, cwd=root)
+    assert done.returncode == 0
+    assert "Recording 'bags/none' was left out" in done.stderr.replace('\n  ', ' ')
     assert json.loads(fit.read_text())['failed'][0]['bag'] == 'bags/none'
     assert cup.exists() and page.read_text().count('<svg') > 3
 
 
-def test_a_page_without_matplotlib_is_refused_before_any_work(call, capsys, monkeypatch):
+def test_a_page_without_matplotlib_is_refused_before_any_work(bellows, root, monkeypatch):
     """Say how to install it, before the recording is found to be missing."""
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, 'find_spec',
                         lambda name, *rest: None if name == 'matplotlib' else find(name, *rest))
-    for command in (('identify', 'none', '--params', 'bags/package.yaml', '--report', 'x.html'),
-                    ('replay', 'none', '--params', 'bags/cup.yaml', '--report', 'x.html')):
-        assert call(*command) == 2
-        assert 'pip install matplotlib' in ' '.join(capsys.readouterr().err.split())
+    for command, params in (('identify', 'package.yaml'), ('replay', 'cup.yaml')):
+        done = bellows(command, 'none', '--params', f'bags/{params}', '--report', 'x.html',
+                       cwd=root)
+        assert done.returncode == 2 and 'pip install matplotlib' in ' '.join(done.stderr.split())
 
 
-def test_a_page_of_very_many_recordings_is_refused(call, tmp_path, capsys):
+def test_a_page_of_very_many_recordings_is_refused(bellows, root, tmp_path):
     bags = [f'bags/identification_{i}' for i in range(21)]
-    assert call('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1,
-                '--report', tmp_path / 'page.html') == 2
-    assert 'at most 20 recordings, got 21' in ' '.join(capsys.readouterr().err.split())
+    done = bellows('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1, '--report',
+                   tmp_path / 'page.html', cwd=root)
+    assert done.returncode == 2
+    assert 'at most 20 recordings, got 21' in ' '.join(done.stderr.split())
 
 
-def test_a_search_that_does_not_end_gives_no_cup(call, tmp_path, capsys, monkeypatch):
+def test_a_search_that_does_not_end_gives_no_cup(bellows, root, tmp_path, monkeypatch):
     """End with 1, without standard errors and without a cup file."""
     monkeypatch.setattr(search, 'MOST_STEPS', 1)
     monkeypatch.setattr(search, 'STILL_ENOUGH', 0.0)
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
-    assert call('identify', 'bags/validation', '--params', 'bags/package.yaml', '--to', '6',
-                '--out', cup, '--json', fit) == 1
+    done = bellows('identify', 'bags/validation', '--params', 'bags/package.yaml', '--to', '6',
+                   '--out', cup, '--json', fit, cwd=root)
     content = json.loads(fit.read_text())
+    assert done.returncode == 1 and 'did not converge' in ' '.join(done.stderr.split())
     assert not content['converged'] and not content['usable'] and not cup.exists()
     assert all(content['stiffness_std'][i][i] is None for i in range(6))
-    assert 'did not converge' in ' '.join(capsys.readouterr().err.split())
