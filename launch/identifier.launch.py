@@ -25,22 +25,12 @@ def generate_launch_description():
     launch.LaunchDescription
         Its arguments and the one node.
 
-    Raises
-    ------
-    ImportError
-        If launch or launch_ros is missing, with what to do.
-
     """
-    try:
-        from launch import LaunchDescription
-        from launch.actions import DeclareLaunchArgument
-        from launch.substitutions import LaunchConfiguration
-        from launch_ros.actions import Node
-    except ImportError as missing:
-        raise ImportError(
-            f'identifier.launch.py needs ROS 2 launch, and this Python has no {missing.name!r}. '
-            'Source a ROS 2 installation that has it (on Ubuntu: apt install ros-jazzy-ros2launch)'
-            ', or start the node itself: identifier --ros-args --params-file FILE') from None
+    from launch import LaunchDescription
+    from launch.actions import DeclareLaunchArgument
+    from launch.substitutions import LaunchConfiguration
+    from launch_ros.actions import Node
+
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=description)
         for name, (default, description) in ARGUMENTS.items()

@@ -26,6 +26,9 @@ ARGUMENTS = {
     'autostart': ('true', 'Whether it activates itself, or waits for a lifecycle manager.'),
     'log_level': ('info', 'Least severe log level shown: debug, info, warn, error.'),
 }
+REMAPPED = ('tool_pose', 'tool_twist', 'measured', 'plan', 'plan_joints', 'robot_description',
+            'valve', 'pressure')
+"""Arguments that name the topics which are their defaults."""
 
 
 def generate_launch_description():
@@ -37,21 +40,10 @@ def generate_launch_description():
     launch.LaunchDescription
         Its arguments and the one node.
 
-    Raises
-    ------
-    ImportError
-        If launch or launch_ros is missing, with what to do.
-
     """
-    try:
-        from launch import LaunchDescription
-        from launch.actions import DeclareLaunchArgument, OpaqueFunction
-        import launch_ros  # noqa: F401
-    except ImportError as missing:
-        raise ImportError(
-            f'predictor.launch.py needs ROS 2 launch, and this Python has no {missing.name!r}. '
-            'Source a ROS 2 installation that has it (on Ubuntu: apt install ros-jazzy-ros2launch)'
-            ', or start the node itself: predictor --ros-args --params-file FILE') from None
+    from launch import LaunchDescription
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction
+
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=description)
         for name, (default, description) in ARGUMENTS.items()
@@ -75,19 +67,8 @@ def start_predictor(context):
         name='predictor',
         namespace=value['namespace'],
         parameters=[
-            *parameter_files(value),
-            {'autostart': value['autostart'].lower() == 'true'},
-        ],
-        remappings=[
-            ('tool_arm/pose', value['tool_pose']),
-            ('tool_arm/twist', value['tool_twist']),
-            ('package/measured', value['measured']),
-            ('tool_arm/plan', value['plan']),
-            ('tool_arm/plan_joints', value['plan_joints']),
-            ('robot_description', value['robot_description']),
-            ('vacuum/valve', value['valve']),
-            ('vacuum/pressure', value['pressure']),
-        ],
+            *parameter_files(value), {'autostart': value['autostart'].lower() == 'true'}],
+        remappings=[(ARGUMENTS[name][0], value[name]) for name in REMAPPED],
         arguments=['--ros-args', '--log-level', value['log_level']],
         output='screen',
     )]

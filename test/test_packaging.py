@@ -133,20 +133,6 @@ def test_launch_file_says_what_it_starts(name, root, tmp_path):
 
 
 @pytest.mark.parametrize('name', LAUNCH_FILES)
-def test_launch_file_without_launch_says_what_is_missing(name, root, monkeypatch):
-    """Name the missing package and the way to start the node without it."""
-    monkeypatch.setitem(sys.modules, 'launch', None)
-    describe = runpy.run_path(str(root / 'launch' / name))['generate_launch_description']
-
-    with pytest.raises(ImportError) as caught:
-        describe()
-
-    message = str(caught.value)
-    assert message.startswith(f"{name} needs ROS 2 launch, and this Python has no 'launch'.")
-    assert f"{name.partition('.')[0]} --ros-args --params-file FILE" in message
-
-
-@pytest.mark.parametrize('name', LAUNCH_FILES)
 def test_launch_file_describes_its_node(name, root):
     """Declare every argument, with the parameter file a required one."""
     pytest.importorskip('launch_ros', reason='ROS 2 launch is not among the wheels')
