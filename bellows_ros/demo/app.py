@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Exchange
 
 IDENTIFICATION, VALIDATION = 'identification', 'validation'
-KNOWN = 'package.yaml'
+PACKAGE = 'package.yaml'
 MILLI, MICRO = 1e3, 1e6
 PICTURES = {'light': 'demo.png', 'dark': 'demo_dark.png'}
 
@@ -49,7 +49,7 @@ def main(args: Sequence[str] | None = None) -> int:
         description='Identify a cup, predict another recording live over DDS, and compare.')
     parser.add_argument(
         '--bags', metavar='FOLDER', type=Path, default=Path('bags'),
-        help=f'has {IDENTIFICATION}, {VALIDATION} and {KNOWN} (default: %(default)s)')
+        help=f'has {IDENTIFICATION}, {VALIDATION} and {PACKAGE} (default: %(default)s)')
     parser.add_argument(
         '--out', metavar='FOLDER', type=Path, default=Path('demo_output'),
         help='gets the pictures, the cup, the fit and the log (default: %(default)s)')
@@ -62,28 +62,28 @@ def run(bags: Path, out: Path, console: Console) -> int:
     start = time.monotonic()
     require_ros()
     require_pictures()
-    for name in (KNOWN, IDENTIFICATION, VALIDATION):
-        if not (bags / name).exists():
-            raise BellowsError(
-                f"'{bags / name}' does not exist. Start in the folder that contains bags, or give "
-                "it with --bags; 'make bags' makes the recordings again.")
+    if missing := [bags / name for name in (PACKAGE, IDENTIFICATION, VALIDATION)
+                   if not (bags / name).exists()]:
+        raise BellowsError(
+            f"'{missing[0]}' does not exist. Start in the folder that contains bags, or give it "
+            "with --bags; 'make bags' makes the recordings again.")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BellowsError(
             f"Output folder '{out}' cannot be made: {error.strerror}. Give another with --out."
         ) from None
-    known, bag = read_parameters(bags / KNOWN), bags / IDENTIFICATION
+    package, bag = read_parameters(bags / PACKAGE), bags / IDENTIFICATION
     console.line(f'1. Identify the cup from {bag}', 'bold')
     with console.progress() as progress:
-        found = identify(resolve({**known, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
-    save(found, out / 'cup.yaml', out / 'fit.json')
-    settings = resolve({**known, **found.parameters()}, PACKAGE_PARAMETERS)
+        result = identify(resolve({**package, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
+    save(result, out / 'cup.yaml', out / 'fit.json')
+    settings = resolve({**package, **result.parameters()}, PACKAGE_PARAMETERS)
     bag = bags / VALIDATION
     console.line(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
     recorded = load_recording(bag, settings)
     with console.progress() as progress:
-        exchange = _predict_live(bag, settings, [out / 'cup.yaml', bags / KNOWN], out, progress)
+        exchange = _predict_live(bag, settings, [out / 'cup.yaml', bags / PACKAGE], out, progress)
     console.line('3. Compare its poses with the measured ones', 'bold')
     comparison = compare_recorded(
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
@@ -92,10 +92,10 @@ def run(bags: Path, out: Path, console: Console) -> int:
         write_figure(out / name, prediction_figure(
             seconds, comparison, 'Package: predicted live, and measured',
             'relative to the tool; the cup was identified from another recording', theme))
-    lost = _print_result(found.fit, comparison.scores, exchange, recorded.noise.package, console)
+    lost = _print_result(result.fit, comparison.scores, exchange, recorded.noise.package, console)
     console.line()
-    names = [*PICTURES.values(), 'cup.yaml', 'fit.json']
-    console.line(f'Wrote {", ".join(names)} to {out}, after {time.monotonic() - start:.0f} s.')
+    files = ', '.join((*PICTURES.values(), 'cup.yaml', 'fit.json'))
+    console.line(f'Wrote {files} to {out}, after {time.monotonic() - start:.0f} s.')
     console.line('Next, look at a recording of yours: bellows info BAG')
     return NOT_USABLE if lost else OK
 
@@ -124,17 +124,18 @@ def _print_result(
 ) -> int:
     """Print the cup, the errors, the latency and the messages; return how many were lost."""
     print_cup(fit.exactly_given, console, 'The cup, with standard errors from the recording')
-    title = 'The package relative to the tool, predicted live minus measured (RMS)'
-    console.table([('axis', 'error', 'of the motion'), *(
-        (name, f'{MILLI * rms:.3f} {unit}', percent(part)) for name, unit, rms, part in zip(
-            AXES, MILLI_UNITS, scores.rms, scores.nrmse, strict=True))], right=True, title=title)
+    console.table(
+        [('axis', 'error', 'of the motion'), *(
+            (name, f'{MILLI * rms:.3f} {unit}', percent(part)) for name, unit, rms, part in zip(
+                AXES, MILLI_UNITS, scores.rms, scores.nrmse, strict=True))],
+        right=True, title='The package relative to the tool, predicted live minus measured (RMS)')
     console.line(f'  (the measured poses themselves have noise: {MILLI * noise.position:.2g} mm, '
                  f'{MILLI * noise.rotation:.2g} mrad)')
     console.line()
     median, high = np.percentile(exchange.latency, (50, 99)) * MICRO
     console.line(f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '
                  f'p99 {high:.0f} us')
-    poses, twists = (exchange.sent[name] for name in ('tool_arm/pose', 'tool_arm/twist'))
+    poses, twists = exchange.sent['tool_arm/pose'], exchange.sent['tool_arm/twist']
     answers = exchange.predicted.stamps_ns
     lost = poses - len(answers)
     console.line(f'Messages in {np.ptp(answers) / NS_PER_S:.0f} s: {poses} poses and {twists} '

@@ -21,12 +21,14 @@ from ..workflows.identification import Identification, save
 from ..workflows.identify import identify
 
 TICK = 0.1
-LONGEST_WAIT = 10.0
+PREDICTOR_TIMEOUT = 10.0
 """How long (s) to wait for the predictor."""
 
-OF_THE_CUP = ('cup.', 'envelope.')
-RESULT_NAMES = [p.name for p in parameters_of('identifier') if p.name.startswith(OF_THE_CUP)]
+CUP_PREFIXES = ('cup.', 'envelope.')
+RESULT_NAMES = [p.name for p in parameters_of('identifier') if p.name.startswith(CUP_PREFIXES)]
 """Parameters that are declared when the work is done."""
+
+OUTPUTS = ('output.parameters', 'output.json', 'output.report')
 
 
 class IdentifierNode(TableNode):
@@ -61,21 +63,21 @@ class IdentifierNode(TableNode):
             raise BellowsError(
                 'The parameter bags is empty. Name one or more recordings, for example '
                 "--ros-args -p bags:='[recording]' or in the parameter file bags: ['recording'].")
-        given = {name: value for name, value in self.values.items() if name in self.given}
-        Thread(target=self._do_work, args=(given,), daemon=True).start()
+        settings = {name: self.values[name] for name in self.values if name in self.overridden}
+        Thread(target=self._identify, args=(settings,), daemon=True).start()
         self._steps = self._step_by_step()
         self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     # --------------------------------------------------------- beside the executor
 
-    def _do_work(self, settings: Mapping[str, Any]) -> None:
+    def _identify(self, settings: Mapping[str, Any]) -> None:
         """Identify and write the files, in a thread without ROS calls."""
         try:
             result = identify(settings, lambda stage, fraction: self._stages.append(stage))
-            wanted = result.values
-            save(result, wanted['output.parameters'], wanted['output.json'])
-            if wanted['output.report']:
-                write_page(result, wanted['output.report'])
+            cup_file, json_file, page = (result.values[name] for name in OUTPUTS)
+            save(result, cup_file, json_file)
+            if page:
+                write_page(result, page)
             self._work.set_result(result)
         except Exception as error:  # noqa: BLE001 (it is raised again where the node ends)
             self._work.set_exception(error)
@@ -90,14 +92,13 @@ class IdentifierNode(TableNode):
             self.finished.set_exception(error)
 
     def _step_by_step(self) -> Iterator[None]:
-        """Say what is being done, show the result, and set it on the predictor, tick by tick."""
-        said = ''
+        """Log the progress, show the result, and set it on the predictor, tick by tick."""
+        logged = ''
         while not self._work.done() or self._stages:
             while self._stages:
-                stage = self._stages.popleft()
-                if stage != said:
-                    said = stage
+                if (stage := self._stages.popleft()) != logged:
                     self.get_logger().info(stage)
+                logged = stage
             yield
         cup = self._show(self._work.result())
         if self.values['predictor']:
@@ -115,7 +116,7 @@ class IdentifierNode(TableNode):
             self.get_logger().warning(warning)
         result.require_usable()
         cup = {name: validate(name, value) for name, value in result.parameters().items()
-               if name.startswith(OF_THE_CUP)}
+               if name.startswith(CUP_PREFIXES)}
         cup.setdefault('cup.relaxation', (0.0, 0.0))  # of a cup that does not relax, K is of this
         self.values = {**self.values, **{name: cup[name] for name in RESULT_NAMES if name in cup}}
         for name in RESULT_NAMES:
@@ -123,24 +124,23 @@ class IdentifierNode(TableNode):
         for name in ('cup.stiffness', 'cup.damping'):
             diagonal = ', '.join(f'{x:.5g}' for x in self.values[name][::7])
             self.get_logger().info(f'{name}: diagonal {diagonal}')
-        for name in ('output.parameters', 'output.json', 'output.report'):
-            if self.values[name]:
-                self.get_logger().info(f'Wrote {self.values[name]}.')
+        for file in filter(None, map(self.values.get, OUTPUTS)):
+            self.get_logger().info(f'Wrote {file}.')
         return cup
 
     def _set_on_predictor(self, cup: Mapping[str, Value]) -> Iterator[None]:
         """Set the cup on the predictor as soon as it is there, and log the answer."""
-        name = self.values['predictor']
-        client = AsyncParameterClient(self, str(name))
-        give_up_at = time.monotonic() + LONGEST_WAIT
+        name = str(self.values['predictor'])
+        client = AsyncParameterClient(self, name)
+        deadline = time.monotonic() + PREDICTOR_TIMEOUT
 
         def wait_for(done: Callable[[], bool], lacking: str) -> Iterator[None]:
             while not done():
-                if time.monotonic() > give_up_at:
+                if time.monotonic() > deadline:
                     raise BellowsError(
                         f"The cup was identified, but could not be set on '{name}': {lacking} "
-                        f'({LONGEST_WAIT:g} s waited). Start the predictor, check its name and '
-                        'namespace, or leave the parameter predictor empty.')
+                        f'({PREDICTOR_TIMEOUT:g} s waited). Start the predictor, check its name '
+                        'and namespace, or leave the parameter predictor empty.')
                 yield
 
         yield from wait_for(client.services_are_ready, 'there is no node of this name')

@@ -4,7 +4,7 @@ Outputs of the predictor; beside the pose, each topic only while it has subscrib
 Markers for RViz are the package as a box of its mass and inertia, the cup, and its force.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 import importlib.util
 import time
@@ -31,19 +31,19 @@ from ..core.model.structure import places_of
 
 QUEUE = 500
 
-LATE_WITHIN_NS = 1_000_000_000
+MAX_LATENESS_NS = 1_000_000_000
 """Up to this far (ns) behind an extrapolated stamp one is late; farther, of another clock."""
 
-LARGEST_FACTOR = 1000.0
+MAX_FACTOR = 1000.0
 """Safety factors are capped here, as many plots cannot show infinity."""
 
 HELD_STATES = ('predicting', 'settling')
 """States in which package/ok can be true."""
 
-UNSAFE_NS = 1_000_000_000
+UNSAFE_DURATION_NS = 1_000_000_000
 """After a safety factor below safety.least, package/ok stays false for this long (ns)."""
 
-NOMINAL = '_nominal'
+NOMINAL_SUFFIX = '_nominal'
 """Suffix of the lip's frame for where the lip is without load."""
 
 
@@ -178,7 +178,7 @@ class Outputs:
         was extrapolated.
         """
         stamp_ns = prediction.stamp_ns
-        self._is_late = 0 <= self._extrapolated_ns - stamp_ns < LATE_WITHIN_NS
+        self._is_late = 0 <= self._extrapolated_ns - stamp_ns < MAX_LATENESS_NS
         if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
         self._is_due = not (self._is_late if self._values['coast.poses'] else prediction.coasting)
@@ -198,7 +198,7 @@ class Outputs:
                 self._wrench.send(conversions.write_wrench, values['frames.lip'], prediction)
             if factors and self._safety.wanted:
                 message = self._safety.message
-                peel, slip = (min(factor, LARGEST_FACTOR) for factor in factors)
+                peel, slip = (min(factor, MAX_FACTOR) for factor in factors)
                 conversions.write_header(message, prediction.stamp_ns, values['frames.lip'])
                 conversions.write_vector(message.vector, (peel, slip, min(peel, slip)))
                 self._safety.publish(message)
@@ -217,7 +217,7 @@ class Outputs:
                 conversions.write_odometry, frame_id, values['frames.package'], prediction, root)
         if self._deflection.wanted and not prediction.flies:
             lip = self._deflection.message
-            conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL)
+            conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX)
             conversions.write_place(
                 lip.pose, deflection(model, prediction)[0], deflection_rotation(prediction))
             self._deflection.publish(lip)
@@ -233,7 +233,7 @@ class Outputs:
 
     def note_unsafe(self) -> None:
         """Note a safety factor that is too small."""
-        self._safe_from_ns = time.monotonic_ns() + UNSAFE_NS
+        self._safe_from_ns = time.monotonic_ns() + UNSAFE_DURATION_NS
         self._publish_ok(False)
 
     def _publish_ok(self, ok: bool) -> None:
@@ -254,7 +254,7 @@ class Outputs:
 
 
 NAMESPACE = 'bellows_ros'
-PERIOD_NS = 40_000_000
+MARKER_PERIOD_NS = 40_000_000
 """Time (ns) between two sets of markers."""
 
 METRES_PER_NEWTON = 0.005
@@ -280,7 +280,7 @@ class Picture:
 
     def is_due(self, stamp_ns: int) -> bool:
         """Return whether the next markers are due."""
-        return not 0 <= stamp_ns - self._last_ns < PERIOD_NS
+        return not 0 <= stamp_ns - self._last_ns < MARKER_PERIOD_NS
 
     def of(self, frame_id: str, model: ModelTuple, prediction: Prediction) -> MarkerArray:
         """Return the markers of a prediction; grey while the tool is extrapolated."""
@@ -295,24 +295,30 @@ class Picture:
         for place in self._places:
             root = add(tool, apply(R_world_tool, place))
             end = root if prediction.flies else add(lip, apply(R_world_package, place))
-            self._cup.points += [_point(root), _point(end)]
-        self._force.points = [_point(lip), _point(tip)]
-        for marker, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
-            conversions.write_header(marker, prediction.stamp_ns, frame_id)
-            rgba = COASTING if prediction.coasting else colour
-            marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
+            self._cup.points += [point(root), point(end)]
+        self._force.points = [point(lip), point(tip)]
+        for each, colour in ((self._box, CARDBOARD), (self._cup, RUBBER), (self._force, FORCE)):
+            show(each, prediction.stamp_ns, frame_id, COASTING if prediction.coasting else colour)
         return self._array
 
 
 def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) -> Marker:
     """Return a marker of a kind and size (m)."""
-    made = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD)
-    conversions.write_vector(made.scale, scale)
-    made.lifetime.nanosec = 500_000_000
-    return made
+    message = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD)
+    conversions.write_vector(message.scale, scale)
+    message.lifetime.nanosec = 500_000_000
+    return message
 
 
-def _point(position: Vector) -> Point:
+def show(
+    marker: Marker, stamp_ns: int, frame_id: str, rgba: tuple[float, float, float, float]
+) -> None:
+    """Give a marker its header and colour."""
+    conversions.write_header(marker, stamp_ns, frame_id)
+    marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
+
+
+def point(position: Sequence[float]) -> Point:
     """Return a position as a message."""
     x, y, z = position
     return Point(x=x, y=y, z=z)

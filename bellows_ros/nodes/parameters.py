@@ -28,7 +28,7 @@ Values = dict[str, Any]
 """Dotted names to values as `core.parameters.checks.validate` returns them."""
 
 QOS_PREFIX = 'qos_overrides.'
-TOGETHER = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
+ATOMIC_PREFIXES = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
 """Parameters with these prefixes change together or not at all within one call."""
 
 
@@ -81,7 +81,7 @@ class TableNode(GuardedNode):
     ----------
     values : dict
         All values as the core takes them; replaced as a whole when some are set.
-    given : frozenset of str
+    overridden : frozenset of str
         Names that a file or the command line set.
 
     Raises
@@ -104,7 +104,15 @@ class TableNode(GuardedNode):
                 f"ROS cannot create the node '{user}': {table.short(why, 400)}.") from None
         self._read_only = read_only
         try:
-            self._take_given(user)
+            overridden = {
+                table.lookup(name).name: parameter.value
+                for name, parameter in self._parameter_overrides.items()
+                if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
+            self.overridden = frozenset(overridden)
+            required = [p.name for p in table.parameters_of(user) if p.default is None]
+            self.values: Values = resolve(
+                overridden, () if overridden.get('package.files') else required)
+            self.check_values(self.values)
             for name, value in self.values.items():
                 if name not in results and user in table.lookup(name).used_by:
                     self.declare_from_table(name, value)
@@ -130,10 +138,10 @@ class TableNode(GuardedNode):
         A parameter that is given the value it has counts as set, so that what `ros2 param dump`
         writes can be loaded, and without any effect on what runs.
         """
-        whole = self._set(parameter_list)
-        if whole.successful:
-            return [whole] * len(parameter_list)
-        together = [p for p in parameter_list if p.name.startswith(TOGETHER)]
+        result = self._set(parameter_list)
+        if result.successful:
+            return [result] * len(parameter_list)
+        together = [p for p in parameter_list if p.name.startswith(ATOMIC_PREFIXES)]
         common = self._set(together)
         return [common if p in together else self._set([p]) for p in parameter_list]
 
@@ -148,17 +156,6 @@ class TableNode(GuardedNode):
         if value == () and parameter.kind == 'double_array':
             super().set_parameters_atomically([ros_parameter(name, [])])
 
-    def _take_given(self, user: str) -> None:
-        """Check the values from files and the command line, and fill in defaults."""
-        given = {
-            table.lookup(name).name: parameter.value
-            for name, parameter in self._parameter_overrides.items()
-            if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
-        self.given = frozenset(given)
-        required = [p.name for p in table.parameters_of(user) if p.default is None]
-        self.values: Values = resolve(given, () if given.get('package.files') else required)
-        self.check_values(self.values)
-
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all or none of some parameters, and say why not."""
         changing = [p for p in map(_as_double, parameters) if not self.has_parameter(p.name) or (
@@ -166,7 +163,7 @@ class TableNode(GuardedNode):
             != p.get_parameter_value())]
         if not changing:
             return SetParametersResult(successful=True)
-        kept = self.values
+        previous = self.values
         before = [self.get_parameter(p.name) for p in changing if self.has_parameter(p.name)]
         try:
             for parameter in changing:  # before rclpy, which says less
@@ -181,7 +178,7 @@ class TableNode(GuardedNode):
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
             return _refused(_why_unknown(unknown[0], self.get_name()))
         except Exception as error:  # noqa: BLE001 (whatever it is, nothing is to change)
-            if self.values is not kept:
+            if self.values is not previous:
                 self.set_parameters_atomically(before)
             if not isinstance(error, BellowsError):
                 self.note_failure(error)
@@ -307,10 +304,10 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         LifecycleNodeMixin.__init__(self)
         # rclpy's own callback raises where a transition is not allowed, and leaves no answer.
         service = next(each for each in self.services if each.srv_type is ChangeState)
-        self._go_through = self.guarded(service.callback, ChangeState.Response)
+        self._change_state_unchecked = self.guarded(service.callback, ChangeState.Response)
         service.callback = self._change_state
         self.finished: Future = Future()
-        self._why_not, self._active = '', False
+        self._failure, self._active = '', False
 
     def configure(self) -> None:
         """Make everything that needs the parameters, or raise the obstacle."""
@@ -321,7 +318,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         for step in (self.trigger_configure, self.trigger_activate):
             if step() != SUCCESS:
                 self.destroy_node()
-                raise BellowsError(self._why_not or 'The node could not be started.')
+                raise BellowsError(self._failure or 'The node could not be started.')
 
     @property
     def lifecycle_state(self) -> str:
@@ -335,8 +332,8 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
             self.configure()
         except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
-            self._why_not = f'{kind}{short(str(error), 1000)}'
-            self.get_logger().error(f'Cannot be configured: {self._why_not}')
+            self._failure = f'{kind}{short(str(error), 1000)}'
+            self.get_logger().error(f'Cannot be configured: {self._failure}')
             self.release_resources()
             return FAILURE
         return super().on_configure(state)
@@ -393,7 +390,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         allowed = self._state_machine.available_transitions
         if any(wanted.label == label if wanted.label else wanted.id == number
                for number, label, *_ in allowed):
-            return self._go_through(request, response)
+            return self._change_state_unchecked(request, response)
         name = short(wanted.label) or wanted.id
         self.get_logger().warning(
             f"Transition '{name}' refused: from '{self.lifecycle_state}' only "

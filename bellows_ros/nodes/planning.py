@@ -96,22 +96,19 @@ class Planning:
         self._path_out = Topic(node, Path, 'package/plan_path')
         self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
         self._at = Topic(node, Odometry, 'package/predicted_at')
-        self._compiled: list[Callable[[], None]] = []
+        self._is_warm = False
         self.worker, self.steerer = Worker(node, 'plans'), Worker(node, 'steering')
         self._joints = JointPlanning(node, self)
         plan = partial(self.worker.submit, PLAN, self._on_plan)
         answer = partial(self.steerer.submit, STEERING, self._on_steer)
         sys.setswitchinterval(SWITCH)
-        for kind, topic, callback, compile_it, raw in (
-                (MultiDOFJointTrajectory, 'tool_arm/plan', partial(plan, self._read),
-                 self._compile, True),
-                (MultiDOFJointTrajectory, 'tool_arm/steer', partial(answer, self._steer),
-                 self._compile_steering, True),
-                (Header, 'package/predict_at', self._on_request, self._compile_later, False)):
+        events = SubscriptionEventCallbacks(matched=node.guarded(self._on_publishers))
+        for kind, topic, callback, raw in (
+                (MultiDOFJointTrajectory, 'tool_arm/plan', partial(plan, self._read), True),
+                (MultiDOFJointTrajectory, 'tool_arm/steer', partial(answer, self._steer), True),
+                (Header, 'package/predict_at', self._on_request, False)):
             node.create_subscription(
-                kind, topic, callback, QoSProfile(depth=10), raw=raw,
-                event_callbacks=SubscriptionEventCallbacks(
-                    matched=node.guarded(partial(self._on_publishers, compile_it))))
+                kind, topic, callback, QoSProfile(depth=10), raw=raw, event_callbacks=events)
         for name, callback in (('plan', partial(plan, self._joints.read)),
                                ('steer', partial(answer, self._joints.steer))):
             node.create_subscription(JointTrajectory, f'tool_arm/{name}_joints', callback, 10)
@@ -147,33 +144,26 @@ class Planning:
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
 
-    def _on_publishers(self, compile_it: Callable[[], None], matched: Any) -> None:
-        """Compile what answers a topic once a possible publisher appears."""
-        if matched.current_count and compile_it not in self._compiled:
-            self._compiled.append(compile_it)
-            steers = compile_it == self._compile_steering
-            (self.steerer if steers else self.worker).submit(compile_it, compile_it)
+    def _on_publishers(self, matched: Any) -> None:
+        """Compile what answers once a possible publisher appears."""
+        if matched.current_count and not self._is_warm:
+            self._is_warm = True
+            self.worker.submit('warm up', self._warm_up)
 
-    def _compile_later(self) -> None:
-        """Compile the answer to a request, by making one."""
+    def _warm_up(self) -> None:
+        """Compile the answers to a plan, a request and a motion, by making one of each."""
+        model, still = self._live.model, rows_of(
+            np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
+            np.zeros((9, 6)))
+        tracker = PlanTracker(still, 0)
+        tracker.follow(STILL)
+        PlanSimulation(model, grip_of(self.values), tracker.rest(STILL), tail=0.1).predict()
+        thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         assert self._live.flight is not None  # set with the values
         with suppress(BellowsError):  # of a package that has landed
-            self._live.flight.later(self._live.model, STILL, 0.1)
+            self._live.flight.later(model, STILL, 0.1)
+        steer(model, still.trajectory(), self.values['steer.method'])
         gc.freeze()  # the collector need not look through what numba has made
-
-    def _compile(self) -> None:
-        """Compile the answer to a plan, by answering a dummy plan."""
-        at_rest = PlanTracker(_still(), 0)
-        at_rest.follow(STILL)
-        PlanSimulation(
-            self._live.model, grip_of(self.values), at_rest.rest(STILL), tail=0.1).predict()
-        thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
-        gc.freeze()
-
-    def _compile_steering(self) -> None:
-        """Compile the answer to a motion to be steered, by answering one."""
-        steer(self._live.model, _still().trajectory(), self.values['steer.method'])
-        gc.freeze()
 
     def rest(self, now: Prediction) -> ToolRows | None:
         """Return the tool from a prediction on, by its plan, or None where it drives none."""
@@ -365,12 +355,6 @@ class Planning:
 def _rows(tool: Trajectory) -> ToolRows:
     """Return the rows of a motion of the tool."""
     return ToolRows(tool.stamps_ns, tool_rows(tool))
-
-
-def _still() -> ToolRows:
-    """Return a plan of a tool that stands."""
-    return rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
-                   np.zeros((9, 6)))
 
 
 class JointPlanning:

@@ -41,7 +41,7 @@ from ..errors import BellowsError
 TICK = 0.02
 """Time (s) between two checks for missing messages; each costs as much as a message."""
 
-LATE_TICK_NS = 40_000_000
+PAUSE_NS = 40_000_000
 """A tick this late (ns) after the last shows that the process paused: messages are waiting."""
 
 IDLE_TICKS = 2
@@ -52,12 +52,12 @@ LOAD_TICKS = 3
 
 REPORT_PERIOD = 1.0
 
-CLOCKS_APART_NS = 500_000_000
+MAX_CLOCK_OFFSET_NS = 500_000_000
 """If the node's clock differs by more (ns), the valve is switched at the newest pose."""
 
-BACKWARD = Duration(nanoseconds=-1)
+ANY_BACKWARD_JUMP = Duration(nanoseconds=-1)
 
-OF_A_CUP = {
+CUP_DEFAULTS = {
     'cup.stiffness': 'cup.stiffness K of (4.78)',
     'cup.damping': 'cup.damping P of (4.79)',
     'cup.length': 'cup.length l0 = 0.0481 m'}
@@ -96,10 +96,10 @@ class PredictorNode(ManagedNode):
         self._arrival_at_last_tick: int | None = None
         self._last: Prediction | None = None
         self._compiled, self._cup_waits = set[int](), False
-        self._publish_more = self.guarded(self._publish_beside)
+        self._publish_secondary_guarded = self.guarded(self._publish_secondary)
         self.diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=BACKWARD, on_clock_change=True),
+            JumpThreshold(min_forward=None, min_backward=ANY_BACKWARD_JUMP, on_clock_change=True),
             post_callback=self.guarded(lambda jump: self._start_afresh('clock_jump')))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(TICK, self._tick, clock=steady)
@@ -189,8 +189,8 @@ class PredictorNode(ManagedNode):
         name = values['cup.name']
         if name:
             log(f"Using the cup '{name}'.")
-        if thesis := [text for key, text in OF_A_CUP.items()
-                      if not {key, key.replace('cup', f'cups.{name}')} & self.given]:
+        if thesis := [text for key, text in CUP_DEFAULTS.items()
+                      if not {key, key.replace('cup', f'cups.{name}')} & self.overridden]:
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
         origin = short(origin_of('package.mass', sys.argv), 200)
@@ -247,9 +247,9 @@ class PredictorNode(ManagedNode):
         for prediction in self.advance(step, *arguments):
             self._last = prediction
             self._outputs.publish(prediction, self._live.frame_id)
-            self._publish_more(prediction)
+            self._publish_secondary_guarded(prediction)
 
-    def _publish_beside(self, prediction: Prediction) -> None:
+    def _publish_secondary(self, prediction: Prediction) -> None:
         """Send all but the pose, and watch the load on the cup."""
         factors = self.diagnostics.load.watch_force(self._live.model, prediction)
         if factors and min(factors) < self.diagnostics.load.required:
@@ -295,7 +295,7 @@ class PredictorNode(ManagedNode):
                 'counts as held. Set package.size and landing.height.', once=True)
             return
         stamp_ns, newest_ns = self.get_clock().now().nanoseconds, self._live.newest_ns
-        if abs(stamp_ns - newest_ns) > CLOCKS_APART_NS:  # stamps are of another clock
+        if abs(stamp_ns - newest_ns) > MAX_CLOCK_OFFSET_NS:  # stamps are of another clock
             stamp_ns = newest_ns
         if on and self._tossing.flight.state:
             self._last = None  # of the package before
@@ -326,7 +326,7 @@ class PredictorNode(ManagedNode):
         """Predict for waiting poses when no more messages arrive, and bridge a pause."""
         before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
         # After a pause of this process what waits comes first; not twice.
-        self._was_late = not self._was_late and self._ticked_ns - before_ns > LATE_TICK_NS
+        self._was_late = not self._was_late and self._ticked_ns - before_ns > PAUSE_NS
         if self._cup_waits and self._live is not None and len(self._compiled) > 1:
             self.use_values()
         if not self._active or self._was_late:
@@ -364,19 +364,18 @@ class PredictorNode(ManagedNode):
     def check_values(self, values: Values) -> None:
         """Refuse impossible cups and packages, and settings without effect."""
         name = values['cup.name']
-        idle = [key for key in OF_A_CUP if name and values[key] != self.values[key]]
-        if idle:
-            raise BellowsError(
-                f"{idle[0]} has no effect while cup.name is '{name}'. Set "
-                f"cups.{name}.{idle[0].removeprefix('cup.')}, or set cup.name to ''.")
+        for key in CUP_DEFAULTS if name else ():
+            if values[key] != self.values[key]:
+                raise BellowsError(
+                    f"{key} has no effect while cup.name is '{name}'. Set "
+                    f"cups.{name}.{key.removeprefix('cup.')}, or set cup.name to ''.")
         check_live(with_chosen_cup(values))
 
     def on_values(self, names: list[str]) -> None:
         """Go on with the new cup and package; the package keeps its motion."""
         self.get_logger().info(f"Set while running: {', '.join(names)}.")
-        if self._live is None:
-            return
-        self.use_values()
+        if self._live is not None:
+            self.use_values()
 
     def on_open_cups(self) -> None:
         """Go on without the cups of a gripper that have no vacuum."""

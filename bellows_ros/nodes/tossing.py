@@ -4,14 +4,14 @@ from collections.abc import Callable, Mapping
 import time
 from typing import Any
 
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
 from std_msgs.msg import Bool, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import write_header, write_place, write_stamp
 from .guarding import Worker
-from .outputs import marker, NAMESPACE, Topic
+from .outputs import marker, NAMESPACE, point, show, Topic
 from .planning import Planning
 from ..core.geometry.arrays import Array
 from ..core.live import Prediction
@@ -20,7 +20,7 @@ from ..core.model.kernels import ModelTuple
 from ..core.toss.landing import ellipse
 from ..core.toss.release import flight_path
 
-AIM_PERIOD_NS = 200_000_000
+VALVE_TIME_PERIOD_NS = 200_000_000
 """Period (ns) of release/at."""
 BLUE = (0.36, 0.29, 0.62, 0.9)
 
@@ -51,9 +51,9 @@ class Tossing:
         self._worker = Worker(node, 'release')  # no plan waits behind a search
         self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
         self._at = Topic(node, Header, 'release/at')
-        self._picture = Topic(node, MarkerArray, 'package/landing_markers')
+        self._markers = Topic(node, MarkerArray, 'package/landing_markers')
         node.create_subscription(Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10)
-        self._landed_ns = self._aimed_ns = 0
+        self._landing_ns = self._valve_time_ns = 0
 
     def forget(self) -> None:
         """Drop a running search."""
@@ -75,18 +75,18 @@ class Tossing:
     ) -> None:
         """Publish the landing, and when to release, at their rates."""
         now_ns = time.monotonic_ns()
-        wanted = self._landing.wanted or self._picture.wanted
-        if wanted and now_ns - self._landed_ns >= self._period_ns:
-            self._landed_ns = now_ns
-            found = self.flight.landing(model, prediction, covariance)
-            if found is not None:
-                self._landing.send(_write, found, prediction.stamp_ns, frame_id)
-                if self._picture.wanted:
-                    path = flight_path(model, found.toss, PATH_POINTS)
-                    self._picture.publish(_picture(found, path, prediction.stamp_ns, frame_id))
-        if (self._at.wanted and now_ns - self._aimed_ns >= AIM_PERIOD_NS
+        wanted = self._landing.wanted or self._markers.wanted
+        if wanted and now_ns - self._landing_ns >= self._period_ns:
+            self._landing_ns = now_ns
+            landing = self.flight.landing(model, prediction, covariance)
+            if landing is not None:
+                self._landing.send(_write, landing, prediction.stamp_ns, frame_id)
+                if self._markers.wanted:
+                    path = flight_path(model, landing.toss, PATH_POINTS)
+                    self._markers.publish(_markers(landing, path, prediction.stamp_ns, frame_id))
+        if (self._at.wanted and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
                 and not self._worker.is_busy):
-            self._aimed_ns = now_ns
+            self._valve_time_ns = now_ns
             self._worker.submit('aim', self._publish_valve_time, model, prediction, frame_id)
 
     def _publish_valve_time(
@@ -101,23 +101,22 @@ class Tossing:
 
 
 def _write(
-    message: PoseWithCovarianceStamped, found: Landing, stamp_ns: int, frame_id: str
+    message: PoseWithCovarianceStamped, landing: Landing, stamp_ns: int, frame_id: str
 ) -> None:
     """Write the pose of B at landing, stamped as the prediction that it was made from."""
     write_header(message, stamp_ns, frame_id)
-    write_place(message.pose.pose, *found.toss.landing[:2])
-    message.pose.covariance = found.covariance.ravel()
+    write_place(message.pose.pose, *landing.toss.landing[:2])
+    message.pose.covariance = landing.covariance.ravel()
 
 
-def _picture(found: Landing, path: Array, stamp_ns: int, frame_id: str) -> MarkerArray:
+def _markers(landing: Landing, path: Array, stamp_ns: int, frame_id: str) -> MarkerArray:
     """Return the path of the flight, and the 95 % ellipse about its end."""
-    ring = np.zeros((33, 3)) + found.toss.landing[0]
-    ring[:, :2] += ellipse(found.covariance, 33)
+    ring = np.zeros((33, 3)) + landing.toss.landing[0]
+    ring[:, :2] += ellipse(landing.covariance, 33)
     markers = []
     for number, points in enumerate((path[:, :3], ring)):
         line = marker(number, Marker.LINE_STRIP, (0.005, 0.0, 0.0), f'{NAMESPACE}_landing')
-        write_header(line, stamp_ns, frame_id)
-        line.color.r, line.color.g, line.color.b, line.color.a = BLUE
-        line.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+        show(line, stamp_ns, frame_id, BLUE)
+        line.points = [point(each) for each in points.tolist()]
         markers.append(line)
     return MarkerArray(markers=markers)

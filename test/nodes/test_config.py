@@ -71,4 +71,4 @@ def test_predictor_starts_with_its_files(root, make_predictor):
     for name, value in expected.items():
         shown = node.get_parameter(name).value
         assert (tuple(shown) if isinstance(value, tuple) else shown) == value
-    assert node.given == set(expected)
+    assert node.overridden == set(expected)

@@ -98,7 +98,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
     predictor = partner.predictor
     for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
         monkeypatch.setattr(diagnostics, name, 0.0)
-    monkeypatch.setattr(predictor.diagnostics.load, 'take', lambda: (
+    monkeypatch.setattr(predictor.diagnostics.load, 'reset', lambda: (
         Safety(0.5, 'peel'), None, 0.0))
     for number, level in enumerate(ALL_PAIRS):
         for name in ('prediction', 'input', 'twist', 'load'):

@@ -116,7 +116,7 @@ plans, answers, landings = answered = [partner.hears(kind, topic) for kind, topi
     (PoseWithCovarianceStamped, 'package/landing'))]
 partner.connect(predictor)
 partner.wait(lambda: predictor._planning._plan_out.wanted and predictor._tossing._landing.wanted
-             and len(predictor._planning._compiled) == 2)
+             and predictor._planning._is_warm and not predictor._planning.is_busy)
 send(1)
 plan_out.publish(MultiDOFJointTrajectory(joint_names=['tool'], points=[
     MultiDOFJointTrajectoryPoint(

@@ -103,7 +103,7 @@ def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
 
 def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root, monkeypatch):
     """Start without package.*, and give up waiting after a while, with the cup found."""
-    monkeypatch.setattr('bellows_ros.nodes.identifier_node.LONGEST_WAIT', 0.2)
+    monkeypatch.setattr('bellows_ros.nodes.identifier_node.PREDICTOR_TIMEOUT', 0.2)
     node = make(
         ros, {}, predictor='/elsewhere', bags=[str(root / 'bags/validation')], cup__length=0.046,
         package__files=[str(root / 'bags/package.yaml')], topics__tool_pose='/tool_arm/pose',

@@ -308,7 +308,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
                 node._take_pose(stamp_ns, 'world', (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
             node._planning._on_plan(node._planning._read, plan)
             if node._last is not None:
-                node._tossing._landed_ns = 0
+                node._tossing._landing_ns = 0
                 node._tossing.publish(node._live.model, node._last, 'world',
                                       node._outputs.uncertainty.covariance)
                 node._tossing.flight.time_to_target(node._live.model, node._last)

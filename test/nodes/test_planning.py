@@ -63,7 +63,7 @@ class Planner:
         partner.connect()
         planning = partner.predictor._planning
         self.wait(lambda: (
-            len(planning._compiled) == 3 and not planning.is_busy
+            planning._is_warm and not planning.is_busy
             and planning._plan_out.wanted and planning._path_out.wanted))
 
     def send(self, plan):
