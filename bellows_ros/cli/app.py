@@ -79,9 +79,9 @@ class Parser(argparse.ArgumentParser):
         """Report what is wrong with the command line, and exit with 2."""
         options = self._option_string_actions
         for word in (word.partition('=')[0] for word in self._words):
-            near = difflib.get_close_matches(word, options, n=1)
-            if word.startswith('--') and word not in options and near:
-                message = f"'{word}' is not an option. Did you mean '{near[0]}'?"
+            matches = difflib.get_close_matches(word, options, n=1)
+            if word.startswith('--') and word not in options and matches:
+                message = f"'{word}' is not an option. Did you mean '{matches[0]}'?"
         self.exit(USER_ERROR, f'{self.prog}: {message}\nSee {self.prog} --help.\n')
 
 
@@ -163,8 +163,8 @@ def _answer(arguments: list[str]) -> NoReturn:
         print(f'bellows {__version__}', flush=True)
         sys.exit(0)
     first = arguments[0]
-    near = difflib.get_close_matches(first, COMMANDS, n=1)
-    hint = f"Did you mean '{near[0]}'?" if near else f'There are: {", ".join(COMMANDS)}.'
+    matches = difflib.get_close_matches(first, COMMANDS, n=1)
+    hint = f"Did you mean '{matches[0]}'?" if matches else f'There are: {", ".join(COMMANDS)}.'
     parser.error(f"'{first}' is not a command. {hint}")
 
 

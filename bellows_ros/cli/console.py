@@ -35,7 +35,7 @@ EXIT_CODES = """exit codes:
   130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is left half done
 """
 
-WIDTH, NARROWEST = 79, 40
+WIDTH, MIN_WIDTH = 79, 40
 GUTTER, INDENTED = 2, 2  # of tables, characters
 BAR = 24  # characters
 REDRAW_INTERVAL = 0.1  # s, between two drawings of the progress
@@ -96,7 +96,7 @@ class Console:
         self._gap = False
 
     def paragraph(self, *texts: str, style: str = '') -> None:
-        """Print sentences of the result, wrapped, each text with its indentation kept."""
+        """Print sentences of the result, wrapped, each text with its indentation allowed."""
         for text in texts:
             indent = text[:len(text) - len(text.lstrip())]
             for line in _wrapped(text.strip(), indent, 2 * indent):
@@ -121,11 +121,11 @@ class Console:
         """Print warnings."""
         for text in texts:
             for line in _wrapped(f'Warning: {text}', '', '  '):
-                self._tell(self._styled(self._err, printable(line), 'yellow'))
+                self._write_error(self._styled(self._err, printable(line), 'yellow'))
 
     def note(self, text: str) -> None:
         """Print a note that is not part of the result."""
-        self._tell(printable(text, '\n'))
+        self._write_error(printable(text, '\n'))
 
     def error(self, text: str) -> None:
         """Print an error."""
@@ -134,7 +134,7 @@ class Console:
             lines = [part for line in lines for part in (
                 [line] if line[:1] in ('', ' ', '/') else _wrapped(line, '', ''))]
         head, _, rest = '\n'.join(lines).partition(' ')
-        self._tell(f'{self._styled(self._err, head, "red")} {rest}')
+        self._write_error(f'{self._styled(self._err, head, "red")} {rest}')
 
     def last_error(self, text: str) -> None:
         """Print an error where stderr takes it."""
@@ -143,7 +143,7 @@ class Console:
         except OSError:
             _discard(self._err)
 
-    def _tell(self, text: str) -> None:
+    def _write_error(self, text: str) -> None:
         """Print on stderr, in order if both streams have the same target."""
         self._close_gap()
         self._out.flush()
@@ -203,19 +203,19 @@ def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
         return f'{stage} ...'
     done = min(max(fraction, 0.0), 1.0)
     full = round(done * BAR)
-    known = done > 0.05 and elapsed > 1.0 and ' left' not in stage
-    left = f', {elapsed * (1.0 - done) / done:.0f} s left' if known else ''
-    return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{left}'
+    is_known = done > 0.05 and elapsed > 1.0 and ' left' not in stage
+    remaining = f', {elapsed * (1.0 - done) / done:.0f} s left' if is_known else ''
+    return f'[{"#" * full}{"-" * (BAR - full)}] {done:4.0%}  {stage}{remaining}'
 
 
 NEGATIVE_ZERO = re.compile(r'(?<![\w.+-])-(?=0(?:\.0+)?(?![\d.eE]))')
 
 
-def printable(text: str, kept: str = '') -> str:
+def printable(text: str, allowed: str = '') -> str:
     """Escape the control characters of a string, as names may be hostile; write -0.0 as 0.0."""
-    text = NEGATIVE_ZERO.sub('', text)
     return ''.join(
-        c if c.isprintable() or c in kept else c.encode('unicode_escape').decode() for c in text)
+        c if c.isprintable() or c in allowed else c.encode('unicode_escape').decode()
+        for c in NEGATIVE_ZERO.sub('', text))
 
 
 def _is_terminal(stream: TextIO) -> bool:
@@ -234,7 +234,7 @@ def _write(stream: TextIO, text: str) -> None:
 
 def _wrapped(text: str, first: str, rest: str) -> list[str]:
     """Return lines as wide as the terminal, at most what is easy to read, with indentations."""
-    width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), NARROWEST)
+    width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), MIN_WIDTH)
     return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=rest,
                          break_long_words=False, break_on_hyphens=False)
 
@@ -261,8 +261,8 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
             for block in blocks for cells in zip(*block, strict=True)]
 
 
-ENDING = (signal.SIGTERM, signal.SIGHUP)
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def run_guarded(work: Callable[[Console], int]) -> int:
@@ -278,35 +278,35 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     console = Console(sys.stdout, sys.stderr, ended)
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
-        for each in taken:
+        for each in handled:
             if each != signal.SIGINT:  # Ctrl-C is pressed again where the first one did not help
                 signal.signal(each, signal.SIG_IGN)
         ended.append(number)
         raise KeyboardInterrupt
 
-    def lost(what: Any) -> None:
+    def report_unraisable(what: Any) -> None:
         if not (ended and issubclass(what.exc_type, KeyboardInterrupt)):
             sys.__unraisablehook__(what)
 
     in_main = threading.current_thread() is threading.main_thread()
-    taken = [n for n in (signal.SIGINT, *ENDING) if in_main and signal.getsignal(n) in (
+    handled = [number for number in STOP_SIGNALS if in_main and signal.getsignal(number) in (
         signal.SIG_DFL, signal.default_int_handler)]
-    before = {number: signal.signal(number, end) for number in taken}
-    unraisable, sys.unraisablehook = sys.unraisablehook, lost
+    before = {number: signal.signal(number, end) for number in handled}
+    unraisable, sys.unraisablehook = sys.unraisablehook, report_unraisable
     try:
         return _run_guarded(work, console, ended)
     except BrokenPipeError:  # the reader of the output has closed it
         _discard(sys.stdout)
         return PIPE_CLOSED
     except OSError as error:
-        if error.errno not in FULL:
+        if error.errno not in OUTPUT_ERRORS:
             raise
         _discard(sys.stdout)
         console.last_error(f'The output cannot be written: {error.strerror}. Write elsewhere.')
         return USER_ERROR
     finally:
         sys.unraisablehook = unraisable
-        for number in taken if not ended else ():  # ignored: what is left is to clean up
+        for number in handled if not ended else ():  # ignored: what is left is to clean up
             signal.signal(number, before[number])
 
 
@@ -341,7 +341,7 @@ def uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handlers = {n: signal.signal(n, lambda *_: None) for n in (signal.SIGINT, *ENDING)}
+    handlers = {n: signal.signal(n, lambda *_: None) for n in STOP_SIGNALS}
     try:
         yield
     finally:

@@ -72,9 +72,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     console.line()
     console.wrote(json_file, page)
     if not usable:
-        kept = f'its file was {"written because of --force" if written else "not written"}'
+        file_state = f'its file was {"written because of --force" if written else "not written"}'
         console.paragraph(
-            f'This cup is refused: {kept if cup_file else "do not use it"}.', style='red')
+            f'This cup is refused: {file_state if cup_file else "do not use it"}.', style='red')
     elif cup_file:
         console.wrote(cup_file, then=(
             'Next, check how well it predicts another recording:',

@@ -40,13 +40,13 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        found = info(arguments.bag, options.interval_settings(arguments))
-    options.write_result(arguments.json, found)
+        result = info(arguments.bag, options.interval_settings(arguments))
+    options.write_result(arguments.json, result)
     if arguments.write_params:
         write_text(arguments.write_params, template_with(
-            [PARAMETERS[name] for name in UNKNOWN], found.settings,
-            [f'How to read {found.path}, as found by bellows info; check it.']))
-    print_result(found, console)
+            [PARAMETERS[name] for name in UNKNOWN], result.settings,
+            [f'How to read {result.path}, as result by bellows info; check it.']))
+    print_result(result, console)
     console.wrote(arguments.json)
     console.wrote(arguments.write_params, then=(
         'Fill in the package there, then:',
@@ -54,34 +54,35 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     return OK
 
 
-def print_result(found: Info, console: Console) -> None:
+def print_result(result: Info, console: Console) -> None:
     """Print the topics, their roles and notes."""
-    console.table(_topic_rows(found), title=f'Recording {found.path}')
-    for topic in found.topics:
+    console.table(_topic_rows(result), title=f'Recording {result.path}')
+    for topic in result.topics:
         for line in _facts(topic):
             console.paragraph(f'  {topic.name}: {line}')
     console.line()
-    for role, guess in (('tool', found.tool), ('package', found.package), ('twist', found.twist)):
+    for role in ('tool', 'package', 'twist'):
+        guess = getattr(result, role)
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
         name = f'probably {guess.topic}' if guess else 'not found'
         console.paragraph(f'{role.capitalize():8} {name}{why}.')
-    if found.valve:
+    if result.valve:
         console.paragraph(
-            f'Valve    probably {found.valve}: the only std_msgs/Bool (topics.valve).')
-    if world := found.settings.get('recording.world'):
+            f'Valve    probably {result.valve}: the only std_msgs/Bool (topics.valve).')
+    if world := result.settings.get('recording.world'):
         axes = 'z up' if world == 'z_up' else "Motive's, y up"
         console.line(f'World    probably {axes} (recording.world: {world}).')
-    if found.rest_s is not None and found.rest_s >= SHORTEST_REST:
-        console.line(f'Both stand still for the first {found.rest_s:.1f} s.')
-    console.paragraph(*found.notes)
+    if result.rest_s is not None and result.rest_s >= SHORTEST_REST:
+        console.line(f'Both stand still for the first {result.rest_s:.1f} s.')
+    console.paragraph(*result.notes)
 
 
-def _topic_rows(found: Info) -> list[tuple[str, ...]]:
+def _topic_rows(result: Info) -> list[tuple[str, ...]]:
     """Return a row per topic."""
-    first_ns = min((topic.start_ns for topic in found.topics if topic.kind), default=0)
+    first_ns = min((topic.start_ns for topic in result.topics if topic.kind), default=0)
     rows: list[tuple[str, ...]] = [
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
-    for topic in found.topics:
+    for topic in result.topics:
         begin = (topic.start_ns - first_ns) * 1e-9
         numbers = (
             (topic.rate_hz, '.1f', 'Hz'), (topic.jitter_s * 1e3, '.2f', 'ms'), (begin, '.2f', 's'),
@@ -96,9 +97,9 @@ def _topic_rows(found: Info) -> list[tuple[str, ...]]:
 
 def _facts(topic: TopicInfo) -> Iterator[str]:
     """Yield the faults in a topic's messages, and the noise of its poses."""
-    found = [f'{count} {reason.replace("_", " ")}' for reason, count in topic.refused.items()]
-    if found:
-        yield f'messages left out: {", ".join(found)}'
+    result = [f'{count} {reason.replace("_", " ")}' for reason, count in topic.refused.items()]
+    if result:
+        yield f'messages left out: {", ".join(result)}'
     if topic.outliers:
         yield f'{many(topic.outliers, "outlier")}, as where tracking is lost'
     if topic.gaps:

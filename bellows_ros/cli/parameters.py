@@ -56,11 +56,11 @@ def _chosen(prefixes: list[str]) -> list[Parameter]:
     """Return the parameters whose names begin with one of the prefixes; all without any."""
     if not prefixes:
         return list(PARAMETERS.values())
-    found = [p for p in PARAMETERS.values() if p.name.startswith(tuple(prefixes))]
+    matching = [p for p in PARAMETERS.values() if p.name.startswith(tuple(prefixes))]
     for prefix in prefixes:
-        if not any(p.name.startswith(prefix) for p in found):
+        if not any(p.name.startswith(prefix) for p in matching):
             lookup(prefix)  # raises, and names the nearest
-    return found
+    return matching
 
 
 def template(parameters: Iterable[Parameter]) -> str:
@@ -70,25 +70,25 @@ def template(parameters: Iterable[Parameter]) -> str:
     What has no default, or an empty list, which ROS files do not know, stands there as a comment.
     """
     parameters = list(parameters)
-    open_ones = [p for p in parameters if p.default in (None, ())]
-    values = {p.name: p.default for p in parameters if p not in open_ones}
-    return template_with(open_ones, values, ['Parameters of bellows_ros at their defaults.'])
+    required = [p for p in parameters if p.default in (None, ())]
+    values = {p.name: p.default for p in parameters if p not in required}
+    return template_with(required, values, ['Parameters of bellows_ros at their defaults.'])
 
 
 def template_with(
-    open_ones: list[Parameter], values: Mapping[str, object], header: Sequence[str]
+    required: list[Parameter], values: Mapping[str, object], header: Sequence[str]
 ) -> str:
     """Return a parameter file with values, and required ones as comments to fill in."""
     text = format_parameters(values, header)
     head, body = text.split(SECTION, 1)
     lines = [f"{INDENT}# CHANGE THESE (examples), and remove the '#' before their names."]
-    for parameter in open_ones:
+    for parameter in required:
         comment = f'{INDENT}# '
         lines += textwrap.wrap(
             parameter.description, 97, initial_indent=comment, subsequent_indent=comment)
         unit = f'  # {parameter.unit}' if parameter.unit else ''
         quote = "'" if isinstance(parameter.default, str) else ''
-        given = f'{quote}{parameter.default}{quote}' if parameter.default else EXAMPLE_LIST
-        lines.append(f'{INDENT}#{parameter.name}: {parameter.example or given}{unit}')
-    to_fill_in = '\n'.join([*lines, '']) if open_ones else ''
+        example = f'{quote}{parameter.default}{quote}' if parameter.default else EXAMPLE_LIST
+        lines.append(f'{INDENT}#{parameter.name}: {parameter.example or example}{unit}')
+    to_fill_in = '\n'.join([*lines, '']) if required else ''
     return head + SECTION + to_fill_in + (body if values else '')

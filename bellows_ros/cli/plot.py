@@ -64,10 +64,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         note += f'; {arguments.speed:g} times real time'
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
-        shown = _draw(arguments, settings, has_cup, note, progress)
+        content = _draw(arguments, settings, has_cup, note, progress)
     options.write_result(arguments.json, {
         'what': arguments.what, 'bag': str(arguments.bag), 'file': arguments.out,
-        **data_json(shown)})
+        **data_json(content)})
     console.wrote(arguments.out, arguments.json)
     return OK
 
@@ -83,16 +83,16 @@ def _draw(
         'deflection': (loads, recording.deflection_figure),
         'residuals': (loads, recording.residual_figure),
         'margin': (margins, margin_figure), 'spectra': (spectra, recording.spectra_figure),
-        'prediction': (replay, lambda shown, note, theme: prediction_figure(
-            shown.seconds, shown.live, 'Package: predicted, and measured',
+        'prediction': (replay, lambda content, note, theme: prediction_figure(
+            content.seconds, content.live, 'Package: predicted, and measured',
             f'relative to the tool; {note}', theme)),
         'animation': (replay, partial(
             write_animation, arguments.out, progress=progress, speed=arguments.speed))}
     read, draw = kinds[arguments.what]
     if arguments.what == 'spectra':
-        shown: Any = read(arguments.bag, settings, has_cup)
+        content: Any = read(arguments.bag, settings, has_cup)
     else:
-        shown = within(read(arguments.bag, settings), arguments.first, arguments.last)
-    if figure := draw(shown, note, arguments.theme):
+        content = within(read(arguments.bag, settings), arguments.first, arguments.last)
+    if figure := draw(content, note, arguments.theme):
         write_figure(arguments.out, figure)
-    return shown
+    return content

@@ -49,9 +49,9 @@ class Diagnostics:
             DiagnosticArray, TOPIC, QoSProfile(depth=10),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self.compute = Window()
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Report only the state of the lifecycle."""
         self._live: LivePredictor | None = None
         self._due: dict[tuple[str, object], float] = {}

@@ -82,7 +82,7 @@ class GuardedNode(Node):
 
         return call
 
-    def beside(self, work: Callable[[], None]) -> None:
+    def in_background(self, work: Callable[[], None]) -> None:
         """Run what takes long, such as compiling, in a thread that ends with the process."""
         Thread(target=self.guarded(work), daemon=True).start()
 
@@ -95,7 +95,7 @@ class GuardedNode(Node):
         rclpy subscribes to the clock here, too.
         """
         if msg_type is Clock:
-            callback = partial(self._take_time, callback)
+            callback = partial(self._set_time, callback)
         else:
             options['qos_overriding_options'] = QoSOverridingOptions(OVERRIDABLE)
         return super().create_subscription(
@@ -114,10 +114,10 @@ class GuardedNode(Node):
         """Start a timer with a callback that may fail."""
         return super().create_timer(timer_period_sec, self.guarded(callback), *more, **options)
 
-    def _take_time(self, take: Callable[[Clock], Any], message: Clock) -> None:
+    def _set_time(self, set_time: Callable[[Clock], Any], message: Clock) -> None:
         """Take a time of the clock; drop one before 1970, for which rclpy raises."""
         if message.clock.sec >= 0:
-            take(message)
+            set_time(message)
             return
         self.failures[NEGATIVE_TIME] += 1
         self.get_logger().warning(
@@ -125,7 +125,7 @@ class GuardedNode(Node):
             'counted. Check the publisher of /clock.', once=True)
 
 
-PATIENCE = 0.25
+STOP_TIMEOUT = 0.25
 """How long (s) to wait for the end of work that was stopped; a compiler does not hear of it."""
 
 
@@ -150,7 +150,7 @@ class Worker:
     def __init__(self, node: GuardedNode, name: str) -> None:
         """Start the thread, which does not keep the process from ending."""
         self._guarded = node.guarded
-        self._waiting: dict[object, Callable[[], None]] = {}
+        self._pending: dict[object, Callable[[], None]] = {}
         self._running: object = None
         self._is_closed = False
         self._changed = Condition()
@@ -160,31 +160,31 @@ class Worker:
     @property
     def is_busy(self) -> bool:
         """Whether something is being worked on, or waits."""
-        return bool(self._waiting) or self._running is not None
+        return bool(self._pending) or self._running is not None
 
-    def waiting(self, kind: type) -> int:
+    def pending(self, kind: type) -> int:
         """Return how many requests wait whose kind is of a type."""
-        return sum(isinstance(each, kind) for each in list(self._waiting))
+        return sum(isinstance(each, kind) for each in list(self._pending))
 
     def submit(self, kind: object, work: Callable[..., None], *arguments: Any) -> None:
         """Work on a request; it replaces one of its kind, whether that waits or is worked on."""
         with self._changed:
             if self._running == kind:
                 self.stop[0] = True
-            self._waiting[kind] = self._guarded(partial(work, *arguments))
+            self._pending[kind] = self._guarded(partial(work, *arguments))
             self._changed.notify_all()
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Drop what waits, and stop what is worked on."""
         with self._changed:
-            self._waiting.clear()
+            self._pending.clear()
             self.stop[0] = True
-            self._changed.wait_for(lambda: self._running is None, PATIENCE)
+            self._changed.wait_for(lambda: self._running is None, STOP_TIMEOUT)
 
     def close(self) -> None:
         """End the thread."""
         self._is_closed = True
-        self.forget()
+        self.cancel()
         with self._changed:
             self._changed.notify_all()
 
@@ -194,19 +194,19 @@ class Worker:
             with self._changed:
                 self._running = None
                 self._changed.notify_all()
-                self._changed.wait_for(lambda: self._waiting or self._is_closed)
+                self._changed.wait_for(lambda: self._pending or self._is_closed)
                 if self._is_closed:
                     return
-                self._running = next(iter(self._waiting))
-                work = self._waiting.pop(self._running)
+                self._running = next(iter(self._pending))
+                work = self._pending.pop(self._running)
                 self.stop = np.zeros(1, np.bool_)
             work()
 
 
-LONGEST_WAIT = 0.1
+MAX_WAIT = 0.1
 """A request to end is noticed within this time (s)."""
 
-COLLECT_EVERY = 1.0
+COLLECTION_PERIOD = 1.0
 """Time (s) between two runs of the garbage collector."""
 
 
@@ -249,25 +249,25 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
         With a future `finished`, whose exception is raised here, and methods `close` and
         `note_failure`.
     is_asked_to_stop : callable
-        Looked at after each callback, and every `LONGEST_WAIT`.
+        Looked at after each callback, and every `MAX_WAIT`.
 
     """
     executor = executor_for(node)
     gc.collect()
     gc.freeze()
     gc.disable()
-    due = time.monotonic() + COLLECT_EVERY
+    due = time.monotonic() + COLLECTION_PERIOD
     try:
         while not (is_asked_to_stop() or node.finished.done()):
             try:
-                executor.spin_once(timeout_sec=LONGEST_WAIT)
+                executor.spin_once(timeout_sec=MAX_WAIT)
             except Exception as error:  # noqa: BLE001 (of rclpy's own callbacks: the node goes on)
                 if not node.context.ok():
                     raise
                 node.note_failure(error)
             if time.monotonic() > due:
                 gc.collect()
-                due = time.monotonic() + COLLECT_EVERY
+                due = time.monotonic() + COLLECTION_PERIOD
         if node.finished.done():
             node.finished.result()
     finally:

@@ -19,7 +19,7 @@ from ..core.observer.alarms import Alarm
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.parameters.table import short
 
-ALARM_SHOWN_NS = 5_000_000_000
+ALARM_DURATION_NS = 5_000_000_000
 """How long (ns) an alarm stays in the diagnostics and as the state."""
 
 
@@ -44,7 +44,6 @@ class Observing:
     def __init__(self, node: Any, kind: str) -> None:
         """Subscribe; nothing changes before the first message."""
         self._with_covariance = kind != 'pose'
-        self._live: LivePredictor | None = None
         message_type, self._pose_of = TOOL_POSES[kind]
         self._node, self._is_warm, self._reported = node, False, 0
         self.lost_cups: set[int] = set()
@@ -62,11 +61,11 @@ class Observing:
     @property
     def _observer(self) -> Observer | None:
         """The observer that corrects the predictions, if any."""
-        return None if self._live is None else self._live.package.observer
+        return self._live.package.observer
 
     def _on_publishers(self, count: int) -> None:
         """Compile once a possible publisher appears."""
-        if count and self._live is not None and not self._is_warm:
+        if count and not self._is_warm:
             self._is_warm = True
             self.warm_up(self._live.model)
             gc.collect()
@@ -80,7 +79,7 @@ class Observing:
     def _on_measured(self, message: Any) -> None:
         """Correct the prediction."""
         live, header, arrival_ns = self._live, message.header, time.monotonic_ns()
-        if live is None or live.arrival_ns is None:
+        if live.arrival_ns is None:
             return
         if (observer := live.package.observer) is None:
             live.package.observe(observer := Observer(self._values))
@@ -100,7 +99,7 @@ class Observing:
                 throttle_duration_sec=10.0)
         self.log_alarms()
         payload = self._observer and self._observer.payload
-        if payload and self._estimated.wanted:
+        if payload and self._estimated.subscribed:
             self._estimated.send(write_payload, self._values['frames.lip'], payload)
 
     def log_alarms(self) -> None:
@@ -116,15 +115,14 @@ class Observing:
     @property
     def alarm(self) -> Alarm | None:
         """The alarm of the last seconds, if any."""
-        if self._live is None or self._observer is None or not self._observer.alarms:
-            return None
-        newest = self._observer.alarms[-1]
-        return newest if self._live.newest_ns - newest.stamp_ns < ALARM_SHOWN_NS else None
+        newest = self._observer.alarms[-1] if self._observer and self._observer.alarms else None
+        is_recent = newest and self._live.newest_ns - newest.stamp_ns < ALARM_DURATION_NS
+        return newest if is_recent else None
 
     def status(self, name: str) -> Status | None:
         """Return the line of the diagnostics; None if no message ever came."""
         observer = self._observer
-        if self._live is None or observer is None:
+        if observer is None:
             return None
         counts = observer.counts
         status = input_status(

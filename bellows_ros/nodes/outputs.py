@@ -80,7 +80,7 @@ class Topic:
     ) -> None:
         """Advertise."""
         self.message: Any = kind()
-        self.wanted, self.is_ready = False, prepare is None
+        self.subscribed, self.is_ready = False, prepare is None
         self._node, self._prepare = node, prepare
         self._publisher = node.create_lifecycle_publisher(
             kind, name, qos or QoSProfile(depth=QUEUE),
@@ -102,9 +102,9 @@ class Topic:
 
     def _on_matched(self, matched: Any) -> None:
         """Note whether somebody listens."""
-        self.wanted = matched.current_count > 0
-        if self.wanted and self._prepare:
-            self._node.beside(partial(self._make_ready, self._prepare))
+        self.subscribed = matched.current_count > 0
+        if self.subscribed and self._prepare:
+            self._node.in_background(partial(self._make_ready, self._prepare))
             self._prepare = None
 
     def _make_ready(self, prepare: Callable[[], None]) -> None:
@@ -192,11 +192,11 @@ class Outputs:
         """Send all else of the prediction that was published last, and its safety factors."""
         values = self._values
         if self._is_due:
-            if self._twist.wanted:
+            if self._twist.subscribed:
                 self._twist.send(conversions.write_twist, values['frames.package'], prediction)
-            if self._wrench.wanted:
+            if self._wrench.subscribed:
                 self._wrench.send(conversions.write_wrench, values['frames.lip'], prediction)
-            if factors and self._safety.wanted:
+            if factors and self._safety.subscribed:
                 message = self._safety.message
                 peel, slip = (min(factor, MAX_FACTOR) for factor in factors)
                 conversions.write_header(message, prediction.stamp_ns, values['frames.lip'])
@@ -210,20 +210,20 @@ class Outputs:
     ) -> None:
         """Publish the outputs that continue while the tool is extrapolated."""
         stamp_ns, values = prediction.stamp_ns, self._values
-        if self._odometry.wanted:
+        if self._odometry.subscribed:
             known = self._odometry.is_ready and not prediction.flies
             root = self.uncertainty.root(prediction) if known else UNKNOWN_ROOT
             self._odometry.send(
                 conversions.write_odometry, frame_id, values['frames.package'], prediction, root)
-        if self._deflection.wanted and not prediction.flies:
+        if self._deflection.subscribed and not prediction.flies:
             lip = self._deflection.message
             conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX)
             conversions.write_place(
                 lip.pose, deflection(model, prediction)[0], deflection_rotation(prediction))
             self._deflection.publish(lip)
-        if self._markers.wanted and self._picture.is_due(stamp_ns):
+        if self._markers.subscribed and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, model, prediction))
-        if self._tf and self._tf.wanted:
+        if self._tf and self._tf.subscribed:
             (package,) = self._tf.message.transforms
             conversions.write_header(package, stamp_ns, frame_id)
             package.child_frame_id = values['frames.package']
@@ -247,7 +247,7 @@ class Outputs:
         if state != self._last_state:
             self._last_state = state
             self._state.publish(String(data=state))
-            if state in ('detached', 'lost', 'inactive') and self._markers.wanted:
+            if state in ('detached', 'lost', 'inactive') and self._markers.subscribed:
                 self._markers.publish(MarkerArray(markers=[
                     Marker(ns=NAMESPACE, action=Marker.DELETEALL)]))
         self._publish_ok(state in HELD_STATES and time.monotonic_ns() >= self._safe_from_ns)

@@ -39,25 +39,25 @@ from ..errors import BellowsError
 from ..files import plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
 
-LONGEST_REQUEST = 10.0
+MAX_REQUEST_LEAD = 10.0
 """How far ahead (s) package/predict_at may ask."""
 
-FARTHEST_BEGIN = 3600.0
+MAX_PLAN_LEAD = 3600.0
 """A plan stamped further ahead (s) has the stamp of another clock."""
 
-MOST_WAITING = 4
+MAX_PENDING_REQUESTS = 4
 """Requests that may wait for an answer; more are refused."""
 
-SWITCH = 5e-5
+SWITCH_INTERVAL = 5e-5
 """The live prediction gets the interpreter back from an answer within this time (s)."""
 
 TAIL = 2.0
 """Time (s) after the end of a plan that is predicted."""
 
-DELIVERED = 4e-4
+DELIVERY_TIME = 4e-4
 """Wait (s) after a prediction before a plan is predicted anew: its listeners come first."""
 
-LONGEST_STEERED = 60.0
+MAX_STEERED_DURATION = 60.0
 """Longest motion (s) that is steered live; its splines hold the interpreter."""
 
 PLAN, STEERING = 'plan', 'steering'
@@ -96,23 +96,25 @@ class Planning:
         self._path_out = Topic(node, Path, 'package/plan_path')
         self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
         self._at = Topic(node, Odometry, 'package/predicted_at')
-        self._is_warm = False
+        self._warmed_up = set[str]()
         self.worker, self.steerer = Worker(node, 'plans'), Worker(node, 'steering')
         self._joints = JointPlanning(node, self)
         plan = partial(self.worker.submit, PLAN, self._on_plan)
         answer = partial(self.steerer.submit, STEERING, self._on_steer)
-        sys.setswitchinterval(SWITCH)
-        events = SubscriptionEventCallbacks(matched=node.guarded(self._on_publishers))
-        for kind, topic, callback, raw in (
-                (MultiDOFJointTrajectory, 'tool_arm/plan', partial(plan, self._read), True),
-                (MultiDOFJointTrajectory, 'tool_arm/steer', partial(answer, self._steer), True),
-                (Header, 'package/predict_at', self._on_request, False)):
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        for kind, topic, callback, work, raw in (
+                (MultiDOFJointTrajectory, 'tool_arm/plan', partial(plan, self._read), PLAN, True),
+                (MultiDOFJointTrajectory, 'tool_arm/steer', partial(answer, self._steer),
+                 STEERING, True),
+                (Header, 'package/predict_at', self._on_request, PLAN, False)):
             node.create_subscription(
-                kind, topic, callback, QoSProfile(depth=10), raw=raw, event_callbacks=events)
+                kind, topic, callback, QoSProfile(depth=10), raw=raw,
+                event_callbacks=SubscriptionEventCallbacks(
+                    matched=node.guarded(partial(self._on_publishers, work))))
         for name, callback in (('plan', partial(plan, self._joints.read)),
                                ('steer', partial(answer, self._joints.steer))):
             node.create_subscription(JointTrajectory, f'tool_arm/{name}_joints', callback, 10)
-        self.forget()
+        self.cancel()
 
     @property
     def held(self) -> Prediction | None:
@@ -130,12 +132,12 @@ class Planning:
         self.worker.close()
         self.steerer.close()
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Drop the plan and all answers."""
-        self.worker.forget()
-        self.steerer.forget()
+        self.worker.cancel()
+        self.steerer.cancel()
         self._tracker: PlanTracker | None = None
-        self._found: PlanPrediction | Status | None = None
+        self._outcome: PlanPrediction | Status | None = None
         self._predicted_ns = 0
 
     def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
@@ -144,26 +146,30 @@ class Planning:
         self._coarse = COARSE * largest_step(live.model)
         self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
 
-    def _on_publishers(self, matched: Any) -> None:
-        """Compile what answers once a possible publisher appears."""
-        if matched.current_count and not self._is_warm:
-            self._is_warm = True
-            self.worker.submit('warm up', self._warm_up)
+    def _on_publishers(self, work: str, matched: Any) -> None:
+        """Compile what answers a topic once a possible publisher appears."""
+        if matched.current_count and work not in self._warmed_up:
+            self._warmed_up.add(work)
+            if work == STEERING:
+                self.steerer.submit('warm up', self._warm_up_steering)
+            else:
+                self.worker.submit('warm up', self._warm_up)
 
     def _warm_up(self) -> None:
-        """Compile the answers to a plan, a request and a motion, by making one of each."""
-        model, still = self._live.model, rows_of(
-            np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
-            np.zeros((9, 6)))
-        tracker = PlanTracker(still, 0)
+        """Compile the answers to a plan and to a request, by making one of each."""
+        model, tracker = self._live.model, PlanTracker(_standstill(), 0)
         tracker.follow(STILL)
         PlanSimulation(model, grip_of(self.values), tracker.rest(STILL), tail=0.1).predict()
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         assert self._live.flight is not None  # set with the values
         with suppress(BellowsError):  # of a package that has landed
             self._live.flight.later(model, STILL, 0.1)
-        steer(model, still.trajectory(), self.values['steer.method'])
         gc.freeze()  # the collector need not look through what numba has made
+
+    def _warm_up_steering(self) -> None:
+        """Compile the answer to a motion to be steered, by answering one."""
+        steer(self._live.model, _standstill().trajectory(), self.values['steer.method'])
+        gc.freeze()
 
     def rest(self, now: Prediction) -> ToolRows | None:
         """Return the tool from a prediction on, by its plan, or None where it drives none."""
@@ -204,10 +210,10 @@ class Planning:
             rest, body = tracker.plan, None
             if now is not None:
                 wait = (stamp_ns - now.stamp_ns) / NS_PER_S
-                if wait > FARTHEST_BEGIN:
+                if wait > MAX_PLAN_LEAD:
                     raise BellowsError(
                         f'It begins {wait:.6g} s after the newest pose of the tool; expected at '
-                        f'most {FARTHEST_BEGIN:g} s. Stamp plans and poses with one clock, or '
+                        f'most {MAX_PLAN_LEAD:g} s. Stamp plans and poses with one clock, or '
                         'give the plan the stamp 0.')
                 tracker.follow(now)
                 grip = self.grip()
@@ -229,7 +235,7 @@ class Planning:
         if (self.worker if what == 'plan' else self.steerer).stop[0]:
             return  # nobody waits for it any more
         self._tracker = self._tracker if what != 'plan' else None
-        self._found = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
+        self._outcome = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
 
     def follow(self) -> None:
@@ -247,7 +253,7 @@ class Planning:
 
     def _predict_rest(self, tracker: PlanTracker, now: Prediction) -> None:
         """Predict the rest of a plan from a live state, once that has been delivered."""
-        time.sleep(DELIVERED)
+        time.sleep(DELIVERY_TIME)
         try:
             self._answer(PlanSimulation(
                 self._live.model, self.grip(), tracker.rest(now), now.body, 0.0, self._coarse,
@@ -262,19 +268,19 @@ class Planning:
         count = thin_out(times, states, self.values['plan.points_rate'],
                          self.values['tool_twist.frame'] == 'world')
         times, states = times[:count], states[:count]
-        if self._plan_out.wanted:
+        if self._plan_out.subscribed:
             self._plan_out.publish(plan_messages.encode_multi_dof(plan_messages.PlanMessage(
                 stamp_ns, frame, (self.values['frames.package'],), times, states[:, :7],
                 states[:, 7:])))
-        if self._path_out.wanted:
+        if self._path_out.subscribed:
             self._path_out.publish(
                 plan_messages.encode_path(stamp_ns, frame, times, states[:, :7]))
-        self._found = run.prediction()
+        self._outcome = run.prediction()
 
     @property
     def status(self) -> Status | None:
         """The line of the diagnostics on the plan, once there was one."""
-        found, words = self._found, []
+        found, words = self._outcome, []
         if found is None or isinstance(found, Status):
             return found
         if found.grip:
@@ -294,7 +300,7 @@ class Planning:
 
     def _on_request(self, request: Header) -> None:
         """Answer a request for the package at a stamp beside the live prediction."""
-        if self.worker.waiting(int) < MOST_WAITING:
+        if self.worker.pending(int) < MAX_PENDING_REQUESTS:
             self.worker.submit(stamp_to_ns(request.stamp), self._predict_at, request)
             return
         self._node.get_logger().warning(
@@ -310,10 +316,10 @@ class Planning:
                     'There is no prediction to start from; expected poses of the tool, and an '
                     'attached package.')
             duration = (stamp_to_ns(request.stamp) - now.stamp_ns) / NS_PER_S
-            if not 0.0 < duration <= LONGEST_REQUEST:
+            if not 0.0 < duration <= MAX_REQUEST_LEAD:
                 raise BellowsError(
                     f'Its stamp is {duration:.6g} s after the newest pose of the tool; expected '
-                    f'above 0 and up to {LONGEST_REQUEST:g} s.')
+                    f'above 0 and up to {MAX_REQUEST_LEAD:g} s.')
             assert live.flight is not None  # set with the values
             body = live.flight.later(live.model, now, duration)
         except BellowsError as error:
@@ -326,9 +332,9 @@ class Planning:
 
     def steered(self, wanted: Trajectory, of_package: bool = False) -> Trajectory:
         """Return a motion of the tool without swing; refuse to work on it for long."""
-        if wanted.seconds[-1] > LONGEST_STEERED:
+        if wanted.seconds[-1] > MAX_STEERED_DURATION:
             raise BellowsError(
-                f'It takes {wanted.seconds[-1]:.4g} s; expected at most {LONGEST_STEERED:g}. '
+                f'It takes {wanted.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
                 'Split the motion, or use bellows steer.')
         tool = steer(self._live.model, wanted, self.values['steer.method'], of_package).tool
         if self.steerer.stop[0]:
@@ -355,6 +361,12 @@ class Planning:
 def _rows(tool: Trajectory) -> ToolRows:
     """Return the rows of a motion of the tool."""
     return ToolRows(tool.stamps_ns, tool_rows(tool))
+
+
+def _standstill() -> ToolRows:
+    """Return a plan of a tool that stands."""
+    return rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
+                   np.zeros((9, 6)))
 
 
 class JointPlanning:

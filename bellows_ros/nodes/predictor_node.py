@@ -94,13 +94,13 @@ class PredictorNode(ManagedNode):
         self._idle_ticks = self._ticks = self._ticked_ns = 0
         self._was_late = False
         self._arrival_at_last_tick: int | None = None
-        self._last: Prediction | None = None
-        self._compiled, self._cup_waits = set[int](), False
+        self._latest: Prediction | None = None
+        self._compiled, self._is_compiling = set[int](), False
         self._publish_secondary_guarded = self.guarded(self._publish_secondary)
         self.diagnostics = Diagnostics(self)
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=ANY_BACKWARD_JUMP, on_clock_change=True),
-            post_callback=self.guarded(lambda jump: self._start_afresh('clock_jump')))
+            post_callback=self.guarded(lambda jump: self._restart('clock_jump')))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(TICK, self._tick, clock=steady)
         self.create_timer(REPORT_PERIOD, self._report_health, clock=steady)
@@ -122,7 +122,7 @@ class PredictorNode(ManagedNode):
         live.tool.set_tip(tip_of(values))
         self._outputs = Outputs(self, values)
         if values['tool_pose.type'] == 'tf':
-            self._pose_in: SensorInput = TransformInput(self, values, self._take_pose)
+            self._pose_in: SensorInput = TransformInput(self, values, self._process_pose)
         else:
             kind, self._pose_of = TOOL_POSES[values['tool_pose.type']]
             self._pose_in = SensorInput(self, kind, 'tool_arm/pose', self._on_pose)
@@ -130,7 +130,7 @@ class PredictorNode(ManagedNode):
             self, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
         self._attachment = Attachment(self, values)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._planning = Planning(self, lambda: self._last, lambda: self.diagnostics.load.grip)
+        self._planning = Planning(self, lambda: self._latest, lambda: self.diagnostics.load.grip)
         self._tossing = Tossing(self, self._on_valve, self._planning)
         self._observing = Observing(self, values['measured.type'])
         self.diagnostics.watch(
@@ -160,10 +160,10 @@ class PredictorNode(ManagedNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall silent."""
         self._outputs.publish_state('inactive')
-        self._last = None
+        self._latest = None
         self._live.reset()
-        self._planning.forget()
-        self._tossing.forget()
+        self._planning.cancel()
+        self._tossing.cancel()
         return super().on_deactivate(state)
 
     def clean_up(self) -> None:
@@ -176,7 +176,7 @@ class PredictorNode(ManagedNode):
 
     def release_resources(self) -> None:
         """End the threads, too."""
-        self.diagnostics.forget()
+        self.diagnostics.reset()
         for part in (self._planning, self._tossing):
             if part is not None:
                 part.close()
@@ -208,10 +208,11 @@ class PredictorNode(ManagedNode):
         """Predict with a pose of the tool."""
         header = message.header
         position, orientation = self._pose_of(message)
-        self._take_pose(stamp_to_ns(header.stamp), header.frame_id, vector(position),
-                        quaternion_xyzw(orientation))
+        self._process_pose(
+            stamp_to_ns(header.stamp), header.frame_id, vector(position),
+            quaternion_xyzw(orientation))
 
-    def _take_pose(
+    def _process_pose(
         self, stamp_ns: int, frame_id: str, position: Vector, orientation: Quaternion
     ) -> None:
         """Predict with a pose of the tool, wherever it is from."""
@@ -239,13 +240,13 @@ class PredictorNode(ManagedNode):
         try:
             return step(*arguments)
         except Exception:
-            self._start_afresh('failure')
+            self._restart('failure')
             raise
 
     def _publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
         """Send the predictions of a step; what fails beside their poses does not touch them."""
         for prediction in self.advance(step, *arguments):
-            self._last = prediction
+            self._latest = prediction
             self._outputs.publish(prediction, self._live.frame_id)
             self._publish_secondary_guarded(prediction)
 
@@ -268,11 +269,11 @@ class PredictorNode(ManagedNode):
         if self._active and not self._twists_exist:
             self._publish(self._live.flush)
 
-    def _start_afresh(self, reason: str) -> None:
+    def _restart(self, reason: str) -> None:
         """Start again from rest, as after a failure, or where simulated time was set."""
         if self._active:
             self._live.start_afresh(reason)
-            self._last = None
+            self._latest = None
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Start again from static equilibrium."""
@@ -298,7 +299,7 @@ class PredictorNode(ManagedNode):
         if abs(stamp_ns - newest_ns) > MAX_CLOCK_OFFSET_NS:  # stamps are of another clock
             stamp_ns = newest_ns
         if on and self._tossing.flight.state:
-            self._last = None  # of the package before
+            self._latest = None  # of the package before
         self.advance(self._live.switch_valve, on, stamp_ns)
         self._publish_state()
 
@@ -317,7 +318,7 @@ class PredictorNode(ManagedNode):
         if held and self._observing.lost_cups:  # they may hold the next package
             self._observing.lost_cups.clear()
             self.use_values()
-        self._last = None
+        self._latest = None
         self.get_logger().info(f'{"Attached" if held else "Detached"} ({why}).')
         self._publish_state()
         return True
@@ -327,7 +328,7 @@ class PredictorNode(ManagedNode):
         before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
         # After a pause of this process what waits comes first; not twice.
         self._was_late = not self._was_late and self._ticked_ns - before_ns > PAUSE_NS
-        if self._cup_waits and self._live is not None and len(self._compiled) > 1:
+        if self._is_compiling and self._live is not None and len(self._compiled) > 1:
             self.use_values()
         if not self._active or self._was_late:
             return
@@ -351,7 +352,7 @@ class PredictorNode(ManagedNode):
 
     def _report_health(self) -> None:
         """Report the health of the node, and log what is wrong."""
-        self.diagnostics.report(self.lifecycle_state, self._last)
+        self.diagnostics.report(self.lifecycle_state, self._latest)
 
     def _publish_state(self) -> None:
         """Publish the state when it changes."""
@@ -393,14 +394,14 @@ class PredictorNode(ManagedNode):
             values = {**values, 'cup.open': tuple(opened)}
         cup, package = cup_of(values), package_of(values)
         if len(cup.as_tuple) not in self._compiled:  # relaxing or not, it is compiled anew
-            if not self._cup_waits:
+            if not self._is_compiling:
                 self.get_logger().info(
                     'Compiling for a cup that relaxes, or does not; until then the one before '
                     'predicts.')
-                self.beside(partial(self._compile, values))
-            self._cup_waits = True
+                self.in_background(partial(self._compile, values))
+            self._is_compiling = True
             return
-        self._cup_waits = False
+        self._is_compiling = False
         self._live.set_model(cup, package)
         self._attachment.vacuum.values = values
         self.diagnostics.set_values(values)

@@ -113,7 +113,7 @@ class TransformInput(SensorInput):
     node : rclpy.node.Node
     values : mapping
         Parameters by name.
-    take : callable
+    on_pose : callable
         Takes stamp (ns), frame, position and quaternion of each pose.
 
     Raises
@@ -124,7 +124,7 @@ class TransformInput(SensorInput):
     """
 
     def __init__(
-        self, node: GuardedNode, values: Mapping[str, Any], take: Callable[..., None]
+        self, node: GuardedNode, values: Mapping[str, Any], on_pose: Callable[..., None]
     ) -> None:
         """Listen to transforms, and to the static ones, which come once."""
         if importlib.util.find_spec('tf2_msgs') is None:
@@ -133,7 +133,7 @@ class TransformInput(SensorInput):
                 'ros-jazzy-tf2-msgs), or publish the pose on tool_arm/pose.')
         from tf2_msgs.msg import TFMessage
 
-        self._take, self._chain = take, Chain(values['frames.world'], values['frames.tool'])
+        self._on_pose, self._chain = on_pose, Chain(values['frames.world'], values['frames.tool'])
         super().__init__(node, TFMessage, '/tf', self._on_moving)
         self._static = SensorInput(
             node, TFMessage, '/tf_static', partial(self._add, static=True),
@@ -143,15 +143,15 @@ class TransformInput(SensorInput):
         """Pass on the poses that a message completes."""
         self._add(message, static=False)
         for pose in self._chain.due():
-            self._take(pose.stamp_ns, self._chain.world, *pose[1:])
+            self._on_pose(pose.stamp_ns, self._chain.world, *pose[1:])
 
     def _add(self, message: Any, static: bool) -> None:
         """Put the transforms of a message into the tree."""
         for stamped in message.transforms:
-            header, own = stamped.header, stamped.transform
+            header, transform = stamped.header, stamped.transform
             self._chain.add(header.frame_id, stamped.child_frame_id, PoseSample(
-                stamp_to_ns(header.stamp), vector(own.translation),
-                quaternion_xyzw(own.rotation)), static)
+                stamp_to_ns(header.stamp), vector(transform.translation),
+                quaternion_xyzw(transform.rotation)), static)
 
     def seen(self, refused: Mapping[str, int]) -> InputReport:
         """Return the arrivals since the last call, with the poses that lacked a transform."""

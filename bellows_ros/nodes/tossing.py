@@ -55,9 +55,9 @@ class Tossing:
         node.create_subscription(Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10)
         self._landing_ns = self._valve_time_ns = 0
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Drop a running search."""
-        self._worker.forget()
+        self._worker.cancel()
 
     def close(self) -> None:
         """End the searches for good."""
@@ -75,16 +75,16 @@ class Tossing:
     ) -> None:
         """Publish the landing, and when to release, at their rates."""
         now_ns = time.monotonic_ns()
-        wanted = self._landing.wanted or self._markers.wanted
+        wanted = self._landing.subscribed or self._markers.subscribed
         if wanted and now_ns - self._landing_ns >= self._period_ns:
             self._landing_ns = now_ns
             landing = self.flight.landing(model, prediction, covariance)
             if landing is not None:
                 self._landing.send(_write, landing, prediction.stamp_ns, frame_id)
-                if self._markers.wanted:
+                if self._markers.subscribed:
                     path = flight_path(model, landing.toss, PATH_POINTS)
                     self._markers.publish(_markers(landing, path, prediction.stamp_ns, frame_id))
-        if (self._at.wanted and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
+        if (self._at.subscribed and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
                 and not self._worker.is_busy):
             self._valve_time_ns = now_ns
             self._worker.submit('aim', self._publish_valve_time, model, prediction, frame_id)

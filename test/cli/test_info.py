@@ -32,16 +32,14 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(bellows, worksh
     """Lead from a recording to a cup without writing a topic's name."""
     file = tmp_path / 'my_cell.yaml'
     done = bellows('info', 'recording', '--write-params', file, cwd=workshop)
-    filled = 'filled in by hand'
-    (file.parent / 'mine.yaml').write_text(filled)
-    again = bellows(
-        'info', 'recording', '--write-params', file.parent / 'mine.yaml', cwd=workshop)
-    assert again.returncode == 2 and '--force' in again.stderr
-    assert (file.parent / 'mine.yaml').read_text() == filled
-    forced = bellows('info', 'recording', '--write-params', file.parent / 'mine.yaml',
-                     '--force', cwd=workshop)
-    assert forced.returncode == 0 and (file.parent / 'mine.yaml').read_text() != filled
     assert done.returncode == 0 and f'--params {file}' in done.stdout
+    again = ('info', 'recording', '--write-params', tmp_path / 'mine.yaml')
+    (tmp_path / 'mine.yaml').write_text('filled in by hand')
+    refused = bellows(*again, cwd=workshop)
+    assert refused.returncode == 2 and '--force' in refused.stderr
+    assert (tmp_path / 'mine.yaml').read_text() == 'filled in by hand'
+    assert bellows(*again, '--force', cwd=workshop).returncode == 0
+    assert (tmp_path / 'mine.yaml').read_text() == file.read_text()
     refused = bellows('identify', '--params', file, cwd=workshop)
     assert refused.returncode == 2 and 'package.mass' in refused.stderr
 

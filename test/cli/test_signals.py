@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 
-from bellows_ros.cli.console import ENDING, run_guarded
+from bellows_ros.cli.console import run_guarded, STOP_SIGNALS
 from bellows_ros.files.atomic import PREFIX
 from bellows_ros.files.messages import encode, LAYOUTS
 import numpy as np
@@ -128,7 +128,7 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
         console.line('It goes on.')
         return 0
 
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, *ENDING)}
+    before = {n: signal.getsignal(n) for n in STOP_SIGNALS}
     try:
         assert run_guarded(work) == 128 + number
     finally:

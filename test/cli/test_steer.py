@@ -28,16 +28,12 @@ def test_steers_says_writes_and_draws(bellows, workshop, transport, tmp_path):
     assert 'smoothed over' in said
     assert (tmp_path / 'steer.png').read_bytes().startswith(b'\x89PNG')
     assert {t.name for t in topics(tmp_path / 'steered')} >= {'/tool_arm/plan', '/package/plan'}
-    again = bellows(
-        'plan', 'steered', '--topic', '/tool_arm/plan', '--params', workshop / 'cup.yaml',
-        *STDS, '--json', '-', cwd=tmp_path)
-    assert again.returncode == 0, again.stderr
-    assert json.loads(again.stdout)['swing_left'] < 1.7e-4
-    back = bellows(
-        'steer', 'steered', '--topic', '/package/plan', '--method', 'inverse', '--params',
-        workshop / 'cup.yaml', *STDS, '--json', '-', cwd=tmp_path)
-    assert back.returncode == 0, back.stderr
-    assert json.loads(back.stdout)['swing_left'] < 1.7e-4
+    for command, topic, *method in (
+            ('plan', '/tool_arm/plan'), ('steer', '/package/plan', '--method', 'inverse')):
+        again = bellows(command, 'steered', '--topic', topic, *method, '--params',
+                        workshop / 'cup.yaml', *STDS, '--json', '-', cwd=tmp_path)
+        assert again.returncode == 0, again.stderr
+        assert json.loads(again.stdout)['swing_left'] < 1.7e-4
 
 
 def test_an_animation_shows_planned_and_steered(bellows, workshop, transport, tmp_path):

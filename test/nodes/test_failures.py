@@ -175,7 +175,7 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(make_par
     worker.submit('good', done.append, True)
     assert partner.ros.spin_until(lambda: done)
     assert sum(predictor.failures.values()) == 1
-    assert predictor._last is not None and not predictor._live.restarts['failure']
+    assert predictor._latest is not None and not predictor._live.restarts['failure']
 
 
 def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, capfd):
@@ -185,7 +185,7 @@ def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, c
     for _ in range(2):
         predictor._report_health()
     for k in range(3):
-        predictor._take_pose(START + k * MS, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 3.0))
+        predictor._process_pose(START + k * MS, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 3.0))
     for _ in range(2):
         predictor._report_health()
     log = capfd.readouterr().err

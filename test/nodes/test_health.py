@@ -227,7 +227,7 @@ def test_all_outputs_agree(make_partner):
         ('safety', Vector3Stamped, 'cup/safety_factor'))}
     partner.connect()
     assert partner.ros.spin_until(lambda: all(
-        topic.wanted for topic in topics_of(partner.predictor)))
+        topic.subscribed for topic in topics_of(partner.predictor)))
     for k in range(5):
         partner.send_pose(START + k * 50 * MS)
     assert partner.ros.spin_until(

@@ -94,7 +94,7 @@ def held():
     return sum(trace.size for trace in taken.traces)
 
 partner.wait(lambda: predictor._live.pairing.expect and all(
-    topic.wanted for topic in topics_of(predictor)))
+    topic.subscribed for topic in topics_of(predictor)))
 predictor._report_health()
 modules, compiled = set(sys.modules), signatures()
 send(300)
@@ -115,8 +115,9 @@ plans, answers, landings = answered = [partner.hears(kind, topic) for kind, topi
     (MultiDOFJointTrajectory, 'package/plan'), (Odometry, 'package/predicted_at'),
     (PoseWithCovarianceStamped, 'package/landing'))]
 partner.connect(predictor)
-partner.wait(lambda: predictor._planning._plan_out.wanted and predictor._tossing._landing.wanted
-             and predictor._planning._is_warm and not predictor._planning.is_busy)
+planning = predictor._planning
+partner.wait(lambda: planning._plan_out.subscribed and predictor._tossing._landing.subscribed
+             and planning._warmed_up and not planning.is_busy)
 send(1)
 plan_out.publish(MultiDOFJointTrajectory(joint_names=['tool'], points=[
     MultiDOFJointTrajectoryPoint(
@@ -160,28 +161,15 @@ def found(root):
     return result
 
 
-def test_all_of_it_has_been_tried(found):
-    """Have every topic answer, a twist for every pose, and a pause bridged."""
+def test_all_topics_answer_without_what_recordings_need(found):
+    """Answer pose, plan, request and landing, and bridge a pause, with rosbags absent."""
     assert min(found['heard']) >= 20 and found['coasted'] > 0
     assert found['heard'][0] == found['sent'] > 1200
-
-
-def test_nothing_is_imported(found):
-    """Load every module before the first message."""
-    assert found['modules'] == []
-
-
-def test_a_node_without_what_recordings_need_answers_all_the_same(found):
-    """Answer plan, request, measured pose and landing without rosbags, matplotlib, optimizers."""
     assert min(found['answered']) > 0 and not found['failures']
 
 
-def test_nothing_is_compiled(found):
-    """Compile every kernel for every kind of argument before the first message."""
-    assert found['newly compiled'] == []
+def test_messages_import_compile_and_keep_nothing(found):
+    """Load modules and compile kernels before the first message; keep only the last few."""
+    assert found['modules'] == [] and found['newly compiled'] == []
     assert bool(found['kernels']) is found['compiled']
-
-
-def test_nothing_is_kept(found):
-    """Hold after 600 more messages what was held before, to within their last few."""
     assert found['grown'] < 10_000

@@ -41,7 +41,7 @@ class JointPlanner:
         partner.writes(String, 'robot_description', latched).publish(String(data=urdf))
         partner.connect()
         planning = partner.predictor._planning
-        self.wait(lambda: planning._joints._urdf and planning._plan_out.wanted)
+        self.wait(lambda: planning._joints._urdf and planning._plan_out.subscribed)
 
 
 def message(position=POSITION, names=ARM.moving):

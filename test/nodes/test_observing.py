@@ -42,7 +42,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     payloads = partner.hears(InertiaStamped, 'package/estimated')
     reports = partner.hears(DiagnosticArray, '/diagnostics')
     partner.connect()
-    assert partner.ros.spin_until(lambda: partner.predictor._observing._estimated.wanted)
+    assert partner.ros.spin_until(lambda: partner.predictor._observing._estimated.subscribed)
     live = partner.predictor._live
     start_ns, swing = time.time_ns(), swinging()
 

@@ -172,19 +172,6 @@ def test_what_is_wrong_with_a_value_is_said(name, value, reason, make_predictor,
     assert node.values is before
 
 
-def test_atomic_service_sets_all_or_none(make_predictor, caller):
-    """Hold for the other service too."""
-    node = make_predictor()
-    for damping, expected in ((INDEFINITE, False), (P, True)):
-        request = SetParametersAtomically.Request(parameters=[
-            Parameter(name, value=value).to_parameter_msg()
-            for name, value in (('cup.stiffness', K), ('cup.damping', damping))])
-        answer = caller.call(ATOMICALLY, SetParametersAtomically, request)
-        assert answer.result.successful is expected
-        assert (cup(node) == [K, P]) is expected
-    assert used(node) == Cup(np.reshape(K, (6, 6)), np.reshape(P, (6, 6)), 0.0481).as_tuple[2:]
-
-
 def test_malformed_requests_are_answered(make_predictor, caller):
     """Refuse a type that does not exist, and the removal of a parameter; live on."""
     make_predictor()
@@ -214,17 +201,6 @@ def test_every_parameter_is_described(make_predictor, caller):
         assert shown.read_only == parameter.read_only
     mass = {d.name: d for d in answer.descriptors}['package.mass'].floating_point_range[0]
     assert (mass.from_value, mass.to_value) == (0.0, 1e4)
-
-
-@pytest.mark.parametrize('missing', PACKAGE)
-def test_package_must_be_given(missing, make_predictor):
-    """Name what is missing and show the file that sets it."""
-    given = {name: value for name, value in PACKAGE.items() if name != missing}
-    with pytest.raises(BellowsError) as caught:
-        make_predictor(given)
-    message = str(caught.value)
-    assert message.startswith(f'Not set, and without a default: {missing}.')
-    assert f'/**:\n  ros__parameters:\n    {missing}: ' in message
 
 
 def test_one_file_serves_both_nodes(make_predictor):
@@ -286,8 +262,8 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     topics = [*vars(node._outputs).values(), *vars(node._tossing).values(),
               *vars(node._planning).values()]
     for topic in topics:
-        if hasattr(topic, 'wanted'):
-            topic.wanted = True
+        if hasattr(topic, 'subscribed'):
+            topic.subscribed = True
     plan = encode_multi_dof(message())
     for parameter in parameters_of('predictor'):
         if parameter.read_only or not parameter.kind.startswith('double'):
@@ -301,17 +277,17 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
                 assert result.reason and node.values == kept, parameter.name
                 assert node.get_parameter(parameter.name).value == shown
                 continue
-            partner.wait(lambda: not node._cup_waits)
+            partner.wait(lambda: not node._is_compiling)
             begun = time.process_time()
             for k in range(1, 12):
-                stamp_ns = tried * 10**9 + k * 4_000_000
-                node._take_pose(stamp_ns, 'world', (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+                node._process_pose(tried * 10**9 + k * 4_000_000, 'world',
+                                   (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
             node._planning._on_plan(node._planning._read, plan)
-            if node._last is not None:
+            if node._latest is not None:
                 node._tossing._landing_ns = 0
-                node._tossing.publish(node._live.model, node._last, 'world',
+                node._tossing.publish(node._live.model, node._latest, 'world',
                                       node._outputs.uncertainty.covariance)
-                node._tossing.flight.time_to_target(node._live.model, node._last)
+                node._tossing.flight.time_to_target(node._live.model, node._latest)
             node._tick()
             node._report_health()
             assert not node.failures, (parameter.name, value)

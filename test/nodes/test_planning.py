@@ -63,8 +63,8 @@ class Planner:
         partner.connect()
         planning = partner.predictor._planning
         self.wait(lambda: (
-            planning._is_warm and not planning.is_busy
-            and planning._plan_out.wanted and planning._path_out.wanted))
+            len(planning._warmed_up) == 2 and not planning.is_busy
+            and planning._plan_out.subscribed and planning._path_out.subscribed))
 
     def send(self, plan):
         """Send a plan of the tool."""
@@ -252,7 +252,7 @@ def test_a_plan_of_another_clock_ends_nothing(planner):
     planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
     for ahead_ns in (300_000_000 * 10**9, 86_400 * 10**9, 60 * 10**9, 2 * 10**9):
-        now, before = predictor._last, len(planner.plans)
+        now, before = predictor._latest, len(planner.plans)
         assert flight.landing(MODEL, now, lambda _: np.zeros((12, 12))) is not None
         flight.time_to_target(MODEL, now)
         assert_allclose(flight.later(MODEL, now, 0.5)[0], now.position, atol=1e-3)

@@ -199,9 +199,3 @@ def test_cup_too_soft_for_the_package_is_said_once(make_partner, capfd):
 
     assert partner.poses == []
     assert capfd.readouterr().err.count('the cup cannot hold the package') == 1
-
-
-def test_thesis_cup_is_announced(make_predictor, capfd):
-    """Say whose cup it is when none is given."""
-    make_predictor()
-    assert "using the thesis's values" in capfd.readouterr().err

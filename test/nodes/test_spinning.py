@@ -76,7 +76,7 @@ class Cell(Partner):
         self.diagnostics = self.hears(DiagnosticArray, '/diagnostics')
         self.connect()
         outputs, live = self.predictor._outputs, self.predictor._live
-        self.wait(lambda: outputs._odometry.wanted and live.pairing.expect)
+        self.wait(lambda: outputs._odometry.subscribed and live.pairing.expect)
         self._last_ns = START
 
     def go_on(self, count):

@@ -31,9 +31,9 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
     valve = partner.writes(Bool, 'vacuum/valve')
     asking = partner.writes(Header, 'package/predict_at')
     partner.connect()
+    tossing, outputs = partner.predictor._tossing, partner.predictor._outputs
     assert partner.ros.spin_until(lambda: (
-        partner.predictor._tossing._landing.wanted and partner.predictor._tossing._at.wanted
-        and partner.predictor._outputs._deflection.wanted))
+        tossing._landing.subscribed and tossing._at.subscribed and outputs._deflection.subscribed))
     start_ns, sent = time.time_ns(), 0
 
     def go_on():
@@ -104,7 +104,7 @@ def test_no_plan_waits_behind_a_search(make_partner):
     planner = Planner(make_partner(TOSSED))
     partner, tossing = planner.partner, planner.partner.predictor._tossing
     partner.hears(Header, 'release/at')
-    planner.wait(lambda: tossing._at.wanted)
+    planner.wait(lambda: tossing._at.subscribed)
     begun, end = Event(), Event()
 
     def search(*_):
@@ -137,7 +137,7 @@ def test_the_vacuum_that_is_heard_counts(make_partner):
         partner.send(1_000_000_000 + count * PERIOD_NS)
         partner.wait_for_poses(count + 1)
         planner.plans.clear()
-        partner.predictor._planning._found = None
+        partner.predictor._planning._outcome = None
         planner.send(message())
         factors.append(float(planner.status().values['smallest_safety_factor']))
     assert factors[0] == pytest.approx(2.0 * factors[1], rel=1e-2)

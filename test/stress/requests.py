@@ -158,7 +158,7 @@ def attempt(requester, deactivate):
             raise Failed('deactivating took more than 5 s')
         predictor.trigger_activate()
     else:
-        refused = COUNTED if predictor._planning._found is None else CLEAN
+        refused = COUNTED if predictor._planning._outcome is None else CLEAN
     requester.wait('the end of all work', lambda: not predictor._planning.is_busy)
 
     def predicts():
