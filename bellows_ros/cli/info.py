@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.write_params:
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in UNKNOWN], result.settings,
-            [f'How to read {result.path}, as result by bellows info; check it.']))
+            [f'How to read {result.path}, as found by bellows info; check it.']))
     print_result(result, console)
     console.wrote(arguments.json)
     console.wrote(arguments.write_params, then=(
