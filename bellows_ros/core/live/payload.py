@@ -178,7 +178,7 @@ class LivePayload:
         if self.observer is not None:
             self.observer.forget(is_another)
         self.sample = self._coasted = None
-        self.settling.forget()
+        self.settling.clear()
         self._retry_ns = -1
         self.outcome = ''
 
@@ -208,7 +208,7 @@ class LivePayload:
             return self._start(stamp_ns, now)
         body, (force, moment) = result
         self.sample = Sample(stamp_ns, now, body)
-        unsettled = self.settling.follow(stamp_ns, now)
+        unsettled = self.settling.update(stamp_ns, now)
         known = None if self.observer is None else partial(self.observer.covariance, stamp_ns)
         return Prediction(
             stamp_ns, *body[:4], force, moment, now, False, unsettled, known, body[4:])

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache, partial
 import math
 from typing import Any, NamedTuple
 
@@ -58,8 +59,7 @@ COASTING = np.tile(np.repeat([5.0, 25.0], 3), 2)
 """Standard deviations (m/s^2, rad/s^2) of what an unobserved arm may do, for pose and twist."""
 
 UNKNOWN_ROOT = 1e3 * np.eye(12)
-UNKNOWN = UNKNOWN_ROOT @ UNKNOWN_ROOT.T
-"""Stands for an unknown covariance (m^2, rad^2, m^2/s^2, rad^2/s^2)."""
+"""Factor of an unknown covariance (m, rad, m/s, rad/s)."""
 
 RETRY_NS = 100_000_000
 """Time (ns) until a failed computation, which takes milliseconds, is repeated."""
@@ -67,7 +67,7 @@ RETRY_NS = 100_000_000
 
 class Uncertainty:
     """
-    Follow predictions and compute their covariance.
+    Covariance of predictions.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Uncertainty:
     Attributes
     ----------
     known : bool
-        False where the last covariance was `UNKNOWN`.
+        False where the last factor was `UNKNOWN_ROOT`.
 
     """
 
@@ -92,80 +92,74 @@ class Uncertainty:
         of_gripper = np.kron(np.eye(2), composition(places_of(values)))
         self._factor = (of_gripper * std)[:, std > 0.0]
         self._sensitivity: Array | None = None
-        self._left: Array = np.eye(12)
-        self._left_since_ns = -1
-        self._last_ns = self._measured_ns = self._tried_ns = -1
+        self._transient: Array = np.eye(12)
+        self._transient_since_ns = self._last_ns = self._measured_ns = self._tried_ns = -1
         self._period_ns = STEP_NS
 
     def covariance(self, prediction: Prediction) -> Array:
         """
-        Return how sure a prediction is (12, 12): pose, then twist, in body axes.
+        Return the covariance of a prediction (12, 12): pose, then twist, in body axes.
 
-        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s); `UNKNOWN` where
-        it is not known. Predictions are to be given in the order of their stamps.
+        Of displacement (m), rotation (rad), linear and angular twist (m/s, rad/s). Predictions are
+        to be given in the order of their stamps.
         """
         root = self.root(prediction)
         return np.asarray(root @ root.T)
 
     def root(self, prediction: Prediction) -> Array:
-        """Return a factor (12, n) of the covariance, see above."""
+        """Return a factor (12, n) of the covariance, `UNKNOWN_ROOT` where it is not known."""
+        stamp_ns = prediction.stamp_ns
         if not prediction.coasting:
-            between = prediction.stamp_ns - self._measured_ns
-            if self._measured_ns >= 0 and 0 < between < 100_000_000:  # in powers of two of 1 us
-                self._period_ns = 1000 * 2 ** round(math.log2(max(between, 1000) / 1000))
-            self._measured_ns = prediction.stamp_ns
+            interval = stamp_ns - self._measured_ns
+            if self._measured_ns >= 0 and 0 < interval < 100_000_000:  # in powers of two of 1 us
+                self._period_ns = 1000 * 2 ** round(math.log2(max(interval, 1000) / 1000))
+            self._measured_ns = stamp_ns
         observed = prediction.covariance and prediction.covariance()
-        if observed is not None:
-            try:
-                root = np.asarray(np.linalg.cholesky(observed))
-                self.known = True
-            except np.linalg.LinAlgError:  # of numbers that differ by as much as doubles can
-                root, self.known = UNKNOWN_ROOT, False
-            return root
-        if not self.known and abs(prediction.stamp_ns - self._tried_ns) < RETRY_NS:
+        if observed is None and not self.known and abs(stamp_ns - self._tried_ns) < RETRY_NS:
             return UNKNOWN_ROOT
         try:
-            root = self._root(prediction)
+            root = self._root(prediction) if observed is None else np.asarray(
+                np.linalg.cholesky(observed))
             self.known = bool(np.isfinite(root).all())
-        except (BellowsError, ArithmeticError, ValueError):  # no rest, or none in finite numbers
+        except (BellowsError, ArithmeticError, ValueError):  # no rest, or not definite by rounding
             self.known = False
         if self.known:
             return root
-        self._sensitivity, self._tried_ns = None, prediction.stamp_ns
+        if observed is None:
+            self._sensitivity, self._tried_ns = None, stamp_ns
         return UNKNOWN_ROOT
 
     def _root(self, prediction: Prediction) -> Array:
-        """Return the root of all parts, whether its numbers are finite or not."""
-        sensitivity, period_ns = self._sensitivity_at(prediction), self._period_ns
-        if period_ns not in self._noise_of:
-            self._noise_of[period_ns] = self._driven_by_noise(period_ns * 1e-9)
-        parts = [sensitivity[:12], self._noise_of[period_ns][:12]]
+        """Return the factor of all parts, whether its numbers are finite or not."""
+        parts = [self._sensitivity_at(prediction)[:12]]
+        parts.append(self._noise_root(self._period_ns * 1e-9)[:12])
         if prediction.coasting:
             seconds = (prediction.stamp_ns - self._measured_ns) * 1e-9
             parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING)
         if prediction.unsettled is not None:
-            parts.append(self._left_of(prediction.unsettled, prediction.stamp_ns))
+            parts.append(self._settling_error(prediction.unsettled, prediction.stamp_ns))
         turn = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi
         turn[6:9, 3:6], turn[9:, 3:6] = hat(prediction.linear), hat(prediction.angular)
         return np.asarray(turn @ np.hstack(parts))
 
-    def _left_of(self, start: Unsettled, stamp_ns: int) -> Array:
-        """Return the remainder (12, 12) of earlier errors of a state, one column each."""
-        if start.since_ns != self._left_since_ns:
+    def _settling_error(self, start: Unsettled, stamp_ns: int) -> Array:
+        """Return what remains (12, 12) of earlier errors of a state, one column each."""
+        if start.since_ns != self._transient_since_ns:
             seconds = max(0.0, (stamp_ns - start.since_ns) * 1e-9)
-            self._left, self._left_since_ns = expm(self._A * seconds)[:, :12], start.since_ns
-        return np.asarray(self._left[:12] * np.repeat(start[1:], 3))
+            self._transient = expm(self._A * seconds)[:, :12]
+            self._transient_since_ns = start.since_ns
+        return np.asarray(self._transient[:12] * np.repeat(start[1:], 3))
 
     def _linearise(self, tool: State) -> None:
-        """Take the small motions about the package's rest under a tool."""
+        """Prepare the small motions about the package's rest under a tool."""
         still = ZERO, tool[1], ZERO, ZERO
         rest = equilibrium.static_equilibrium(self._model, still)
         jacobian = equilibrium.linearise(self._model, still, rest)
         self._A = equilibrium.system_matrix(self._model, still, rest)
-        self._tool_pose, self._tool_twist = jacobian.tool_pose, jacobian.tool_twist
-        self._steps: dict[int, tuple[Array, Array]] = {}
-        self._noise_of: dict[int, Array] = {}
-        self._left_since_ns = -1
+        self._propagation = cache(partial(propagation, self._A))
+        self._noise_root = cache(partial(
+            noise_root, self._A, jacobian.tool_pose, jacobian.tool_twist, self._noise))
+        self._transient_since_ns = -1
 
     def _sensitivity_at(self, prediction: Prediction) -> Array:
         """Return d state / d parameter times the parameters' standard deviations, by column."""
@@ -173,56 +167,47 @@ class Uncertainty:
         S = self._sensitivity
         if S is not None and 0 <= duration_ns < STEP_NS:
             return S
-        pushes = self._pushes(prediction)
+        count = len(self._factor)
+        slopes = np.zeros((12 + 6 * len(self._model[0][4:]), count))
+        parameter_jacobian(
+            self._model, prediction.tool, prediction.body, 0, count, slopes[6:12])
+        forcing = slopes @ self._factor
         if S is None or not 0 <= duration_ns < 500_000_000:
             self._linearise(prediction.tool)
-            S = np.asarray(np.linalg.solve(self._A, -pushes))  # at rest
+            S = np.asarray(np.linalg.solve(self._A, -forcing))  # at rest
         else:
-            transition, gain = self._step(duration_ns)
-            S = transition @ S + gain @ pushes
+            transition, gain = self._propagation(1e-4 * max(1, round(duration_ns / 100_000)))
+            S = transition @ S + gain @ forcing
             if prediction.unsettled is not None:
-                self._left = transition @ self._left
+                self._transient = transition @ self._transient
         self._sensitivity, self._last_ns = S, prediction.stamp_ns
         return S
 
-    def _pushes(self, prediction: Prediction) -> Array:
-        """Return the slopes of the state due to one standard deviation of each parameter."""
-        count = len(self._factor)
-        pushes = np.zeros((12 + 6 * len(self._model[0][4:]), count))
-        parameter_jacobian(
-            self._model, prediction.tool, prediction.body, 0, count, pushes[6:12])
-        return np.asarray(pushes @ self._factor)
 
-    def _step(self, duration_ns: int) -> tuple[Array, Array]:
-        """Return exp(A h) and its integral, for a duration rounded to 0.1 ms."""
-        key = max(1, round(duration_ns / 100_000))
-        if key not in self._steps:
-            self._steps[key] = self._over(1e-4 * key)
-        return self._steps[key]
+def propagation(A: Array, seconds: float) -> tuple[Array, Array]:
+    """Return exp(A h) and its integral."""
+    n = len(A)
+    both = expm(np.block([[A, np.eye(n)], [np.zeros((n, 2 * n))]]) * seconds)
+    return both[:n, :n], both[:n, n:]
 
-    def _over(self, seconds: float) -> tuple[Array, Array]:
-        """Return exp(A h) and its integral."""
-        n = len(self._A)
-        both = expm(np.block([[self._A, np.eye(n)], [np.zeros((n, 2 * n))]]) * seconds)
-        return both[:n, :n], both[:n, n:]
 
-    def _driven_by_noise(self, period: float) -> Array:
-        """
-        Return the root after many samples e of noise, each held for a period.
+def noise_root(
+    A: Array, tool_pose: Array, tool_twist: Array, noise: Array, period: float
+) -> Array:
+    """
+    Return the factor after many samples e of noise, each held for a period.
 
-        The tool's twist is the derivative of e. Integrated by parts, its slope B_v acts like the
-        slope A B_v of e, and B_v e remains. Of L and T L together a triangle (12, 12) is kept.
-        """
-        direct, by_pose = np.zeros((2, len(self._A), 6))
-        direct[6:12], by_pose[6:12] = self._tool_twist, self._tool_pose
-        drive = by_pose + self._A @ direct
-        transition, gain = self._over(period)
-        root: Array = gain @ drive * self._noise
-        for _ in range(DOUBLINGS):
-            _, R = np.linalg.qr(np.hstack([root, transition @ root]).T)
-            root = R.T
-            transition = transition @ transition
-        return np.asarray(np.hstack([root, direct * self._noise]))
+    The tool's twist is the derivative of e. Integrated by parts, its slope B_v acts like the slope
+    A B_v of e, and B_v e remains. Of L and T L together a triangle (12, 12) is kept.
+    """
+    direct, by_pose = np.zeros((2, len(A), 6))
+    direct[6:12], by_pose[6:12] = tool_twist, tool_pose
+    transition, gain = propagation(A, period)
+    root: Array = gain @ (by_pose + A @ direct) * noise
+    for _ in range(DOUBLINGS):
+        root = np.linalg.qr(np.hstack([root, transition @ root]).T)[1].T
+        transition = transition @ transition
+    return np.asarray(np.hstack([root, direct * noise]))
 
 
 def expm(M: Array) -> Array:
@@ -256,13 +241,13 @@ def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float
 SPAN_NS = 100_000_000
 """Time (ns) after a start, in two halves, in which the tool's motion becomes known."""
 
-UNSEEN = 0.5, 1.0, 5.0, 25.0
+UNOBSERVED_MOTION = 0.5, 1.0, 5.0, 25.0
 """What a tool may do before it is observed: m/s, rad/s, m/s^2, rad/s^2."""
 
-SMALL, SMALL_TURN = 1e-3, 5e-3
+NEGLIGIBLE_SHIFT, NEGLIGIBLE_ANGLE = 1e-3, 5e-3
 """Errors (m, rad) below this are negligible."""
 
-SLOWEST_DECAY, SLOWEST_MODE = 0.1, 1.0
+MIN_DECAY_RATE, MIN_FREQUENCY = 0.1, 1.0
 """Smallest decay rate (1/s) and frequency (rad/s) assumed of any package."""
 
 
@@ -281,76 +266,68 @@ def modes_of(system: Array) -> Modes:
     """Return the modes of the small motions with a system matrix (12, 12), without relaxation."""
     eigenvalues = np.linalg.eigvals(system)
     compliance = np.linalg.inv(system[6:, :6])
-    by_shift, by_turn, turn_by_turn = (float(np.linalg.norm(part, 2)) for part in (
+    shift, turn, turn_by_turn = (float(np.linalg.norm(part, 2)) for part in (
         compliance[:3, :3], compliance[3:, :3], compliance[3:, 3:]))
-    return Modes(
-        max(SLOWEST_DECAY, -float(eigenvalues.real.max())),
-        max(SLOWEST_MODE, float(np.abs(eigenvalues).min())),
-        (by_shift, by_turn, turn_by_turn))
+    return Modes(max(MIN_DECAY_RATE, -float(eigenvalues.real.max())),
+                 max(MIN_FREQUENCY, float(np.abs(eigenvalues).min())), (shift, turn, turn_by_turn))
 
 
 class Settling:
     """
-    Track the error of the state after a start or after doubtful poses.
+    Error of the state after a start or after doubtful poses.
 
     Attributes
     ----------
     now : Unsettled or None
-        None where nothing of it is left.
+        None where it has died away.
     modes : Modes
         Of the package, to be set first; with those of another one a running decay keeps its end.
 
     """
 
     def __init__(self) -> None:
-        """Know of no package."""
+        """Start without a package."""
         self.modes: Modes
-        self.forget()
+        self.clear()
 
-    def forget(self) -> None:
-        """Know of no package."""
+    def clear(self) -> None:
+        """Forget the package."""
         self.now: Unsettled | None = None
-        self._seen: list[tuple[int, State]] = []  # after a start, until it shows how it moves
+        self._samples: list[tuple[int, State]] = []  # after a start, until its motion is known
         self._until_ns = 0
 
     def begin(self, stamp_ns: int, tool: State) -> None:
-        """Note a start at rest below a tool whose motion is not yet known."""
-        self._seen = [(stamp_ns, tool)]
-        self.now = self._left_by(stamp_ns, *UNSEEN)
+        """Start at rest below a tool whose motion is not yet known."""
+        self._samples = [(stamp_ns, tool)]
+        self.now = self._error_at_rest(stamp_ns, *UNOBSERVED_MOTION)
 
     def inflate(self, stamp_ns: int, shift: float, turn: float) -> None:
-        """Note that the tool was shifted (m) and turned (rad) as no arm moves."""
+        """Add that the tool was shifted (m) and turned (rad) as no arm moves."""
         before = self.now or Unsettled(stamp_ns, 0.0, 0.0, 0.0, 0.0)
         self.now = before._replace(
             since_ns=stamp_ns, shift=max(shift, before.shift), turn=max(turn, before.turn))
-        self._seen = []
+        self._samples = []
         self._until_ns = stamp_ns + self._duration_ns(self.now)
 
-    def follow(self, stamp_ns: int, tool: State) -> Unsettled | None:
-        """Return the remaining error at a sample of the tool."""
-        if self.now is None:
-            return None
-        if self._seen:
-            self._watch(stamp_ns, tool)
-        elif stamp_ns >= self._until_ns:
+    def update(self, stamp_ns: int, tool: State) -> Unsettled | None:
+        """Return the remaining error at a sample of the tool; after a start measure its motion."""
+        if self._samples:
+            start_ns, start = self._samples[0]
+            since_ns = stamp_ns - start_ns
+            if len(self._samples) == 1:
+                if 2 * since_ns >= SPAN_NS:
+                    self._samples.append((stamp_ns, tool))
+            elif since_ns >= SPAN_NS:
+                middle_ns, middle = self._samples[1]
+                self._samples = []
+                self.now = self._error_at_rest(start_ns, *motion_through(
+                    start, middle, tool, (middle_ns - start_ns) * 1e-9, since_ns * 1e-9))
+                self._until_ns = start_ns + self._duration_ns(self.now)
+        elif self.now is not None and stamp_ns >= self._until_ns:
             self.now = None
         return self.now
 
-    def _watch(self, stamp_ns: int, tool: State) -> None:
-        """Measure the tool's motion after a start, from three poses."""
-        start_ns, start = self._seen[0]
-        since_ns = stamp_ns - start_ns
-        if len(self._seen) == 1:
-            if 2 * since_ns >= SPAN_NS:
-                self._seen.append((stamp_ns, tool))
-        elif since_ns >= SPAN_NS:
-            middle_ns, middle = self._seen[1]
-            self._seen = []
-            self.now = left = self._left_by(start_ns, *motion_through(
-                start, middle, tool, (middle_ns - start_ns) * 1e-9, since_ns * 1e-9))
-            self._until_ns = start_ns + self._duration_ns(left)
-
-    def _left_by(
+    def _error_at_rest(
         self, stamp_ns: int, speed: float, rate: float, acceleration: float, turning: float
     ) -> Unsettled:
         """Return the error of assuming rest below a moving tool."""
@@ -358,14 +335,12 @@ class Settling:
         turn = by_turn * acceleration + turn_by_turn * turning
         return Unsettled(stamp_ns, by_shift * acceleration, turn, speed, rate)
 
-    def _duration_ns(self, left: Unsettled) -> int:
-        """Return how long (ns) it takes until an error counts no more."""
+    def _duration_ns(self, error: Unsettled) -> int:
+        """Return the time (ns) until an error is negligible."""
         swing = 1.0 / self.modes.frequency
-        parts = (
-            (left.shift + swing * left.speed) / SMALL,
-            (left.turn + swing * left.rate) / SMALL_TURN,
-        )
-        return round(1e9 * math.log(max(1.0, *parts)) / self.modes.decay)
+        ratio = max(1.0, (error.shift + swing * error.speed) / NEGLIGIBLE_SHIFT,
+                    (error.turn + swing * error.rate) / NEGLIGIBLE_ANGLE)
+        return round(1e9 * math.log(ratio) / self.modes.decay)
 
 
 @kernel

@@ -4,7 +4,7 @@ import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN
+from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN_ROOT
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.parameters.checks import resolve
@@ -158,9 +158,9 @@ def test_a_covariance_that_is_not_known_says_so_and_comes_back():
     top_heavy = Package(20.0, np.diag([0.02, 0.02, 0.02]), (0.0, 0.0, -0.3))
     fallen = LivePredictor(THESIS, top_heavy, 9.81)
     uncertainty = Uncertainty(fallen.model, values(0.1 * THESIS.stiffness, position=1e-4))
-    assert_allclose(uncertainty.covariance(out[0]._replace(tool=upside_down)), UNKNOWN)
+    assert_allclose(uncertainty.root(out[0]._replace(tool=upside_down)), UNKNOWN_ROOT)
     assert not uncertainty.known
-    assert_allclose(uncertainty.covariance(out[1]), UNKNOWN)  # not tried again at once
+    assert_allclose(uncertainty.root(out[1]), UNKNOWN_ROOT)  # not tried again at once
     assert np.isfinite(uncertainty.covariance(out[60])).all() and uncertainty.known
 
 
@@ -232,7 +232,7 @@ def test_covariance_of_an_observer_that_rounding_has_spoilt_is_unknown():
     assert_allclose(uncertainty.covariance(out[0]._replace(covariance=lambda: sound)), sound)
     spoilt = sound - 2.0 * np.diag([0.0] * 11 + [1e-3])
     found = uncertainty.covariance(out[1]._replace(covariance=lambda: spoilt))
-    assert_allclose(found, UNKNOWN)
+    assert_allclose(found, UNKNOWN_ROOT @ UNKNOWN_ROOT.T)
     assert not uncertainty.known
     assert_allclose(uncertainty.covariance(out[2]._replace(covariance=lambda: sound)), sound)
     assert uncertainty.known
