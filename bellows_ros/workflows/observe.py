@@ -187,7 +187,7 @@ def observed(
     def run(by: Observer) -> Trajectory:
         live = live_predictor(values)
         live.package.observe(by)
-        return predictions(live, messages, seen=seen, vacuum=vacuum)
+        return predictions(live, messages, measured=seen, vacuum=vacuum)
 
     corrected = run(observer)
     held = _held(observer, stream, recording.measured_package, package_of(values).com)

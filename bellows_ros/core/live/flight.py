@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import scale, ZERO
-from bellows_ros.core.live.payload import MOST_SUBSTEPS
+from bellows_ros.core.live.payload import MAX_SUBSTEPS
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import Grip, grip_of
@@ -252,7 +252,7 @@ class Flight:
 
         """
         longest = COARSE * self._longest_step(model)
-        if not self.known or self.state or self._ahead > MOST_SUBSTEPS * longest:
+        if not self.known or self.state or self._ahead > MAX_SUBSTEPS * longest:
             return None  # so many steps would hold up the poses
         if self._count % RENEWED == 0:
             self._of_state[:] = covariance(prediction)

@@ -241,7 +241,7 @@ def check_live(values: Mapping[str, Any]) -> None:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
             'seven numbers, from the file of bellows identify --out.')
-    model = prepared(cup_of(values), package_of(values), gravity_of(values)).model
+    model = prepared(cup_of(values), package_of(values), gravity_of(values))[0]
     load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is known yet
     try:
         with np.errstate(all='ignore'):

@@ -20,14 +20,14 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
-MOST_SUBSTEPS = 10_000
+MAX_SUBSTEPS = 10_000
 """Most substeps of one advance; more means a cup too stiff or a time too long: diverged."""
 
-REACH_LENGTHS = REACH_SAGS = 3.0
-"""No lip is further from where it is without load than so many lengths of the cup, and so many
-times what the package's weight shifts it by in the softest direction."""
+REACH_FACTOR = 3.0
+"""No lip is displaced further than this many times the length of the cup and what the package's
+weight shifts it by in the softest direction."""
 
-SHORTEST_STEP = 1e-6
+MIN_STEP = 1e-6
 """A model that needs shorter integration steps (s) cannot be predicted live."""
 
 RETRY_NS = 100_000_000
@@ -50,20 +50,14 @@ def advance_and_hold(
     return body, wrench, is_sound
 
 
-class Prepared(NamedTuple):
-    """A model and derived quantities."""
-
-    model: ModelTuple
-    longest_step: float
-    """Longest stable integration step, s."""
-    reach: float
-    """Largest plausible displacement of the lip, m."""
-    modes: Modes
-
-
-def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
+def prepared(
+    cup: Cup, package: Package, gravity: ArrayLike
+) -> tuple[ModelTuple, float, float, Modes]:
     """
-    Return the model of a cup and a package, with derived quantities.
+    Return the model of a cup and a package, and what is derived from it.
+
+    The longest stable integration step (s), the largest plausible displacement of the lip (m), and
+    the modes.
 
     Raises
     ------
@@ -79,13 +73,12 @@ def prepared(cup: Cup, package: Package, gravity: ArrayLike) -> Prepared:
             modes = modes_of(equilibrium.nominal_system_matrix((model[0][:4], *model[1:])))
             softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
             sag = package.mass * math.hypot(*model[2]) / softest
-            reach = REACH_LENGTHS * cup.length + REACH_SAGS * sag
-            return Prepared(model, equilibrium.largest_step(model, A), reach, modes)
+            reach = REACH_FACTOR * (cup.length + sag)
+            return model, equilibrium.largest_step(model, A), reach, modes
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
             f'The prediction fails with this cup and package ({error}). Check package.mass, '
-            'package.inertia, cup.stiffness, cup.damping and their units.'
-        ) from None
+            'package.inertia, cup.stiffness, cup.damping and their units.') from None
 
 
 def _require_slow(matrix: Array) -> None:
@@ -94,12 +87,13 @@ def _require_slow(matrix: Array) -> None:
     undamped[6:12, 6:12] = 0.0
     for name, system in (('cup.stiffness', undamped), ('cup.damping', matrix)):
         fastest = float(np.abs(np.linalg.eigvals(system)).max())
-        if equilibrium.PHASE_PER_STEP < fastest * SHORTEST_STEP:
+        steps = fastest / equilibrium.PHASE_PER_STEP
+        if steps * MIN_STEP > 1.0:
             raise BellowsError(
                 f'With this {name} the fastest mode of the package is {fastest:.3g} rad/s, which '
-                f'takes {fastest / equilibrium.PHASE_PER_STEP:.3g} integration steps a second; '
-                f'expected at most {1.0 / SHORTEST_STEP:.3g}. Check {name}, package.mass, '
-                'package.inertia and their units.')
+                f'takes {steps:.3g} integration steps a second; expected at most '
+                f'{1.0 / MIN_STEP:.3g}. Check {name}, package.mass, package.inertia and their '
+                'units.')
 
 
 class Sample(NamedTuple):
@@ -148,10 +142,9 @@ class LivePayload:
 
     def set_model(self, cup: Cup, package: Package) -> None:
         """Go on with another cup or package; pose and motion stay as they are."""
-        self._model, self._longest_step, self._reach, modes = prepared(
+        self._model, self._longest_step, self._reach, self.settling.modes = prepared(
             cup, package, self._gravity)
         self._row, self._branches = kernels.model_row(self._model), self._model[0][4:]
-        self.settling.modes = modes
         self._retry_ns = -1
         if self.sample is not None:
             stamp_ns, tool, body = self.sample
@@ -166,10 +159,10 @@ class LivePayload:
             observer.start(*self.sample)
         self.observer = observer  # last: other threads ask it for its model
 
-    def see(self, seen: Measurement) -> None:
+    def correct(self, measurement: Measurement) -> None:
         """Correct the package with a measured pose."""
         observer, sample = self.observer, self.sample
-        if observer is not None and not observer.update(seen) and sample is not None:
+        if observer is not None and not observer.update(measurement) and sample is not None:
             self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
             self._coasted = None
 
@@ -208,10 +201,10 @@ class LivePayload:
             return self._start(stamp_ns, now)
         body, (force, moment) = result
         self.sample = Sample(stamp_ns, now, body)
-        unsettled = self.settling.update(stamp_ns, now)
-        known = None if self.observer is None else partial(self.observer.covariance, stamp_ns)
-        return Prediction(
-            stamp_ns, *body[:4], force, moment, now, False, unsettled, known, body[4:])
+        covariance = None if self.observer is None else partial(
+            self.observer.covariance, stamp_ns)
+        return Prediction(stamp_ns, *body[:4], force, moment, now, False,
+                          self.settling.update(stamp_ns, now), covariance, body[4:])
 
     def coast(self, stamp_ns: int) -> Prediction | None:
         """
@@ -233,24 +226,24 @@ class LivePayload:
                           strains=body[4:])
 
     def _advanced(
-        self, body: State, start: State, end: State, duration: float, kept_ns: int = 0
+        self, body: State, start: State, end: State, duration: float, stored_ns: int = 0
     ) -> tuple[State, Wrench] | None:
         """
         Return package and wrench at the end, or None if they are not finite.
 
-        An observer keeps what ends at a stamp (ns).
+        An observer stores what ends at a stamp (ns).
         """
         substeps = equilibrium.substeps_for(duration, self._longest_step)
-        if substeps > MOST_SUBSTEPS:
+        if substeps > MAX_SUBSTEPS:
             return None
         try:
             if self.observer is None:
                 body, wrench, sound = advance_and_hold(
                     self._row, self._branches, body, start, end, duration, substeps, self._reach)
-            elif kept_ns and (found := self.observer.follow(kept_ns, start, end)):
+            elif stored_ns and (found := self.observer.follow(stored_ns, start, end)):
                 body, wrench, sound = found
             else:
-                body = (self.observer.body if kept_ns
+                body = (self.observer.body if stored_ns
                         else self.observer.drifted(body, start, end, duration))
                 wrench, sound = kernels.checked_wrench(self.model, end, body, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan

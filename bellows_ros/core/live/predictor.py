@@ -31,13 +31,13 @@ COAST_AFTER_NS = 20_000_000
 COAST_PERIODS = 4
 """... as are pauses shorter than this many periods of the poses ..."""
 
-LONGEST_BURST_NS = 100_000_000
+MAX_BURST_NS = 100_000_000
 """... and recurring pauses up to this (ns), which separate bursts."""
 
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""
 
-MOVES = 0.02, 0.1
+MOVING_SPEED, MOVING_RATE = 0.02, 0.1
 """Speed (m/s) or rate (rad/s) of the tool from which on no package is released."""
 
 REFUSALS = (
@@ -104,13 +104,8 @@ class LivePredictor:
     """
 
     def __init__(
-        self,
-        cup: Cup,
-        package: Package,
-        gravity: ArrayLike,
-        twist_frame: str = 'world',
-        history: int = 5,
-        coast_limit_ns: int = COAST_LIMIT_NS,
+        self, cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str = 'world',
+        history: int = 5, coast_limit_ns: int = COAST_LIMIT_NS,
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
         self._screen, self._twist_screen = Screen(), TwistScreen()
@@ -120,8 +115,8 @@ class LivePredictor:
         self.coast_limit_ns = coast_limit_ns
         self._counts = dict.fromkeys(REFUSALS, 0)
         self.restarts = dict.fromkeys(RESTARTS, 0)
-        self.poses_in = self.twists_in = self.predictions = self.twists_estimated = 0
-        self.coasted = 0
+        self.poses_in = self.twists_in = 0
+        self.predictions = self.twists_estimated = self.coasted = 0
         self.attached = True
         self._vacuum: dict[int, bool] = {}  # whether a cup holds by it, or all together
         self.flight: Flight | None = None
@@ -182,18 +177,17 @@ class LivePredictor:
         if self.arrival_ns is None:
             return 'waiting'
         silent_ns = arrival_ns - self.arrival_ns
-        patience_ns = max(
-            COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2)
-        if silent_ns <= patience_ns:
-            if not (self.package.sample or self.pairing.waiting):
-                return 'lost'
-            return 'settling' if self.package.settling.now else 'predicting'
-        return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
+        if silent_ns > max(
+                COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2):
+            return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
+        if not (self.package.sample or self.pairing.waiting):
+            return 'lost'
+        return 'settling' if self.package.settling.now else 'predicting'
 
     # ---------------------------------------------------------------- control
 
     def set_model(self, cup: Cup, package: Package) -> None:
-        """Go on with another cup or package; pose and motion stay as they are."""
+        """Continue with another cup or package; pose and motion stay as they are."""
         self.package.set_model(cup, package)
 
     def reset(self) -> None:
@@ -239,15 +233,11 @@ class LivePredictor:
     # ------------------------------------------------------------------ input
 
     def on_pose(
-        self,
-        stamp_ns: int,
-        frame_id: str,
-        position: Vector,
-        quaternion_xyzw: Quaternion,
+        self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
         arrival_ns: int | None = None,
     ) -> list[Prediction]:
         """
-        Take a tool pose in the world and return the predictions that it makes possible.
+        Process a tool pose in the world and return the predictions that it makes possible.
 
         Parameters
         ----------
@@ -280,22 +270,21 @@ class LivePredictor:
             self.package.settling.inflate(stamp_ns, *self._screen.jump)
         if arrival_ns is not None and self.arrival_ns is not None:
             pause_ns = arrival_ns - self.arrival_ns
-            if pause_ns <= LONGEST_BURST_NS:  # they grow quickly, and shrink slowly
-                longer_ns = pause_ns - self._pause_ns
-                self._pause_ns += longer_ns // (2 if longer_ns > 0 else 256)
+            if pause_ns <= MAX_BURST_NS:  # it grows quickly, and shrinks slowly
+                change_ns = pause_ns - self._pause_ns
+                self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
         self.arrival_ns = arrival_ns
         self.pairing.add_pose(self.tool.pose(stamp_ns, position, quaternion_xyzw))
-        return self._release(predictions)
+        return predictions + self._release()
 
     def on_twist(
         self, stamp_ns: int, linear: Vector, angular: Vector, frame_id: str | None = None
     ) -> list[Prediction]:
         """
-        Take the tool's twist (m/s, rad/s) and return the predictions that it makes possible.
+        Process the tool's twist (m/s, rad/s) and return the predictions that it makes possible.
 
-        Its frame_id says nothing about its axes, as drivers fill in what they like; but the
-        first one is kept, and twists in another are refused until nothing else has come for a
-        while.
+        Its frame_id does not define its axes, as drivers fill in what they like; but twists in
+        another one than the first are refused until nothing else has come for a while.
         """
         self.twists_in += 1
         refused = self._twist_screen.why_refused(stamp_ns, linear, angular, frame_id)
@@ -303,7 +292,7 @@ class LivePredictor:
             self._counts[refused] += 1
             return []
         self.pairing.add_twist(TwistSample(stamp_ns, linear, angular))
-        return self._release([])
+        return self._release()
 
     def on_measured(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
@@ -319,35 +308,34 @@ class LivePredictor:
         observer = self.package.observer
         if observer is None:
             return
-        seen = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
-        if isinstance(seen, str):
-            observer.counts[seen] += 1
+        measurement = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
+        if isinstance(measurement, str):
+            observer.counts[measurement] += 1
         elif not observer.sensor.has_own_world and self.frame_id not in ('', frame_id):
             observer.counts['frame_id'] += 1
         elif self.flight is not None and self.flight.is_free:
             observer.counts['not_held'] += 1
         else:
-            self.package.see(seen)
+            self.package.correct(measurement)
 
     def on_vacuum(self, is_held: bool, cup: int = ALL) -> None:
-        """Join what is measured with the vacuum: whether the cup, or one of them, holds by it."""
+        """Combine measured poses with the vacuum: whether the cup, or one of them, holds by it."""
         observer, sample = self.package.observer, self.package.sample
         breaks, self._vacuum[cup] = self._vacuum.get(cup, False) and not is_held, is_held
         if observer is not None and not (self.flight is not None and self.flight.state):
             speed, rate = (0.0, 0.0) if sample is None else map(t3.norm, sample.tool[2:4])
-            observer.on_vacuum(is_held, breaks, speed > MOVES[0] or rate > MOVES[1], cup)
+            observer.on_vacuum(is_held, breaks, speed > MOVING_SPEED or rate > MOVING_RATE, cup)
 
     def flush(self) -> list[Prediction]:
         """Predict for all poses that still wait, without their twists."""
         self.pairing.give_up_waiting()
-        return self._release([])
+        return self._release()
 
     def coast(self, arrival_ns: int) -> list[Prediction]:
         """Return a prediction for a moment at which no pose came, while that is safe."""
         if self.arrival_ns is None or self.phase(arrival_ns) != 'coasting':
             return []
-        silent_ns = arrival_ns - self.arrival_ns
-        prediction = self.package.coast(self._screen.newest_ns + silent_ns)
+        prediction = self.package.coast(self._screen.newest_ns + arrival_ns - self.arrival_ns)
         if prediction is None:
             return []
         self.coasted += 1
@@ -355,13 +343,11 @@ class LivePredictor:
 
     # ------------------------------------------------------------- prediction
 
-    def _release(self, predictions: list[Prediction]) -> list[Prediction]:
+    def _release(self) -> list[Prediction]:
         """Predict for the poses that need not wait any longer."""
-        for pose, twist in self.pairing.ready():
-            prediction = self._predict(pose, twist)
-            if prediction is not None:
-                predictions.append(prediction)
-        return predictions
+        return [
+            prediction for pose, twist in self.pairing.ready()
+            if (prediction := self._predict(pose, twist)) is not None]
 
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start it from rest there."""
@@ -388,12 +374,12 @@ class LivePredictor:
         self.tool.add(pose)
         last = self.package.sample
         if twist is not None:
-            seconds = 0.0 if last is None else (pose.stamp_ns - last.stamp_ns) * 1e-9
-            now, excess, suspicion, off = self.tool.measured(
-                pose, twist, ORIGIN if last is None else last.tool, seconds)
+            start, seconds = (ORIGIN, 0.0) if last is None else (
+                last.tool, (pose.stamp_ns - last.stamp_ns) * 1e-9)
+            now, excess, suspicion, jump = self.tool.measured(pose, twist, start, seconds)
             if last is None or excess <= 1.0:
                 if last is not None and suspicion > 1.0:
-                    self.package.settling.inflate(pose.stamp_ns, *off)
+                    self.package.settling.inflate(pose.stamp_ns, *jump)
                 return None, now
             self._counts['twist_misses_pose'] += 1
         self.twists_estimated += 1

@@ -17,8 +17,7 @@ from bellows_ros.core.signals.trajectory import frozen, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-REPORT_EVERY = 2000
-AT_ONCE = 2000
+BLOCK = 2000
 """Messages held as Python objects at a time, to spare the garbage collector."""
 
 
@@ -47,8 +46,8 @@ class Messages:
 
     def __iter__(self) -> Iterator[tuple[int, bool, Vector, Any]]:
         """Yield stamp (ns), whether it is a twist, and its two parts as tuples."""
-        for start in range(0, len(self), AT_ONCE):
-            part = slice(start, start + AT_ONCE)
+        for start in range(0, len(self), BLOCK):
+            part = slice(start, start + BLOCK)
             for stamp_ns, is_twist, (a, b, c, d, e, f, g) in zip(
                 self.stamps_ns[part].tolist(), self.is_twist[part].tolist(),
                 self.numbers[part].tolist(), strict=True,
@@ -58,8 +57,8 @@ class Messages:
 
 def predictions(
     live: LivePredictor, messages: Messages,
-    tell: Callable[[str, float], None] = lambda what, part: None,
-    seen: Sequence[tuple[Any, ...]] = (), vacuum: Sequence[tuple[int, bool, int]] = (),
+    progress: Callable[[str, float], None] = lambda what, part: None,
+    measured: Sequence[tuple[Any, ...]] = (), vacuum: Sequence[tuple[int, bool, int]] = (),
 ) -> Trajectory:
     """
     Return the live predictions for messages in order: B in the world with body twists.
@@ -76,31 +75,28 @@ def predictions(
     """
     stamps, numbers = array('q'), array('d')
 
-    def keep(found: list[Prediction]) -> None:
-        for stamp_ns, position, quaternion_xyzw, linear, angular, *_ in found:
+    def store(predicted: list[Prediction]) -> None:
+        for stamp_ns, position, quaternion_xyzw, linear, angular, *_ in predicted:
             stamps.append(stamp_ns)
             numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
 
     live.pairing.expect = bool(messages.is_twist.any())
-    measured, readings = deque(seen), deque(vacuum)
+    poses, readings = deque(measured), deque(vacuum)
     for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
-        if number % REPORT_EVERY == 0:
-            tell('predicting', number / len(messages))
-        while measured and measured[0][0] < stamp_ns:
-            when_ns, *pose = measured.popleft()
-            live.on_measured(when_ns, 'world', *pose)
+        if number % BLOCK == 0:
+            progress('predicting', number / len(messages))
+        while poses and poses[0][0] < stamp_ns:
+            measured_ns, *pose = poses.popleft()
+            live.on_measured(measured_ns, 'world', *pose)
         while readings and readings[0][0] < stamp_ns:
             live.on_vacuum(*readings.popleft()[1:])
-        if is_twist:
-            keep(live.on_twist(stamp_ns, first, second))
-        else:
-            keep(live.on_pose(stamp_ns, 'world', first, second))
-    keep(live.flush())
+        store(live.on_twist(stamp_ns, first, second) if is_twist
+              else live.on_pose(stamp_ns, 'world', first, second))
+    store(live.flush())
     if len(stamps) < 2:
         raise BellowsError(
             f'The predictor made {len(stamps)} predictions, too few to compare. Check the '
-            'recording, and whether the cup can hold the package.'
-        )
+            'recording, and whether the cup can hold the package.')
     rows = frozen(np.frombuffer(numbers).reshape(-1, 13))
     rotation = frozen(quaternion_to_rotation(rows[:, 3:7]))
     return Trajectory(np.array(stamps), rows[:, :3], rotation, rows[:, 7:])
