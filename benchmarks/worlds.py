@@ -27,7 +27,7 @@ from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.recordings import _prepared, prepare_settings
+from bellows_ros.workflows.recordings import prepare_settings, prepare_streams
 from bellows_ros.workflows.verdict import verdict_of
 import numpy as np
 
@@ -103,7 +103,7 @@ def line(seed: int, duration: float) -> tuple[str, Array]:
     cup, tool, package, true = recorded(seed, duration)
     about = f'| {seed} | {"yes" if seed % 2 else "no"} | {"50 ms" if seed % 4 > 1 else "none"} | '
     try:
-        recording = _prepared(tool, package, None, prepare_settings(values), values)
+        recording = prepare_streams(tool, package, None, prepare_settings(values), values)
         both = fit([recording], values).fit
         found = both.exactly_given
     except BellowsError as error:

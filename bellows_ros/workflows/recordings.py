@@ -10,30 +10,12 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.model.cup_package import one_cup_of, package_of
 from bellows_ros.core.model.structure import given_structure
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.recording.alignment import (
-    Alignment,
-    closed_form,
-    in_tool_world,
-    pose_of,
-    rough_offsets,
-    shifted_pose,
-)
+from bellows_ros.core.recording import alignment as frames
+from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
-from bellows_ros.core.recording.recording import (
-    PackageWorld,
-    PrepareSettings,
-    Recording,
-    require_one_frame,
-    TimeOffset,
-)
-from bellows_ros.core.signals.trajectory import (
-    earlier,
-    NS_PER_S,
-    PoseStream,
-    streams_at_tip,
-    tip_of,
-    TwistStream,
-)
+from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
+from bellows_ros.core.signals import trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError
 from bellows_ros.files import File
 from bellows_ros.files.bag_folder import digests, recording_digest
@@ -104,27 +86,27 @@ def load(
         If it cannot be read, or is not a recording that a cup can be identified from.
 
     """
-    settings = prepare_settings(values)  # before anything is read
+    settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
     roles = ('tool_pose', 'package_pose', 'tool_twist')
     contents = read_contents(path, {role: values[f'topics.{role}'] for role in roles})
     for problem in contents.problems.values():
-        several = values['bags'][1:] and (name or os.fspath(path)) in map(str, values['bags'])
-        raise type(problem)(
-            f'{problem}{OWN_TOPICS if several and isinstance(problem, NoTopicError) else ""}')
+        remedy = OWN_TOPICS if isinstance(problem, NoTopicError) and values['bags'][1:] and (
+            name in map(str, values['bags'])) else ''
+        raise type(problem)(f'{problem}{remedy}')
     streams = part_of(contents.streams, values)
-    empty = [own.name for own in streams.values() if not len(own)]
-    if empty:
-        raise BellowsError(
-            f"Topic '{empty[0]}' has no messages from recording.start to recording.end.")
+    for stream in streams.values():
+        if not len(stream):
+            raise BellowsError(
+                f"Topic '{stream.name}' has no messages from recording.start to recording.end.")
     tool, twist = streams['tool_pose'], streams.get('tool_twist')
     if values.get('tool_pose.offset'):
-        tool, twist = streams_at_tip(
-            tool, twist, tip_of(values), values['tool_twist.frame'] == 'world')
-    recording = _prepared(tool, streams['package_pose'], twist, settings, values)
+        tool, twist = trajectory.streams_at_tip(
+            tool, twist, trajectory.tip_of(values), values['tool_twist.frame'] == 'world')
+    recording = prepare_streams(tool, streams['package_pose'], twist, settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(digests(path)) if with_digest else ()
     return replace(
-        recording, name=name or os.fspath(path), report=report, files=files,
+        recording, name=name, report=report, files=files,
         digest=recording_digest(path, files) if with_digest else '')
 
 
@@ -164,93 +146,90 @@ def part_of(streams: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, 
     """Return poses and twists by role from recording.start to recording.end; see `inside`."""
     if not any(values.get(name) for name in FULL_RANGE):
         return dict(streams)
-    chosen = inside([own.stamps_ns for own in streams.values()], values)
-    return {role: replace(own, **{
-        name: getattr(own, name)[mask] for name in ARRAYS if hasattr(own, name)
-    }) for (role, own), mask in zip(streams.items(), chosen, strict=True)}
+    masks = inside([stream.stamps_ns for stream in streams.values()], values)
+    return {role: replace(stream, **{
+        name: getattr(stream, name)[mask] for name in ARRAYS if hasattr(stream, name)
+    }) for (role, stream), mask in zip(streams.items(), masks, strict=True)}
 
 
-def _prepared(
+def prepare_streams(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
     values: Mapping[str, Any],
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
     if values['recording.package_world'] == '':
-        require_one_frame(tool, package)
+        prepared.require_one_frame(tool, package)
     if not values['fit.time_offset']:
         return _registered(tool, package, twist, settings, values)
-    failure = None
-    for rough_s in rough_offsets(tool.trajectory(), package.trajectory()):
+    failures = []
+    for rough_s in frames.rough_offsets(tool.trajectory(), package.trajectory()):
         try:
             return _registered(
-                earlier(tool, rough_s), package, twist and earlier(twist, rough_s), settings,
-                values, rough_s)
+                trajectory.earlier(tool, rough_s), package,
+                twist and trajectory.earlier(twist, rough_s), settings, values, rough_s)
         except UndeterminedError as error:
-            failure = failure or error
-    assert failure is not None
-    raise failure
+            failures.append(error)
+    raise failures[0]
 
 
 def _registered(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
     values: Mapping[str, Any], rough_s: float = 0.0,
 ) -> Recording:
-    """Return prepared streams, with world, marker and clock found that are not given."""
+    """Return prepared streams; estimate the world, marker and clock that are not given."""
     estimate = values['recording.package_world'] == checks.ESTIMATE
-    late, marked = values['fit.time_offset'], _is_marked(settings, values)
-    pose, alignment = _first_guess(tool, package, settings, values)
+    # At rest no marker can be aligned with a world that is unknown.
+    marked = 'package_marker' in values['fit.free'] or estimate and settings.align_at_rest
+    pose, alignment = _first_guess(tool, package, settings, values, marked)
 
-    def filtered(alignment: Alignment | None) -> Recording:
+    def filtered(alignment: frames.Alignment | None) -> Recording:
         """Return the streams in the world of the tool, filtered."""
-        there = package if pose is None else in_tool_world(package, pose, tool.frame_id)
-        return prepare(tool, there, settings, twist, alignment)
+        moved = package if pose is None else frames.in_tool_world(package, pose, tool.frame_id)
+        return prepare(tool, moved, settings, twist, alignment)
 
     recording = filtered(alignment)
-    names = [name for name, wanted in (
-        ('time_offset', late), ('package_world', estimate), ('package_marker', marked)) if wanted]
+    names = [name for name, free in (
+        ('time_offset', values['fit.time_offset']), ('package_world', estimate),
+        ('package_marker', marked)) if free]
     if not names:
         return recording
     from bellows_ros.core.identification.registration import registered
 
     changes = dict[str, Any]()
-    found = registered(recording, given_structure(values), one_cup_of(values), names)
+    result = registered(recording, given_structure(values), one_cup_of(values), names)
     if values['fit.method'] == 'least_squares':
-        found.require_world()
-    if found.world is not None and pose is not None:
-        pose = shifted_pose(pose, settings.R_world_recorded, found.middle, found.world)
-        changes['package_world'] = PackageWorld(pose, found.world_std)
-    recording = filtered(found.alignment)
-    if found.offset is not None:
-        recording = with_tool_earlier(recording, found.offset.value)
-        changes['time_offset'] = TimeOffset(rough_s + found.offset.value, found.offset.std)
-    if late and found.offset is None:
+        result.require_world()
+    if result.world is not None and pose is not None:
+        pose = frames.shifted_pose(
+            pose, settings.R_world_recorded, result.middle, result.world)
+        changes['package_world'] = prepared.PackageWorld(pose, result.world_std)
+    recording = filtered(result.alignment)
+    if result.offset is not None:
+        recording = with_tool_earlier(recording, result.offset.value)
+        changes['time_offset'] = TimeOffset(rough_s + result.offset.value, result.offset.std)
+    elif values['fit.time_offset']:
         changes['warnings'] = (*recording.report.warnings, NO_OFFSET)
     return replace(recording, report=replace(recording.report, **changes))
 
 
-def _is_marked(settings: PrepareSettings, values: Mapping[str, Any]) -> bool:
-    """Return whether the marker is found, as no rest aligns it with a world that is not known."""
-    return 'package_marker' in values['fit.free'] or (
-        settings.align_at_rest and values['recording.package_world'] == checks.ESTIMATE)
-
-
 def _first_guess(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Mapping[str, Any],
-) -> tuple[Array | None, Alignment | None]:
+    marked: bool,
+) -> tuple[Array | None, frames.Alignment | None]:
     """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
-    world, marked = values['recording.package_world'], _is_marked(settings, values)
-    pose = pose_of(world) if world not in ('', checks.ESTIMATE) else None
-    poses, length, com = (
-        (tool.trajectory(), package.trajectory()), values['cup.length'], settings.payload.com)
+    world, com = values['recording.package_world'], settings.payload.com
+    estimate = world == checks.ESTIMATE
+    pose = None if estimate or not world else frames.pose_of(world)
+    if not (marked or estimate):
+        return pose, None
+    poses = tool.trajectory(), package.trajectory(), values['cup.length']
     if marked:
         from bellows_ros.core.identification.registration import hand_eye  # late: rare
 
-        guess, grip = hand_eye(*poses, length, com)
-        return guess if world == checks.ESTIMATE else pose, grip
-    if world == checks.ESTIMATE:
-        origin = np.zeros(3) if settings.package_frame == 'lip' else -com
-        pose = closed_form(*poses, length, origin)
-    return pose, None
+        guess, grip = hand_eye(*poses, com)
+        return guess if estimate else pose, grip
+    return frames.closed_form(
+        *poses, np.zeros(3) if settings.package_frame == 'lip' else -com), None
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
@@ -263,14 +242,14 @@ def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
         f'{1e3 * offset.std:.3f} ms {where} those of the package; this was corrected.']
 
 
-def world_sentence(bag: object, found: PackageWorld | None) -> list[str]:
+def world_sentence(bag: object, estimated: prepared.PackageWorld | None) -> list[str]:
     """Return a sentence about the estimated transform between the worlds, if any."""
-    if found is None:
+    if estimated is None:
         return []
     position, errors, turns = (
         ', '.join(f'{1e3 * x:.3f}' for x in part)
-        for part in (found.pose[:3], found.std[:3], found.std[3:]))
-    quaternion = ', '.join(f'{x:.6f}' for x in found.pose[3:])
+        for part in (estimated.pose[:3], estimated.std[:3], estimated.std[3:]))
+    quaternion = ', '.join(f'{x:.6f}' for x in estimated.pose[3:])
     return [
         f'{bag}: recording.package_world was estimated: position {position} mm, quaternion (x y '
         f"z w) {quaternion}; standard errors {errors} mm at the middle of the package's path, "
@@ -292,13 +271,12 @@ def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
         Place of a recording that has been there before, and a sentence about it.
 
     """
-    first: dict[str, str] = {}
+    names: dict[str, str] = {}
     for number, (name, digest) in enumerate(recordings):
-        if digest in first:
+        if (first := names.setdefault(digest, name)) is not name:
             yield number, (
-                f"'{name}' and '{first[digest]}' are the same recording and would count twice. "
+                f"'{name}' and '{first}' are the same recording and would count twice. "
                 'Give it once.')
-        first.setdefault(digest, name)
 
 
 def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Mapping[str, Any]]:

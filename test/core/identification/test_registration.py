@@ -8,7 +8,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.alignment import rough_offsets
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.workflows.recordings import _prepared, prepare_settings
+from bellows_ros.workflows.recordings import prepare_settings, prepare_streams
 import numpy as np
 import pytest
 
@@ -33,7 +33,7 @@ def test_world_clock_and_marker_are_found_together():
         'package.com': tuple(PLATE.com), 'cup.length': 0.0481,
         'package.inertia': (*np.diag(PLATE.inertia), 0.0, 0.0, 0.0),
         'topics.tool_pose': '/tool', 'topics.package_pose': '/package'})
-    recording = _prepared(
+    recording = prepare_streams(
         PoseStream('/tool', 'base', own.tool.stamps_ns, own.tool.position, own.tool.rotation),
         PoseStream('/package', 'camera', body.stamps_ns - LATE_NS, position,
                    R_world.T @ body.rotation @ R_marker),
@@ -75,8 +75,8 @@ def reported(recording, **settings):
     """Return the report of a recording that is prepared with some settings."""
     values = resolve({'cup.length': simulated.CUP.length, 'fit.structure': 'axisymmetric',
                       **{name.replace('__', '.'): value for name, value in settings.items()}})
-    return _prepared(recording.tool_pose, recording.package_pose, None, recording.settings,
-                     values).report
+    return prepare_streams(
+        recording.tool_pose, recording.package_pose, None, recording.settings, values).report
 
 
 def found(recording, structure='axisymmetric'):
