@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion, transform
 from bellows_ros.core.live import LivePredictor, Prediction
 from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import (
@@ -74,7 +74,7 @@ def read_cup(path: File) -> Cup:
     9200.0
 
     """
-    return cup_of(_read(path, ('cup.stiffness', 'cup.damping', 'cup.length')))
+    return cup_of(_parameters(path, ('cup.stiffness', 'cup.damping', 'cup.length')))
 
 
 def read_package(path: File) -> Package:
@@ -97,7 +97,7 @@ def read_package(path: File) -> Package:
     1.8
 
     """
-    return package_of(_read(path, PACKAGE_PARAMETERS))
+    return package_of(_parameters(path))
 
 
 def write_cup(path: File, cup: Cup, package: Package | None = None) -> None:
@@ -204,9 +204,9 @@ def identify(
     if isinstance(recordings, str | os.PathLike):
         recordings = [recordings]
     parts = [
-        load(own, values) if isinstance(own, str | os.PathLike) else
-        prepare(_stream(own[0], 'tool'), _stream(own[1], 'package'), prepare_settings(values))
-        for own in recordings]
+        load(each, values) if isinstance(each, str | os.PathLike) else
+        prepare(_stream(each[0], 'tool'), _stream(each[1], 'package'), prepare_settings(values))
+        for each in recordings]
     return fit(parts, values).fit
 
 
@@ -308,10 +308,7 @@ def static_equilibrium(
             f'{T.shape}.')
     tool = state_row(T[:3, 3], rotation_to_quaternion(R))
     body = equilibrium.static_equilibrium(model_tuple(cup, package, gravity), tool)
-    T_world_package = np.eye(4)
-    T_world_package[:3, :3] = quaternion_to_rotation(np.array(body[1]))
-    T_world_package[:3, 3] = body[0]
-    return T_world_package
+    return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))
 
 
 def plan(
@@ -343,14 +340,14 @@ def plan(
 
     Examples
     --------
-    >>> found = bellows_ros.plan('bags/transport.yaml', 'bags/tossing.yaml')
-    >>> found.holds
+    >>> result = bellows_ros.plan('bags/transport.yaml', 'bags/tossing.yaml')
+    >>> result.holds
     True
 
     """
     from bellows_ros.workflows.plan import plan
 
-    return plan(motion, _with_package(parameters), urdf, topic)
+    return plan(motion, _parameters(parameters), urdf, topic)
 
 
 def fastest(
@@ -372,14 +369,14 @@ def fastest(
 
     Examples
     --------
-    >>> found = bellows_ros.fastest('bags/transport.yaml', 'bags/tossing.yaml')
-    >>> bool(0.3 < found.fastest.scale < 1.5)
+    >>> result = bellows_ros.fastest('bags/transport.yaml', 'bags/tossing.yaml')
+    >>> bool(0.3 < result.fastest.scale < 1.5)
     True
 
     """
     from bellows_ros.workflows.plan import plan
 
-    return plan(motion, _with_package(parameters), urdf, topic, seek_fastest=True)
+    return plan(motion, _parameters(parameters), urdf, topic, seek_fastest=True)
 
 
 def steer(
@@ -410,8 +407,8 @@ def steer(
 
     Examples
     --------
-    >>> found = bellows_ros.steer('bags/transport.yaml', 'bags/tossing.yaml')
-    >>> bool(found.motions['inverse'].figures()['swing_left'] < 0.01)
+    >>> result = bellows_ros.steer('bags/transport.yaml', 'bags/tossing.yaml')
+    >>> bool(result.motions['inverse'].figures()['swing_left'] < 0.01)
     True
 
     """
@@ -420,7 +417,7 @@ def steer(
 
     if method not in METHODS:
         raise BellowsError(f"method is '{method}'; expected one of {', '.join(METHODS)}.")
-    return steer_plan(motion, _with_package(parameters), method, limits, urdf, topic)
+    return steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
 
 
 def toss(
@@ -456,8 +453,8 @@ def toss(
 
     Examples
     --------
-    >>> found = bellows_ros.toss('bags/throw.yaml', 'bags/tossing.yaml', release=1.0)
-    >>> found.covariance.shape
+    >>> result = bellows_ros.toss('bags/throw.yaml', 'bags/tossing.yaml', release=1.0)
+    >>> result.covariance.shape
     (6, 6)
 
     """
@@ -466,7 +463,7 @@ def toss(
     x_y = None if target is None else (float(target[0]), float(target[1]))
     rotation = None if target_rotation is None else np.asarray(target_rotation, dtype=np.float64)
     return toss_plan(
-        motion, _with_package(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
+        motion, _parameters(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
         topic=topic)
 
 
@@ -504,9 +501,9 @@ def design_motion(
 
     Examples
     --------
-    >>> found = bellows_ros.design_motion(
+    >>> result = bellows_ros.design_motion(
     ...     'bags/tossing.yaml', 'config/limits_example.yaml', duration=8.0, hold=0.0)
-    >>> found.design.motion.duration
+    >>> result.design.motion.duration
     8.0
 
     """
@@ -514,7 +511,7 @@ def design_motion(
     from bellows_ros.workflows.excite import excite
 
     return excite(
-        _with_package(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
+        _parameters(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
         duration, urdf, seed=seed, hold=hold)
 
 
@@ -541,15 +538,15 @@ def replay(recording: File, parameters: Parameters) -> 'Replay':
 
     Examples
     --------
-    >>> found = bellows_ros.replay(
+    >>> result = bellows_ros.replay(
     ...     'bags/validation', bellows_ros.read_parameters('bags/tossing.yaml'))
-    >>> bool(found.validation.scores.nrmse[3] < 0.05)
+    >>> bool(result.validation.scores.nrmse[3] < 0.05)
     True
 
     """
     from bellows_ros.workflows.replay import replay
 
-    return replay(recording, _with_package(parameters))
+    return replay(recording, _parameters(parameters))
 
 
 def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
@@ -575,15 +572,15 @@ def observe(recording: File, parameters: Parameters, topic: str) -> 'Replay':
 
     Examples
     --------
-    >>> found = bellows_ros.observe(
+    >>> result = bellows_ros.observe(
     ...     'bags/validation', 'bags/tossing.yaml', 'package/pose')
-    >>> sorted(found.observed.estimates)[0]
+    >>> sorted(result.observed.estimates)[0]
     'both'
 
     """
     from bellows_ros.workflows.replay import replay
 
-    return replay(recording, _with_package(parameters), observe=topic)
+    return replay(recording, _parameters(parameters), observe=topic)
 
 
 def _stream(poses: Trajectory, name: str) -> PoseStream:
@@ -592,20 +589,13 @@ def _stream(poses: Trajectory, name: str) -> PoseStream:
     return PoseStream(name, 'world', good.stamps_ns, good.position, good.rotation)
 
 
-def _read(path: File, names: tuple[str, ...]) -> Mapping[str, object]:
-    """Return parameters of a file, which must all be there."""
-    values = read_parameters(path)
-    missing = [name for name in names if name not in values]
-    if missing:
-        raise BellowsError(f"Parameter file '{path}' lacks {', '.join(missing)}.")
-    return values
-
-
-def _with_package(parameters: Parameters) -> Mapping[str, object]:
-    """Return parameters by name, which must have a package."""
-    values = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
-    if missing := [name for name in PACKAGE_PARAMETERS if name not in values]:
-        raise BellowsError(
-            f'The parameters lack {", ".join(missing)}. Add parameters_of(cup, package), or read '
-            'a file that has them.')
+def _parameters(
+    source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS
+) -> Mapping[str, object]:
+    """Return parameters by name; refuse them if one of the names is missing."""
+    values, what = (source, 'The mapping of parameters') if isinstance(source, Mapping) else (
+        read_parameters(source), f"Parameter file '{source}'")
+    if missing := [name for name in names if name not in values]:
+        raise BellowsError(f'{what} lacks {", ".join(missing)}. Add parameters_of(cup, package), '
+                           'or give a file that has them.')
     return values

@@ -126,10 +126,10 @@ def identification_report(result: Identification) -> str:
     sections = [cup]
     for replayed in result.validations:
         sections.append(_motion(f'Not used in the fit: {replayed.bag}', replayed))
-    own = dict(zip(map(str, result.values['bags']), values_of_each(result.cup_values()),
-                   strict=True))
+    parameters = dict(zip(
+        map(str, result.values['bags']), values_of_each(result.cup_values()), strict=True))
     for recording in result.recordings:
-        sections.append(_simulated(own[recording.name], recording))
+        sections.append(_simulated(parameters[recording.name], recording))
     origin = dict(result.as_json()['provenance'])  # and of what the fit has not seen
     origin['recordings'] = [
         *origin['recordings'], *provenance([v.bag for v in result.validations])['recordings']]
@@ -139,15 +139,15 @@ def identification_report(result: Identification) -> str:
         [*(section.html() for section in sections), _origin(origin, result.values)])
 
 
-def replay_report(found: Replay, parameter_files: Sequence[File] = ()) -> str:
+def replay_report(result: Replay, parameter_files: Sequence[File] = ()) -> str:
     """Return the page of a replay."""
-    section = _motion('Free simulation', found)
-    if found.observed:
+    section = _motion('Free simulation', result)
+    if result.observed:
         section.add(figure(pictures.errors_figure(
-            found.observed.estimates, f'relative to the tool, with {found.observed.topic}')))
-    origin = provenance([found.bag], parameter_files)
-    return page(f'Replay of {found.bag}', 'free simulation from start to end',
-                [section.html(), _origin(origin, found.values)])
+            result.observed.estimates, f'relative to the tool, with {result.observed.topic}')))
+    origin = provenance([result.bag], parameter_files)
+    return page(f'Replay of {result.bag}', 'free simulation from start to end',
+                [section.html(), _origin(origin, result.values)])
 
 
 def write_page(result: Identification, path: File) -> None:
@@ -186,18 +186,18 @@ def _motion(title: str, replayed: Replay) -> Section:
 
 def _figures(replayed: Replay) -> Iterator[Any]:
     """Yield the figures of a recording that was simulated freely."""
-    found, bag, recording = replayed.validation, replayed.bag, replayed.recording
+    validation, bag, recording = replayed.validation, replayed.bag, replayed.recording
     if replayed.margin:
         yield margin_figure(replayed.margins, bag)
     yield pictures.prediction_figure(
-        recording.since_start(found.stamps_ns), found, 'Measured and simulated',
+        recording.since_start(validation.stamps_ns), validation, 'Measured and simulated',
         f'{bag}, relative to the tool')
     yield pictures.spectra_figure(
-        Spectra(found.motion.frequency, np.sqrt(found.motion.density),
-                np.sqrt(found.spectrum.density)),
-        bag, one_step=found.one_step.spectrum if found.one_step else None)
+        Spectra(validation.motion.frequency, np.sqrt(validation.motion.density),
+                np.sqrt(validation.spectrum.density)),
+        bag, one_step=validation.one_step.spectrum if validation.one_step else None)
     yield pictures.whiteness_figure(
-        found.one_step.whiteness if found.one_step else found.whiteness, bag)
+        validation.one_step.whiteness if validation.one_step else validation.whiteness, bag)
 
 
 def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:

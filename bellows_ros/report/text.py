@@ -127,10 +127,10 @@ def _print_samples(result: 'Identification', out: Writer) -> None:
         counts = {f'{reason.replace("_", " ")} message': len(indices)
                   for reason, indices in stream['refused'].items()}
         counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps'])}
-        found = [many(count, what) for what, count in counts.items() if count]
-        if found:
-            touched = many(stream['filtered_samples_left_out'], 'filtered sample')
-            out.paragraph(f'  {stream["topic"]}: {", ".join(found)}; {touched} near these')
+        faults = [many(count, what) for what, count in counts.items() if count]
+        if faults:
+            rejected = many(stream['filtered_samples_left_out'], 'filtered sample')
+            out.paragraph(f'  {stream["topic"]}: {", ".join(faults)}; {rejected} near these')
 
 
 def print_replay(result: 'Replay', out: Writer, limit: float = LIMIT) -> None:
@@ -143,12 +143,13 @@ def print_replay(result: 'Replay', out: Writer, limit: float = LIMIT) -> None:
     out.table(_error_rows(result), right=True)
     out.paragraph(LEGEND, style='dim')
     out.line()
-    found = result.validation
+    validation = result.validation
     out.paragraph(
-        found.verdict(limit),
-        *([f'One-step prediction errors: chi^2 per degree of freedom {found.one_step.chi2:.3f} '
-           '(1 if model and noise explain everything).'] if found.one_step else []),
-        f'{found.scores.samples} samples compared.',
+        validation.verdict(limit),
+        *([f'One-step prediction errors: chi^2 per degree of freedom '
+           f'{validation.one_step.chi2:.3f} (1 if model and noise explain everything).']
+          if validation.one_step else []),
+        f'{validation.scores.samples} samples compared.',
         *([result.margin.sentence] if result.margin else []),
         *offset_sentence(result.bag, result.time_offset))
     if result.live:
@@ -160,27 +161,29 @@ def print_replay(result: 'Replay', out: Writer, limit: float = LIMIT) -> None:
     out.warn(*result.warnings)
 
 
-def _print_observed(found: 'Observed', out: Writer) -> None:
+def _print_observed(observed: 'Observed', out: Writer) -> None:
     """Print the gain by measured poses, and alarms."""
-    errors = [column([MILLI * x for x in own.scores.rms]) for own in found.estimates.values()]
-    out.table([('axis', *found.estimates), *(
+    errors = [column([MILLI * x for x in estimate.scores.rms])
+              for estimate in observed.estimates.values()]
+    out.table([('axis', *observed.estimates), *(
         (f'{name:2} {MILLI_UNITS[i]}', *(rms[i] for rms in errors))
-        for i, name in enumerate(AXES))], right=True, title=f'With {found.topic}, RMS error')
-    out.paragraph(found.sentence)
-    for line in found.alarm_lines:
+        for i, name in enumerate(AXES))], right=True, title=f'With {observed.topic}, RMS error')
+    out.paragraph(observed.sentence)
+    for line in observed.alarm_lines:
         out.warn(f'Alarm at {line}')
 
 
 def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     """Return a row for each axis: errors, the part due to noise, and whether they are white."""
-    found, live = result.validation, result.live
-    white = found.one_step.whiteness.verdicts if found.one_step else ('-',) * 6
+    validation, live = result.validation, result.live
+    white = validation.one_step.whiteness.verdicts if validation.one_step else ('-',) * 6
     rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
+    scores = validation.scores
     errors = [('-',) * 6 if error is None else column([MILLI * x for x in error]) for error in (
-        found.scores.rms, live.scores.rms if live else None, found.noise, found.scores.largest)]
+        scores.rms, live.scores.rms if live else None, validation.noise, scores.largest)]
     for i, name in enumerate(AXES):
         rows.append((
             f'{name:2} {MILLI_UNITS[i]}', *(error[i] for error in errors),
-            percent(found.scores.nrmse[i], 1) + (' ' if found.moves[i] else '*'),
+            percent(validation.scores.nrmse[i], 1) + (' ' if validation.moves[i] else '*'),
             white[i].removesuffix(' white')))
     return rows

@@ -122,7 +122,7 @@ def _described(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return, by name, how a fit was made: settings, versions, content of recordings."""
     settings, versions = content['settings'], content['provenance']['versions']
     return {
-        **{name: v for name, v in settings.items() if not name.startswith(NOT_COMPARED)},
+        **{name: value for name, value in settings.items() if not name.startswith(NOT_COMPARED)},
         **{name: content.get(name) for name in ('method', 'structure', 'samples_used')},
         **{f'version of {name}': version for name, version in versions.items()},
         **{f'content of {path}': ' '.join(digest[:12] for digest in digests)

@@ -18,6 +18,7 @@ from bellows_ros.files import File, trajectory_files
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
+from bellows_ros.files.results import attributes
 from bellows_ros.workflows.recordings import FULL_RANGE, inside, part_of
 import numpy as np
 
@@ -51,11 +52,6 @@ class Body:
     left_out: Mapping[str, int] = field(default_factory=dict)
     world: str = 'z_up'
 
-    def __post_init__(self) -> None:
-        """Keep the reasons that there are."""
-        some = {reason: count for reason, count in self.left_out.items() if count}
-        object.__setattr__(self, 'left_out', some)
-
     @property
     def topic(self) -> str:
         """Where they are written."""
@@ -68,9 +64,9 @@ class Body:
 
     def at(self, chosen: Mask) -> 'Body':
         """Return some of the messages."""
-        own = self.messages
         return replace(self, messages=replace(
-            own, stamps_ns=own.stamps_ns[chosen], data=tuple(compress(own.data, chosen))))
+            self.messages, stamps_ns=self.messages.stamps_ns[chosen],
+            data=tuple(compress(self.messages.data, chosen))))
 
 
 @dataclass(frozen=True)
@@ -96,8 +92,8 @@ class Conversion:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        bodies = [{'topic': body.topic, 'source': body.source, 'poses': body.poses,
-                   'left_out': body.left_out} for body in self.bodies]
+        bodies = [attributes(body, 'topic', 'source', 'poses', 'left_out')
+                  for body in self.bodies]
         return {**vars(self), 'bodies': bodies, 'version': __version__}
 
 
@@ -124,21 +120,25 @@ def bodies_in_files(
         If a source cannot be read, or two bodies would have one topic.
 
     """
-    found = [body for source in sources for body in _read(Path(source), fewest_markers)]
-    if names and len(names) != len(found):
+    bodies = [body for source in sources for body in _read(Path(source), fewest_markers)]
+    if names and len(names) != len(bodies):
         raise BellowsError(
-            f'{len(names)} topics are given for {len(found)} bodies: '
-            f'{", ".join(body.source for body in found)}. Give one for each, in this order.')
+            f'{len(names)} topics are given for {len(bodies)} bodies: '
+            f'{", ".join(body.source for body in bodies)}. Give one for each, in this order.')
     if names:
-        found = [
-            replace(body, messages=replace(body.messages, topic=f'/{name.lstrip("/")}'))
-            for body, name in zip(found, names, strict=True)]
-    chosen = [body.topic for body in found]
+        bodies = [replace(body, messages=replace(body.messages, topic=_absolute(name)))
+                  for body, name in zip(bodies, names, strict=True)]
+    chosen = [body.topic for body in bodies]
     if len(set(chosen)) < len(chosen):
         raise BellowsError(
             f'Several bodies have the same topic, among {", ".join(chosen)}. Give a topic for '
             'each.')
-    return found
+    return bodies
+
+
+def _absolute(topic: str) -> str:
+    """Return a topic with a slash before it."""
+    return f'/{topic.lstrip("/")}'
 
 
 def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -> list[Body]:
@@ -163,7 +163,7 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
 
     """
     read = joints_or_tf(bag, urdf, tool_link)
-    name = f'/{(topic or TOOL_POSE).lstrip("/")}'
+    name = _absolute(topic or TOOL_POSE)
     others = _copied(bag, {*accepted_types('pose'), *accepted_types('twist')})
     if any(other.topic == name for other in others):
         raise BellowsError(
@@ -198,7 +198,7 @@ def bodies_in_transforms(
         If the transforms do not lead from both to the world.
 
     """
-    links, found = read_transforms(bag), list[Body]()
+    links, bodies = read_transforms(bag), list[Body]()
     names = names or (TOOL_POSE, PACKAGE_POSE)
     if len(set(names)) != 2:
         raise BellowsError('Name two topics with --topic, of the tool and of the package.')
@@ -208,10 +208,11 @@ def bodies_in_transforms(
     for frame, topic in zip((tool_frame, package_frame), names, strict=True):
         stamps, T, world_frame, bad = poses_in(links, frame, world_frame, f"'{bag}'")
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
-        found.append(Body(
-            as_messages(f'/{topic.lstrip("/")}', POSE, stamps, rows, world_frame),
-            f"{frame} in '{world_frame}' of {bag}", {'transforms that are no poses': bad}))
-    return found
+        bodies.append(Body(
+            as_messages(_absolute(topic), POSE, stamps, rows, world_frame),
+            f"{frame} in '{world_frame}' of {bag}",
+            {'transforms that are no poses': bad} if bad else {}))
+    return bodies
 
 
 def bodies_in_recording(
@@ -235,32 +236,32 @@ def bodies_in_recording(
         If the recording cannot be read, or a topic has no poses.
 
     """
-    there, types = topics(bag), accepted_types('pose')
-    chosen = [f'/{name.lstrip("/")}' for name in names] or [
-        own.name for own in there if own.type_name in types and own.messages]
-    found = list[Body]()
+    counts, types = topics(bag), accepted_types('pose')
+    chosen = [_absolute(name) for name in names] or [
+        topic.name for topic in counts if topic.type_name in types and topic.messages]
+    bodies = list[Body]()
     for name, stream in read_streams(bag, {name: name for name in chosen}).items():
         if not isinstance(stream, PoseStream):
             raise BellowsError(f"Topic '{name}' has no poses.")
         values = np.hstack([
             stream.position * (1e-3 if millimetres else 1.0),
             rotation_to_quaternion(reordered(stream.rotation) if w_first else stream.rotation)])
-        found.append(Body(
+        bodies.append(Body(
             as_messages(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
-            {reason: len(where) for reason, where in stream.refused.items()}))
-    return found + _copied(bag, {own.type_name for own in there}, chosen)
+            _refused(stream)))
+    return bodies + _copied(bag, {topic.type_name for topic in counts}, chosen)
 
 
 def _copied(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
     """Return messages of some types in a recording as they are, but those of some topics."""
-    found: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
+    grouped: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
     for topic, kind, log_ns, data in messages_of(bag, types):
         if topic not in without:
-            found.setdefault((topic, kind), []).append((log_ns, data))
+            grouped.setdefault((topic, kind), []).append((log_ns, data))
     return [
         Body(Encoded(topic, kind, np.array([at for at, _ in messages], dtype=np.int64),
                      tuple(data for _, data in messages)), os.fspath(bag))
-        for (topic, kind), messages in found.items()]
+        for (topic, kind), messages in grouped.items()]
 
 
 def to_bag(
@@ -295,17 +296,17 @@ def to_bag(
                if body.poses and body.messages.stamps_ns[0] < EARLIEST_NS]
     if undated:
         notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
-    stamps = [body.messages.stamps_ns for body in bodies]
-    kept = tuple(body.at(here) for body, here in zip(bodies, inside(stamps, span), strict=True))
-    if not any(body.poses for body in kept):
-        lost = '; '.join(
+    masks = inside([body.messages.stamps_ns for body in bodies], span)
+    parts = tuple(body.at(mask) for body, mask in zip(bodies, masks, strict=True))
+    if not any(body.poses for body in parts):
+        reasons = '; '.join(
             f'{body.source}: {", ".join(f"{n} {reason}" for reason, n in body.left_out.items())}'
-            for body in kept)
+            for body in parts)
         raise BellowsError(
-            f'No pose can be used: {lost}. Fewer markers are enough with --markers N.')
-    write_bag(out, [body.messages for body in kept], storage, replace=replace)
+            f'No pose can be used: {reasons}. Fewer markers are enough with --markers N.')
+    write_bag(out, [body.messages for body in parts], storage, replace=replace)
     world = next((body.world for body in bodies if body.world != 'z_up'), 'z_up')
-    return Conversion(os.fspath(out), kept, world, tuple(notes))
+    return Conversion(os.fspath(out), parts, world, tuple(notes))
 
 
 def _read(source: Path, fewest_markers: int) -> list[Body]:
@@ -315,10 +316,11 @@ def _read(source: Path, fewest_markers: int) -> list[Body]:
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file.")
     if source.suffix.lower() == '.csv' and trajectory_files.is_motive(source):
         return [Body(
-            as_messages(_topic_of(own.name), POSE, own.stamps_ns, own.values, MOTIVE_FRAME),
-            f'{source} ({own.name})', {'not tracked': own.missing, 'too few markers': own.unseen},
+            as_messages(_topic_of(body.name), POSE, body.stamps_ns, body.values, MOTIVE_FRAME),
+            f'{source} ({body.name})', {reason: count for reason, count in (
+                ('not tracked', body.missing), ('too few markers', body.unseen)) if count},
             'motive_y_up')
-            for own in trajectory_files.read_motive(source, fewest_markers)]
+            for body in trajectory_files.read_motive(source, fewest_markers)]
     poses = as_messages(_topic_of(source.stem), POSE, *trajectory_files.read_trajectory(source))
     return [Body(poses, str(source))]
 
@@ -363,6 +365,10 @@ def to_tum(
     stream = part_of(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     trajectory_files.write_tum(out, stream.stamps_ns, values)
-    left_out = {reason: len(where) for reason, where in stream.refused.items()}
     read = as_messages(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)
-    return Conversion(os.fspath(out), (Body(read, os.fspath(bag), left_out),))
+    return Conversion(os.fspath(out), (Body(read, os.fspath(bag), _refused(stream)),))
+
+
+def _refused(stream: PoseStream) -> dict[str, int]:
+    """Return how many messages of a stream were refused, by reason."""
+    return {reason: len(where) for reason, where in stream.refused.items() if len(where)}

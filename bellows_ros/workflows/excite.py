@@ -92,13 +92,13 @@ class DesignedMotion(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings before the motion: what it cannot identify, and what would."""
-        found = checks.implausible(self.values)
+        warnings = checks.implausible(self.values)
         if motion_design.LOADS[-1] not in self.design.ratios:
-            found += (NO_GRIP,)
+            warnings += (NO_GRIP,)
         if self.hold and not self.design.motion.hold:
-            found += (NO_HOLD,)
+            warnings += (NO_HOLD,)
         limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')
-        return found + tuple(
+        return warnings + tuple(
             f'{label} is not identifiable with this arm and tracking: its expected error is '
             f'{100.0 * error / abs(value):.2g} % of it. It would be with a noise of the tracking '
             f'{_rounded_up(factor)} times lower, or a motion {_rounded_up(factor**2)} times '
@@ -169,16 +169,16 @@ def excite(
         If something is missing or not allowed, or no motion is within the limits.
 
     """
-    if not SHORTEST <= duration <= LONGEST:
-        raise BellowsError(
-            f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s, with '
-            f'{motion_design.REST:g} s of rest and ramps of {motion_design.RAMP:g} s.')
-    if not 0.0 <= hold <= LONGEST:
-        raise BellowsError(
-            f'The hold is {hold:g} s long; expected 0 (none) to {LONGEST:g} s, 5 to 10 s for '
-            'rubber.')
-    if seed < 0:
-        raise BellowsError(f'The seed is {seed}; expected an integer from 0 on.')
+    for valid, words in (
+        (SHORTEST <= duration <= LONGEST,
+         f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s, with '
+         f'{motion_design.REST:g} s of rest and ramps of {motion_design.RAMP:g} s.'),
+        (0.0 <= hold <= LONGEST, f'The hold is {hold:g} s long; expected 0 (none) to '
+         f'{LONGEST:g} s, 5 to 10 s for rubber.'),
+        (seed >= 0, f'The seed is {seed}; expected an integer from 0 on.'),
+    ):
+        if not valid:
+            raise BellowsError(words)
     values: dict[str, Any] = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
     arm = arm_of(urdf, values['tool_link']) if urdf else None
     bounds, block = limits_from(limits, float(values['safety.least']), arm)
@@ -195,22 +195,22 @@ def excite(
             cup, package, gravity, tool, tracking, structure))
 
     plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
-    found = motion_design.design(
+    design = motion_design.design(
         cup, package, gravity, structure, checked, tracking, duration, seed, progress, hold)
     period = tracking.package_period
-    others = {}
+    compared = {}
     for path, tool in plans.items():
-        count = int(min(found.motion.duration, float(tool.seconds[-1])) / period)
+        count = int(min(design.motion.duration, float(tool.seconds[-1])) / period)
         at = np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
-        others[path] = errors_of(resample(tool, tool.stamps_ns[0] + at))
+        compared[path] = errors_of(resample(tool, tool.stamps_ns[0] + at))
     guess = structure.parameters(cup.stiffness, cup.damping)
     more: dict[str, Motion] = {
-        STANDSTILLS: motion_design.standstills(checked), EXCITATION: found.motion,
+        STANDSTILLS: motion_design.standstills(checked), EXCITATION: design.motion,
         VALIDATION: motion_design.everyday(checked, duration, seed),
     } if with_series else {}
     series = {name: (motion, errors_of(motion.at_rate(1.0 / period)))
               for name, motion in more.items()}
-    return DesignedMotion(found, structure, guess, others, series, values, hold)
+    return DesignedMotion(design, structure, guess, compared, series, values, hold)
 
 
 def tracking_from(settings: checks.Settings) -> fisher.Tracking:
@@ -223,7 +223,7 @@ def tracking_from(settings: checks.Settings) -> fisher.Tracking:
         If rate or noise of one is missing.
 
     """
-    found: list[Any] = []
+    numbers: list[Any] = []
     for name in ('tool', 'package'):
         sensor = sensor_from(settings.block(name))
         if min(sensor.position_noise, sensor.rotation_noise) <= 0.0:
@@ -231,13 +231,13 @@ def tracking_from(settings: checks.Settings) -> fisher.Tracking:
                 f"Setting '{settings.name(name)}.noise' must have position (m) and rotation "
                 "(rad) above 0: the expected errors depend on them. 'bellows info' reports the "
                 'noise of a recording.')
-        found += [1.0 / sensor.rate_hz, Noise(sensor.position_noise, sensor.rotation_noise)]
+        numbers += [1.0 / sensor.rate_hz, Noise(sensor.position_noise, sensor.rotation_noise)]
     settings.done()
-    return fisher.Tracking(*found)
+    return fisher.Tracking(*numbers)
 
 
 def write_motion(
-    path: File, found: DesignedMotion, csv: str = '', urscript: str = '', replace: bool = False
+    path: File, result: DesignedMotion, csv: str = '', urscript: str = '', replace: bool = False
 ) -> None:
     """
     Write the motion as a recording with a plan, and as CSV and URScript where wanted.
@@ -250,26 +250,26 @@ def write_motion(
         If something is in the way, or cannot be written.
 
     """
-    frame = str(found.values['plan.frame']) or 'world'
-    motion = found.design.motion
+    frame = str(result.values['plan.frame']) or 'world'
+    motion = result.design.motion
 
     def plan_of(each: Motion) -> PlanMessage:
         return plan_message(
-            each.at_rate(POINT_RATE), 0, frame, 'tool', found.values['tool_twist.frame'])
+            each.at_rate(POINT_RATE), 0, frame, 'tool', result.values['tool_twist.frame'])
 
     def write(file: File, each: Motion) -> None:
         write_bag(file, [Encoded('/tool_arm/plan', MULTI_DOF, np.array([NS_PER_S]),
                                  [encode_multi_dof(plan_of(each))])], replace=replace)
 
-    if found.series:
+    if not result.series:
+        write(path, motion)
+    else:
         if replace:
             _require_series(Path(path))
         with new_folder(path, replace) as folder:
             folder.mkdir()
-            for name, (each, _) in found.series.items():
+            for name, (each, _) in result.series.items():
                 write(folder / name, each)
-    else:
-        write(path, motion)
     if csv:
         plan = plan_of(motion)
         write_euroc(csv, plan.times_ns, np.hstack([plan.poses, np.asarray(plan.twists)]))

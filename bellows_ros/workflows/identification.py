@@ -49,15 +49,15 @@ UNKNOWN_STD = 1e9
 """Standard error in parameter files of an entry that is not identifiable."""
 
 NARROWED = 0.95
-"""Standard errors are mentioned if they fall below this ratio."""
+"""Ratio below which a standard error with standstills, over that without, is mentioned."""
 
 FREED = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
     'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
 """Parameter and unit of each name in fit.free."""
 
-MOST_NAMED = 6
-"""Most parameters named in a sentence."""
+MAX_NAMED = 6
+"""Largest number of parameters named in a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +119,8 @@ class Identification:
     @property
     def cup_length(self) -> float:
         """Nominal length of the fit, m: given or estimated."""
-        found = self.fit.standstills
-        return found.length if found else self.parts[0].statistics.cup_length
+        standstills = self.fit.standstills
+        return standstills.length if standstills else self.parts[0].statistics.cup_length
 
     @cached_property
     def envelope(self) -> Envelope:
@@ -150,15 +150,15 @@ class Identification:
 
         Whatever else was set, such as the package, is of the recordings, and of no use to others.
         """
-        wanted = {*OF_THE_CUP, *(FREED[name][0] for name, *_ in self.fit.freed), *(
+        names = {*OF_THE_CUP, *(FREED[name][0] for name, *_ in self.fit.freed), *(
             ['recording.package_world'] if any(part.package_world for part in self.parts) else [])}
-        kept = {
+        values = {
             name: value for name, value in self.cup_values().items()
-            if name in wanted or (name in WITH_THE_CUP and value != PARAMETERS[name].default)}
+            if name in names or (name in WITH_THE_CUP and value != PARAMETERS[name].default)}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
-        return {**kept, **errors, **self.envelope.parameters()}
+        return {**values, **errors, **self.envelope.parameters()}
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -199,28 +199,28 @@ class Identification:
     def _of_the_fit(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless given data are their cause."""
         causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
-        if any(own.material for own in causes):
+        if any(cause.material for cause in causes):
             return ()
-        misfit = () if any(own.certain for own in causes) or not self.fit.misfit else (
+        misfit = () if any(cause.certain for cause in causes) or not self.fit.misfit else (
             self.fit.misfit,)
         return (*self.fit.warnings, *misfit, *self.excitation.warnings)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings: about the input, the fit, the recordings, the validations."""
-        one_cup, static = self.consistency, self.static
+        consistency, static = self.consistency, self.static
         return (
-            *(f"Recording '{f.bag}' was left out: {f.reason}" for f in self.failed),
+            *(f"Recording '{bag}' was left out: {reason}" for bag, reason in self.failed),
             *self.assumed,
             *self._of_the_fit(),
-            *((one_cup.verdict,) if one_cup and one_cup.differs else ()),
+            *((consistency.verdict,) if consistency and consistency.differs else ()),
             *(static.warnings if static else ()),
             *(text for part in self.parts for text in part.report['warnings']),
-            *(f'{v.bag}: {text}' for v in self.validations for text in v.warnings))
+            *(f'{each.bag}: {text}' for each in self.validations for text in each.warnings))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        read: list[Reduced | Recording] = [
+        recordings: list[Reduced | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
         return with_units({
             **fit_json(self.fit),
@@ -242,10 +242,10 @@ class Identification:
             'envelope': self.envelope,
             'settings': dict(self.values),
             'provenance': {
-                'recordings': [{'path': r.name, 'files': r.files} for r in read],
+                'recordings': [{'path': each.name, 'files': each.files} for each in recordings],
                 'parameter_files': self.parameter_files,
                 'versions': versions()},
-            'failed': [{'bag': f.bag, 'error': f.reason} for f in self.failed],
+            'failed': [{'bag': bag, 'error': reason} for bag, reason in self.failed],
             'version': __version__})
 
     @property
@@ -274,20 +274,20 @@ class Identification:
 
 def _standstill_sentences(result: Identification) -> Iterator[str]:
     """Yield what standstills contribute to a fit, and the nominal length they give."""
-    found, static = result.fit.standstills, result.static
-    if found is None or static is None:
+    standstills, static = result.fit.standstills, result.static
+    if standstills is None or static is None:
         return
-    best = sorted(zip(found.narrowed.tolist(), result.fit.labels, strict=True))[:MOST_NAMED]
-    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in best if ratio < NARROWED]
+    ratios = sorted(zip(standstills.narrowed.tolist(), result.fit.labels, strict=True))[:MAX_NAMED]
+    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in ratios if ratio < NARROWED]
     narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}' if parts
                 else 'they change no standard error')
-    yield (f'{found.count} standstills are part of the fit (chi^2 per degree of freedom '
-           f'{found.chi2:.2g}): {narrowed}.')
+    yield (f'{standstills.count} standstills are part of the fit (chi^2 per degree of freedom '
+           f'{standstills.chi2:.2g}): {narrowed}.')
     if static.length:
         yield f'Nominal length by the loads alone: {static.length.text}.'
     if result.values['static.length']:
-        yield (f'Nominal length with the fit: {1e3 * found.length:.3f} ± '
-               f'{1e3 * found.length_std:.3f} mm.')
+        yield (f'Nominal length with the fit: {1e3 * standstills.length:.3f} ± '
+               f'{1e3 * standstills.length_std:.3f} mm.')
 
 
 def save(
@@ -316,7 +316,7 @@ def save(
 
 def fit_json(fit: Fit) -> dict[str, Any]:
     """Return the JSON content on a fit."""
-    units, found = parameter_units(structure_named(fit.structure)), fit.standstills
+    units, standstills = parameter_units(structure_named(fit.structure)), fit.standstills
     exact = fit.exactly_given
     return {
         **attributes(
@@ -337,12 +337,12 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
         'iterations': [attributes(i, 'chi2', 'stiffness', 'damping') for i in fit.iterations],
-        'with_standstills': found and {
-            'standstills': found.count,
-            'chi2': found.chi2,
-            'cup_length': found.length,
-            'cup_length_std': found.length_std,
-            'narrowed': dict(zip(fit.labels, found.narrowed.tolist(), strict=True))},
+        'with_standstills': standstills and {
+            'standstills': standstills.count,
+            'chi2': standstills.chi2,
+            'cup_length': standstills.length,
+            'cup_length_std': standstills.length_std,
+            'narrowed': dict(zip(fit.labels, standstills.narrowed.tolist(), strict=True))},
         'units': {
             'weight': _products([f'1/({unit})' for unit in fit.residual_units]),
             **dict.fromkeys(('residual_rms', 'noise_rms'), fit.residual_units)}}
@@ -366,12 +366,12 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
                 **dict.fromkeys(('twist', 'twist_noise'), f'{unit}/s')},
         } for axis, unit in zip(excitation.axes, POSE_UNITS, strict=True)},
         'parameters': {
-            own.label: {
+            parameter.label: {
                 **attributes(
-                    own, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
+                    parameter, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
                     'weak'),
                 'units': {'value': unit}}
-            for own, unit in zip(excitation.parameters, units, strict=True)},
+            for parameter, unit in zip(excitation.parameters, units, strict=True)},
         **attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings')}
 
 

@@ -6,9 +6,10 @@ to. Who reads them, one after the other, processes or a cluster, makes no differ
 the recordings themselves gets them here.
 """
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 import os
 from typing import Any, TYPE_CHECKING
 
@@ -22,9 +23,9 @@ from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import cup_of, is_gripper
-from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, RECORDING_PARAMETERS, resolve
+from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows import identification
@@ -37,7 +38,7 @@ from bellows_ros.workflows.recordings import (
     silent,
     values_of_each,
 )
-from bellows_ros.workflows.verdict import allowances, FitVerdict, LOOKED_AT, verdict_of
+from bellows_ros.workflows.verdict import allowances, FitVerdict, MAX_TESTED, verdict_of
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
@@ -55,8 +56,11 @@ FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 CAUSES = 'testing possible causes'
 """The work of a diagnosis, for the progress."""
 
-MOST_ON_A_PAGE = 20
+MAX_ON_A_PAGE = 20
 """Most recordings shown in a report."""
+
+CLOCK_AND_WORLD = {'time_offset', 'package_world'}
+"""Names in fit.free that are parameters of their own."""
 
 BY_LEAST_SQUARES = {'fit.method': 'least_squares'}
 """How recordings are fitted whose data are certainly wrong."""
@@ -105,88 +109,88 @@ def identify(
     """
     values = resolved(settings)
     structure.fitted_structure(values)
-    of_files = tuple({'path': os.fspath(path), 'files': digests(path)} for path in parameter_files)
-    static = _static(values, progress)
+    static = None
+    if values['static.bags']:
+        from bellows_ros.workflows.static import read_standstills
+
+        static = read_standstills({**values, **FULL_RANGE}, progress)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
         values[name] for name in NEEDING_RECORDINGS)
 
-    def read(own: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
-        parts, failed = read_all(own, keep=keep, tell=progress, jobs=jobs, dask=dask)
-        differentiable = methods.are_differentiable(parts, own)
-        return with_relaxation(parts, own) if differentiable else parts, failed
+    def read(values: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
+        parts, failed = read_all(values, keep, progress, jobs, dask)
+        differentiable = methods.are_differentiable(parts, values)
+        return with_relaxation(parts, values) if differentiable else parts, failed
 
     parts, failed = read(effective)
-    whole = [part for part in parts if isinstance(part, Recording)]
-    notes = assumed(settings)
-    of_model = set(values['fit.free']) - {'time_offset', 'package_world'}
-    if values['fit.method'] == 'output_error' and not (force or static or of_model) and (
+    notes = _assumed(settings)
+    if values['fit.method'] == 'output_error' and not (
+            force or static or set(values['fit.free']) - CLOCK_AND_WORLD) and (
             methods.are_differentiable(parts, values)):
         progress(CAUSES, FIT_BEGINS)
-        early = verdict_of(None, whole, effective['cup.length'], effective)
+        early = verdict_of(None, _recordings(parts), effective['cup.length'], effective)
         if early and early._replace(allowed=allowances(effective)).refusals:
             effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
-    return _identified(values, effective, parts, static, progress, read, failed=tuple(failed),
-                       assumed=notes, parameter_files=of_files)
+    return _identified(
+        values, effective, parts, static, progress, read, failed=tuple(failed), assumed=notes,
+        parameter_files=tuple(
+            {'path': os.fspath(path), 'files': digests(path)} for path in parameter_files))
+
+
+def _recordings(parts: Sequence[Part]) -> tuple[Recording, ...]:
+    """Return the parts that are whole recordings."""
+    return tuple(part for part in parts if isinstance(part, Recording))
 
 
 def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     """Return all parameters of a run, or raise BellowsError where something is missing."""
-    required = () if settings.get('package.files') else RECORDING_PARAMETERS
-    values: dict[str, Any] = resolve(settings, required)
-    if values['fit.free']:
-        values = _with_free(values)
+    required = () if settings.get('package.files') else checks.RECORDING_PARAMETERS
+    values: dict[str, Any] = checks.resolve(settings, required)
+    free = values['fit.free']
+    values['fit.time_offset'] = values['fit.time_offset'] or 'time_offset' in free
+    if not values['recording.package_world'] and 'package_world' in free:
+        values['recording.package_world'] = checks.ESTIMATE
     structure.given_structure(values)
     if values['output.report']:
-        from bellows_ros.errors import require_pictures
-
         require_pictures()
-    used = {os.path.realpath(bag) for bag in values['bags']}
-    seen = [bag for bag in values['validation.bags'] if os.path.realpath(bag) in used]
-    missing = [name for name in PACKAGE_PARAMETERS if name not in values]
-    for wrong, words in (
-        (not used,
-         'No recording is given: the parameter bags is empty. Name at least one rosbag2 '
-         'folder, or a .mcap or .db3 file.'),
-        (values['static.length'] and not values['static.bags'],
-         'static.length is set, but static.bags is empty: the length comes from standstills '
-         'with two or more masses. Name their recordings in static.bags.'),
-        (values['output.report'] and len(values['bags']) > MOST_ON_A_PAGE,
-         f'A report shows at most {MOST_ON_A_PAGE} recordings, got {len(values["bags"])}. '
-         'Leave the report out.'),
-        (seen,
-         f"'{', '.join(seen)}' is both in bags and in validation.bags, but validation needs a "
-         'recording that was not used in the fit. Remove it from one.'),
-        (values['validation.bags'] and missing,
-         f'The package of validation.bags is unknown: set {", ".join(missing)} beside '
-         'package.files.'),
-    ):
+    for wrong, words in _mistakes(values):
         if wrong:
             raise BellowsError(words)
     return values
 
 
-def _with_free(values: dict[str, Any]) -> dict[str, Any]:
-    """Return parameters with the clocks and worlds of fit.free; refuse what cannot be free."""
-    free = set(values['fit.free'])
-    given = sorted(free - {'time_offset', 'package_world'})
-    for wrong, remedy in (
-        (given and values['fit.method'] == 'least_squares',
-         'they need fit.method: output_error. Set it'),
-        (set(given) - {'length', 'package_marker'} and values['package.files'],
-         'package.files gives each recording a package of its own. Fit the recordings of one '
-         'package alone'),
-        ('length' in free and values['static.length'],
-         'static.length estimates the length from standstills. Use one of the two'),
-    ):
-        if wrong:
-            raise BellowsError(f'fit.free: {", ".join(given)}: {remedy}.')
-    world = values['recording.package_world']
-    return {**values, 'fit.time_offset': values['fit.time_offset'] or 'time_offset' in free,
-            'recording.package_world': world or ('estimate' if 'package_world' in free else '')}
+def _mistakes(values: Mapping[str, Any]) -> Iterator[tuple[Any, str]]:
+    """Yield what is wrong with parameters together, if it is, and what to do about it."""
+    free = sorted(set(values['fit.free']) - CLOCK_AND_WORLD)
+    names = f'fit.free: {", ".join(free)}: '
+    yield (free and values['fit.method'] == 'least_squares',
+           f'{names}they need fit.method: output_error. Set it.')
+    yield ({*free} - {'length', 'package_marker'} and values['package.files'],
+           f'{names}package.files gives each recording a package of its own. Fit the recordings '
+           'of one package alone.')
+    yield ('length' in free and values['static.length'],
+           f'{names}static.length estimates the length from standstills. Use one of the two.')
+    bags, validation = values['bags'], values['validation.bags']
+    used = {os.path.realpath(bag) for bag in bags}
+    repeated = [bag for bag in validation if os.path.realpath(bag) in used]
+    missing = [name for name in checks.PACKAGE_PARAMETERS if name not in values]
+    yield (not bags, 'No recording is given: the parameter bags is empty. Name at least one '
+           'rosbag2 folder, or a .mcap or .db3 file.')
+    yield (values['static.length'] and not values['static.bags'],
+           'static.length is set, but static.bags is empty: the length comes from standstills '
+           'with two or more masses. Name their recordings in static.bags.')
+    yield (values['output.report'] and len(bags) > MAX_ON_A_PAGE,
+           f'A report shows at most {MAX_ON_A_PAGE} recordings, got {len(bags)}. Leave the report '
+           'out.')
+    yield (repeated,
+           f"'{', '.join(repeated)}' is both in bags and in validation.bags, but validation needs "
+           'a recording that was not used in the fit. Remove it from one.')
+    yield (validation and missing, f'The package of validation.bags is unknown: set '
+           f'{", ".join(missing)} beside package.files.')
 
 
-def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
+def _assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
     """Return a warning if the cup's length is neither given nor estimated."""
     if 'cup.length' in settings or settings.get('static.length'):
         return ()
@@ -194,15 +198,6 @@ def assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
         f"cup.length is not set: using the thesis's {structure.THESIS_LENGTH:g} m, on which K "
         'and P depend. Measure yours from the tool tip to the lip, under vacuum and without '
         'load.',)
-
-
-def _static(values: Mapping[str, Any], tell: Progress) -> 'StaticResult | None':
-    """Return the result of the recordings of standstills, if there are any."""
-    if not values['static.bags']:
-        return None
-    from bellows_ros.workflows.static import read_standstills
-
-    return read_standstills({**values, **FULL_RANGE}, tell)
 
 
 def read_part(
@@ -245,14 +240,14 @@ def read_all(
     They are read by processes or a cluster, or one after the other: then all must be usable.
     """
     bags = [os.fspath(bag) for bag in values['bags']]
-    task = partial(read_part, keep=frozenset(bags if keep else bags[:LOOKED_AT]))
-    work = [(n, bag, dict(own)) for n, (bag, own) in
+    task = partial(read_part, keep=frozenset(bags if keep else bags[:MAX_TESTED]))
+    work = [(n, bag, dict(each)) for n, (bag, each) in
             enumerate(zip(bags, values_of_each(values), strict=True))]
-    parts = list[Any]()
     if jobs is None and not dask:
-        for number, bag, own in work:
+        parts = list[Any]()
+        for number, bag, each in work:
             tell(f'reading {bag}', FIT_BEGINS * number / len(bags))
-            parts.append(task(bag, own))
+            parts.append(task(bag, each))
             for _, sentence in repeats((part.name, part.digest) for part in parts):
                 raise BellowsError(sentence)
         return parts, []
@@ -260,16 +255,15 @@ def read_all(
 
     words = f'reading {len(bags)} recordings'
     tell(words, 0.0)
-    results: dict[int, Any] = {}
-    for number, result in on_dask(work, dask, task) if dask else on_cores(work, jobs or 1, task):
-        results[number] = result
-        tell(words, FIT_BEGINS * len(results) / len(bags))
-    done = [n for n, result in sorted(results.items()) if not isinstance(result, Failed)]
-    for place, sentence in repeats((results[n].name, results[n].digest) for n in done):
-        results[done[place]] = Failed(bags[done[place]], sentence)
-    in_order = [results[n] for n in range(len(bags))]
-    parts = [result for result in in_order if not isinstance(result, Failed)]
-    failed = [result for result in in_order if isinstance(result, Failed)]
+    outcomes: dict[int, Any] = {}
+    for number, outcome in on_dask(work, dask, task) if dask else on_cores(work, jobs or 1, task):
+        outcomes[number] = outcome
+        tell(words, FIT_BEGINS * len(outcomes) / len(bags))
+    done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
+    for place, sentence in repeats((outcomes[n].name, outcomes[n].digest) for n in done):
+        outcomes[done[place]] = Failed(bags[done[place]], sentence)
+    parts, failed = ([each for _, each in sorted(outcomes.items(), key=itemgetter(0))
+                      if isinstance(each, Failed) is unusable] for unusable in (False, True))
     if not parts:
         raise BellowsError(
             f'None of {len(failed)} recordings can be used. The first, '
@@ -284,41 +278,39 @@ def _identified(
     """
     Fit the recordings; return the result.
 
-    Of the parameters there are those that were given, and those in effect, with the length that
-    standstills have given. What is found of the package or the cup's length takes the place of
-    what was given, and the recordings are read again with it.
+    `effective` are the parameters `values` with the length that standstills have given. What is
+    estimated of the package or the cup's length replaces what was given, and the recordings are
+    read again with it.
     """
     tell('fitting', FIT_BEGINS)
-    uncertain = static.length if static and values['static.length'] else None
+    length = static.length if static and values['static.length'] else None
     result = methods.fit(
         parts, effective,
         lambda what, part: tell(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-        static.standstills if static else (), uncertain.length_std if uncertain else 0.0)
-    if result.fit.freed and result.fit.converged:
-        values, effective = (
-            methods.with_freed(own, result.fit.freed) for own in (values, effective))
+        static.standstills if static else (), length.length_std if length else 0.0)
+    fit = result.fit
+    if fit.freed and fit.converged:
+        values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
         parts, _ = read(effective)
-    whole = tuple(part for part in parts if isinstance(part, Recording))
+    recordings = _recordings(parts)
     tell(CAUSES, FIT_ENDS)
-    length = result.fit.standstills.length if result.fit.standstills else effective['cup.length']
     verdict = verdict_of(
-        result.fit, whole, length, effective,
-        [own.label for own in result.excitation.parameters if own.identifiable])
-    found = identification.Identification(
-        result.fit, result.excitation, values,
-        tuple(reduced(part, effective) for part in parts),
-        whole, _consistency(parts, effective, tell),
-        selection=(selection(whole, effective, tell, verdict)
-                   if values['fit.compare_structures'] else None), verdict=verdict, **more)
+        fit, recordings, fit.standstills.length if fit.standstills else effective['cup.length'],
+        effective, [entry.label for entry in result.excitation.parameters if entry.identifiable])
+    identified = identification.Identification(
+        fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
+        recordings, _consistency(parts, effective, tell), verdict=verdict,
+        selection=(selection(recordings, effective, tell, verdict)
+                   if values['fit.compare_structures'] else None), **more)
     if static:
         from bellows_ros.workflows.static import with_spring
 
-        static = replace(static, cup_length=found.cup_length)
-        cup = cup_of(found.cup_values())
-        found = replace(found, static=with_spring(static, cup, values['gravity.magnitude']))
-    found = replace(found, validations=tuple(_validated(found, tell)))
+        identified = replace(identified, static=with_spring(
+            replace(static, cup_length=identified.cup_length), cup_of(identified.cup_values()),
+            values['gravity.magnitude']))
+    identified = replace(identified, validations=tuple(_validated(identified, tell)))
     tell('done', 1.0)
-    return found
+    return identified
 
 
 def _consistency(
@@ -348,29 +340,24 @@ def selection(
     from bellows_ros.core.identification.structure_selection import select_structure
 
     tell('comparing structures', FIT_ENDS)
-    found = select_structure(
+    compared = select_structure(
         [samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings],
         structure.structure_of_gripper(values) if is_gripper(values) else None)
-    if verdict and values['fit.structure'] == found.advised:
-        return found.judged(verdict.diagnosis, ())
-    own = verdict_of(None, recordings, values['cup.length'],
-                     {**values, 'fit.structure': found.advised})
-    return found.judged(own.diagnosis, own.cause) if own else found
+    if verdict and values['fit.structure'] == compared.advised:
+        return compared.judged(verdict.diagnosis, ())
+    advised = verdict_of(None, recordings, values['cup.length'],
+                         {**values, 'fit.structure': compared.advised})
+    return compared.judged(advised.diagnosis, advised.cause) if advised else compared
 
 
-def _validated(result: identification.Identification, tell: Progress) -> 'list[Replay]':
-    """Return the free simulations of the validation recordings, if the cup is usable."""
-    if not (result.fit.usable and result.values['validation.bags']):
-        return []
-    from bellows_ros.workflows.replay import replay
+def _validated(result: identification.Identification, tell: Progress) -> 'Iterator[Replay]':
+    """Yield the free simulations of the validation recordings, if the cup is usable."""
+    for bag in result.values['validation.bags'] if result.fit.usable else ():
+        from bellows_ros.workflows.replay import replay
 
-    settings = {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE}
-    found = []
-    for bag in result.values['validation.bags']:
         tell(f'validating on {bag}', FIT_ENDS)
-        found.append(replay(bag, settings))
-    return found
+        yield replay(bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,8 +386,8 @@ class StructureAdvice:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the excitation, then about the recordings."""
-        of_recordings = (text for own in self.recordings for text in own.report.warnings)
-        return (*self.excitation.warnings, *of_recordings)
+        return (*self.excitation.warnings,
+                *(text for each in self.recordings for text in each.report.warnings))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, in SI units."""
@@ -435,15 +422,14 @@ def structures(
     values = resolved(settings)
     read: list[Recording] = read_all(values, True, progress)[0]
     recordings = with_relaxation(read, values)
-    relaxation = recordings[0].relaxation
-    if any(relaxation.strengths):  # least squares alone is biased by noise
+    if any(recordings[0].relaxation.strengths):  # least squares alone is biased by noise
         better = methods.fit(recordings, {
             **values, 'fit.method': 'output_error',
             'fit.structure': 'layout' if is_gripper(values) else 'axisymmetric'}, progress).fit
         if better.converged:
-            relaxation = relaxation._replace(
+            relaxation = recordings[0].relaxation._replace(
                 strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))
-            recordings = [replace(own, relaxation=relaxation) for own in recordings]
+            recordings = [replace(each, relaxation=relaxation) for each in recordings]
     advice = StructureAdvice(
         excitation_of([reduced(recording, values) for recording in recordings]),
         selection(recordings, values, progress), tuple(recordings), values)

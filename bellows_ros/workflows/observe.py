@@ -80,38 +80,39 @@ class Observed:
         counted = ', '.join(
             f'{count} {words.get(what, what.replace("_", " "))}'
             for what, count in self.counts.items())
-        said = [f'Measured poses: {counted}.']
+        sentences = [f'Measured poses: {counted}.']
         if 2 * self.counts.get('used', 0) < sum(self.counts.values()):
-            said.append(
+            sentences.append(
                 'Most of them are not used. Check that one clock stamps tool and camera, and that '
                 f'measured.frame, measured.offset and recording.package_world fit {self.topic}.')
-        if found := self.payload:
+        if payload := self.payload:
             com = ', '.join(f'{1e3 * value:.2f} ± {1e3 * std:.2g}' for value, std in zip(
-                found.com, found.com_std, strict=True))
-            said.append(
-                f'Found: mass {found.mass:.4g} ± {found.mass_std:.2g} kg, centre of mass {com} mm '
-                'from the lip (± is the bound of Cramér and Rao).')
-        if off := self.calibration:
+                payload.com, payload.com_std, strict=True))
+            sentences.append(
+                f'Found: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
+                f'{com} mm from the lip (± is the bound of Cramér and Rao).')
+        if offset := self.calibration:
             shift, turn = (', '.join(f'{1e3 * x:.2f} ± {1e3 * std:.2g}' for x, std in zip(
-                *pair, strict=True)) for pair in (off[:2], off[2:4]))
-            said.append(
+                *pair, strict=True)) for pair in (offset[:2], offset[2:4]))
+            sentences.append(
                 f'The camera is off by {shift} mm and {turn} mrad along and about the axes of the '
-                f'world, its stamps by {1e3 * off.latency:.2f} ± {1e3 * off.latency_std:.2g} ms.')
+                f'world, its stamps by {1e3 * offset.latency:.2f} ± '
+                f'{1e3 * offset.latency_std:.2g} ms.')
         if self.alarm_calibration:
-            said.append(self.alarm_calibration.sentence)
-        return ' '.join(said + ([] if self.alarms else ['No alarm.']))
+            sentences.append(self.alarm_calibration.sentence)
+        return ' '.join(sentences + ([] if self.alarms else ['No alarm.']))
 
     @property
     def alarm_lines(self) -> list[str]:
         """When each cause was found first, and what to do; how often and until when later."""
         times: dict[str, list[float]] = {}
-        lines: dict[str, str] = {}
         for seconds, alarm in self.alarms:
-            lines.setdefault(alarm.cause, f'{seconds:.2f} s, {alarm.cause}: {alarm.message}')
             times.setdefault(alarm.cause, []).append(seconds)
+        messages = {alarm.cause: alarm.message for _, alarm in reversed(self.alarms)}
         return [
-            line + (f' Found {len(times[cause])} times until {times[cause][-1]:.2f} s.'
-                    if times[cause][1:] else '') for cause, line in lines.items()]
+            f'{first:.2f} s, {cause}: {messages[cause]}' + (
+                f' Found {1 + len(later)} times until {later[-1]:.2f} s.' if later else '')
+            for cause, (first, *later) in times.items()]
 
     @property
     def estimates(self) -> dict[str, Comparison]:
@@ -168,73 +169,80 @@ def observed(
     """
     stream = read_streams(bag, {'measured': topic})['measured']
     assert isinstance(stream, PoseStream)
-    found, pose = recording.report.package_world, ONE_WORLD
+    estimated, pose = recording.report.package_world, ONE_WORLD
     if world := values['recording.package_world']:
-        pose = found.pose if found else pose_of(world)
+        pose = estimated.pose if estimated else pose_of(world)
     else:
         require_one_frame(recording.tool_pose, stream)
-    turn = world_rotation(values['recording.world'], values['gravity.direction'])
-    q = rotation_to_quaternion(turn @ quaternion_to_rotation(pose[3:]))
-    values = {**values, 'recording.package_world': pose_text(np.append(turn @ pose[:3], q))}
+    R_model_tool = world_rotation(values['recording.world'], values['gravity.direction'])
+    pose = _moved(pose, R_model_tool)
+    values = {**values, 'recording.package_world': pose_text(pose)}
     observer = Observer(values)
     covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
-    seen = list(zip(
+    measured = list(zip(
         stream.stamps_ns.tolist(), map(tuple, stream.position.tolist()),
         map(tuple, rotation_to_quaternion(stream.rotation).tolist()), covariances, strict=True))
-
     vacuum = _vacuum(bag, values)
 
     def run(by: Observer) -> Trajectory:
         live = live_predictor(values)
         live.package.observe(by)
-        return predictions(live, messages, measured=seen, vacuum=vacuum)
+        return predictions(live, messages, measured=measured, vacuum=vacuum)
 
     corrected = run(observer)
-    held = _held(observer, stream, recording.measured_package, package_of(values).com)
     package = recording.measured_package
-    prediction = alone.select(alone.stamps_ns >= held.stamps_ns[0])
-    known = np.isin(package.stamps_ns, prediction.stamps_ns)
-    tool, package = recording.measured_tool.select(known), package.select(known)
-    held = held.select(np.isin(held.stamps_ns, package.stamps_ns))
-    both = compare_recorded(corrected, tool, package)
+    camera = _last_measured(observer, stream, package, package_of(values).com)
+    prediction = alone.select(alone.stamps_ns >= camera.stamps_ns[0])
+    compared = np.isin(package.stamps_ns, prediction.stamps_ns)
+    tool, package = recording.measured_tool.select(compared), package.select(compared)
+    camera = camera.select(np.isin(camera.stamps_ns, package.stamps_ns))
     counts = {what: n for what, n in observer.counts.items() if n}
-    if later := len(seen) - sum(counts.values()):
+    if later := len(measured) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later
     counts |= {reason: len(numbers) for reason, numbers in stream.refused.items()}
-    calibration = calibrated_alarms(
+    allowed = calibrated_alarms(
         run, values, float(np.ptp(stream.stamps_ns)) / NS_PER_S,
         stream.covariance is not None) if calibrate_alarms else None
-    alarms = tuple(
-        ((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm) for alarm in observer.alarms)
     return Observed(
-        topic, prediction, compare(held, tool, package), both, counts, alarms, observer.payload,
-        observer.calibration, {
-            **_calibrated(observer.calibration, pose, turn),
-            **(calibration.parameters if calibration else {})}, calibration)
+        topic, prediction, compare(camera, tool, package),
+        compare_recorded(corrected, tool, package), counts,
+        tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm)
+              for alarm in observer.alarms),
+        observer.payload, observer.calibration, {
+            **_calibrated(observer.calibration, pose, R_model_tool),
+            **(allowed.parameters if allowed else {})}, allowed)
 
 
-def _calibrated(found: Calibration | None, pose: Array, turn: Array) -> dict[str, Any]:
+def _moved(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:
+    """Return a pose, position and quaternion (7,), shifted and then rotated by R."""
+    return np.append(R @ (pose[:3] + shift),
+                     rotation_to_quaternion(R @ quaternion_to_rotation(pose[3:])))
+
+
+def _calibrated(
+    calibration: Calibration | None, pose: Array, R_model_tool: Array
+) -> dict[str, Any]:
     """
     Return parameters with which a camera is no longer off.
 
     Parameters
     ----------
-    found : Calibration or None
+    calibration : Calibration or None
         In the world of the model.
     pose : ndarray (7,)
-        Of the camera's world in that of the tool, as it was given.
-    turn : ndarray (3, 3)
+        Of the camera's world in that of the model, as it was given.
+    R_model_tool : ndarray (3, 3)
         From the world of the tool to that of the model.
 
     """
-    if found is None:
+    if calibration is None:
         return {}
-    back = turn.T @ exp_so3(-found.turn)
-    q = rotation_to_quaternion(back @ turn @ quaternion_to_rotation(pose[3:]))
+    shift, shift_std, turn, turn_std, latency, latency_std = calibration
     return {
-        'recording.package_world': pose_text(np.append(back @ (turn @ pose[:3] - found.shift), q)),
-        'measured.offset_std': (float(found.shift_std.max()), float(found.turn_std.max())),
-        'measured.latency_std': math.hypot(found.latency, found.latency_std)}
+        'recording.package_world': pose_text(
+            _moved(pose, R_model_tool.T @ exp_so3(-turn), -shift)),
+        'measured.offset_std': (float(shift_std.max()), float(turn_std.max())),
+        'measured.latency_std': math.hypot(latency, latency_std)}
 
 
 def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]:
@@ -243,7 +251,7 @@ def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]
 
     It is on the topic that the node listens to, of vacuum.signal, in whichever namespace.
     """
-    vacuum, readings = Vacuum(values), []
+    vacuum, readings = Vacuum(values), list[tuple[int, bool, int]]()
     if (signal := values['vacuum.signal']) == 'none':
         return []
     kind, topic = {'bool': (BOOL, 'vacuum/held'),
@@ -256,10 +264,10 @@ def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]
             readings += [] if held is None else [(log_ns, held, ALL)]
             continue
         message = decoded(data, kind)
-        stamp, found = message.header.stamp, vacuum.update(
-            message.fluid_pressure, message.header.frame_id)
-        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or log_ns
-        readings += [] if isinstance(found, str) else [(stamp_ns, *each) for each in found]
+        stamp = message.header.stamp
+        states = vacuum.update(message.fluid_pressure, message.header.frame_id)
+        readings += [] if isinstance(states, str) else [
+            (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, *state) for state in states]
     if not readings:
         raise BellowsError(
             f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {topic}. "
@@ -274,7 +282,9 @@ def live_predictor(values: Mapping[str, Any]) -> LivePredictor:
         values['tool_twist.frame'])
 
 
-def _held(observer: Observer, poses: PoseStream, at: Trajectory, com: Array) -> Trajectory:
+def _last_measured(
+    observer: Observer, poses: PoseStream, at: Trajectory, com: Array
+) -> Trajectory:
     """Return the poses of B as they were measured last before each stamp."""
     newest = np.searchsorted(poses.stamps_ns, at.stamps_ns) - 1
     inside = newest >= 0
@@ -282,12 +292,13 @@ def _held(observer: Observer, poses: PoseStream, at: Trajectory, com: Array) -> 
         raise BellowsError(
             'All measured poses are later than the recorded ones. Check that one clock stamps '
             'both.')
-    found = []
-    x, y, z = com.tolist()
+    rows = []
     for position, q in zip(
             poses.position.tolist(), rotation_to_quaternion(poses.rotation).tolist(), strict=True):
-        seen = observer.sensor.measurement(1, tuple(position), tuple(q))
-        assert not isinstance(seen, str)
-        found.append(np.concatenate(at_com(*seen[1:], observer.sensor.marker, (x, y, z))[:2]))
-    rows = np.array(found)[newest[inside]]
-    return Trajectory(at.stamps_ns[inside], rows[:, :3], quaternion_to_rotation(rows[:, 3:]))
+        measured = observer.sensor.measurement(1, tuple(position), tuple(q))
+        assert not isinstance(measured, str)
+        rows.append(np.concatenate(at_com(
+            *measured[1:], observer.sensor.marker, tuple(com.tolist()))[:2]))
+    chosen = np.array(rows)[newest[inside]]
+    return Trajectory(
+        at.stamps_ns[inside], chosen[:, :3], quaternion_to_rotation(chosen[:, 3:]))

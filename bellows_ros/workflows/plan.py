@@ -120,7 +120,7 @@ class Source:
     @property
     def begins_at_rest(self) -> bool:
         """Whether the tool stands at its first point."""
-        return stands(np.asarray(np.append(np.zeros(7), np.asarray(self.tool.twist)[0])))
+        return stands(np.append(np.zeros(7), np.asarray(self.tool.twist)[0]))
 
     @cached_property
     def gravity(self) -> Array:
@@ -223,36 +223,28 @@ class PlanReport(CommandResult):
     @cached_property
     def curves(self) -> Curves:
         """What a picture shows, with what follows a plan that ends at rest."""
-        found, source = self.prediction, self.source
-        after = min(AFTER, found.settled_after + 0.2) if found.ends_at_rest else 0.0
-        longer = standing(source.tool, after)
-        return curves(source.values, source.model, source.grip, longer)
+        prediction, source = self.prediction, self.source
+        after = min(AFTER, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
+        return curves(source.values, source.model, source.grip, standing(source.tool, after))
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the motion."""
-        found = [*self.source.notes, *implausible(self.source.values)]
-        if self.prediction.grip is None:
-            found.append(NO_GRIP)
-        elif sentence := safety_sentence(
-                *self.prediction.smallest_safety, self.std['smallest_safety_factor'], self.least):
-            found.append(sentence)
-        if self.prediction.flips:
-            found.append(self.prediction.flips)
-        if not self.source.begins_at_rest:
-            found.append(BEGINS_IN_MOTION)
-        if not self.prediction.ends_at_rest:
-            found.append(ENDS_IN_MOTION)
-        if self.outside:
-            found.append(f'Outside the validity range: {"; ".join(self.outside)}.')
-        return tuple(found)
+        source, prediction = self.source, self.prediction
+        safety = NO_GRIP if prediction.grip is None else safety_sentence(
+            *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
+        return (*source.notes, *implausible(source.values), *filter(None, (
+            safety, prediction.flips,
+            '' if source.begins_at_rest else BEGINS_IN_MOTION,
+            '' if prediction.ends_at_rest else ENDS_IN_MOTION,
+            f'Outside the validity range: {"; ".join(self.outside)}.' if self.outside else '')))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
-        found, fastest = self.prediction, self.fastest
+        prediction, fastest = self.prediction, self.fastest
         return with_units({
-            'duration': self.source.duration, **found.figures(),
-            'smallest_safety_mode': found.smallest_safety[1] if found.grip else None,
+            'duration': self.source.duration, **prediction.figures(),
+            'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
             'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
             'outside_validity': list(self.outside),
             **({'fastest_scale': fastest and fastest.scale,
@@ -296,13 +288,14 @@ def plan(
     prediction = run.predict()
 
     def figures(changed: ModelTuple) -> Array:
-        found = run.with_model(changed).predict().figures()
-        found['settled_after'] = min(found['settled_after'], LONGEST_TAIL)  # it jumps there
-        return np.array(list(found.values()))
+        numbers = run.with_model(changed).predict().figures()
+        numbers['settled_after'] = min(numbers['settled_after'], LONGEST_TAIL)  # it jumps there
+        return np.array(list(numbers.values()))
 
-    std = {name: own if math.isfinite(value) else math.nan for (name, value), own in zip(
-        prediction.figures().items(), _deviations(values, model, figures).tolist(), strict=True)}
-    found = None
+    deviations = _deviations(values, model, figures).tolist()
+    std = {name: deviation if math.isfinite(value) else math.nan for (name, value), deviation in
+           zip(prediction.figures().items(), deviations, strict=True)}
+    shortest = None
     if seek_fastest:
         if grip is None:
             raise BellowsError(f'The shortest safe time cannot be found. {NO_GRIP}')
@@ -310,8 +303,8 @@ def plan(
             raise BellowsError(
                 'The shortest safe time cannot be found, because the plan begins or ends in '
                 'motion. Give a plan from rest to rest.')
-        found = fastest(values, model, grip, source.tool, float(values['safety.least']))
-    return PlanReport(source, prediction, std, prediction.outside(values), found, seek_fastest)
+        shortest = fastest(values, model, grip, source.tool, float(values['safety.least']))
+    return PlanReport(source, prediction, std, prediction.outside(values), shortest, seek_fastest)
 
 
 def _deviations(
@@ -319,9 +312,7 @@ def _deviations(
 ) -> Array:
     """Return the standard deviations of a function of the model; 0 if all parameters are exact."""
     _, parts = contributions(values, model, compute)
-    if not len(parts):
-        return 0.0 * compute(model)
-    return np.asarray(np.sqrt(np.sum(parts ** 2, axis=0)))
+    return np.asarray(np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(model))
 
 
 def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
@@ -339,10 +330,10 @@ def curves(
     run = PlanSimulation(model, grip, tool, start, tail=0.0)
 
     def compute(changed: ModelTuple) -> Array:
-        found = run.with_model(changed).predict()
-        angle = bending(tool.rotation, quaternion_to_rotation(found.states[:, 3:7]))
-        factors = 1.0 / np.maximum(found.loads, 1.0 / LARGEST_FACTOR)
-        return np.hstack([found.states[:, :3], angle[:, None], factors, found.wrench])
+        prediction = run.with_model(changed).predict()
+        angle = bending(tool.rotation, quaternion_to_rotation(prediction.states[:, 3:7]))
+        factors = 1.0 / np.maximum(prediction.loads, 1.0 / LARGEST_FACTOR)
+        return np.hstack([prediction.states[:, :3], angle[:, None], factors, prediction.wrench])
 
     return Curves(tool.seconds, tool.position, compute(model), _deviations(values, model, compute))
 
@@ -388,8 +379,8 @@ def read_plan(path: File, values: Mapping[str, Any], urdf: str = '', topic: str 
     """
     source = _read_plan(Path(path), values, urdf, topic)
     plan_messages.require_frame(source.frame_id, values)
-    recorded = [] if source.recorded_ns is None else [source.recorded_ns]
-    chosen = inside([source.tool.stamps_ns, *recorded], values)[0]
+    stamps_ns = [source.tool.stamps_ns, source.recorded_ns]
+    chosen = inside([each for each in stamps_ns if each is not None], values)[0]
     if (points := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
@@ -512,9 +503,9 @@ def _measured(
             np.interp(poses.stamps_ns - first, twists.stamps_ns - first, column)
             for column in np.hstack([twists.linear, twists.angular]).T], axis=1)
         return poses, six, values['tool_twist.frame']
-    found = timing(poses.stamps_ns)
-    half_window = max(4, round(AUTOMATIC_HALF_WINDOW * found.rate_hz))
-    smooth = savgol(on_grid(poses, found), half_window, values['filter.tool.order'])
+    rate = timing(poses.stamps_ns)
+    half_window = max(4, round(AUTOMATIC_HALF_WINDOW * rate.rate_hz))
+    smooth = savgol(on_grid(poses, rate), half_window, values['filter.tool.order'])
     return smooth, smooth.twist, 'tool'
 
 

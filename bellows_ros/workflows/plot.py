@@ -300,18 +300,17 @@ def within(shown: Timed, first: float, last: float) -> Timed:
             f'recording covers {seconds[0]:.2f} to {seconds[-1]:.2f} s.')
     groups: dict[str, Any] = {}
     if isinstance(shown, Replayed):
-        result = _picked(shown.live, part)
-        scores = score(result.measured, result.predicted)
-        groups = {'motion': _picked(shown.motion, part), 'live': replace(result, scores=scores)}
+        live = _picked(shown.live, part)
+        groups = {'motion': _picked(shown.motion, part),
+                  'live': replace(live, scores=score(live.measured, live.predicted))}
     return replace(_picked(shown, part), **groups)
 
 
 def _picked(group: Group, index: Stamps | Mask) -> Group:
     """Return a group of arrays at some samples; `NOT_SAMPLES` are kept whole."""
-    picked = {
+    return replace(group, **{
         field.name: getattr(group, field.name)[index]
-        for field in fields(group) if field.name not in NOT_SAMPLES}
-    return replace(group, **picked)
+        for field in fields(group) if field.name not in NOT_SAMPLES})
 
 
 def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:

@@ -1,10 +1,10 @@
 """Read a recording and prepare it according to its parameters."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.model.cup_package import one_cup_of, package_of
@@ -55,8 +55,7 @@ OF_A_RECORDING = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
 """Parameters, besides the package's, in which recordings of one cup may differ."""
 
 
-@dataclass(frozen=True)
-class Failed:
+class Failed(NamedTuple):
     """A recording that cannot be used, and why."""
 
     bag: str
@@ -273,10 +272,11 @@ def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
     """
     names: dict[str, str] = {}
     for number, (name, digest) in enumerate(recordings):
-        if (first := names.setdefault(digest, name)) is not name:
+        if digest in names:
             yield number, (
-                f"'{name}' and '{first}' are the same recording and would count twice. "
+                f"'{name}' and '{names[digest]}' are the same recording and would count twice. "
                 'Give it once.')
+        names.setdefault(digest, name)
 
 
 def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Mapping[str, Any]]:

@@ -53,29 +53,28 @@ class ReleaseResult:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        count, held, fit = len(self.left_out), self.fit.not_identifiable, self.fit
+        count, fixed, fit = len(self.left_out), self.fit.not_identifiable, self.fit
         numbers = (f'{RELEASE_NAMES[k]} ({fit.law[k]:.3g} +- {fit.std[k]:.2g} '
-                   f'{UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in held)
-        return tuple(text for text, true in (
+                   f'{UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in fixed)
+        return tuple(text for text, applies in (
             (f'Not identifiable from these drops, so that what is given is used, or of a usual '
              f'cup: {", ".join(numbers)}. Tosses of other masses are less certain; drops of a '
-             'package of half or twice the mass would determine more.', held),
+             'package of half or twice the mass would determine more.', fixed),
             (f'{count} of {count + len(self.used)} valve-offs are not used: '
-             f'{"; ".join(self.left_out)}.', count)) if true)
+             f'{"; ".join(self.left_out)}.', count)) if applies)
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
         """Return mass (kg), drops, letting go (s; NaN if later), and rms (m, m/s)."""
-        out = []
+        rows = []
         for mass in sorted({drop.mass for drop in self.fit.drops}):
-            own = [drop for drop in self.fit.drops if drop.mass == mass]
-            released, position, velocity = (
-                np.array([getattr(drop, name) for drop in own])
-                for name in ('released', 'position', 'velocity'))
-            known = released[np.isfinite(released)]
-            out.append((mass, len(own), float(known.mean()) if len(known) else math.nan,
-                        math.sqrt(float(np.mean(position**2))),
-                        math.sqrt(float(np.mean(velocity**2)))))
-        return out
+            released, position, velocity = np.array([
+                (drop.released, drop.position, drop.velocity)
+                for drop in self.fit.drops if drop.mass == mass]).T
+            observed = released[np.isfinite(released)]
+            rows.append((
+                mass, len(released), float(observed.mean()) if len(observed) else math.nan,
+                *np.sqrt([np.mean(position**2), np.mean(velocity**2)]).tolist()))
+        return rows
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the release file."""
@@ -124,14 +123,16 @@ def identify_release(
     values = resolved(settings)
     bags = tuple(os.fspath(bag) for bag in values['bags'])
     each = values_of_each(values)
-    valves = [_valves(bag, own) for bag, own in zip(bags, each, strict=True)]
+    valves = [_valves(bag, parameters) for bag, parameters in zip(bags, each, strict=True)]
     drops, used, left_out = list[release_fit.Drop](), list[str](), list[str]()
-    for number, (bag, own) in enumerate(zip(bags, each, strict=True)):
+    for number, (bag, parameters) in enumerate(zip(bags, each, strict=True)):
         progress(f'looking for drops in {bag}', 0.5 * number / len(bags))
-        model = model_tuple(cup_of(own), package_of(own), own['gravity.magnitude'])
-        found, not_used = release_fit.drops_of(load(bag, own), model, grip_of(own), valves[number])
-        drops += found
-        used += [bag] * len(found)
+        model = model_tuple(
+            cup_of(parameters), package_of(parameters), parameters['gravity.magnitude'])
+        usable, not_used = release_fit.drops_of(
+            load(bag, parameters), model, grip_of(parameters), valves[number])
+        drops += usable
+        used += [bag] * len(usable)
         left_out += [f'{bag}, {text}' for text in not_used]
     progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
@@ -151,11 +152,12 @@ def identify_release(
 def _valves(bag: str, values: Mapping[str, Any]) -> list[int]:
     """Return when the valve is switched off, ns as received."""
     topic = values['topics.valve']
-    said = sorted(
+    switched = sorted(
         (log_ns, on) for _, _, log_ns, data in messages_of(bag, (BOOL,), topic)
         if (on := decode_bool(data)) is not None) if topic else []
-    if not said:
+    if not switched:
         raise NoTopicError(
             f"'{bag}' has no std_msgs/Bool on '{topic}', so that nothing is known of when the "
             'valve was switched. Record it (false for off), or name its topic with topics.valve.')
-    return [log_ns for k, (log_ns, on) in enumerate(said) if not on and (not k or said[k - 1][1])]
+    return [log_ns for k, (log_ns, on) in enumerate(switched)
+            if not on and (not k or switched[k - 1][1])]

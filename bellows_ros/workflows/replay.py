@@ -63,8 +63,7 @@ class Live(residuals.Comparison):
         """Return the content for a JSON file."""
         return {
             **vars(self.scores), 'nrmse': self.scores.nrmse, 'counts': dict(self.counts),
-            'real_time_factor': self.real_time_factor, 'took': self.took,
-        }
+            'real_time_factor': self.real_time_factor, 'took': self.took}
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +131,11 @@ class Replay(CommandResult):
     @property
     def margin(self) -> Margin | None:
         """The smallest safety factor of the grip in the free simulation; None if unknown."""
-        grip, found = grip_of(self.values), self.validation
+        grip, validation = grip_of(self.values), self.validation
         return None if grip is None else margin(
             grip, factors_along(
-                self.model, grip, tool_rows(found.tool), tool_rows(found.package)),
-            self.recording.since_start(found.tool.stamps_ns))
+                self.model, grip, tool_rows(validation.tool), tool_rows(validation.package)),
+            self.recording.since_start(validation.tool.stamps_ns))
 
     @property
     def model(self) -> ModelTuple:
@@ -155,62 +154,57 @@ class Replay(CommandResult):
             If the grip is not known.
 
         """
-        smallest, found = self.margin, self.validation
+        smallest, validation = self.margin, self.validation
         if smallest is None:
             raise BellowsError(NO_GRIP)
         along = curves(
-            self.values, self.model, grip_of(self.values), found.tool,
-            None if found.start == 'equilibrium' else found.state)
+            self.values, self.model, grip_of(self.values), validation.tool,
+            None if validation.start == 'equilibrium' else validation.state)
         return Margins(
-            self.recording.since_start(found.tool.stamps_ns), along.values[:, 4:6],
+            self.recording.since_start(validation.tool.stamps_ns), along.values[:, 4:6],
             along.std[:, 4:6], smallest, float(self.values['safety.least']))
 
     @property
     def sentence(self) -> str:
         """The verdict on the cup by a recording not used in the fit."""
-        found = self.validation
+        validation = self.validation
         errors = [f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
-            residuals.AXES, found.moves, found.scores.nrmse, strict=True) if moves]
+            residuals.AXES, validation.moves, validation.scores.nrmse, strict=True) if moves]
         return (f'Validated on {self.bag}, error over motion: {", ".join(errors) or "unknown"}. '
-                f'{found.verdict()}')
+                f'{validation.verdict()}')
 
     def as_json(
         self, limit: float = LIMIT, parameter_files: Sequence[File] = ()
     ) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        found = self.validation
+        validation = self.validation
         return with_units({
             'bag': self.bag,
             'axes': residuals.AXES,
-            **vars(found.scores),
-            'nrmse': found.scores.nrmse,
-            'noise_rms': found.noise,
-            'model_error': found.model_error,
-            'moves': found.moves,
+            **vars(validation.scores),
+            'nrmse': validation.scores.nrmse,
+            'noise_rms': validation.noise,
+            'model_error': validation.model_error,
+            'moves': validation.moves,
             'limit': limit,
-            'above_limit': found.failing(limit),
-            'start': found.start,
+            'above_limit': validation.failing(limit),
+            'start': validation.start,
             'margin': self.margin,
             'time_offset': self.time_offset,
             'seed': SEED,
-            'free_run': _coloured_json(found.whiteness, found.spectrum),
-            'one_step': found.one_step and {
-                **_coloured_json(found.one_step.whiteness, found.one_step.spectrum),
-                'chi2': found.one_step.chi2,
-            },
+            'free_run': _coloured_json(validation.whiteness, validation.spectrum),
+            'one_step': validation.one_step and {
+                **_coloured_json(validation.one_step.whiteness, validation.one_step.spectrum),
+                'chi2': validation.one_step.chi2},
             'live': self.live,
             'observed': self.observed,
             'warnings': self.warnings,
             'settings': dict(self.values),
-            'provenance': provenance([self.bag], parameter_files),
-        })
+            'provenance': provenance([self.bag], parameter_files)})
 
 
 def replay(
-    bag: File,
-    settings: Mapping[str, object],
-    progress: Progress = silent,
-    observe: str = '',
+    bag: File, settings: Mapping[str, object], progress: Progress = silent, observe: str = '',
     calibrate_alarms: bool = False,
 ) -> Replay:
     """
@@ -242,62 +236,65 @@ def replay(
     values: dict[str, Any] = resolve(settings, RECORDING_PARAMETERS)
     progress(f'reading {os.fspath(bag)}', 0.0)
     recording = load(bag, values)
-    facts = corrected(recording)[0]
-    if any(own.sentence for own in facts):  # the package is not below the tool
-        raise BellowsError(' '.join(finding_sentence(own, values) for own in facts))
+    causes = corrected(recording)[0]
+    if any(cause.sentence for cause in causes):  # the package is not below the tool
+        raise BellowsError(' '.join(finding_sentence(cause, values) for cause in causes))
     progress('simulating', 0.3)
     free = validated(values, recording)
     live = predicted_live(recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part))
-    found = observed(
+    camera = observed(
         bag, recording, tool_messages(recording, values), live, values, observe,
         calibrate_alarms) if observe else None
     progress('done', 1.0)
-    return replace(free, live=live, observed=found, warnings=_without_loss(free, found))
+    return replace(free, live=live, observed=camera, warnings=_without_loss(free, camera))
 
 
-def _without_loss(free: Replay, found: Observed | None) -> tuple[str, ...]:
+def _without_loss(free: Replay, camera: Observed | None) -> tuple[str, ...]:
     """Return the warnings; a package that is lost explains the errors, instead of their causes."""
-    lost = [seconds for seconds, alarm in found.alarms if alarm.cause == 'lost'] if found else []
-    if not lost:
+    losses = [seconds for seconds, alarm in (camera.alarms if camera else ())
+              if alarm.cause == 'lost']
+    if not losses:
         return free.warnings
     causes = tuple(_causes(free.values, free.validation))
     return (
-        f'The package is lost {lost[0]:.2f} s after the first pose of the tool; errors after that '
-        f'are not of the cup. Rate it with --set recording.end={max(lost[0] - 0.5, 0.0):.1f}.',
-        *(each for each in free.warnings if each not in causes))
+        f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
+        f'that are not of the cup. Rate it with --set recording.end={max(losses[0] - 0.5, 0.0):.1f}.',
+        *(warning for warning in free.warnings if warning not in causes))
 
 
 def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
     """Simulate a prepared recording with the cup of the parameters, and compare."""
-    outside = tuple[str, ...]()
     try:
-        found = validate(cup_of(values), recording)
+        validation = validate(cup_of(values), recording)
     except UnstableError as error:
         raise UnstableError(f'{_why_unstable(values, recording)}{error}') from None
-    known = parameter_envelope(values)
-    phrases = beyond(known, envelope_of(recording, values['cup.length'])) if known else []
-    if phrases:
-        more = f'; and {len(phrases) - MAX_LISTED} more' if len(phrases) > MAX_LISTED else ''
-        outside = (
+    warnings = [
+        *(finding_sentence(cause, values) for cause in corrected(recording)[0]
+          if cause.name not in SAID_BY_VALUES),
+        *recording.report.warnings, *validation.warnings]
+    valid = parameter_envelope(values)
+    outside = beyond(valid, envelope_of(recording, values['cup.length'])) if valid else []
+    if outside:
+        more = f'; and {len(outside) - MAX_LISTED} more' if len(outside) > MAX_LISTED else ''
+        warnings.append(
             'The recording leaves the validity range of the fit: '
-            f'{"; ".join(phrases[:MAX_LISTED])}{more}. '
-            'There the errors say little about the fit.',)
-    facts = [own for own in corrected(recording)[0] if own.name not in SAID_BY_VALUES]
-    warnings = (*(finding_sentence(own, values) for own in facts),
-                *recording.report.warnings, *found.warnings, *outside) + (
-        *implausible(values), *(_causes(values, found) if found.worse_than_noise else ()))
-    return Replay(recording.name, dict(values), recording, found, warnings)
+            f'{"; ".join(outside[:MAX_LISTED])}{more}. There the errors say little about the fit.')
+    warnings += implausible(values)
+    if validation.worse_than_noise:
+        warnings += _causes(values, validation)
+    return Replay(recording.name, dict(values), recording, validation, tuple(warnings))
 
 
-OFF = (0.7, 1.4)
-"""Ratios of stretch beyond these are no effect of a wrong stiffness."""
+STRETCH_RATIOS = (0.7, 1.4)
+"""Range of the ratios of stretch that a wrong stiffness explains."""
 
 
-def _causes(values: Mapping[str, Any], found: Validation) -> Iterator[str]:
+def _causes(values: Mapping[str, Any], validation: Validation) -> Iterator[str]:
     """Yield the likeliest cause of a bad prediction, where the data show it."""
-    stretched, expected = (_stretch(values, rows) for rows in (found.measured, found.predicted))
+    stretched, expected = (
+        _stretch(values, rows) for rows in (validation.measured, validation.predicted))
     factor = stretched / expected if expected > 0.0 else 0.0
-    if factor > 0.0 and not OFF[0] < factor < OFF[1]:
+    if factor > 0.0 and not STRETCH_RATIOS[0] < factor < STRETCH_RATIOS[1]:
         mass = values['package.mass']
         yield (
             f'On average the cup is stretched {factor:.2g} times as far as predicted: '
@@ -314,11 +311,12 @@ def _stretch(values: Mapping[str, Any], relative: Array) -> float:
 
 def _why_unstable(values: Mapping[str, Any], recording: Recording) -> str:
     """Return the mass that the recorded stretch stands for, where it is another; else ''."""
-    seen = residuals.relative_coordinates(recording.measured_tool, recording.measured_package)
-    stretch = _stretch(values, seen[recording.measured])
+    relative = residuals.relative_coordinates(
+        recording.measured_tool, recording.measured_package)
+    stretch = _stretch(values, relative[recording.measured])
     stiffness = cup_of(values).stiffness[2, 2]
     mass, given = stiffness * stretch / values['gravity.magnitude'], values['package.mass']
-    if not mass > 0.0 or OFF[0] < mass / given < OFF[1]:
+    if not mass > 0.0 or STRETCH_RATIOS[0] < mass / given < STRETCH_RATIOS[1]:
         return ''
     return (
         f'On average the cup is stretched by {1e3 * stretch:.2g} mm, as by {mass:.2g} kg: '
@@ -377,16 +375,15 @@ def tool_messages(recording: Recording, values: Mapping[str, Any]) -> Messages:
 
 def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
     """Return the counts of messages in, predictions out, and anything left out."""
-    on_the_way = {
+    lost = {
         'tool poses left out as outliers': recording.report.tool.marked,
         **{f'tool poses refused: {r}': len(w) for r, w in recording.tool_pose.refused.items()},
         **{f'predictor refused: {reason}': n for reason, n in live.refused.items()},
-        **{f'predictor restarted: {reason}': n for reason, n in live.restarts.items()},
-    }
+        **{f'predictor restarted: {reason}': n for reason, n in live.restarts.items()}}
     return {
         'poses': live.poses_in, 'twists': live.twists_in, 'predictions': live.predictions,
         'twists estimated': live.twists_estimated,
-        **{name: count for name, count in on_the_way.items() if count}}
+        **{name: count for name, count in lost.items() if count}}
 
 
 def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum) -> dict[str, Any]:
@@ -397,5 +394,4 @@ def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum)
         'p_value': whiteness.p_value,
         'largest_autocorrelation': whiteness.largest,
         'verdict': whiteness.verdicts,
-        'spectrum_peak_hz': spectrum.peak,
-    }
+        'spectrum_peak_hz': spectrum.peak}

@@ -40,12 +40,12 @@ TWIST = 'geometry_msgs/msg/TwistStamped'
 
 SAMPLES_PER_PERIOD = 100.0
 """The tool is simulated with this many samples in the shortest period of its motion ..."""
-STEPS_PER_LARGEST = 2.5
+SAMPLES_PER_STABLE_STEP = 2.5
 """... and this many in the longest stable step. Both keep the truth accurate to 1e-9 m."""
-LEAST_RATE = 500.0
-"""... and the lowest rate, Hz."""
-LARGEST_COUNT = 5_000_000
-"""Most samples of a simulation."""
+MIN_RATE = 500.0
+"""... and at least at this rate, Hz."""
+MAX_SAMPLES = 5_000_000
+"""Largest number of samples of a simulation."""
 
 
 class Event(NamedTuple):
@@ -142,8 +142,8 @@ def simulate_recording(
             rotation=R_world_level.T @ tool.rotation)))
     bag = Path(out)
     atomic.require_folder_target(bag)
-    truth_file = None if not recipe.truth else atomic.require_file_target(
-        bag.with_name(f'{bag.name}_truth.npz'))
+    truth_file = atomic.require_file_target(
+        bag.with_name(f'{bag.name}_truth.npz')) if recipe.truth else None
     plans = {
         name: sensing.schedule(
             sensor, recipe.motion.duration, recipe.motion.rest_duration, recipe.start_ns,
@@ -160,7 +160,7 @@ def simulate_recording(
     angle, worst, warnings = _bending(truth)
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
-        {own.topic: len(own.stamps_ns) for own in recorded}, _events(recipe, plans),
+        {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
         angle, worst, (*implausible(values), *warnings), _smallest_margin(values, truth),
         truth.tosses)
 
@@ -169,9 +169,9 @@ def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Even
     """Return outliers and dropouts by topic and time."""
     events = [
         Event(recipe.topics[f'{name}_pose'], kind, (int(ns) - recipe.start_ns) / NS_PER_S)
-        for name, own in plans.items()
-        for kind, starts in (('outlier', own.jumps), ('dropout', own.dropouts))
-        for ns in own.sampled_ns[list(starts)]]
+        for name, schedule in plans.items()
+        for kind, starts in (('outlier', schedule.jumps), ('dropout', schedule.dropouts))
+        for ns in schedule.sampled_ns[list(starts)]]
     return tuple(sorted(events, key=lambda event: (event.topic, event.start_s)))
 
 
@@ -191,15 +191,13 @@ def _simulated(
     """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
     motion, cup, package = recipe.motion, cup_of(values), package_of(values)
     model = model_tuple(cup, package, values['gravity.magnitude'])
-    rate = max(
-        LEAST_RATE,
-        SAMPLES_PER_PERIOD * motion.highest_frequency,
-        STEPS_PER_LARGEST / largest_step(model))
+    rate = max(MIN_RATE, SAMPLES_PER_PERIOD * motion.highest_frequency,
+               SAMPLES_PER_STABLE_STEP / largest_step(model))
     count = motion.duration * (rate + recipe.tool.rate_hz + recipe.package.rate_hz)
-    if count > LARGEST_COUNT:
+    if count > MAX_SAMPLES:
         raise BellowsError(
             f'The recording needs {count:.2g} simulated samples; the limit is '
-            f'{LARGEST_COUNT:.2g}. Make it shorter, or lower the rates or the highest frequency.')
+            f'{MAX_SAMPLES:.2g}. Make it shorter, or lower the rates or the highest frequency.')
     fine = sample_stamps(rate, motion.duration, recipe.start_ns)
     stamps_ns = np.unique(np.concatenate([fine, *(p.sampled_ns for p in plans.values())]))
     tool = motion.trajectory(stamps_ns, recipe.start_ns)
@@ -245,8 +243,8 @@ def _recorded(
                 log_times_ns=poses.stamps_ns + late_ns))
     if recipe.releases:  # on, off at each release, and on again at each pick-up
         off = np.array(recipe.releases)
-        on = off + recipe.pickup
-        times = np.sort(np.concatenate([[0.0], off, on[on <= recipe.motion.duration]]))
+        on = np.append(0.0, off + recipe.pickup)
+        times = np.sort(np.append(off, on[on <= recipe.motion.duration]))
         recorded.append(Encoded(
             recipe.topics['valve'], BOOL,
             recipe.start_ns + np.round(times * NS_PER_S).astype(np.int64),
@@ -265,16 +263,14 @@ def _truth_bytes(
     sampled_ns = plans['package'].sampled_ns
     sampled_ns = sampled_ns[truth.at(sampled_ns).tracked]
     at = truth.at(sampled_ns)
+    bodies = {'tool': at.tool, 'package': at.package}
     arrays = {
-        't': (sampled_ns - recipe.start_ns) / NS_PER_S,
-        'tool': transform(turn @ at.tool.rotation, apply(turn, at.tool.position)),
-        'tool_twist': np.asarray(at.tool.twist),
-        'package': transform(turn @ at.package.rotation, apply(turn, at.package.position)),
-        'package_twist': np.asarray(at.package.twist),
-        'K': cup.stiffness,
-        'P': cup.damping}
+        name: array for body, motion in bodies.items() for name, array in (
+            (body, transform(turn @ motion.rotation, apply(turn, motion.position))),
+            (f'{body}_twist', np.asarray(motion.twist)))}
     file = io.BytesIO()
-    np.savez(file, **arrays)  # type: ignore[arg-type]
+    np.savez(file, t=(sampled_ns - recipe.start_ns) / NS_PER_S, **arrays,  # type: ignore[arg-type]
+             K=cup.stiffness, P=cup.damping)
     return file.getvalue()
 
 
@@ -284,6 +280,6 @@ def _bending(truth: Truth) -> tuple[float, float, tuple[str, ...]]:
     angle = np.where(truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
     worst = int(np.argmax(angle))
     beyond = seconds[angle > PEAK_MOMENT_BENDING]
-    warnings = () if not len(beyond) else (
-        flip_sentence(angle[worst], f', and by more than 45 from {beyond[0]:.3f} s on'),)
-    return float(angle[worst]), float(seconds[worst]), warnings
+    return float(angle[worst]), float(seconds[worst]), tuple(
+        flip_sentence(angle[worst], f', and by more than 45 from {begin:.3f} s on')
+        for begin in beyond[:1])

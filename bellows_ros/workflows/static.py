@@ -16,7 +16,14 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import attributes, with_units
-from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, silent, values_of_each
+from bellows_ros.workflows.recordings import (
+    load,
+    NO_INERTIA,
+    Progress,
+    repeats,
+    silent,
+    values_of_each,
+)
 import numpy as np
 
 StaticBag = tuple[str, Mapping[str, Any]]
@@ -43,8 +50,6 @@ class StaticResult:
         The length that the cup is taken to have, m.
     spring : SpringCheck or None
         The spring in every pose; None where no stiffness is known.
-    repeated : int
-        Recordings that were given more than once; each counts once.
     instant : float
         Stiffness that a step meets over the static one, by cup.relaxation.
 
@@ -55,7 +60,6 @@ class StaticResult:
     no_length: str
     cup_length: float
     spring: statics.SpringCheck | None = None
-    repeated: int = 0
     instant: float = 1.0
 
     @property
@@ -66,11 +70,10 @@ class StaticResult:
     @property
     def creep(self) -> str:
         """A sentence on rubber that creeps in the standstills; '' where none does."""
-        creeps = [still.creep for still in self.standstills if still.creep.any()]
-        if not creeps:
+        creeps = np.array([still.creep for still in self.standstills if still.creep.any()])
+        if not len(creeps):
             return ''
-        shift, turn = (float(np.linalg.norm(part, axis=1).max())
-                       for part in np.split(np.array(creeps), 2, axis=1))
+        shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
         known = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
                  if self.instant > 1.0 else '')
         return (
@@ -86,38 +89,34 @@ class StaticResult:
 
         What still creeps in a standstill is missing from the bending since the one before.
         """
-        found = [1.0]
+        ratios = [1.0]
         for recording in self.recordings:
             stills = standstills_in(recording)[0]
             for before, still in zip(stills, stills[1:], strict=False):
                 bends = still.lip[3:] - before.lip[3:]
                 part = float(still.creep[3:] @ bends) / max(float(bends @ bends), 1e-12)
                 if 0.0 < part < 1.0:
-                    found.append(1.0 / (1.0 - part))
-        return max(found)
+                    ratios.append(1.0 / (1.0 - part))
+        return max(ratios)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        found = list(self.length.warnings) if self.length else []
-        if self.repeated:
-            found.append(
-                f'{self.repeated} of {self.repeated + len(self.recordings)} recordings were given '
-                'before; each counts once.')
+        warnings = list(self.length.warnings) if self.length else []
         if self.length and abs(self.length.length - self.cup_length) > LENGTHS_AGREE_WITHIN:
-            found.append(
+            warnings.append(
                 f'cup.length is {self.cup_length * 1e3:.2f} mm, but these recordings give '
                 f'{self.length.length * 1e3:.2f} mm. Write the new value to a parameter file '
                 'with --out.')
         for recording in self.recordings:
-            good, failed = standstills_in(recording)
+            settled, failed = standstills_in(recording)
             if failed:
-                found.append(
-                    f'{recording.name}: in {failed} of {failed + len(good)} standstills of the '
+                warnings.append(
+                    f'{recording.name}: in {failed} of {failed + len(settled)} standstills of the '
                     'tool the package was still swinging; they are left out. Hold each pose for '
                     'longer.')
-        return (*found, *(f'{r.name}: {text}' for r in self.recordings for text in
-                          r.report.warnings))
+        return (*warnings, *(
+            f'{each.name}: {text}' for each in self.recordings for text in each.report.warnings))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of a JSON file, in SI units."""
@@ -175,14 +174,14 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
         If a recording is not usable, or static.length asks for one that they do not determine.
 
     """
-    found = _read(static_bags(values), values, lambda what, part: tell(what, 0.0))
+    result = _read(static_bags(values), values, lambda what, part: tell(what, 0.0))
     if not values['static.length']:
-        return found
-    if found.length is None:
-        raise BellowsError(f'static.length is set, but: {found.no_length}')
-    if not np.isfinite(found.length.length_std):
-        raise BellowsError(f'static.length is set, but: {found.length.warnings[0]}')
-    return replace(found, cup_length=found.length.length)
+        return result
+    if result.length is None:
+        raise BellowsError(f'static.length is set, but: {result.no_length}')
+    if not np.isfinite(result.length.length_std):
+        raise BellowsError(f'static.length is set, but: {result.length.warnings[0]}')
+    return replace(result, cup_length=result.length.length)
 
 
 def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
@@ -220,48 +219,44 @@ def static_check(
         (bag, resolve({'package.inertia': NO_INERTIA, **settings, **own}, PACKAGE_PARAMETERS))
         for bag, own in bags]
     values = each[0][1]
-    found = _read(each, values, progress)
-    if found.length is None and 'cup.stiffness' not in settings:
+    result = _read(each, values, progress)
+    if result.length is not None and 'cup.length' not in settings:
+        result = replace(result, cup_length=result.length.length)
+    if 'cup.stiffness' in settings:
+        return with_spring(result, cup_of(values), values['gravity.magnitude'])
+    if result.length is None:
         raise BellowsError(
-            f'{found.no_length} To check the spring instead, give its cup.stiffness with --params.'
-        )
-    if found.length is not None and 'cup.length' not in settings:
-        found = replace(found, cup_length=found.length.length)
-    if 'cup.stiffness' not in settings:
-        return found
-    return with_spring(found, cup_of(values), values['gravity.magnitude'])
+            f'{result.no_length} To check the spring instead, give its cup.stiffness with '
+            '--params.')
+    return result
 
 
-def with_spring(found: StaticResult, cup: Cup, gravity: float) -> StaticResult:
+def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     """Return the result with a cup's spring checked in every pose, at the length found."""
-    cup = Cup(cup.stiffness, cup.damping, found.cup_length)
-    return replace(found, spring=statics.check_spring(cup, found.standstills, gravity))
+    cup = Cup(cup.stiffness, cup.damping, result.cup_length)
+    return replace(result, spring=statics.check_spring(cup, result.standstills, gravity))
 
 
 def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists do not matter at rest."""
     recordings = list[Recording]()
-    for number, (bag, own) in enumerate(each):
+    for number, (bag, parameters) in enumerate(each):
         tell(f'reading {bag}', number / len(each))
-        if own['recording.package_world'] == ESTIMATE:
+        if parameters['recording.package_world'] == ESTIMATE:
             raise BellowsError(
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "
                 'its seven numbers: they are in the cup file of an identification with a motion.')
-        found = load(bag, {**own, 'topics.tool_twist': '', 'fit.time_offset': False})
-        poses = found.package_pose
-        if not any(np.array_equal(poses.stamps_ns, other.package_pose.stamps_ns)
-                   and np.array_equal(poses.position, other.package_pose.position)
-                   for other in recordings):
-            recordings.append(found)
-    stills = [still for recording in recordings for still in standstills_in(recording)[0]]
-    length, no_length = None, ''
+        at_rest = {**parameters, 'topics.tool_twist': '', 'fit.time_offset': False}
+        recordings.append(load(bag, at_rest, with_digest=True))
+        for _, sentence in repeats((each.name, each.digest) for each in recordings):
+            raise BellowsError(sentence)
+    result = StaticResult(tuple(recordings), None, '', values['cup.length'],
+                          instant=1.0 + sum(values['cup.relaxation']))
     try:
-        length = statics.nominal_length(stills, values['gravity.magnitude'])
+        return replace(result, length=statics.nominal_length(
+            result.standstills, values['gravity.magnitude']))
     except UndeterminedError as error:
-        no_length = str(error)
-    return StaticResult(
-        tuple(recordings), length, no_length, values['cup.length'], None,
-        len(each) - len(recordings), 1.0 + sum(values['cup.relaxation']))
+        return replace(result, no_length=str(error))
 
 
 def save_length(result: StaticResult, path: File) -> None:

@@ -102,20 +102,15 @@ class SteerReport(CommandResult):
     @property
     def notes(self) -> tuple[str, ...]:
         """Return notes on the motion."""
-        found = [*self.source.notes, *implausible(self.source.values)]
-        if self.steered.smoothed > 0.0:
-            found.append(
-                'The plan is not C^4, so it was driven faster and smoothed over '
-                f'{1e3 * self.steered.smoothed:.0f} ms, in the same time. At bends the package '
-                'cuts corners.')
-        if self.time_scale > 1.0:
-            found.append(
-                f'Slowed down to {self.time_scale:.3f} times the duration, for the limit '
-                f'{self.limit}.')
-        if self.method != 'inverse' and not self.steered.modes:
-            found.append('No mode swings by more than 0.5 degrees afterwards, so the motion is '
-                         'unchanged.')
-        return tuple(found)
+        return (*self.source.notes, *implausible(self.source.values), *(
+            text for text, applies in (
+                ('The plan is not C^4, so it was driven faster and smoothed over '
+                 f'{1e3 * self.steered.smoothed:.0f} ms, in the same time. At bends the package '
+                 'cuts corners.', self.steered.smoothed > 0.0),
+                (f'Slowed down to {self.time_scale:.3f} times the duration, for the limit '
+                 f'{self.limit}.', self.time_scale > 1.0),
+                ('No mode swings by more than 0.5 degrees afterwards, so the motion is '
+                 'unchanged.', self.method != 'inverse' and not self.steered.modes)) if applies))
 
     @property
     def advice(self) -> str:
@@ -132,9 +127,9 @@ class SteerReport(CommandResult):
         finding = (
             'Given the uncertainty of cup and package, the inverse is expected to leave '
             f'{swings[0]:.2g} degrees and ZVD {swings[1]:.2g}, in {longer:.0f} ms more.')
-        if inverse.expected_swing <= max(SETTLED, zvd.expected_swing):
-            return f'{finding} Take the inverse.'
-        return f'{finding} Use zvd, or identify cup and package better.'
+        best = 'the inverse' if inverse.expected_swing <= max(SETTLED, zvd.expected_swing) else (
+            'zvd, or identify cup and package better')
+        return f'{finding} Use {best}.'
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
@@ -174,12 +169,12 @@ def steer_plan(
         If the plan cannot be read or steered, or the limits cannot be kept to.
 
     """
-    kept = read_limits(
+    bounds = read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     source = plan_with_cup(path, settings, urdf, topic)
     model, of_package = source.model, source.moves == source.values['frames.package']
     bound = bool(limits) or source.joints is not None
-    scale, limit = _scale(source, method, of_package, kept) if bound else (1.0, '')
+    scale, limit = _scale(source, method, of_package, bounds) if bound else (1.0, '')
     wanted = timed(source.tool, scale)
     steered = steer(model, wanted, method, of_package)
     arrival = float((wanted if method == 'inverse' else steered.tool).seconds[-1])
@@ -244,12 +239,9 @@ def _scale(source: Source, method: str, of_package: bool, limits: Limits) -> tup
         factor = math.inf
         if grip is not None and limits.safety_factor > 0.0:
             factor = 1.0 / PlanSimulation(source.model, grip, tool, tail=TAIL).load(1.0)
-        needed = (1.0, '')
-        if source.joints is not None:
-            needed = joint_excess(
-                source.joints.arm, source.joints.along(tool, source.tool),
-                limits.joint_acceleration)
-        return tool, factor, needed
+        joints = source.joints
+        return tool, factor, (1.0, '') if joints is None else joint_excess(
+            joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)
 
     return stretched(limits, motion)
 

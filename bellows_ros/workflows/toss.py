@@ -64,11 +64,10 @@ class TossResult(CommandResult):
 
     def shares(self) -> list[Share]:
         """Return the contribution of each uncertain number, the largest first."""
-        found = [
-            Share(name, float(std), float(np.linalg.norm(part[:3])),
-                  float(np.linalg.norm(part[3:])))
-            for name, std, part, _ in zip(*self.parts, strict=True)]
-        return sorted(found, key=lambda share: -share.metres)
+        return sorted((
+            Share(name, float(std), *map(float, np.linalg.norm(part.reshape(2, 3), axis=1)))
+            for name, std, part, _ in zip(*self.parts, strict=True)),
+            key=lambda share: -share.metres)
 
     def groups(self) -> list[Share]:
         """
@@ -76,15 +75,15 @@ class TossResult(CommandResult):
 
         Numbers of the law of release that are correlated are one, 'release'.
         """
-        found = []
+        shares = []
         correlated = not np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
         for group in (*GROUPS, *(['release'] if correlated else RELEASE_NAMES)):
             std, covariance = self.parts.of(group)
             if len(std):
                 shift, turn = np.sqrt(np.diag(covariance).reshape(2, 3).sum(axis=1)).tolist()
-                found.append(Share(
+                shares.append(Share(
                     group, float(std[0]) if len(std) == 1 else math.nan, shift, turn))
-        return sorted(found, key=lambda share: -share.metres)
+        return sorted(shares, key=lambda share: -share.metres)
 
     @property
     def per_millisecond(self) -> float:
@@ -94,19 +93,19 @@ class TossResult(CommandResult):
 
     def as_json(self) -> dict[str, Any]:
         """Return all numbers, SI units, twists and quaternions (x, y, z, w) of B in the world."""
-        found = self.toss
+        toss = self.toss
         content: dict[str, Any] = {
             'valve_time': self.case.switched,
-            'release_time': found.release_time,
+            'release_time': toss.release_time,
             'release_mode': self.case.held.mode,
-            'release_pose': [*found.release[0], *found.release[1]],
-            'release_twist': [*found.release[2], *found.release[3]],
-            'landing_time': found.landing_time,
-            'landing_position': found.landing[0],
-            'landing_rotation': found.landing[1],
-            'landing_twist': [*found.landing[2], *found.landing[3]],
+            'release_pose': [*toss.release[0], *toss.release[1]],
+            'release_twist': [*toss.release[2], *toss.release[3]],
+            'landing_time': toss.landing_time,
+            'landing_position': toss.landing[0],
+            'landing_rotation': toss.landing[1],
+            'landing_twist': [*toss.landing[2], *toss.landing[3]],
             'landing_covariance': self.covariance,
-            'tumbling': found.tumbling,
+            'tumbling': toss.tumbling,
             'budget': _budget(self.shares()),
             'budget_of_groups': _budget(self.groups()),
             'warnings': self.warnings, 'plan': self.source.path}
@@ -141,35 +140,35 @@ class TossResult(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        found = [*self.source.notes, *implausible(self.source.values)]
+        warnings = [*self.source.notes, *implausible(self.source.values)]
         held, values = self.case.held, self.source.values
-        lost = held.lost_before(self.case.switched)
-        if lost is not None:
-            found.append(
-                f'The grip is lost {lost:.3f} s after the beginning, before the valve is switched '
-                f'at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
+        lost_at = held.lost_before(self.case.switched)
+        if lost_at is not None:
+            warnings.append(
+                f'The grip is lost {lost_at:.3f} s after the beginning, before the valve is '
+                f'switched at {self.case.switched:.3f} s. Move slower, or raise the vacuum.')
         before = held.times <= self.toss.release_time
         angle = float(np.max(plan.bending(*(
             quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states)))))
         if angle > PEAK_MOMENT_BENDING:
-            found.append(flip_sentence(angle, ' before it lets go'))
+            warnings.append(flip_sentence(angle, ' before it lets go'))
         if held.mode == 'delay' and not self.case.release.law[5]:
-            found.append(
+            warnings.append(
                 'Without cup.lip_radius and vacuum.holding, the cup lets go release.delay after '
                 'the valve, whatever the load; release.tau has no effect.')
         if landing.beyond_masses(values):
             lightest, heaviest = values['release.mass_range']
-            found.append(
+            warnings.append(
                 f'package.mass is {values["package.mass"]:.3g} kg, but release.* was '
                 f'identified with packages of {lightest:.3g} to {heaviest:.3g} kg: the release is '
                 'extrapolated, and its uncertainty enlarged. Identify it with drops of this mass.')
         if self.aim is not None and not self.reached:
             turned = ' in this orientation' if self.aim.angle else ''
-            found.append(
+            warnings.append(
                 f'No release of this plan lands at the target{turned}: the best one is '
                 f'{self.aim.distance:.3g} m away, and the target is outside its 95 % ellipse. '
                 'Change the plan or the target.')
-        return tuple(found)
+        return tuple(warnings)
 
 
 def _budget(shares: list[Share]) -> list[dict[str, Any]]:
@@ -230,12 +229,12 @@ def toss_plan(
         If the plan, the parameters or the time are not usable.
 
     """
-    if target is None and target_rotation is not None:
+    if target is None and (target_rotation is not None or switched is None):
         raise BellowsError(
+            'Neither a time nor a target is given. Give --release T or --target.'
+            if target_rotation is None else
             'An orientation is wanted, but no target. Give --target X Y beside '
             '--target-rotation, or leave it out.')
-    if target is None and switched is None:
-        raise BellowsError('Neither a time nor a target is given. Give --release T or --target.')
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
     release, gravity = release_of(source.values), source.gravity

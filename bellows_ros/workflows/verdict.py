@@ -20,16 +20,16 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
 import numpy as np
 
-LOOKED_AT = 3
+MAX_TESTED = 3
 """Recordings tested; more add nothing new."""
 
-MOST_SIMULATED = 50_000
+MAX_SIMULATED = 50_000
 """Samples of a recording that are simulated freely for the verdict."""
 
 UNEXPLAINED = 0.2
 """Largest fraction of the motion in an axis that may be unexplained."""
 
-DRAWN, SIGMAS = 5, 3.0
+DRAWS, SIGMAS = 5, 3.0
 """Cups drawn from the standard errors, and how many standard deviations are allowed."""
 
 LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_world'})
@@ -100,50 +100,50 @@ class FitVerdict(NamedTuple):
     """Standard deviations, SI units, of what was given and the fit has found with K and P ..."""
     expected: Free = MappingProxyType({})
     """... and of all that output error may correct beside them."""
-    heavier: float = 0.0
-    """Logarithm of the inertia over the mass that the fit has found, in the given one."""
+    log_inertia_ratio: float = 0.0
+    """Logarithm of inertia over mass as estimated by the fit, relative to what was given."""
 
-    def allows_for(self, own: causes.Finding) -> bool:
+    def allows_for(self, finding: causes.Finding) -> bool:
         """Return whether the fit has corrected a cause, which is no larger than expected."""
-        return _is_within(own, self.allowed)
+        return _is_within(finding, self.allowed)
 
-    def is_wrong(self, own: causes.Finding) -> bool:
+    def is_wrong(self, finding: causes.Finding) -> bool:
         """Return whether no cup is right without a cause: certain, or likely, large, and for K."""
-        large = (self.chi2 is not None and own.name in LOCAL and own.likely
-                 and own.moved > causes.MATERIAL)
-        return own.datum and not self.allows_for(own) and (own.certain or (
-            large and not _is_within(own, self.expected)))
+        large = (self.chi2 is not None and finding.name in LOCAL and finding.likely
+                 and finding.moved > causes.MATERIAL)
+        return finding.datum and not self.allows_for(finding) and (finding.certain or (
+            large and not _is_within(finding, self.expected)))
 
     @property
     def causing(self) -> list[causes.Finding]:
         """What is wrong, the likeliest first, but after it what is off no more than expected."""
         alone = self.diagnosis.findings
         first = alone if alone and alone[0].is_fact else alone[:1]
-        found = [*first, *self.diagnosis.besides]
-        if not all(own.certain for own in found):
-            return found
-        return sorted(found, key=lambda own: _is_within(own, self.expected))
+        findings = [*first, *self.diagnosis.besides]
+        if not all(finding.certain for finding in findings):
+            return findings
+        return sorted(findings, key=lambda finding: _is_within(finding, self.expected))
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The likeliest cause, where there is one, and what the cup is worth."""
-        return (*self.cause, *self.doubts, *(own.sentence for own in self.simulated))
+        return (*self.cause, *self.doubts, *(simulated.sentence for simulated in self.simulated))
 
     @property
     def is_at_noise(self) -> bool:
         """Whether free simulations are as good as the poses."""
         return bool(self.simulated) and all(
-            (own.rms <= AT_NOISE * own.noise).all() for own in self.simulated)
+            (simulated.rms <= AT_NOISE * simulated.noise).all() for simulated in self.simulated)
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """A sentence where the fit has corrected the inertia, as the mass may be wrong instead."""
-        if abs(self.heavier) < causes.MATERIAL or self.refusals:
+        if abs(self.log_inertia_ratio) < causes.MATERIAL or self.refusals:
             return ()
         return (
-            f'package.inertia is {np.exp(-self.heavier):.3g} times the value consistent with '
-            'package.mass, and the fit has corrected the inertia. If the mass is wrong instead, K '
-            'and P are off by that factor: weigh the package.',)
+            f'package.inertia is {np.exp(-self.log_inertia_ratio):.3g} times the value consistent '
+            'with package.mass, and the fit has corrected the inertia. If the mass is wrong '
+            'instead, K and P are off by that factor: weigh the package.',)
 
     @property
     def cause(self) -> tuple[str, ...]:
@@ -151,8 +151,8 @@ class FitVerdict(NamedTuple):
         if not self.diagnosis.findings:
             return ()
         first, *others = self.causing
-        besides = [f'Besides{"" if own.certain else ", likely"}: '
-                   f'{causes.finding_sentence(own, self.given)}' for own in others]
+        besides = [f'Besides{"" if finding.certain else ", likely"}: '
+                   f'{causes.finding_sentence(finding, self.given)}' for finding in others]
         if self.diagnosis.is_open:
             besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
@@ -177,31 +177,32 @@ class FitVerdict(NamedTuple):
     @property
     def refusals(self) -> tuple[str, ...]:
         """Why the cup is refused; nothing where it is not."""
-        found = []
-        for own in self.simulated:
-            if own.unexplained:
-                found.append(
-                    f'{own.bag}: more than {100.0 * UNEXPLAINED:g} % of the motion is unexplained '
-                    f'in {", ".join(own.unexplained)}.')
-            elif self.chi2 is not None and (own.rms > own.largest).any():
-                found.append(
-                    f'{own.bag}: the free simulation is off by up to '
-                    f'{np.max(own.rms / own.noise):.1f} times the noise, more than the standard '
-                    'errors of K and P allow, so model or data are wrong. Check package.mass, '
-                    'package.com, package.inertia and the frames, or use a richer fit.structure.')
-        if self.simulated and not found and self.chi2 is not None and self.chi2 > MISFIT**2:
-            found.append(
+        reasons = []
+        for simulated in self.simulated:
+            if simulated.unexplained:
+                reasons.append(
+                    f'{simulated.bag}: more than {100.0 * UNEXPLAINED:g} % of the motion is '
+                    f'unexplained in {", ".join(simulated.unexplained)}.')
+            elif self.chi2 is not None and (simulated.rms > simulated.largest).any():
+                ratio = np.max(simulated.rms / simulated.noise)
+                reasons.append(
+                    f'{simulated.bag}: the free simulation is off by up to {ratio:.1f} times the '
+                    'noise, more than the standard errors of K and P allow, so model or data are '
+                    'wrong. Check package.mass, package.com, package.inertia and the frames, or '
+                    'use a richer fit.structure.')
+        if self.simulated and not reasons and self.chi2 is not None and self.chi2 > MISFIT**2:
+            reasons.append(
                 f'What the fit leaves of each pose is {np.sqrt(self.chi2):.1f} times the noise '
                 f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
         causing = self.causing
-        wrong = [own for own in causing if self.is_wrong(own)]
+        wrong = [finding for finding in causing if self.is_wrong(finding)]
         if wrong:
             line = 'first line says' if wrong[0] is causing[0] else 'lines above say'
-            found.append(
+            reasons.append(
                 f'Correct {causes.setting_of(wrong[0])} as the {line}, and fit again.')
-        return tuple(found)
+        return tuple(reasons)
 
     def as_json(self) -> dict[str, Any]:
         """Return it for a JSON file."""
@@ -209,20 +210,20 @@ class FitVerdict(NamedTuple):
             'free_simulations': self.simulated,
             'excess': self.diagnosis.excess,
             'hypotheses': [
-                {**found._asdict(), 'material': found.material,
-                 'setting': causes.setting_of(found),
-                 'sentence': causes.finding_sentence(found, self.given),
-                 'units': dict.fromkeys(('theta', 'std'), causes.KNOWN_CAUSES[found.name].units)}
-                for found in (*self.diagnosis.findings, *self.diagnosis.besides)],
+                {**finding._asdict(), 'material': finding.material,
+                 'setting': causes.setting_of(finding),
+                 'sentence': causes.finding_sentence(finding, self.given),
+                 'units': dict.fromkeys(('theta', 'std'), causes.KNOWN_CAUSES[finding.name].units)}
+                for finding in (*self.diagnosis.findings, *self.diagnosis.besides)],
             'besides': len(self.diagnosis.besides)}
 
 
-def _is_within(own: causes.Finding, std: Free) -> bool:
+def _is_within(finding: causes.Finding, std: Free) -> bool:
     """Return whether a cause is no larger than three standard deviations of what was given."""
-    if own.name not in std or not len(own.theta):
+    if finding.name not in std or not len(finding.theta):
         return False
-    grip = np.delete(std[own.name], 2) if len(own.theta) == 5 else std[own.name]
-    return bool(np.all(np.abs(own.theta) <= SIGMAS * grip))
+    limits = np.delete(std[finding.name], 2) if len(finding.theta) == 5 else std[finding.name]
+    return bool(np.all(np.abs(finding.theta) <= SIGMAS * limits))
 
 
 def allowances(values: Mapping[str, Any]) -> Free:
@@ -232,7 +233,7 @@ def allowances(values: Mapping[str, Any]) -> Free:
 
 def verdict_of(
     fit: Fit | None, recordings: Sequence[Recording], length: float, values: Mapping[str, Any],
-    known: Sequence[str] = (),
+    identifiable: Sequence[str] = (),
 ) -> FitVerdict | None:
     """
     Return the verdict on a fit from some of its recordings, None without any.
@@ -247,59 +248,60 @@ def verdict_of(
         Of the cup, m.
     values : mapping
         Parameters by name.
-    known : sequence of str
-        Labels of the parameters that are identifiable; all where left out.
+    identifiable : sequence of str
+        Labels of the parameters that are; all where left out.
 
     """
-    some = recordings[:LOOKED_AT]
-    if not some:
+    tested = recordings[:MAX_TESTED]
+    if not tested:
         return None
-    held = some[0].payload
-    given = {**values, 'package.mass': held.mass, 'package.com': held.com,
-             'package.inertia': np.diag(held.inertia)}
-    slow = fit is not None and fit.method == 'output_error' and (
-        not are_differentiable(some, given))
-    if fit is not None and slow:
+    package = tested[0].payload
+    given = {**values, 'package.mass': package.mass, 'package.com': package.com,
+             'package.inertia': np.diag(package.inertia)}
+    if fit is not None and fit.method == 'output_error' and not are_differentiable(tested, given):
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
-            *(wrong for own in some for wrong in causes.corrected(own)[0]), *fit.causes[:1]),
-            fit.causes[1:])
+            *(finding for recording in tested for finding in causes.corrected(recording)[0]),
+            *fit.causes[:1]), fit.causes[1:])
     else:
-        diagnosis = diagnose(some, length, given_structure(given), known)
+        diagnosis = diagnose(tested, length, given_structure(given), identifiable)
     if fit is None:
         return FitVerdict((), diagnosis, given)
     expected, uncertain = allowances(values), stated(given_std(values))
     allowed = {name: std for name, std in expected.items() if name in fit.found}
-    heavier = float(np.mean(fit.found['inertia']) - np.mean(fit.found.get('mass', 0.0))) if (
+    log_inertia_ratio = float(
+        np.mean(fit.found['inertia']) - np.mean(fit.found.get('mass', 0.0))) if (
         'inertia' in fit.found) else 0.0
     length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(given).places)
-    some = [as_found(own, fit.found, number) for number, own in enumerate(some)]
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
-    found = FitVerdict(tuple(_simulated(cup, own, others) for own in some if fit.usable),
-                       diagnosis, given, fit.robust_chi2, allowed, expected, heavier)
-    if fit.method == 'output_error' and not fit.causes and found.is_at_noise:
-        # Wrenches know no more than the fit, which tests all but what has a stated error.
+    verdict = FitVerdict(
+        tuple(_simulated(cup, as_found(recording, fit.found, number), others)
+              for number, recording in enumerate(tested) if fit.usable),
+        diagnosis, given, fit.robust_chi2, allowed, expected, log_inertia_ratio)
+    if fit.method == 'output_error' and not fit.causes and verdict.is_at_noise:
+        # The fit itself tests all that wrenches show, except for what has a stated error.
         findings, besides = (
-            tuple(own for own in each if own.is_fact or not own.datum or own.name in uncertain)
+            tuple(finding for finding in each
+                  if finding.is_fact or not finding.datum or finding.name in uncertain)
             for each in (diagnosis.findings, diagnosis.besides))
         diagnosis = diagnosis._replace(findings=findings, besides=besides)
-        found = found._replace(diagnosis=diagnosis)
-    if not found.cause:  # wrenches show none
-        found = found._replace(diagnosis=diagnosis._replace(
-            findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))
-    return found
+        verdict = verdict._replace(diagnosis=diagnosis)
+    if verdict.cause:
+        return verdict
+    return verdict._replace(diagnosis=diagnosis._replace(  # wrenches show no cause
+        findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))
 
 
 def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
     """Return cups with K and P drawn from the covariance of a fit, and widely without one."""
-    known, rng = np.isfinite(np.diag(fit.covariance)), np.random.default_rng(0)
-    if not known.any():
+    finite, rng = np.isfinite(np.diag(fit.covariance)), np.random.default_rng(0)
+    if not finite.any():
         return []
     thetas = fit.parameters * np.where(
-        known, 1.0, np.exp(rng.standard_normal((DRAWN, len(known)))))
-    thetas[:, known] = rng.multivariate_normal(
-        fit.parameters[known], fit.covariance[np.ix_(known, known)], DRAWN, method='eigh')
+        finite, 1.0, np.exp(rng.standard_normal((DRAWS, len(finite)))))
+    thetas[:, finite] = rng.multivariate_normal(
+        fit.parameters[finite], fit.covariance[np.ix_(finite, finite)], DRAWS, method='eigh')
     matrices = (structure.matrices(theta) for theta in thetas)
     return [gripper_of(Cup(K, P, cup.length, fit.relaxation), structure.places)
             for K, P in matrices if min(np.linalg.eigvalsh(K)[0], np.linalg.eigvalsh(P)[0]) > 0.0]
@@ -310,18 +312,18 @@ def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Si
     from bellows_ros.core.identification.validation import predicted, validate
 
     try:
-        found = validate(cup, recording, MOST_SIMULATED)
+        result = validate(cup, recording, MAX_SIMULATED)
     except UnstableError:
-        nothing = np.full(6, np.nan)
-        return Simulated(recording.name, nothing, nothing, nothing, AXES)
-    moved = []
+        unknown = np.full(6, np.nan)
+        return Simulated(recording.name, unknown, unknown, unknown, AXES)
+    changes = []
     for other in others:
         with suppress(UnstableError):
-            moved.append(predicted(other, recording, MOST_SIMULATED) - found.predicted)
-    beyond = found.moves & ~(found.model_error <= UNEXPLAINED)
-    seconds = float(np.ptp(found.stamps_ns)) / NS_PER_S
+            changes.append(predicted(other, recording, MAX_SIMULATED) - result.predicted)
+    beyond = result.moves & ~(result.model_error <= UNEXPLAINED)
+    seconds = float(np.ptp(result.stamps_ns)) / NS_PER_S
     return Simulated(
-        recording.name, found.scores.rms, found.noise, found.scores.motion,
+        recording.name, result.scores.rms, result.noise, result.scores.motion,
         tuple(AXES[i] for i in np.flatnonzero(beyond)),
-        seconds if len(recording.valid) > MOST_SIMULATED else 0.0,
-        np.sqrt(np.nanmean(np.square(moved), axis=(0, 1))) if moved else 0.0)
+        seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
+        np.sqrt(np.nanmean(np.square(changes), axis=(0, 1))) if changes else 0.0)

@@ -20,7 +20,7 @@ from bellows_ros.workflows.recordings import Failed
 ANSWER_WITHIN = 10.0
 """Longest wait (s) for an answer of the Dask scheduler."""
 
-LOOK_EVERY = 0.5
+PARENT_CHECK_PERIOD = 0.5
 """Period (s) at which a process checks that its parent exists."""
 
 Work = tuple[int, str, dict[str, Any]]
@@ -37,17 +37,18 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
         yield from (_tried(task, *item) for item in work)
         return
     joblib = _imported('joblib', 'parallel', '--jobs')
-    left = {item[0]: item for item in work}
-    while left:
+    pending = {item[0]: item for item in work}
+    while pending:
         begun: list[int] = []
         try:
-            with closing(_in_pool(joblib, jobs, task, _noted([*left.values()], begun))) as results:
+            with closing(_in_pool(
+                    joblib, jobs, task, _noted([*pending.values()], begun))) as results:
                 for number, result in results:
-                    del left[number]
+                    del pending[number]
                     yield number, result
         except BrokenProcessPool:
             # One of those begun has ended its process; in a pool of its own it ends no other.
-            for item in (left.pop(number) for number in begun if number in left):
+            for item in (pending.pop(number) for number in begun if number in pending):
                 try:
                     yield from _in_pool(joblib, 2, task, [item])
                 except BrokenProcessPool:
@@ -86,7 +87,7 @@ def _end_with(parent: int) -> None:
     """End this process, from a thread, once its parent is gone: even one that was killed."""
     def watch() -> None:
         while os.getppid() == parent:
-            time.sleep(LOOK_EVERY)
+            time.sleep(PARENT_CHECK_PERIOD)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
@@ -106,12 +107,7 @@ def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any], **more:
     except BellowsError as error:
         return number, Failed(bag, str(error))
     except Exception as error:  # noqa: BLE001 (one recording must not end the work on others)
-        return _broken(number, bag, error)
-
-
-def _broken(number: int, bag: str, error: Exception) -> Outcome:
-    """Return the failure of the work on a recording."""
-    return number, Failed(bag, f'{type(error).__name__}: {error}')
+        return number, Failed(bag, f'{type(error).__name__}: {error}')
 
 
 def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]:
@@ -128,8 +124,8 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
             'and give the address that it prints.') from None
     with client:
         futures = [
-            client.submit(_tried, task, number, bag, own, path=os.path.abspath(bag), pure=False)
-            for number, bag, own in work]
+            client.submit(_tried, task, number, bag, values, path=os.path.abspath(bag), pure=False)
+            for number, bag, values in work]
         for future, (number, bag, _) in zip(futures, work, strict=True):
             try:
                 result: Outcome = future.result()
@@ -138,7 +134,7 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
                     raise BellowsError(
                         f"The Dask scheduler at '{address}' was lost during the work. See in its "
                         'log why, start it again, and repeat the command.') from None
-                result = _broken(number, bag, error)
+                result = number, Failed(bag, f'{type(error).__name__}: {error}')
             yield result
             future.release()
 

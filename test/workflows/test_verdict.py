@@ -55,7 +55,7 @@ def test_what_is_off_no_more_than_expected_comes_last():
 
 @pytest.mark.parametrize(('heavier', 'said'), [(0.09, '0.914 times'), (-0.09, '1.09'), (0.03, '')])
 def test_an_inertia_that_was_corrected_makes_the_mass_doubtful(heavier, said):
-    found = judged()._replace(heavier=heavier)
+    found = judged()._replace(log_inertia_ratio=heavier)
     assert said in ' '.join(found.sentences) and bool(found.sentences) == bool(said)
 
 
