@@ -258,7 +258,8 @@ def _without_loss(free: Replay, camera: Observed | None) -> tuple[str, ...]:
     causes = tuple(_causes(free.values, free.validation))
     return (
         f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
-        f'that are not of the cup. Rate it with --set recording.end={max(losses[0] - 0.5, 0.0):.1f}.',
+        f'that are not of the cup. Rate it with --set '
+        f'recording.end={max(losses[0] - 0.5, 0.0):.1f}.',
         *(warning for warning in free.warnings if warning not in causes))
 
 
