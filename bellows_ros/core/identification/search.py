@@ -43,9 +43,9 @@ from bellows_ros.core.identification.quantities import (
 )
 from bellows_ros.core.identification.result import LARGEST_ERROR
 from bellows_ros.core.identification.whitening import (
-    inner_states,
-    likeliest,
-    NUMBERS,
+    PARAMETER_COUNT,
+    smooth,
+    state_count,
     whiten,
     with_mean,
 )
@@ -622,7 +622,7 @@ class Search:
             if segment.period * LOW_RATE_HZ > 1.0:
                 differences = own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
                 seen = (MAD_TO_STD * np.median(np.abs(differences), axis=0)) ** 2
-                known = np.median(own.spread - own.own, axis=0)
+                known = np.median(own.spread, axis=0) - own.own
                 before = segment.std
                 segment.std = np.sqrt(np.maximum(seen - known, 0.1 * seen))
                 settled &= bool(np.all(np.abs(segment.std - before) < SETTLED * before))
@@ -661,14 +661,14 @@ class Search:
             adapted(model, row_state(tool[0]), body) for body in (segment.expected, segment.first))
         first = _shrunk(model, tool[0], first, segment.std)
         numbers, moves, delay = self._columns(segment, free, raw)
-        count, size, inner = len(nodes.stamps), len(raw), inner_states(first)
+        count, size, inner = len(nodes.stamps), len(raw), state_count(first)
         is_correlated = noise.correlation > 0.0
         states = inner + (12 if is_correlated else 6)
         lengths = np.diff(nodes.stamps) / NS_PER_S
         noise_correlations = (
             noise.correlation ** (lengths / segment.period) if is_correlated else lengths)
         held, innovations, tool_variances, correlations = segment.tool_noise(nodes)
-        own = np.tile((SMALLEST if is_correlated else segment.std) ** 2, (size, 1))
+        own = (SMALLEST if is_correlated else segment.std) ** 2
         S, P = np.zeros((states, len(theta) + 1)), np.zeros((states, states))
         known = np.concatenate([START[:inner], np.zeros(6), segment.std])[:states]
         P[range(states), range(states)] = known**2
@@ -676,6 +676,7 @@ class Search:
         last = WRENCH.start if np.any(numbers[DAMPING.stop:]) else DAMPING.stop
         out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
         T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
+        B[:, :inner], B[:, inner:inner + 6] = 0.5 * held[:, None, None], np.eye(6)
         gains = np.zeros((size, 6, states + 1))
         steps = substeps_of(lengths, _longest_integration(model, COARSE if forgets else 1.0))
         scales, beyond, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
@@ -684,16 +685,14 @@ class Search:
             reach = bent.max(axis=0)
             scales, beyond = self._of_cup(theta, segment, nodes.stamps, bent)
         whiten(
-            model, first, S, P, tool, lengths, steps, held, innovations, tool_variances,
-            correlations, forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
+            model, first, S, P, tool, lengths, steps, innovations, tool_variances, correlations,
+            forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
             np.column_stack([
                 package.position, rotation_to_quaternion(package.rotation), nodes.late]), own,
             segment.std**2, noise_correlations, last, numbers, scales, beyond, delay, moves, out,
             slopes, T, B, gains)
-        if delay >= 0:
-            slopes[:, :, delay] *= self.units[delay]  # the kernel has it per second
         found, slope = np.zeros((count, 6)), np.zeros(states)
-        likeliest(out, nodes.place, tool_variances, inner + 6, T, B, gains, found, slope)
+        smooth(out, nodes.place, tool_variances, inner + 6, T, B, gains, found, slope)
         change = np.zeros_like(segment.deviation)
         change[nodes.sampled] = found[nodes.samples]
         nearer = ahead - START[:inner] ** 2 * slope[:inner]
@@ -718,17 +717,19 @@ class Search:
 
     def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
         """Return the model's numbers, the package's poses and the delay, by the unknowns."""
-        numbers = np.zeros((NUMBERS, len(self.units)))
+        numbers = np.zeros((PARAMETER_COUNT, len(self.units)))
         moves = np.zeros((len(raw), 6, len(self.units)))
         numbers[:DAMPING.stop, :self.count] = self.structure.upper
         places = self.own_places(segment)
         payload = payload_of(segment.measured.payload, free)
         for name, own in places.items():
-            numbers[:, own] = model_columns(name, payload, np.eye(NUMBERS))
+            numbers[:, own] = model_columns(name, payload, np.eye(PARAMETER_COUNT))
             change = pose_changes(name, raw, segment.moves, segment.measured.middle)
             if change is not None:
                 moves[:, :, own] = -change
         delay = int(places['time_offset'][0]) if 'time_offset' in places else -1
+        if delay >= 0:
+            moves[:, :, delay] = 1.0
         return np.pad(numbers * self.units, ((0, 0), (0, 1))), moves * self.units, delay
 
 
