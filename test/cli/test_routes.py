@@ -43,8 +43,8 @@ def test_a_page_of_very_many_recordings_is_refused(bellows, root, tmp_path):
 
 def test_a_search_that_does_not_end_gives_no_cup(bellows, root, tmp_path, monkeypatch):
     """End with 1, without standard errors and without a cup file."""
-    monkeypatch.setattr(search, 'MOST_STEPS', 1)
-    monkeypatch.setattr(search, 'STILL_ENOUGH', 0.0)
+    monkeypatch.setattr(search, 'MAX_STEPS', 1)
+    monkeypatch.setattr(search, 'LOOSE_TOLERANCE', 0.0)
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     done = bellows('identify', 'bags/validation', '--params', 'bags/package.yaml', '--to', '6',
                    '--out', cup, '--json', fit, cwd=root)

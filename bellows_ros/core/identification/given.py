@@ -30,12 +30,11 @@ from bellows_ros.core.identification.quantities import (
     poses_of,
 )
 from bellows_ros.core.identification.search import (
+    MAX_NOISE_CHI2,
     Minimum,
-    MISFIT,
-    MOST_CHI2,
+    MISFIT_CHI2,
     Search,
     Segment,
-    squares,
 )
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
@@ -50,8 +49,8 @@ KNOWN_BETTER = 1000.0
 LEAST_CHI2 = 1.03
 """Chi^2 per difference above which another minimum is looked for where something given is off."""
 
-HELD, LEAST = 1e8, 1e-9
-"""Information that holds the other directions; and the smallest standard deviation, SI units."""
+FIXED_INFORMATION, LEAST = 1e8, 1e-9
+"""Information that fixes the other directions; and the smallest standard deviation, SI units."""
 
 ORDINARY: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
 """Standard deviations of a package where none is stated: parts of mass and inertia, and m."""
@@ -97,18 +96,17 @@ def with_given(
     near = search, found, np.zeros((size, size))
     if more and found.converged:
         near = _near_with_given(search, found, more, note)
-    noise = (LEAST_CHI2 if is_off else MOST_CHI2) * sum(
-        len(own.innovations) for own in near[1].parts)
-    if not more or near[1].converged and squares(near[1].parts) < noise:
+    noise = (LEAST_CHI2 if is_off else MAX_NOISE_CHI2) * near[1].count
+    if not more or near[1].converged and near[1].squares < noise:
         return near
     stds = [segment.std for segment in search.segments]
     for segment in search.segments:
-        segment.begin()
-    wide = search.beside(found._replace(theta=search.start), more)
-    again = wide.found(note)
+        segment.reset()
+    wide = search.with_free(search.start, more)
+    again = wide.minimum(note)
     off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
     if again.converged and np.all(off < SIGNIFICANT) and not (
-            near[1].converged and squares(near[1].parts) < squares(again.parts)):
+            near[1].converged and near[1].squares < again.squares):
         return wide, again, np.zeros((len(wide.units),) * 2)
     _restore(search, near[1], stds)
     return near
@@ -119,22 +117,22 @@ def _near_with_given(
 ) -> tuple[Search, Minimum, Array]:
     """Return the minimum near one with what the recordings know better free; see `with_given`."""
     size = len(search.units)
-    wide = search.beside(found, more)
+    wide = search.with_free(found.theta, more)
     std = wide.weights[size:] ** -0.5
-    parts, H, g = wide.system(wide.at(search, found.theta), 0.0)
+    start = wide.transferred(search, found.theta)
+    parts, H, g = wide.system(start)
     if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
         return search, found._replace(converged=False), np.zeros((size, size))
     S = H[size:, size:] - H[size:, :size] @ np.linalg.solve(H[:size, :size], H[:size, size:])
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # with 1 of what was given
     free = int(np.count_nonzero(values > KNOWN_BETTER))
-    held = vectors[:, :len(std) - free] / std[:, None]
-    wide.held = np.zeros_like(H)
-    wide.held[size:, size:] = HELD * held @ held.T
-    again = wide.found(note, wide.at(search, found.theta), (parts, H + wide.held, g))
+    fixed = vectors[:, :len(std) - free] / std[:, None]
+    wide.fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
+    again = wide.minimum(note, start, (parts, H + wide.fixing, g))
     if again.converged:
-        search, found, H = wide, again, again.information - wide.held
+        search, found, H = wide, again, again.information - wide.fixing
     else:
-        search.take(found.parts)
+        search.accept(found.parts)
         free = 0
     by = np.eye(len(H))
     by[size:, size:] = std[:, None] * vectors[:, ::-1]  # the best known first
@@ -238,8 +236,7 @@ def causes(
     certain = (moved > MOVES or left < DISTINCT) and (
         rival < DISTINCT * fall or is_all and fall - rival > SIGNIFICANT**2)
     if not more:  # what no cause explains may be of another
-        certain = certain and squares(again.parts) < MISFIT * sum(
-            len(own.innovations) for own in again.parts)
+        certain = certain and again.squares < MISFIT_CHI2 * again.count
     more = tuple(own._replace(certain=own.certain and certain) for own in more)
     value, datum = '', name not in OF_CUP
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion
@@ -272,7 +269,7 @@ def _in_other_frame(
         own.measured.package, position=own.measured.package.position + sign * apply(
             own.measured.package.rotation, own.measured.payload.com))))
         for own in search.segments]
-    there = other.found(lambda cup, chi2: None)
+    there = other.minimum()
     if not there.converged:
         return None
     beside = _freed(other, there, 'com', [segment.std for segment in other.segments])
@@ -293,8 +290,8 @@ class _Freed(NamedTuple):
 def _freed(search: Search, found: Minimum, name: str, noise: list[Array]) -> _Freed:
     """Return the search from a minimum with one quantity more, and what that explains."""
     _restore(search, found, noise)
-    wide = search.beside(found, anything([name]))
-    again = wide.found(lambda cup, chi2: None, wide.at(search, found.theta))
+    wide = search.with_free(found.theta, anything([name]))
+    again = wide.minimum(near=wide.transferred(search, found.theta))
     gain = _gain(found, again) if again.converged else -np.inf
     return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
 
@@ -303,14 +300,12 @@ def _restore(search: Search, found: Minimum, noise: list[Array]) -> None:
     """Go back to the paths, first states and noise of a minimum."""
     for segment, std in zip(search.segments, noise, strict=True):
         segment.std = std
-    search.take(found.parts)
+    search.accept(found.parts)
 
 
 def _gain(found: Minimum, again: Minimum) -> float:
     """Return by how much squares fall, in the noise that is left, as that of slow poses is fit."""
-    before, after = (np.concatenate([
-        own.innovations.reshape(-1, 6) ** 2 * own.spread for own in minimum.parts])
-        for minimum in (found, again))
+    before, after = (minimum.residuals**2 for minimum in (found, again))
     return float(len(after) * np.sum(np.log(np.mean(before, axis=0) / np.mean(after, axis=0))))
 
 
@@ -319,8 +314,8 @@ def _scores(
 ) -> Iterator[tuple[float, str]]:
     """Yield by how much the squares would fall with each quantity free."""
     names = [name for name in CANDIDATES if name not in (*search.places, *known)]
-    wide = search.beside(found, anything(names))
-    _, H, g = wide.system(wide.at(search, found.theta), 0.0)
+    wide = search.with_free(found.theta, anything(names))
+    _, H, g = wide.system(wide.transferred(search, found.theta))
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
     for name in names:
@@ -332,9 +327,7 @@ def _scores(
 
 def _rest(found: Minimum) -> float:
     """Return the mean square of the differences, 1 mm as much as 10 mrad."""
-    left = np.concatenate([own.innovations.reshape(-1, 6) ** 2 * own.spread
-                           for own in found.parts])
-    return float(np.sum(np.mean(left, axis=0) / [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]))
+    return float(np.sum(np.mean(found.residuals**2, axis=0) / [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]))
 
 
 def moved_between(*ends: tuple[Search, Minimum]) -> float:

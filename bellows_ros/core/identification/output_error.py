@@ -22,13 +22,12 @@ from bellows_ros.core.identification.least_squares import (
 from bellows_ros.core.identification.quantities import anything, Free, KINDS
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR
 from bellows_ros.core.identification.search import (
-    Measured,
+    MAX_NOISE_CHI2,
+    MeasuredMotion,
     Minimum,
-    MOST_CHI2,
-    Part,
     Search,
     Segment,
-    squares,
+    WhitenedSegment,
 )
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
@@ -78,7 +77,7 @@ NOT_CONVERGED = (
 
 
 def output_error(
-    measured: Sequence[Measured],
+    measured: Sequence[MeasuredMotion],
     structure: Structure,
     start: Cup,
     progress: Callable[[Iteration], None] | None = None,
@@ -92,7 +91,7 @@ def output_error(
 
     Parameters
     ----------
-    measured : sequence of Measured
+    measured : sequence of MeasuredMotion
         Parts of recordings of one cup.
     structure : Structure
         Which entries of K and P are free.
@@ -124,17 +123,17 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    found = search.found(note)
+    found = search.minimum(note)
     if relaxation != 'off':  # rubber may be why a search without it does not converge
         if 'relaxation' not in search.places:
             search, found = _with_relaxation(search, found, note)
         elif not _relaxes(search, found):  # as least squares, which noise disturbs, has it
-            stiff = search.beside(found, {}, relaxes=False)
-            search, found = stiff, stiff.found(note, stiff.at(search, found.theta))
+            stiff = search.with_free(found.theta, {}, relaxes=False)
+            search, found = stiff, stiff.minimum(note, stiff.transferred(search, found.theta))
         if relaxation == 'on' and 'relaxation' not in search.places:
             raise UndeterminedError(NOT_RELAXING)
     reasons = causes(search, found, stated(given))
-    search.take(found.parts)
+    search.accept(found.parts)
     wide, there, from_given = with_given(search, found, given, note, bool(reasons))
     if reasons and moved_between((search, found), (wide, there)) > ANOTHER:
         reasons = tuple(own for own in reasons if own.name in wide.places) or causes(
@@ -146,19 +145,19 @@ def _with_relaxation(
     search: Search, found: Minimum, note: Callable[[Cup, float], None]
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else as it is."""
-    more = search.beside(found, anything(['relaxation']))
-    (own,), theta = more.places['relaxation'], more.at(search, found.theta)
-    _, H, g = more.system(theta, 0.0)
+    more = search.with_free(found.theta, anything(['relaxation']))
+    (own,), theta = more.places['relaxation'], more.transferred(search, found.theta)
+    _, H, g = more.system(theta)
     base = np.arange(own[0])
     H_own, slope = H[np.ix_(own, base)], g[own]
     S = H[np.ix_(own, own)] - H_own @ np.linalg.solve(H[np.ix_(base, base)], H_own.T)
     if slope @ np.linalg.solve(S, slope) > SIGNIFICANT:
-        again = more.found(note, theta)
-        noise = MOST_CHI2 * sum(len(part.innovations) for part in again.parts)
-        left, before = squares(again.parts) - noise, squares(found.parts) - noise
+        again = more.minimum(note, theta)
+        noise = MAX_NOISE_CHI2 * again.count
+        left, before = again.squares - noise, found.squares - noise
         if again.converged and left <= max(MOST_LEFT * before, 0.0) and _relaxes(more, again):
             return more, again
-        search.take(found.parts)
+        search.accept(found.parts)
     return search, found
 
 
@@ -173,8 +172,7 @@ def _strengths(search: Search, found: Minimum, covariance: Array) -> tuple[Array
     if 'relaxation' not in search.places:
         return np.zeros(2), np.zeros((2, 2))
     (own,) = search.places['relaxation']
-    return (np.add(search.given.relaxation, search.units[own] * found.theta[own]),
-            covariance[np.ix_(own, own)])
+    return search.strengths(found.theta), covariance[np.ix_(own, own)]
 
 
 def covariance_of(
@@ -199,7 +197,7 @@ def covariance_of(
             1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1)))
 
 
-def _left_out(information: Array, part: Part, period: float) -> Iterator[Array]:
+def _left_out(information: Array, part: WhitenedSegment, period: float) -> Iterator[Array]:
     """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
     length = 6 * max(round(CLUSTER / period), 1)
     for first in range(0, len(part.innovations), length):
@@ -237,8 +235,7 @@ def _fit(
         notes.append(R2_ASSUMED)
     std = np.where(known, np.sqrt(np.diag(covariance)), np.inf)
     r = np.concatenate([own.innovations for own in found.parts])
-    left = np.concatenate([own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
-                           for own in found.parts])
+    left = found.residuals
     robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
     total = sum(len(segment.measured.package) for segment in search.segments)
     offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
@@ -255,7 +252,7 @@ def _fit(
         residual_rms=np.sqrt(np.mean(left**2, axis=0)),
         notes=tuple(notes) if found.converged else (NOT_CONVERGED,),
         misfit=_misfit(robust_chi2),
-        chi2=squares(found.parts) / max(len(r) - len(x), 1),
+        chi2=found.squares / max(len(r) - len(x), 1),
         robust_chi2=robust_chi2,
         converged=found.converged,
         iterations=tuple(iterations),
@@ -335,11 +332,11 @@ def noise_information(search: Search, found: Minimum) -> Array:
                 for body, seen in zip((measured.package, measured.tool), noise, strict=True))
             noisier.segments.append(Segment(
                 replace(measured, tool=tool, package=package), own.half_window))
-            noisier.segments[-1].first, noisier.segments[-1].std = own.first, own.std
-        parts, H, g = noisier.system(found.theta, 0.0)
+            noisier.segments[-1].start, noisier.segments[-1].std = own.start, own.std
+        parts, H, g = noisier.system(found.theta)
         if np.all(np.isfinite(g)):
-            noisier.take(parts)
-            H, g = noisier.system(found.theta, 0.0)[1:]
+            noisier.accept(parts)
+            H, g = noisier.system(found.theta)[1:]
         if np.all(np.isfinite(g)):
             more.append((H - found.information) / size**2)
         elif size < LEAST_SHAKEN:

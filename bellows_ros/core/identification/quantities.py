@@ -65,13 +65,13 @@ in axes of the lip, m; the length beside the given one, m; logarithms of the fac
 of inertia and of the mass; shift and turn of the package's world about the middle of the
 package's way, and of B in its own axes against the measured pose, m and rad; the strengths of
 relaxation beside those of the start; and parts by which the diagonal of K changes from beginning
-to end, and up to displacements of the size `BENT`.
+to end, and up to displacements of the size `LARGE_DISPLACEMENT`.
 """
 
 OF_CUP = ('drift', 'cubic')
 """Deviations of the cup itself. The model has none; their effect is added to first order."""
 
-BENT = np.repeat([5e-3, 0.1], 3)
+LARGE_DISPLACEMENT = np.repeat([5e-3, 0.1], 3)
 """m, rad."""
 
 DIAGONAL = [0, 6, 11, 15, 18, 20]

@@ -9,9 +9,9 @@ likelihood, is not. K and P move along geodesics of the definite matrices, with 
 logarithm of their size, K about the start, P about that of ordinary rubber, which no number that
 the recordings determine feels.
 
-A start that is far off is brought near first, its damping hardly changed, and without couplings,
-which noise would move anywhere: with an unknown acceleration of the package the differences forget
-what lies further back than a moment.
+A start that is far off approaches first, its damping hardly changed, and without couplings, which
+noise would move anywhere: with an unknown acceleration of the package the differences forget what
+lies further back than a moment.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,37 +29,16 @@ from bellows_ros.core.geometry.lie import (
     quaternion_to_rotation,
     rotation_to_quaternion,
 )
+from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.identification.equations import sizes
 from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
-from bellows_ros.core.identification.quantities import (
-    BENT,
-    Free,
-    KINDS,
-    model_columns,
-    OF_CUP,
-    payload_of,
-    pose_changes,
-    poses_of,
-)
+from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import LARGEST_ERROR
-from bellows_ros.core.identification.whitening import (
-    PARAMETER_COUNT,
-    smooth,
-    state_count,
-    whiten,
-    with_mean,
-)
+from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of
 from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import (
-    rest,
-    row_state,
-    simulate_rows,
-    state_row,
-    tool_rows,
-)
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import BodyNoise, LOW_RATE_HZ, Recording
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample, subdivided
@@ -69,106 +48,103 @@ from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
 from numpy.typing import ArrayLike
 
-SMOOTHED_OVER, SMOOTHED_ORDER, FEWEST = (1 / 6, 1 / 8, 1 / 12), 6, 4
+HALF_WINDOWS, PATH_ORDER, MIN_HALF_WINDOW = (1 / 6, 1 / 8, 1 / 12), 6, 4
 """Half windows (s) and order of the polynomials of the tool's path, and their fewest samples."""
 
-MOST_SMOOTHED = 1.5
+MAX_REMOVED_POWER = 1.5
 """Largest power that a longer window removes beyond a shorter one, over that of noise in it."""
 
-SMALLEST = np.repeat([2e-7, 2e-6], 3)
+MIN_POSE_STD = np.repeat([2e-7, 2e-6], 3)
 """Smallest noise of a pose (m, rad): interpolation and rounding."""
 
-LONGEST_GAP, SHORTEST_SEGMENT = 0.15, 1.0
-"""Longest gap (s) of the tool that is bridged, and shortest part (s) between such gaps."""
+MAX_GAP, MIN_SEGMENT, MAX_SEGMENT = 0.15, 1.0, 60.0
+"""Longest gap (s) of the tool that is bridged, and shortest and longest segment (s) in between.
 
-MISSING = np.repeat([5e-3, 5e-2], 3)
+Longer ones are split, so that memory is bounded.
+"""
+
+BRIDGED_STD = np.repeat([5e-3, 5e-2], 3)
 """Standard deviation of a pose of the tool that is bridged (m, rad)."""
 
-START = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
+INITIAL_STD = np.repeat([0.05, 0.3, 0.5, 3.0, 0.01, 0.1, 0.01, 0.1], 3)
 """
 Standard deviation of the package's first state about its first pose, at rest, and of internal
 strains; SI units.
 """
 
-SWINGING = 3.0
+REST_SIGMAS = 3.0
 """Standard deviations of a pose beyond which a package swings at first."""
 
-LEAST_STRENGTH, ORDINARY_STRENGTH = 1e-6, 0.05
-"""Strengths of relaxation are not below the first where they are searched for; of soft rubber."""
+MIN_STRENGTH, TYPICAL_STRENGTH = 1e-6, 0.05
+"""Strengths of relaxation: the smallest one in a search for them, and that of soft rubber."""
 
-TOGETHER = 2e-4
+SIMULTANEOUS = 2e-4
 """Poses of the package this close (s) to a sample of the tool count as simultaneous, so that a
 small change of the clock does not change which comes first. The twist bridges the rest."""
 
-LONGEST_STEP, LONGEST_INTEGRATION = 0.01, 0.005
+MAX_NODE_STEP, MAX_INTEGRATION_STEP = 0.01, 0.005
 """Longest steps of the linearised model, and of the integrator (s)."""
 
-SHORTEST_INTEGRATION = 5e-6
+MIN_INTEGRATION_STEP = 5e-6
 """
 Shortest step of the integrator (s).
 
 A cup that needs shorter ones, for modes faster than 20,000/s, is no cup: the search turns back.
 """
 
-COARSE = 4.0
-"""Times that steps are longer while a start is brought near: fast modes need no accuracy there."""
+COARSE_FACTOR = 4.0
+"""Times that steps are longer while a start approaches: fast modes need no accuracy there."""
 
-FORGETS = 30.0
-"""What the unknown acceleration forgets per second while a start is brought near; nothing then."""
+FORGETTING_RATE = 30.0
+"""What the unknown acceleration forgets per second while a start approaches; nothing then."""
 
-LEAST_DAMPING = 1e-2
-"""Of steps that bring a start near, in which noise would carry away what is hardly known."""
+APPROACH_DAMPING, MAX_FINAL_DAMPING = 1e-2, 1e-2
+"""Smallest damping of the approach, in which noise would carry away what is hardly known, and
+largest of the last step: a damped step is short wherever the minimum is."""
 
-MOST_DAMPED = 1e-2
-"""Largest damping of the last step: a damped step is short wherever the minimum is."""
-
-WIDE = 2.0, 1.0
-"""Standard deviation of the logarithm of the size of K, about the start, and of P."""
-
-HELD = 0.3
-"""That of P while the start is brought near."""
+PRIOR_LOG_STD, APPROACH_LOG_STD = (2.0, 1.0), 0.3
+"""Standard deviation of the logarithm of the size of K, about the start, and of P; that of P in
+the approach."""
 
 LOSS_FACTOR = 0.25
 """Of the ordinary cup that P is compared with. Without damping a fit to noise would ring."""
 
-LONGEST_WAY = 1.0
+MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
-MIXED, MOST_MIXED, SMALLEST_TURN = 3, 0.9, 0.1
+ANDERSON_DEPTH, MAX_ANDERSON_WEIGHT, MIN_SINGULAR_VALUE = 3, 0.9, 0.1
 """
 How many earlier steps a step is mixed with, the largest weight of one of them (a step 10 times
 too long has 0.9), and the smallest singular value, in the largest, that counts.
 """
 
-SETTLED = 0.03
+NOISE_TOLERANCE = 0.03
 """Part by which the noise of slow poses may change in the last step."""
 
-MOST_NEAR_STEPS, MOST_STEPS, MOST_OF_MISFIT = 10, 60, 30
+MAX_APPROACH_STEPS, MAX_STEPS, MAX_MISFIT_STEPS = 10, 60, 30
 """
-Largest numbers of steps: to bring a start near, after that, and after that with a misfit.
+Largest numbers of steps: of the approach, after that, and after that with a misfit.
 
 So a search simulates a wrong recording 53 times at most (with clocks or frames free, 64). A whole
 fit is several: with relaxation, the likeliest causes and what was given free in turn.
 """
 
-MOST_CHI2, MISFIT = 1.2, 1.5
+MAX_NOISE_CHI2, MISFIT_CHI2 = 1.2, 1.5
 """Chi^2 per difference that is put down to noise, and above which surely more is left."""
 
-NEAR, ENOUGH = 3.0, 3e-3
-"""Squared length of a step, in standard deviations, at which a start is near, and the end."""
+APPROACH_TOLERANCE, TOLERANCE, LOOSE_TOLERANCE = 3.0, 3e-3, 0.1
+"""
+Squared length of a step, in standard deviations, that ends the approach, and the search.
 
-STILL_ENOUGH = 0.1
-"""The same for the last step allowed: numbers that are barely identifiable keep oscillating."""
+And the largest of the last step allowed: numbers that are barely identifiable keep oscillating.
+"""
 
-RISES = 1.2
+MAX_RISE = 1.2
 """Factor by which the sum of squares may rise in a step: their weights change, too."""
-
-LONGEST_PART = 60.0
-"""Longer parts (s) of recordings are split, so that memory is bounded."""
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredMotion:
     """
     A part of a recording in which the tool is known.
 
@@ -205,7 +181,7 @@ class Measured:
     middle: Array | None = None
 
 
-def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
+def measured_motions(recording: Recording, number: int = 0) -> list[MeasuredMotion]:
     """
     Return the parts of a recording between gaps of the tool that cannot be bridged.
 
@@ -215,29 +191,28 @@ def measured_of(recording: Recording, number: int = 0) -> list[Measured]:
         If there is none that is long enough.
 
     """
-    tool, package = recording.aligned_tool, recording.tracked_package
-    tool_noise, package_noise = (
-        own._replace(std=np.maximum(own.std, SMALLEST)) for own in recording.body_noise)
-    middle = package.position[package.valid].mean(axis=0)
-    known = tool.stamps_ns[tool.valid]
-    cuts = np.flatnonzero(np.diff(known) > LONGEST_GAP * NS_PER_S)
-    ends = zip(known[np.append(0, cuts + 1)], known[np.append(cuts, -1)], strict=True)
-    parts = []
-    for first, last in ends:
-        count = int((last - first) / NS_PER_S / LONGEST_PART) + 1
-        for edges in pairwise(np.linspace(0, last - first, count + 1).astype(np.int64)):
-            of_tool, of_package = (
-                poses.select((poses.stamps_ns >= first + edges[0])
-                             & (poses.stamps_ns <= first + edges[1])) for poses in (tool, package))
-            if edges[1] - edges[0] > SHORTEST_SEGMENT * NS_PER_S and of_package.valid.any():
-                parts.append(Measured(
-                    of_tool, of_package, recording.payload, recording.settings.gravity, tool_noise,
-                    package_noise, number, recording.settings.moves_with_com, middle))
-    if not parts:
+    bodies = tool, package = recording.aligned_tool, recording.tracked_package
+    noises = (noise._replace(std=np.maximum(noise.std, MIN_POSE_STD))
+              for noise in recording.body_noise)
+    context = (recording.payload, recording.settings.gravity, *noises, number,
+               recording.settings.moves_with_com, package.position[package.valid].mean(axis=0))
+    stamps = tool.stamps_ns[tool.valid]
+    cuts = np.flatnonzero(np.diff(stamps) > MAX_GAP * NS_PER_S)
+    motions = []
+    for start, end in zip(
+            stamps[np.append(0, cuts + 1)], stamps[np.append(cuts, -1)], strict=True):
+        count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1
+        edges = start + np.linspace(0, end - start, count + 1).astype(np.int64)
+        for first, last in pairwise(edges):
+            poses = [body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
+                     for body in bodies]
+            if last - first > MIN_SEGMENT * NS_PER_S and poses[1].valid.any():
+                motions.append(MeasuredMotion(*poses, *context))
+    if not motions:
         raise UndeterminedError(
-            f'No segment of {SHORTEST_SEGMENT:g} s in which both bodies are tracked. Record '
+            f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked. Record '
             'longer, or check the gaps and outliers in the report.')
-    return parts
+    return motions
 
 
 class Nodes(NamedTuple):
@@ -252,10 +227,10 @@ class Nodes(NamedTuple):
         The nodes at the tool's samples.
     place : int ndarray (M,)
         Number of the package's pose at each node, -1 for none.
-    sampled, seen : bool ndarray
+    sampled, used : bool ndarray
         The tool's samples and the package's poses that are used.
-    late : ndarray (N,)
-        Time (s) from the nodes to the poses seen, of those at a sample of the tool.
+    delays : ndarray (N,)
+        Time (s) from the nodes to the poses used, of those at a sample of the tool.
 
     """
 
@@ -263,101 +238,107 @@ class Nodes(NamedTuple):
     samples: Places
     place: Places
     sampled: Mask
-    seen: Mask
-    late: Array
+    used: Mask
+    delays: Array
 
 
 class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
-    def __init__(self, measured: Measured, half_window: int = 0) -> None:
+    def __init__(self, measured: MeasuredMotion, half_window: int = 0) -> None:
         self.measured = measured
         self.tool = bridged(measured.tool)
         self.half_window = half_window or _half_window_of(
             self.tool, measured.tool_noise.correlation)
         self.inner = slice(self.half_window, len(self.tool) - self.half_window)
         self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
-        self.held = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
-        known = measured.tool.valid[:, None]
-        self.variance = np.where(known, measured.tool_noise.std, MISSING)[self.inner] ** 2
+        # how long (s) each sample of the tool is held
+        self.durations = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
+        valid = measured.tool.valid[:, None]
+        self.variance = np.where(valid, measured.tool_noise.std, BRIDGED_STD)[self.inner] ** 2
         self.package = measured.package.select(measured.package.valid)
-        self.moves = np.array(measured.moves_with_com, dtype=float)
-        self.expected = state_row(
+        self.com_axes = np.array(measured.moves_with_com, dtype=float)
+        self.expected_start = simulation.state_row(
             self.package.position[0], rotation_to_quaternion(self.package.rotation[:1])[0])
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
-        """Take the tool's path, the package's first state and its noise as they were measured."""
-        self.std, self.first = self.measured.package_noise.std, self.expected
-        self.go(np.zeros((len(self.variance), 6)))
+    def reset(self) -> None:
+        """Set the tool's path, the package's first state and its noise as they were measured."""
+        self.std, self.start = self.measured.package_noise.std, self.expected_start
+        self.set_path(np.zeros((len(self.variance), 6)))
 
-    def go(self, change: Array) -> None:
-        """Take the smoothed path through the tool's samples after changes (S, 6) in own axes."""
+    def set_path(self, change: Array) -> None:
+        """Smooth the path through the tool's samples after changes (S, 6) in own axes."""
         tool, shift = self.tool, np.zeros((len(self.tool), 6))
         shift[self.inner] = change
         self.path = savgol(Trajectory(
             tool.stamps_ns, tool.position + apply(tool.rotation, shift[:, :3]),
-            tool.rotation @ exp_so3(shift[:, 3:])), self.half_window, SMOOTHED_ORDER)
-        self.deviation = _between(self.path, tool.select(self.inner))
+            tool.rotation @ exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
+        self.deviation = _deviation(self.path, tool.select(self.inner))
 
     def nodes(self, delay: float) -> Nodes:
         """Return the nodes, with the tool's stamps late by so many seconds."""
-        own, taken = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
-        after = np.clip(np.searchsorted(own, taken), 1, len(own) - 1)
-        nearest = np.where(2 * taken < own[after - 1] + own[after], own[after - 1], own[after])
-        together = np.min(np.diff(taken) // 4, initial=round(TOGETHER * NS_PER_S))
-        stamps = np.where(np.abs(taken - nearest) <= together, nearest, taken)
-        seen = (stamps >= own[0]) & (stamps <= own[-1])
-        if not seen.any():
+        grid, poses = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
+        after = np.clip(np.searchsorted(grid, poses), 1, len(grid) - 1)
+        nearest = np.where(2 * poses < grid[after - 1] + grid[after], grid[after - 1], grid[after])
+        tolerance = np.min(np.diff(poses) // 4, initial=round(SIMULTANEOUS * NS_PER_S))
+        stamps = np.where(np.abs(poses - nearest) <= tolerance, nearest, poses)
+        used = (stamps >= grid[0]) & (stamps <= grid[-1])
+        if not used.any():
             raise BellowsError('No package pose lies within the motion of the tool.')
-        both = np.union1d(own, stamps[seen])
-        both = both[both >= stamps[seen][0]]
-        parts = np.ceil(np.diff(both) / (LONGEST_STEP * NS_PER_S)).astype(np.int64)
+        both = np.union1d(grid, stamps[used])
+        both = both[both >= stamps[used][0]]
+        parts = np.ceil(np.diff(both) / (MAX_NODE_STEP * NS_PER_S)).astype(np.int64)
         nodes = subdivided(both, parts)
-        sampled = own >= nodes[0]
+        sampled = grid >= nodes[0]
         place = np.full(len(nodes), -1)
-        place[np.searchsorted(nodes, stamps[seen])] = np.arange(np.count_nonzero(seen))
-        return Nodes(nodes, np.searchsorted(nodes, own[sampled]), place, sampled, seen,
-                     (taken - stamps)[seen] / NS_PER_S)
+        place[np.searchsorted(nodes, stamps[used])] = np.arange(np.count_nonzero(used))
+        return Nodes(nodes, np.searchsorted(nodes, grid[sampled]), place, sampled, used,
+                     (poses - stamps)[used] / NS_PER_S)
 
     def tool_noise(self, nodes: Nodes) -> tuple[Array, Array, Array, Array]:
         """
-        Return what `whiten` takes of the tool's samples at the nodes.
+        Return what `whiten` needs of the tool's samples at the nodes.
 
         The time that each stands for (M,), the innovations (M, 6) of its noise, their variances
         (M, 6), and its correlation (M,) with the node before.
         """
         correlation, count = self.measured.tool_noise.correlation, len(nodes.stamps)
-        held, correlations = np.zeros(count), np.ones(count)
-        held[nodes.samples] = self.held[self.inner][nodes.sampled]
+        durations, correlations = np.zeros(count), np.ones(count)
+        durations[nodes.samples] = self.durations[self.inner][nodes.sampled]
         correlations[nodes.samples] = correlation
-        innovations, variances = np.zeros((count, 6)), np.zeros((count, 6))
+        innovations, variances = np.zeros((2, count, 6))
         innovations[nodes.samples] = _innovations(self.deviation[nodes.sampled], correlation)
         variances[nodes.samples] = self.variance[nodes.sampled] * (1.0 - correlation**2)
         variances[nodes.samples[0]] /= 1.0 - correlation**2
-        return held, innovations, variances, correlations
+        return durations, innovations, variances, correlations
 
 
-class Part(NamedTuple):
+class WhitenedSegment(NamedTuple):
     """
     The whitened differences of a segment.
 
     Innovations (6 N,), their derivatives (6 N, m) by the unknowns, the variance (N, 6) of each
-    difference and of the part of it that is the pose's own noise, what is found on the way back:
-    the tool's changes and the package's first state. And the largest displacements (6,) of the
-    lip, in `BENT`, where K may change with them.
+    difference and that (6,) of the white noise of a pose, what is found on the way back: the
+    tool's changes and the package's first state. And the largest displacements (6,) of the lip, in
+    `LARGE_DISPLACEMENT`, where K may change with them.
     """
 
     innovations: Array
     jacobian: Array
-    spread: Array
-    own: Array
-    change: Array
-    first: State
+    variance: Array
+    white_variance: Array
+    tool_change: Array
+    start: State
     reach: Array
 
+    @property
+    def residuals(self) -> Array:
+        """The differences (N, 6) themselves, m and rad."""
+        return np.asarray(self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
 
-System = tuple[list[Part], Array, Array]
+
+System = tuple[list[WhitenedSegment], Array, Array]
 """The whitened segments, and information (m, m) and slope (m,) of the whole."""
 
 
@@ -365,9 +346,24 @@ class Minimum(NamedTuple):
     """Where the search ended: unknowns, segments, information, and whether it is a minimum."""
 
     theta: Array
-    parts: list[Part]
+    parts: list[WhitenedSegment]
     information: Array
     converged: bool
+
+    @property
+    def count(self) -> int:
+        """Number of differences."""
+        return sum(len(part.innovations) for part in self.parts)
+
+    @property
+    def squares(self) -> float:
+        """The sum of squares."""
+        return squares(self.parts)
+
+    @property
+    def residuals(self) -> Array:
+        """The differences (N, 6) of all segments, m and rad."""
+        return np.concatenate([part.residuals for part in self.parts])
 
 
 class Search:
@@ -398,164 +394,172 @@ class Search:
         if min(np.linalg.eigvalsh(M)[0] for M in (start.stiffness, start.damping)) <= 0.0:
             start = replace(start, stiffness=np.diag(np.diag(start.stiffness)),
                             damping=np.diag(np.diag(start.damping)))
-        self.segments, self.structure, self.given = segments, structure, start
+        self.segments, self.structure, self.start_cup = segments, structure, start
         units = structure.sizes(start.stiffness, start.damping)
         recordings = 1 + max(segment.measured.recording for segment in segments)
-        self.count, self.places = len(units), dict[str, Places]()
-        wanted, stds, known = [units], [np.full(len(units), np.inf)], [0.0 * units + LARGEST_ERROR]
-        for name, std in free.items():
-            kind = KINDS[name]
-            shape = (recordings if kind.each else 1, kind.size)
-            first = sum(map(len, wanted))
-            self.places[name] = first + np.arange(shape[0] * shape[1]).reshape(shape)
-            wanted.append(np.full(shape[0] * shape[1], kind.unit))
-            known.append(np.full(shape[0] * shape[1], kind.known / kind.unit))
-            stds.append(np.broadcast_to(np.asarray(std) / kind.unit, shape).ravel())
-        self.units, self.weights = np.concatenate(wanted), np.concatenate(stds) ** -2
-        self.held = np.zeros((len(self.units),) * 2)  # more information on the start
-        self.largest = np.concatenate(known)
-        self.start = np.zeros(len(self.units))
-        self.start[:self.count] = structure.parameters(start.stiffness, start.damping) / units
-        self.near = np.eye(len(self.start))  # directions in which a start is brought near
+        shapes = [(recordings if KINDS[name].each else 1, KINDS[name].size) for name in free]
+        ends = np.cumsum([len(units), *map(math.prod, shapes)])
+        self.count, more = len(units), (0, ends[-1] - len(units))
+        self.units, self.weights = np.pad(units, more), np.zeros(ends[-1])
+        self.max_std = np.full(ends[-1], LARGEST_ERROR)  # of what is identifiable
+        self.places = dict[str, Places]()
+        for (name, std), shape, first in zip(free.items(), shapes, ends[:-1], strict=True):
+            kind, place = KINDS[name], first + np.arange(math.prod(shape)).reshape(shape)
+            self.places[name], self.units[place] = place, kind.unit
+            self.max_std[place] = kind.known / kind.unit
+            self.weights[place] = (np.asarray(std) / kind.unit) ** -2
+        self.fixing = np.zeros((ends[-1],) * 2)  # more information on the start
+        self.start = np.pad(structure.parameters(start.stiffness, start.damping) / units, more)
+        self.approach = np.eye(len(self.start))  # directions in which a start approaches
         if self.count > 2 * STRUCTURES['diagonal'].size:
-            others = np.zeros(len(self.start) - self.count)
-            own = [np.append(structure.parameters(*pair), others)
-                   for unit in STRUCTURES['diagonal'].basis
-                   for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
-            self.near = np.vstack([own / self.units, self.near[self.count:]]).T
+            diagonal = [structure.parameters(*pair) / units
+                        for unit in STRUCTURES['diagonal'].basis
+                        for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
+            self.approach = np.vstack([
+                np.pad(diagonal, ((0, 0), more)), self.approach[self.count:]]).T
 
     def cup(self, theta: Array) -> Cup:
         """Return the cup of the unknowns, one of those of a gripper."""
         K, P = self._matrices(theta)
-        return replace(self.given, stiffness=K, damping=P)
+        return replace(self.start_cup, stiffness=K, damping=P)
 
-    def own_places(self, segment: Segment) -> dict[str, Places]:
+    def strengths(self, theta: Array) -> Array:
+        """Return the strengths of relaxation (2,) of the unknowns."""
+        r = np.array(self.start_cup.relaxation)
+        for place in self.places.get('relaxation', ()):
+            r += (self.units * theta)[place]
+        return r
+
+    def places_of(self, segment: Segment) -> dict[str, Places]:
         """Return where a segment's free quantities are, by name."""
         return {name: rows[segment.measured.recording if KINDS[name].each else 0]
                 for name, rows in self.places.items()}
 
-    def at(self, other: 'Search', theta: Array) -> Array:
+    def transferred(self, other: 'Search', theta: Array) -> Array:
         """Return the unknowns at those of another search with the same cup."""
-        there = self.start.copy()
+        moved = self.start.copy()
         for name in self.places.keys() & other.places:
-            there[self.places[name]] = theta[other.places[name]]
-        return there
+            moved[self.places[name]] = theta[other.places[name]]
+        return moved
 
-    def beside(self, found: 'Minimum', more: Free, relaxes: bool = True) -> 'Search':
-        """Return a search about a minimum in which more is free, or no relaxation."""
-        known = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
-                 for name, rows in self.places.items() if relaxes or name != 'relaxation'}
-        cup = self.cup(found.theta)
+    def with_free(self, theta: Array, more: Free, relaxes: bool = True) -> 'Search':
+        """Return a search that starts from unknowns, with more free, or no relaxation."""
+        free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
+                for name, rows in self.places.items() if relaxes or name != 'relaxation'}
+        cup = self.cup(theta)
         return Search(self.segments, self.structure, cup if relaxes else replace(
-            cup, relaxation=(0.0, 0.0)), {**known, **more})
+            cup, relaxation=(0.0, 0.0)), {**free, **more})
 
-    def found(
-        self, note: Callable[[Cup, float], None], near: Array | None = None,
-        begun: System | None = None,
+    def minimum(
+        self, report: Callable[[Cup, float], None] = lambda cup, chi2: None,
+        near: Array | None = None, system: System | None = None,
     ) -> Minimum:
         """
-        Go to the root, from unknowns near to it, and the system there, where they are given.
+        Find the root, from unknowns near to it, and the system there, where they are given.
 
-        A start is brought near without couplings, which noise would disturb, or with them where a
-        misfit remains without. Clocks and frames of each recording are brought near first: as long
+        A start approaches without couplings, which noise would disturb, or with them where a
+        misfit remains without. Clocks and frames of each recording approach first: as long
         as they are far off, a cup that does not swing explains most.
         """
         everything, start = np.eye(len(self.start)), self.start
         if near is not None:
-            return self._stage(near, 0.0, everything, note, begun)
-        own = [rows.ravel() for name, rows in self.places.items() if KINDS[name].each]
-        if own:
-            start = self._stage(start, FORGETS, everything[:, np.concatenate(own)], note).theta
-        found = self._stage(start, FORGETS, self.near, note)
-        if self.near.shape != everything.shape and not (
-                squares(found.parts) < MISFIT * sum(len(own.innovations) for own in found.parts)):
+            return self._descend(near, 0.0, everything, report, system)
+        each = [rows.ravel() for name, rows in self.places.items() if KINDS[name].each]
+        if each:
+            start = self._descend(
+                start, FORGETTING_RATE, everything[:, np.concatenate(each)], report).theta
+        minimum = self._descend(start, FORGETTING_RATE, self.approach, report)
+        if self.approach.shape != everything.shape and not (
+                minimum.squares < MISFIT_CHI2 * minimum.count):
             for segment in self.segments:
-                segment.begin()
-            found = self._stage(start, FORGETS, everything, note)
-        return self._stage(found.theta, 0.0, everything, note)
+                segment.reset()
+            minimum = self._descend(start, FORGETTING_RATE, everything, report)
+        return self._descend(minimum.theta, 0.0, everything, report)
 
-    def _stage(
-        self, theta: Array, forgets: float, directions: Array,
-        note: Callable[[Cup, float], None], begun: System | None = None,
+    def _descend(
+        self, theta: Array, forgetting: float, directions: Array,
+        report: Callable[[Cup, float], None], system: System | None = None,
     ) -> Minimum:
-        """Return the root in some directions, of what the unknown acceleration forgets (1/s)."""
-        parts, H, g = begun or self.system(theta, forgets)
+        """Return the root in some directions; the unknown acceleration forgets at a rate (1/s)."""
+        parts, H, g = system or self.system(theta, forgetting)
         if not np.all(np.isfinite(g)):
-            nothing = [own._replace(**{name: np.nan_to_num(getattr(own, name), posinf=0.0)
-                                       for name in ('innovations', 'jacobian', 'spread')})
-                       for own in parts]
-            return Minimum(theta, nothing, np.eye(len(theta)), False)
-        least = LEAST_DAMPING if forgets else 0.0
-        damping, settled = least, True
+            finite = [part._replace(**{name: np.nan_to_num(getattr(part, name), posinf=0.0)
+                                       for name in ('innovations', 'jacobian', 'variance')})
+                      for part in parts]
+            return Minimum(theta, finite, np.eye(len(theta)), False)
+        min_damping, tolerance, max_steps = (
+            (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
+            (0.0, TOLERANCE, MAX_STEPS))
+        damping, settled = min_damping, True
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
-        end = NEAR if forgets else ENOUGH
-        expected = sum(len(own.innovations) for own in parts)  # with noise as it was taken
-        for number in range(MOST_NEAR_STEPS if forgets else MOST_STEPS):
-            if number >= MOST_OF_MISFIT and squares(parts) > MISFIT * expected:
+        expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
+        for number in range(max_steps):
+            if number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected:
                 break
-            step = g
-            for _ in range(3):  # as each strength of relaxation may be held by the step, too
-                D = directions[:, ~np.any(directions[~self.unbounded(theta, step)], axis=0)]
-                step = D @ np.linalg.solve(
-                    D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
-            way = _mixed(step, H, history)
-            there, length = self.moved(theta, way), self.length_of(step, H)
+            step = self._damped_step(theta, H, g, damping, directions)
+            moved = self.moved(theta, _mixed(step, H, history))
+            length = self.squared_length(step, H)
             try:
-                new = self.system(there, forgets)
-                is_worse = not squares(new[0]) < RISES * max(squares(parts), expected)  # or nan
+                new = self.system(moved, forgetting)
+                improves = squares(new[0]) < MAX_RISE * max(squares(parts), expected)
             except BellowsError:  # no cup is that short or fast, no clock that far off
-                is_worse = True
-            if is_worse:
+                improves = False
+            if not improves:  # or nan
                 damping = max(10.0 * damping, 1e-2)
                 history = []
                 continue
-            history = [*history, (step, there - theta)][-MIXED:]
-            theta, (parts, H, g) = there, new
-            self.take(parts)
-            settled = forgets > 0.0 or self.take_noise(parts)
-            settled &= damping <= MOST_DAMPED
-            damping = max(0.1 * damping, least) if damping > 1e-5 else 0.0
-            note(self.cup(theta), squares(parts) / expected)
-            if length < end and settled:
+            history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
+            theta, (parts, H, g) = moved, new
+            self.accept(parts)
+            settled = forgetting > 0.0 or self.update_noise(parts)
+            settled &= damping <= MAX_FINAL_DAMPING
+            damping = max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0
+            report(self.cup(theta), squares(parts) / expected)
+            if length < tolerance and settled:
                 break
-        self.take_noise(parts)
-        return Minimum(theta, parts, H, length < STILL_ENOUGH and settled)
+        self.update_noise(parts)
+        return Minimum(theta, parts, H, length < LOOSE_TOLERANCE and settled)
 
-    def unbounded(self, theta: Array, step: Array) -> Mask:
-        """Return which unknowns may take a step: no strength of relaxation from zero to below."""
-        free = np.ones(len(theta), dtype=bool)
-        if 'relaxation' in self.places:
-            (own,) = self.places['relaxation']
-            r = np.array(self.given.relaxation) + (self.units * theta)[own]
-            free[own] = (r > LEAST_STRENGTH) | (step[own] > 0.0)
-        return free
+    def _damped_step(
+        self, theta: Array, H: Array, g: Array, damping: float, directions: Array
+    ) -> Array:
+        """Return the step in some directions that no strength of relaxation takes below zero."""
+        step = g
+        for _ in range(3):  # as each strength may be stopped by the step, too
+            D = directions
+            for place in self.places.get('relaxation', ()):
+                stopped = place[(self.strengths(theta) <= MIN_STRENGTH) & ~(step[place] > 0.0)]
+                D = directions[:, ~np.any(directions[stopped], axis=0)]
+            step = D @ np.linalg.solve(D.T @ (H + damping * np.diag(np.diag(H))) @ D, D.T @ g)
+        return np.asarray(step)
 
-    def length_of(self, step: Array, H: Array) -> float:
+    def squared_length(self, step: Array, H: Array) -> float:
         """
         Return the squared length of a step in standard errors, at some information.
 
         What is not identifiable may go on wandering: it does not decide over the others.
         """
         covariance = np.linalg.inv(H)
-        known = np.sqrt(np.diag(covariance)) < self.largest
-        if not known.any():
+        identifiable = np.sqrt(np.diag(covariance)) < self.max_std
+        if not identifiable.any():
             return float(step @ H @ step)
-        return float(step[known] @ np.linalg.solve(covariance[np.ix_(known, known)], step[known]))
+        part = step[identifiable]
+        return float(part @ np.linalg.solve(
+            covariance[np.ix_(identifiable, identifiable)], part))
 
     def moved(self, theta: Array, step: Array) -> Array:
         """Return unknowns after a step, K and P along a geodesic."""
-        there, size = theta + step, self.count // 2
-        moved = []
+        moved, ends = theta + step, []
         for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
             root, inverse = _roots(M)
             values, vectors = np.linalg.eigh(inverse @ change @ inverse)
-            half = root @ vectors * np.exp(0.5 * np.clip(values, -LONGEST_WAY, LONGEST_WAY))
-            moved.append(half @ half.T)
-        there[:2 * size] = self.structure.parameters(*moved) / self.units[:2 * size]
-        if 'relaxation' in self.places:
-            (own,) = self.places['relaxation']
-            there[own] = np.maximum(there[own], -np.array(self.given.relaxation) / self.units[own])
-        return there
+            half = root @ vectors * np.exp(0.5 * np.clip(values, -MAX_LOG_STEP, MAX_LOG_STEP))
+            ends.append(half @ half.T)
+        moved[:self.count] = self.structure.parameters(*ends) / self.units[:self.count]
+        for place in self.places.get('relaxation', ()):
+            moved[place] = np.maximum(
+                moved[place], -np.array(self.start_cup.relaxation) / self.units[place])
+        return moved
 
     def _matrices(self, theta: Array) -> tuple[Array, Array]:
         """Return K and P of unknowns, SI units."""
@@ -563,201 +567,202 @@ class Search:
 
     def ordinary_damping(self, stiffness: Array) -> Array:
         """Return the damping (6, 6) with which each mode of the package has one loss factor."""
-        held = self.segments[0].measured.payload
-        of_lip = np.eye(6)
-        of_lip[:3, 3:] = -hat(held.com)
-        inertia = np.zeros((6, 6))
-        inertia[:3, :3], inertia[3:, 3:] = held.mass * np.eye(3), held.inertia
-        root, inverse = _roots(of_lip.T @ inertia @ of_lip)
+        payload = self.segments[0].measured.payload
+        to_com, inertia = np.eye(6), np.zeros((6, 6))
+        to_com[:3, 3:] = -hat(payload.com)
+        inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
+        root, inverse = _roots(to_com.T @ inertia @ to_com)
         P = LOSS_FACTOR * root @ _roots(inverse @ stiffness @ inverse)[0] @ root
         return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
 
-    def _prior(self, theta: Array, forgets: float) -> tuple[Array, Array]:
+    def _prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
         """Return information (m, m) and slope (m,) of what was known before."""
-        H = np.diag(self.weights) + self.held
+        H = np.diag(self.weights) + self.fixing
         g = H @ (self.start - theta)
         size = self.count // 2
         K, P = self._matrices(theta)
-        ends = (K, self._matrices(self.start)[0]), (P, self.ordinary_damping(K))
-        for half, (M, first) in enumerate(ends):
-            wide = HELD if forgets and half else WIDE[half]
-            index = slice(half * size, (half + 1) * size)
+        means = self._matrices(self.start)[0], self.ordinary_damping(K)
+        stds = PRIOR_LOG_STD[0], APPROACH_LOG_STD if forgetting else PRIOR_LOG_STD[1]
+        for first, M, mean, std in zip((0, size), (K, P), means, stds, strict=True):
+            index = slice(first, first + size)
             unit = np.array(self.structure.basis) * self.units[index, None, None]
             root, inverse = _roots(M)
-            turned = inverse @ unit @ inverse
-            values, vectors = np.linalg.eigh(inverse @ first @ inverse)
-            back = (vectors * np.log(values)) @ vectors.T
-            H[index, index] += np.einsum('aij,bji->ab', turned, turned) / wide**2
-            g[index] = np.einsum('aij,ji->a', turned, back) / wide**2
-        if 'relaxation' in self.places:  # rubbers differ in the ratio of r2 to r1
-            (own,) = self.places['relaxation']
-            r = np.array(self.given.relaxation) + (self.units * theta)[own]
-            std = RATIO_STD * max(r[0], ORDINARY_STRENGTH)
-            by = np.array([-DEFAULT_RATIO, 1.0]) * self.units[own] / std
-            H[np.ix_(own, own)] += np.outer(by, by)
-            g[own] -= by * (r[1] - DEFAULT_RATIO * r[0]) / std
+            slopes = inverse @ unit @ inverse
+            values, vectors = np.linalg.eigh(inverse @ mean @ inverse)
+            difference = (vectors * np.log(values)) @ vectors.T
+            H[index, index] += np.einsum('aij,bji->ab', slopes, slopes) / std**2
+            g[index] = np.einsum('aij,ji->a', slopes, difference) / std**2
+        for place in self.places.get('relaxation', ()):  # rubbers differ in the ratio of r2 to r1
+            r = self.strengths(theta)
+            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
+            slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
+            H[np.ix_(place, place)] += np.outer(slope, slope)
+            g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
         return H, g
 
-    def system(self, theta: Array, forgets: float) -> System:
+    def system(self, theta: Array, forgetting: float = 0.0) -> System:
         """Return the whitened segments, and information and slope of the whole."""
-        parts = [self.part(theta, segment, forgets) for segment in self.segments]
-        H, g = self._prior(theta, forgets)
-        for own in parts:
-            H = H + own.jacobian.T @ own.jacobian
-            g = g + own.jacobian.T @ own.innovations
+        parts = [self.whitened(theta, segment, forgetting) for segment in self.segments]
+        H, g = self._prior(theta, forgetting)
+        for part in parts:
+            H = H + part.jacobian.T @ part.jacobian
+            g = g + part.jacobian.T @ part.innovations
         return parts, H, g
 
-    def take(self, parts: list[Part]) -> None:
-        """Take the likeliest paths and first states; none from a simulation that diverges."""
-        for segment, own in zip(self.segments, parts, strict=True):
-            if np.isfinite(own.change).all() and all(
-                    np.isfinite(part).all() for part in own.first):
-                segment.first = own.first
-                segment.go(own.change)
+    def accept(self, parts: Sequence[WhitenedSegment]) -> None:
+        """Set the likeliest paths and first states, but for a simulation that diverges."""
+        for segment, part in zip(self.segments, parts, strict=True):
+            if all(np.isfinite(values).all() for values in (part.tool_change, *part.start)):
+                segment.start = part.start
+                segment.set_path(part.tool_change)
 
-    def take_noise(self, parts: list[Part]) -> bool:
-        """Take the noise of poses that come slowly; return whether it is as it was."""
+    def update_noise(self, parts: Sequence[WhitenedSegment]) -> bool:
+        """Estimate the noise of poses that come slowly; return whether it hardly changes."""
         settled = True
-        for segment, own in zip(self.segments, parts, strict=True):
+        for segment, part in zip(self.segments, parts, strict=True):
             if segment.period * LOW_RATE_HZ > 1.0:
-                differences = own.innovations.reshape(-1, 6) * np.sqrt(own.spread)
-                seen = (MAD_TO_STD * np.median(np.abs(differences), axis=0)) ** 2
-                known = np.median(own.spread, axis=0) - own.own
+                total = (MAD_TO_STD * np.median(np.abs(part.residuals), axis=0)) ** 2
+                simulated = np.median(part.variance, axis=0) - part.white_variance
                 before = segment.std
-                segment.std = np.sqrt(np.maximum(seen - known, 0.1 * seen))
-                settled &= bool(np.all(np.abs(segment.std - before) < SETTLED * before))
+                segment.std = np.sqrt(np.maximum(total - simulated, 0.1 * total))
+                settled &= bool(np.all(np.abs(segment.std - before) < NOISE_TOLERANCE * before))
         return settled
 
     def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
         """Return the model of a segment, and what is free in it, SI units."""
         values = self.units * theta
-        free = {name: values[places] for name, places in self.own_places(segment).items()}
+        free = {name: values[places] for name, places in self.places_of(segment).items()}
         cup, measured = self._gripper(theta), segment.measured
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
         if 'relaxation' in free:
-            cup = replace(cup, relaxation=_not_below(np.add(cup.relaxation, free['relaxation'])))
-        return model_tuple(cup, payload_of(measured.payload, free), measured.gravity), free
+            cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
+        payload = quantities.payload_of(measured.payload, free)
+        return model_tuple(cup, payload, measured.gravity), free
 
     def _gripper(self, theta: Array) -> Cup:
         """Return what is simulated."""
         return gripper_of(self.cup(theta), self.structure.places)
 
-    def _since(self, segment: Segment, stamps: Stamps) -> Array:
-        """Return the part of a segment's recording that is over at some stamps (M, 1)."""
-        first, *_, last = np.concatenate([
-            own.path.stamps_ns[[0, -1]] for own in self.segments
-            if own.measured.recording == segment.measured.recording])
-        return np.asarray((stamps - first) / (last - first))[:, None]
-
-    def part(self, theta: Array, segment: Segment, forgets: float) -> Part:
+    def whitened(
+        self, theta: Array, segment: Segment, forgetting: float = 0.0
+    ) -> WhitenedSegment:
         """Return a segment's whitened differences."""
         model, free = self.model(theta, segment)
         nodes = segment.nodes(float(free['time_offset'][0]) if 'time_offset' in free else 0.0)
-        raw, noise = segment.package.select(nodes.seen), segment.measured.package_noise
-        package = poses_of(raw, free, segment.moves, segment.measured.middle)
-        tool = tool_rows(resample(segment.path, nodes.stamps))
-        expected, first = (
-            adapted(model, row_state(tool[0]), body) for body in (segment.expected, segment.first))
-        first = _shrunk(model, tool[0], first, segment.std)
-        numbers, moves, delay = self._columns(segment, free, raw)
-        count, size, inner = len(nodes.stamps), len(raw), state_count(first)
+        poses, noise = segment.package.select(nodes.used), segment.measured.package_noise
+        package = quantities.poses_of(poses, free, segment.com_axes, segment.measured.middle)
+        tool = simulation.tool_rows(resample(segment.path, nodes.stamps))
+        expected, start = (
+            adapted(model, simulation.row_state(tool[0]), body)
+            for body in (segment.expected_start, segment.start))
+        start = _shrunk(model, tool[0], start, segment.std)
+        columns, by_pose, delay = self._columns(segment, free, poses)
+        count, size, inner = len(nodes.stamps), len(poses), whitening.state_count(start)
         is_correlated = noise.correlation > 0.0
         states = inner + (12 if is_correlated else 6)
         lengths = np.diff(nodes.stamps) / NS_PER_S
         noise_correlations = (
             noise.correlation ** (lengths / segment.period) if is_correlated else lengths)
-        held, innovations, tool_variances, correlations = segment.tool_noise(nodes)
-        own = (SMALLEST if is_correlated else segment.std) ** 2
-        S, P = np.zeros((states, len(theta) + 1)), np.zeros((states, states))
-        known = np.concatenate([START[:inner], np.zeros(6), segment.std])[:states]
-        P[range(states), range(states)] = known**2
-        S[:inner, -1] = ahead = _away(first, expected)
-        last = WRENCH.start if np.any(numbers[DAMPING.stop:]) else DAMPING.stop
+        durations, innovations, tool_variances, correlations = segment.tool_noise(nodes)
+        white_variance = (MIN_POSE_STD if is_correlated else segment.std) ** 2
+        S = np.zeros((states, len(theta) + 1))
+        S[:inner, -1] = ahead = _difference(start, expected)
+        P = np.diag(np.concatenate([
+            INITIAL_STD[:inner], np.zeros(6), segment.std])[:states] ** 2)
         out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
         T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
-        B[:, :inner], B[:, inner:inner + 6] = 0.5 * held[:, None, None], np.eye(6)
+        B[:, :inner], B[:, inner:inner + 6] = 0.5 * durations[:, None, None], np.eye(6)
         gains = np.zeros((size, 6, states + 1))
-        steps = substeps_of(lengths, _longest_integration(model, COARSE if forgets else 1.0))
-        scales, beyond, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
-        if not self.places.keys().isdisjoint(OF_CUP):
-            bent = _bent(model, tool, simulate_rows(model, first, tool, lengths, steps))
-            reach = bent.max(axis=0)
-            scales, beyond = self._of_cup(theta, segment, nodes.stamps, bent)
-        whiten(
-            model, first, S, P, tool, lengths, steps, innovations, tool_variances, correlations,
-            forgets**4 * segment.period * segment.std**2, forgets > 0.0, nodes.place,
-            np.column_stack([
-                package.position, rotation_to_quaternion(package.rotation), nodes.late]), own,
-            segment.std**2, noise_correlations, last, numbers, scales, beyond, delay, moves, out,
-            slopes, T, B, gains)
-        found, slope = np.zeros((count, 6)), np.zeros(states)
-        smooth(out, nodes.place, tool_variances, inner + 6, T, B, gains, found, slope)
+        steps = substeps_of(
+            lengths, _integration_step(model, COARSE_FACTOR if forgetting else 1.0))
+        scales, extra, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
+        if not self.places.keys().isdisjoint(quantities.OF_CUP):
+            displacement = _displacement(
+                model, tool, simulation.simulate_rows(model, start, tool, lengths, steps))
+            reach = displacement.max(axis=0)
+            scales, extra = self._cup_deviations(theta, segment, nodes.stamps, displacement)
+        whitening.whiten(
+            model, start, S, P, tool, lengths, steps, innovations, tool_variances, correlations,
+            forgetting**4 * segment.period * segment.std**2, forgetting > 0.0, nodes.place,
+            np.column_stack([package.position, rotation_to_quaternion(package.rotation),
+                             nodes.delays]), white_variance,
+            segment.std**2, noise_correlations, WRENCH.start if np.any(columns[DAMPING.stop:])
+            else DAMPING.stop, columns, scales, extra, delay, by_pose, out, slopes, T, B, gains)
+        smoothed, slope = np.zeros((count, 6)), np.zeros(states)
+        whitening.smooth(
+            out, nodes.place, tool_variances, inner + 6, T, B, gains, smoothed, slope)
         change = np.zeros_like(segment.deviation)
-        change[nodes.sampled] = found[nodes.samples]
-        nearer = ahead - START[:inner] ** 2 * slope[:inner]
+        change[nodes.sampled] = smoothed[nodes.samples]
+        correction = ahead - INITIAL_STD[:inner] ** 2 * slope[:inner]
         with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
-            variances = gains[:, :, -1] ** -2
-        return Part(
-            out.ravel(), slopes.reshape(6 * size, -1), variances, own,
+            variance = gains[:, :, -1] ** -2
+        return WhitenedSegment(
+            out.ravel(), slopes.reshape(6 * size, -1), variance, white_variance,
             first_order(change, segment.measured.tool_noise.correlation),
-            with_mean(first, nearer[:, None]), reach)
+            whitening.with_mean(start, correction[:, None]), reach)
 
-    def _of_cup(
-        self, theta: Array, segment: Segment, stamps: Stamps, bent: Array
+    def _cup_deviations(
+        self, theta: Array, segment: Segment, stamps: Stamps, displacement: Array
     ) -> tuple[Array, Array]:
         """Return factors (M, m) of columns from node to node, and unknowns (m,) of `OF_CUP`."""
-        scales, beyond = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
+        first, *_, last = np.concatenate([
+            other.path.stamps_ns[[0, -1]] for other in self.segments
+            if other.measured.recording == segment.measured.recording])
+        profiles = {'drift': np.asarray((stamps - first) / (last - first))[:, None] - 0.5,
+                    'cubic': displacement**2}
+        scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
         K = np.diag(self._gripper(theta).stiffness)
-        courses = {'drift': self._since(segment, stamps) - 0.5, 'cubic': bent**2}
-        for name in self.places.keys() & courses:
+        for name in self.places.keys() & profiles:
             (places,) = self.places[name]
-            scales[:, places], beyond[places] = K * courses[name], theta[places]
-        return scales, beyond
+            scales[:, places], extra[places] = K * profiles[name], theta[places]
+        return scales, extra
 
-    def _columns(self, segment: Segment, free: Free, raw: Trajectory) -> tuple[Array, Array, int]:
-        """Return the model's numbers, the package's poses and the delay, by the unknowns."""
-        numbers = np.zeros((PARAMETER_COUNT, len(self.units)))
-        moves = np.zeros((len(raw), 6, len(self.units)))
-        numbers[:DAMPING.stop, :self.count] = self.structure.upper
-        places = self.own_places(segment)
-        payload = payload_of(segment.measured.payload, free)
-        for name, own in places.items():
-            numbers[:, own] = model_columns(name, payload, np.eye(PARAMETER_COUNT))
-            change = pose_changes(name, raw, segment.moves, segment.measured.middle)
+    def _columns(
+        self, segment: Segment, free: Free, poses: Trajectory
+    ) -> tuple[Array, Array, int]:
+        """Return the model's parameters, the package's poses and the delay, by the unknowns."""
+        columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units)))
+        by_pose = np.zeros((len(poses), 6, len(self.units)))
+        columns[:DAMPING.stop, :self.count] = self.structure.upper
+        payload, delay = quantities.payload_of(segment.measured.payload, free), -1
+        for name, places in self.places_of(segment).items():
+            columns[:, places] = quantities.model_columns(name, payload, np.eye(len(columns)))
+            change = quantities.pose_changes(
+                name, poses, segment.com_axes, segment.measured.middle)
             if change is not None:
-                moves[:, :, own] = -change
-        delay = int(places['time_offset'][0]) if 'time_offset' in places else -1
-        if delay >= 0:
-            moves[:, :, delay] = 1.0
-        return np.pad(numbers * self.units, ((0, 0), (0, 1))), moves * self.units, delay
+                by_pose[:, :, places] = -change
+            if name == 'time_offset':
+                delay = int(places[0])
+                by_pose[:, :, delay] = 1.0
+        return np.pad(columns * self.units, ((0, 0), (0, 1))), by_pose * self.units, delay
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:
     """Return strengths of relaxation with which internal strains are followed."""
-    r = np.maximum(strengths, LEAST_STRENGTH)
+    r = np.maximum(strengths, MIN_STRENGTH)
     return float(r[0]), float(r[1])
 
 
-def squares(parts: Sequence[Part]) -> float:
+def squares(parts: Sequence[WhitenedSegment]) -> float:
     """Return the sum of squares."""
-    return float(sum(own.innovations @ own.innovations for own in parts))
+    return float(sum(part.innovations @ part.innovations for part in parts))
 
 
-def _longest_integration(model: ModelTuple, coarse: float) -> float:
+def _integration_step(model: ModelTuple, factor: float) -> float:
     """Return the longest step (s) of the integrator, or refuse a cup that needs too short ones."""
-    longest = min(coarse * largest_step(model), LONGEST_INTEGRATION)
-    if longest < SHORTEST_INTEGRATION:
+    longest = min(factor * largest_step(model), MAX_INTEGRATION_STEP)
+    if longest < MIN_INTEGRATION_STEP:
         raise BellowsError(
             f'With this cup the simulation needs integration steps of {longest:.2g} s; at least '
-            f'{SHORTEST_INTEGRATION:g} s is expected. Check the units of package.mass, '
+            f'{MIN_INTEGRATION_STEP:g} s is expected. Check the units of package.mass, '
             'package.inertia, cup.stiffness and cup.damping.')
     return longest
 
 
 def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:
     """
-    Return the way to go after steps before this one, and how far the search went after each.
+    Return the change after steps before this one, and how far the search went after each.
 
     Mixed by Anderson's method (1965). Where K and P are known badly, derivatives have noise and
     change from step to step: a step is too short, or so long that the next turns back.
@@ -765,11 +770,11 @@ def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Arr
     if not history:
         return step
     root = np.linalg.cholesky(H).T
-    steps, gone = (np.array(own) for own in zip(*history, strict=True))
-    turned = np.diff(np.vstack([steps, step]), axis=0)
-    part = np.linalg.lstsq(root @ turned.T, root @ step, rcond=SMALLEST_TURN)[0]
-    part *= min(1.0, MOST_MIXED / max(np.abs(part).max(), 1e-99))
-    return np.asarray(step - part @ (gone + turned))
+    steps, changes = map(np.array, zip(*history, strict=True))
+    differences = np.diff(np.vstack([steps, step]), axis=0)
+    weights = np.linalg.lstsq(root @ differences.T, root @ step, rcond=MIN_SINGULAR_VALUE)[0]
+    weights *= min(1.0, MAX_ANDERSON_WEIGHT / max(np.abs(weights).max(), 1e-99))
+    return np.asarray(step - weights @ (changes + differences))
 
 
 def _roots(M: Array) -> tuple[Array, Array]:
@@ -779,7 +784,7 @@ def _roots(M: Array) -> tuple[Array, Array]:
     return (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
 
 
-def _shrunk(model: ModelTuple, tool: Array, first: State, std: Array) -> State:
+def _shrunk(model: ModelTuple, tool: Array, start: State, std: Array) -> State:
     """
     Return a first state that hangs at rest where its pose is within the noise of the poses.
 
@@ -787,31 +792,30 @@ def _shrunk(model: ModelTuple, tool: Array, first: State, std: Array) -> State:
     of that: of a slow camera's poses it is known worse than ordinary swings are large.
     """
     try:
-        hanging = rest(model, tool)
+        rest = simulation.rest(model, tool)
     except UnstableError:
-        return first
-    away = _away(hanging, first)
-    size = np.max(np.abs(away[:6]) / std) / SWINGING
-    return with_mean(hanging, (1.0 - max(size, 1.0) ** -2) * away[:, None])
+        return start
+    difference = _difference(rest, start)
+    size = np.max(np.abs(difference[:6]) / std) / REST_SIGMAS
+    return whitening.with_mean(rest, (1.0 - max(size, 1.0) ** -2) * difference[:, None])
 
 
-def _bent(model: ModelTuple, tool: Array, body: Array) -> Array:
-    """Return the displacements (M, 6) of the lip in `BENT`, nan of a simulation that diverges."""
+def _displacement(model: ModelTuple, tool: Array, body: Array) -> Array:
+    """Return that of the lip (M, 6) in `LARGE_DISPLACEMENT`, nan where a simulation diverges."""
     if not np.isfinite(body).all():
         return np.full((len(body), 6), np.nan)
-    back, R = (quaternion_to_rotation(own[:, 3:7]) for own in (tool, body))
-    back = np.swapaxes(back, 1, 2)
+    R_tool, R = (quaternion_to_rotation(rows[:, 3:7]) for rows in (tool, body))
+    back = np.swapaxes(R_tool, 1, 2)
     o = apply(back, body[:, :3] - apply(R, np.array(model[1][1])) - tool[:, :3])
-    way = np.hstack([o + [0.0, 0.0, model[0][1]], log_so3(back @ R)])
-    return np.asarray(sizes(way) / BENT)
+    displacement = np.hstack([o + [0.0, 0.0, model[0][1]], log_so3(back @ R)])
+    return np.asarray(sizes(displacement) / quantities.LARGE_DISPLACEMENT)
 
 
-def _away(body: State, other: State) -> Array:
+def _difference(body: State, other: State) -> Array:
     """Return what separates a state from another (12,), with internal strains (24,)."""
-    shift, turn = pose_error(body, other[0], other[1])
-    rest = [np.ravel(np.array(there) - np.array(here))
-            for here, there in zip(body[2:], other[2:], strict=True)]
-    return np.concatenate([shift, turn, *rest])
+    return np.concatenate([*pose_error(body, other[0], other[1]), *(
+        np.ravel(np.array(end) - np.array(begin))
+        for begin, end in zip(body[2:], other[2:], strict=True))])
 
 
 def _half_window_of(tool: Trajectory, correlation: float) -> int:
@@ -822,27 +826,27 @@ def _half_window_of(tool: Trajectory, correlation: float) -> int:
     a memory below one sample the shortest leaves little.
     """
     rate = uniform_rate_hz(tool.stamps_ns)
-    *longer, short = (max(round(over * rate), FEWEST) for over in SMOOTHED_OVER)
+    *longer, short = (max(round(duration * rate), MIN_HALF_WINDOW) for duration in HALF_WINDOWS)
     if correlation < math.exp(-1.0):
         return short
-    near, part_near = _taken(tool, short, correlation)
-    noise = np.mean(near**2, axis=0) / (1.0 - part_near)
+    removed, share = _removed(tool, short, correlation)
+    noise = np.mean(removed**2, axis=0) / (1.0 - share)
     for half_window in longer:
-        far, part = _taken(tool, half_window, correlation)
-        more = np.mean((far - near[half_window - short:][:len(far)]) ** 2, axis=0)
-        if np.all(more <= MOST_SMOOTHED * (part_near - part) * noise):
+        more, more_share = _removed(tool, half_window, correlation)
+        power = np.mean((more - removed[half_window - short:][:len(more)]) ** 2, axis=0)
+        if np.all(power <= MAX_REMOVED_POWER * (share - more_share) * noise):
             return half_window
     return short
 
 
-def _taken(tool: Trajectory, half_window: int, correlation: float) -> tuple[Array, float]:
+def _removed(tool: Trajectory, half_window: int, correlation: float) -> tuple[Array, float]:
     """Return the innovations (N, 6) of what a window removes, and the part of noise it leaves."""
-    path = savgol(tool, half_window, SMOOTHED_ORDER)
-    taken = _between(path, tool.select(slice(half_window, len(tool) - half_window)))
-    return _innovations(taken, correlation)[1:], float(path.weights[0, half_window])
+    path = savgol(tool, half_window, PATH_ORDER)
+    removed = _deviation(path, tool.select(slice(half_window, len(tool) - half_window)))
+    return _innovations(removed, correlation)[1:], float(path.weights[0, half_window])
 
 
-def _between(path: Trajectory, poses: Trajectory) -> Array:
+def _deviation(path: Trajectory, poses: Trajectory) -> Array:
     """Return shifts and turns (N, 6) from a path to poses, in axes of the path."""
     back = np.swapaxes(path.rotation, 1, 2)
     return np.hstack([

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.identification.search import Measured, measured_of, Search, Segment
+from bellows_ros.core.identification.search import measured_motions, MeasuredMotion, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
@@ -139,14 +139,14 @@ class Validation(residuals.Comparison):
         if np.min(self.recording.measured_noise) < LEAST_NOISE:
             return None
         try:
-            parts = measured_of(self.recording)
+            parts = measured_motions(self.recording)
         except BellowsError:
             return None
         segment = Segment(_middle(max(parts, key=lambda own: len(own.package))))
         search = Search([segment], STRUCTURES['full'], self.cup, {})
         for _ in range(MOTION_ROUNDS):
-            (part,), _, _ = search.system(search.start, 0.0)
-            search.take([part])
+            (part,), _, _ = search.system(search.start)
+            search.accept([part])
         white = part.innovations.reshape(-1, 6)
         scaled = white * np.repeat(self.recording.measured_noise[1], 3)
         return OneStep(float(np.mean(white**2)), residuals.portmanteau(white),
@@ -186,7 +186,7 @@ class Validation(residuals.Comparison):
         return f'All axes that move are predicted within {part}.'
 
 
-def _middle(part: Measured) -> Measured:
+def _middle(part: MeasuredMotion) -> MeasuredMotion:
     """Return the middle of a part of a recording that is long."""
     stamps = part.package.stamps_ns
     edge = max(len(stamps) - MAX_INNOVATIONS, 0) // 2

@@ -9,7 +9,7 @@ from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import anything, KINDS
-from bellows_ros.core.identification.search import Measured, Search, Segment
+from bellows_ros.core.identification.search import MeasuredMotion, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
@@ -45,7 +45,7 @@ def measured(
     tool = at(truth, tool_hz, 0, tool_noise)
     package = at(body, package_hz, 0 if tool_hz == package_hz else 1_300_000, package_noise)
     package = Trajectory(package.stamps_ns - late_ns, package.position, package.rotation)
-    return Measured(tool, package, PLATE, GRAVITY, BodyNoise(np.repeat(tool_noise, 3)),
+    return MeasuredMotion(tool, package, PLATE, GRAVITY, BodyNoise(np.repeat(tool_noise, 3)),
                     BodyNoise(np.repeat(package_noise, 3)))
 
 
@@ -65,7 +65,7 @@ def test_a_step_to_a_cup_shorter_than_nothing_is_rejected():
     higher = replace(own.package, position=own.package.position + [0.0, 0.0, 0.06])
     search = Search([Segment(replace(own, package=higher))], AXISYMMETRIC, TRUTH,
                     anything(['length']))
-    length = (search.units * search.found(lambda cup, chi2: None).theta)[-1]
+    length = (search.units * search.minimum().theta)[-1]
     assert -TRUTH.length < length < -0.02
 
 
@@ -75,30 +75,30 @@ def test_a_cup_with_which_a_package_would_need_endless_steps_is_no_cup(damping):
     segment = Segment(measured(3, duration=2.0))
     damped = replace(TRUTH, damping=TRUTH.damping * (damping / TRUTH.damping[2, 2]))
     with pytest.raises(BellowsError, match='package.mass'):
-        Search([segment], AXISYMMETRIC, damped, {}).found(lambda cup, chi2: None)
+        Search([segment], AXISYMMETRIC, damped, {}).minimum()
 
 
 def test_a_simulation_that_diverges_leaves_path_and_first_state_as_they_are():
     segment = Segment(measured(3, duration=2.0))
     search = Search([segment], AXISYMMETRIC, TRUTH, {})
-    (part,), _, _ = search.system(search.start, 0.0)
-    path, first = segment.path, segment.first
-    search.take([part._replace(change=np.nan * part.change)])
-    search.take([part._replace(first=tuple(np.inf * np.array(own) for own in part.first))])
-    assert segment.path is path and segment.first is first
-    search.take([part])
-    assert segment.path is not path and segment.first is part.first
+    (part,), _, _ = search.system(search.start)
+    path, first = segment.path, segment.start
+    search.accept([part._replace(tool_change=np.nan * part.tool_change)])
+    search.accept([part._replace(start=tuple(np.inf * np.array(own) for own in part.start))])
+    assert segment.path is path and segment.start is first
+    search.accept([part])
+    assert segment.path is not path and segment.start is part.start
 
 
 def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
     """As of poses in a wrong world with exchanged topics: it ended as a quaternion of nan."""
     search = Search([Segment(measured(3, duration=2.0))], AXISYMMETRIC, TRUTH, {})
-    found = search.found(lambda cup, chi2: None)
+    found = search.minimum()
 
     def diverging(model, first, tool, *steps):
         return np.full((len(tool), 13), np.nan)
 
-    monkeypatch.setattr(module_of_search, 'simulate_rows', diverging)
+    monkeypatch.setattr(module_of_search.simulation, 'simulate_rows', diverging)
     assert causes(search, found) == ()
 
 
@@ -111,7 +111,7 @@ def test_steps_that_turn_in_a_circle_end_in_its_middle():
     for _ in range(12):
         step = G @ x - x
         way = module_of_search._mixed(step, H, history)
-        history, x = [*history, (step, way)][-module_of_search.MIXED:], x + way
+        history, x = [*history, (step, way)][-module_of_search.ANDERSON_DEPTH:], x + way
         circling = G @ circling
     assert np.linalg.norm(circling) > 1.0 and np.linalg.norm(x) < 1e-4
 
@@ -131,8 +131,8 @@ def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, pac
     own = measured(3, tool_noise, package_noise, package_hz=250.0)
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
     for _ in range(2):  # about the measured path, then about the likeliest
-        parts, _, _ = search.system(search.start, 0.0)
-        search.take(parts)
+        parts, _, _ = search.system(search.start)
+        search.accept(parts)
     require_white(parts)
 
 
@@ -143,13 +143,13 @@ def test_every_derivative_is_that_of_the_differences():
     search = Search([Segment(own)], AXISYMMETRIC, cup, {
         name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()})
     for _ in range(3):  # the first state
-        parts, _, _ = search.system(search.start, 0.0)
-        search.take(parts)
+        parts, _, _ = search.system(search.start)
+        search.accept(parts)
     slopes = parts[0].jacobian
     for number in range(len(search.units)):
         size = np.abs(slopes[:, number]).max()
         step = 0.3 / size * (np.arange(len(search.units)) == number)
-        ahead, behind = (search.part(search.start + side * step, search.segments[0], 0.0)
+        ahead, behind = (search.whitened(search.start + side * step, search.segments[0], 0.0)
                          for side in (1.0, -1.0))
         slope = (behind.innovations - ahead.innovations) * size / 0.6
         assert_allclose(slope, slopes[:, number], atol=0.03 * size, err_msg=f'{number}')
@@ -177,14 +177,14 @@ def with_memory(own, kept, std, rng):
         e *= np.repeat(std, 3)
         poses.append(with_errors(body, e))
     noise = BodyNoise(np.repeat(std, 3), kept)
-    return Measured(*poses, PLATE, GRAVITY, noise, noise)
+    return MeasuredMotion(*poses, PLATE, GRAVITY, noise, noise)
 
 
 def test_noise_with_memory_is_whitened():
     own = measured(3, silent=True, package_hz=250.0)
     own = with_memory(own, 0.9, CAPTURE, np.random.default_rng(3))
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
-    require_white(search.system(search.start, 0.0)[0])
+    require_white(search.system(search.start)[0])
 
 
 def test_noise_of_the_path_is_no_information():
@@ -196,8 +196,8 @@ def test_noise_of_the_path_is_no_information():
         search = Search(
             [Segment(replace(own, tool=tool, package=package))], AXISYMMETRIC, TRUTH, {})
         for _ in range(2):
-            parts, _, _ = search.system(search.start, 0.0)
-            search.take(parts)
+            parts, _, _ = search.system(search.start)
+            search.accept(parts)
         information.append(np.sum(parts[0].jacobian**2, axis=0))
     more = np.delete(information[0] / information[1], 5)  # P z is not identifiable
     assert_allclose(more, 1.0, atol=0.06)
@@ -234,8 +234,8 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
         own = Segment(measured(0, package_noise=noise, silent=silent, cup=cup))
         search = Search([own], AXISYMMETRIC, cup, {'package_world': np.full(6, 0.2)})
         for _ in range(2):
-            parts, H, _ = search.system(search.start, 0.0)
-            search.take(parts)
+            parts, H, _ = search.system(search.start)
+            search.accept(parts)
         return np.sqrt(np.diag(np.linalg.inv(H)))[:8]
 
     assert_allclose(spread(False), spread(True), rtol=0.1)
@@ -264,16 +264,16 @@ def test_poses_at_the_stamps_of_the_tool_stay_there_as_the_clock_moves():
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {'time_offset': np.array([1e-3])})
     (own_place,), = search.places['time_offset']
     by = np.eye(len(search.units))[own_place] / search.units[own_place]
-    late, early = (search.part(search.start + seconds * by, search.segments[0], 0.0)
+    late, early = (search.whitened(search.start + seconds * by, search.segments[0], 0.0)
                    for seconds in (2e-6, -2e-6))
     assert_allclose(late.innovations, early.innovations, atol=0.03)
     exact = measured(3, package_hz=250.0, duration=4.0, late_ns=-100_000, silent=True)
     for seconds, largest in ((-1e-4, 2e-6), (0.0, np.inf)):
         search = Search([Segment(exact)], AXISYMMETRIC, TRUTH, {'time_offset': np.array([1e-3])})
         for _ in range(4):
-            part = search.part(search.start + seconds * by, search.segments[0], 0.0)
-            search.take([part])
-        off = np.abs(part.innovations.reshape(-1, 6) * np.sqrt(part.spread))[20:, :3].max()
+            part = search.whitened(search.start + seconds * by, search.segments[0], 0.0)
+            search.accept([part])
+        off = np.abs(part.residuals)[20:, :3].max()
         assert off < largest
     assert off > 2e-5
 
@@ -282,7 +282,7 @@ def test_a_cup_far_too_stiff_for_the_rate_is_followed():
     """Take modes of ten radians a sample as they are: they made the covariance infinite."""
     search = Search([Segment(measured(3, CAPTURE, CAPTURE, 100.0, 100.0, 3.0))], AXISYMMETRIC,
                     scaled(300.0), {})
-    parts, H, g = search.system(search.start, 0.0)
+    parts, H, g = search.system(search.start)
     assert np.isfinite(H).all() and np.isfinite(g).all()
     assert 1.0 < np.mean(parts[0].innovations ** 2) < 1e4
 
@@ -294,7 +294,7 @@ def test_gaps_and_outliers_are_bridged():
     R[50::41] = R[50::41] @ exp_so3(np.array([0.3, 0.0, 0.0]))
     seen = (np.arange(len(R)) < 150) | (np.arange(len(R)) > 190)
     package = Trajectory(own.package.stamps_ns, position, R).select(seen)
-    fit = output_error([Measured(
+    fit = output_error([MeasuredMotion(
         own.tool, package, PLATE, GRAVITY, own.tool_noise, own.package_noise)],
         AXISYMMETRIC, scaled(1.5))
     assert fit.converged
@@ -375,7 +375,7 @@ def test_causes_of_one_minimum_are_not_said_of_another(factor, named, monkeypatc
         size = search.count // 2
         theta = found.theta.copy()
         theta[:size] *= factor
-        wide = search.beside(found._replace(theta=theta), anything(['com']))
+        wide = search.with_free(theta, anything(['com']))
         return wide, found._replace(theta=wide.start), np.zeros((len(wide.units),) * 2)
 
     monkeypatch.setattr(module, 'with_given', with_given)
