@@ -96,7 +96,7 @@ def with_given(
     near = search, found, np.zeros((size, size))
     if more and found.converged:
         near = _near_with_given(search, found, more, note)
-    noise = (LEAST_CHI2 if is_off else MAX_NOISE_CHI2) * near[1].count
+    noise = (LEAST_CHI2 if is_off else MAX_NOISE_CHI2) * near[1].residual_count
     if not more or near[1].converged and near[1].squares < noise:
         return near
     stds = [segment.std for segment in search.segments]
@@ -236,7 +236,7 @@ def causes(
     certain = (moved > MOVES or left < DISTINCT) and (
         rival < DISTINCT * fall or is_all and fall - rival > SIGNIFICANT**2)
     if not more:  # what no cause explains may be of another
-        certain = certain and again.squares < MISFIT_CHI2 * again.count
+        certain = certain and again.squares < MISFIT_CHI2 * again.residual_count
     more = tuple(own._replace(certain=own.certain and certain) for own in more)
     value, datum = '', name not in OF_CUP
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion

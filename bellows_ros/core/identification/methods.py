@@ -193,7 +193,8 @@ def _by_output_error(
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
     start = replace(one_cup_of(values), relaxation=strengths)
-    measured = [part for number, own in enumerate(recordings) for part in measured_motions(own, number)]
+    measured = [motion for number, own in enumerate(recordings)
+                for motion in measured_motions(own, number)]
     if all(own.report.package.timing.rate_hz >= LOW_RATE_HZ for own in recordings):
         start = start_cup([reduced(own, values).statistics for own in recordings], start)
     named = dict.fromkeys(values['fit.free'])

@@ -153,7 +153,7 @@ def _with_relaxation(
     S = H[np.ix_(own, own)] - H_own @ np.linalg.solve(H[np.ix_(base, base)], H_own.T)
     if slope @ np.linalg.solve(S, slope) > SIGNIFICANT:
         again = more.minimum(note, theta)
-        noise = MAX_NOISE_CHI2 * again.count
+        noise = MAX_NOISE_CHI2 * again.residual_count
         left, before = again.squares - noise, found.squares - noise
         if again.converged and left <= max(MOST_LEFT * before, 0.0) and _relaxes(more, again):
             return more, again

@@ -207,7 +207,7 @@ def measured_motions(recording: Recording, number: int = 0) -> list[MeasuredMoti
             poses = [body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
                      for body in bodies]
             if last - first > MIN_SEGMENT * NS_PER_S and poses[1].valid.any():
-                motions.append(MeasuredMotion(*poses, *context))
+                motions.append(MeasuredMotion(poses[0], poses[1], *context))
     if not motions:
         raise UndeterminedError(
             f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked. Record '
@@ -351,7 +351,7 @@ class Minimum(NamedTuple):
     converged: bool
 
     @property
-    def count(self) -> int:
+    def residual_count(self) -> int:
         """Number of differences."""
         return sum(len(part.innovations) for part in self.parts)
 
@@ -470,7 +470,7 @@ class Search:
                 start, FORGETTING_RATE, everything[:, np.concatenate(each)], report).theta
         minimum = self._descend(start, FORGETTING_RATE, self.approach, report)
         if self.approach.shape != everything.shape and not (
-                minimum.squares < MISFIT_CHI2 * minimum.count):
+                minimum.squares < MISFIT_CHI2 * minimum.residual_count):
             for segment in self.segments:
                 segment.reset()
             minimum = self._descend(start, FORGETTING_RATE, everything, report)

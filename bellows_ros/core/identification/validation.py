@@ -12,7 +12,12 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.identification.search import measured_motions, MeasuredMotion, Search, Segment
+from bellows_ros.core.identification.search import (
+    measured_motions,
+    MeasuredMotion,
+    Search,
+    Segment,
+)
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows

@@ -22,7 +22,8 @@ from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import array_kernel, kernel
-from bellows_ros.core.model import jacobians as jac, kernels
+from bellows_ros.core.model import jacobians as jac
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved_by, pose_error
 from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import ModelTuple, State

@@ -96,7 +96,7 @@ def by_output_error(package_noise):
         truth(), (tool_noise, package_noise), strict=True))
     return output_error(
         [MeasuredMotion(tool, package.select(slice(0, None, 8)), PLATE, GRAVITY,
-                  *(BodyNoise(np.repeat(noise, 3)) for noise in (tool_noise, package_noise)))],
+                        *(BodyNoise(np.repeat(std, 3)) for std in (tool_noise, package_noise)))],
         LAYOUT, Cup(2.0 * ONE.stiffness, 0.6 * ONE.damping, ONE.length))
 
 

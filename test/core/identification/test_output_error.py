@@ -46,7 +46,7 @@ def measured(
     package = at(body, package_hz, 0 if tool_hz == package_hz else 1_300_000, package_noise)
     package = Trajectory(package.stamps_ns - late_ns, package.position, package.rotation)
     return MeasuredMotion(tool, package, PLATE, GRAVITY, BodyNoise(np.repeat(tool_noise, 3)),
-                    BodyNoise(np.repeat(package_noise, 3)))
+                          BodyNoise(np.repeat(package_noise, 3)))
 
 
 def scaled(factor):
