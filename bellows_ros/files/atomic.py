@@ -17,6 +17,7 @@ import secrets
 import shutil
 import stat
 import sys
+import tempfile
 import zlib
 
 from bellows_ros.errors import BellowsError
@@ -227,9 +228,21 @@ def remove_abandoned(folder: File) -> None:
             if not match or _is_alive(int(match[1])):
                 continue
             if not entry.is_dir(follow_symlinks=False):
-                Path(entry).unlink(missing_ok=True)
+                with suppress(OSError):
+                    os.unlink(entry.path)
             elif not os.path.lexists(os.path.join(entry.path, REPLACED)):
                 shutil.rmtree(entry.path, ignore_errors=True)
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Provide a temporary folder; remove first those that dead processes left."""
+    folder = _temporary_path(Path(tempfile.gettempdir(), 'folder'))
+    folder.mkdir(mode=0o700)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @cache

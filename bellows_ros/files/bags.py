@@ -16,7 +16,6 @@ from itertools import chain
 from pathlib import Path
 import shutil
 import sqlite3
-from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
@@ -449,8 +448,10 @@ def _file_batches(
         if magic.startswith(mcap.MAGIC):
             yield from mcap.scan(file, wanted, counts, losses)
         elif magic == SQLITE_MAGIC and compressed:
-            with TemporaryDirectory() as folder:
-                plain = Path(folder, path.stem)
+            from bellows_ros.files.atomic import temporary_folder  # late: rare
+
+            with temporary_folder() as folder:
+                plain = folder / path.stem
                 _decompress(file, plain)
                 yield from scan_database(plain, wanted, counts)
         elif magic == SQLITE_MAGIC:
