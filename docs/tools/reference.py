@@ -20,7 +20,7 @@ from bellows_ros.cli.app import command_parser, COMMANDS, described
 from bellows_ros.cli.console import EXIT_CODES
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
-from bellows_ros.files.results import WITHOUT
+from bellows_ros.files.results import UNITLESS
 from bellows_ros.nodes.command import interface
 import numpy as np
 
@@ -239,7 +239,7 @@ def result_rows(content: Mapping[str, Any], inside: str, unit_inside: Any = '') 
     units = {**unit_of_all, **content.get('units', {})}
     for key, value in content.items():
         unit = units.get(key, units.get(key.removesuffix('_std'), unit_inside))
-        if key in WITHOUT or key == 'unit':
+        if key in UNITLESS or key == 'unit':
             continue
         if isinstance(value, dict):
             yield from result_rows(value, f'{inside}{key}.', unit)

@@ -35,8 +35,7 @@ def values(**more):
 def observer(package=PACKAGE, cup=CUP, **more):
     """Give an observer of the package."""
     made = Observer(values(**more))
-    ready = prepared(cup, package, 9.81)
-    made.set_model(ready.model, ready.longest_step, ready.reach)
+    made.set_model(*prepared(cup, package, 9.81)[:3])
     return made
 
 
