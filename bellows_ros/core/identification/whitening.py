@@ -206,8 +206,12 @@ def _propagate(
     n, m = P.shape[0], A.shape[1]
     mean = np.zeros((m, m))
     F = _exponential(0.5 * length * (A[0] + A[1]), steps, mean)
-    T[:m, :m] = F
-    T[:m, m:m + 6] = t3.product(F, B[0, :m], np.empty((m, 6))) + tool_correlation * B[1, :m]
+    entered = t3.product(F, B[0, :m], np.empty((m, 6)))
+    for i in range(m):
+        for j in range(m):
+            T[i, j] = F[i, j]
+        for j in range(6):
+            T[i, m + j] = entered[i, j] + tool_correlation * B[1, i, j]
     for i in range(m, n):
         T[i, i] = tool_correlation if i < m + 6 else noise_correlation
     effect = t3.product(0.5 * length * (C[0] + C[1]), columns, np.empty((m, S.shape[1])))
@@ -245,19 +249,30 @@ def _exponential(M: Any, steps: int, mean: Any) -> Any:
 @array_kernel
 def _short_exponential(M: Any, mean: Any) -> Any:
     """Return exp(M), and write its mean, to fourth order."""
-    one, Y = np.eye(len(M)), np.empty(M.shape)
-    X = 12.0 * one + t3.product(M, 4.0 * one + M, Y)
-    mean[:] = (24.0 * one + t3.product(M, X, Y)) / 24.0
-    return one + t3.product(M, mean, Y)
+    X, Y = M.copy(), np.empty(M.shape)
+    for constant in (4.0, 12.0, 24.0):  # 4 + M, 12 + M X, 24 + M Y
+        if constant > 4.0:
+            t3.product(M, X, Y)
+            X, Y = Y, X
+        for i in range(len(M)):
+            X[i, i] += constant
+    for i in range(len(M)):
+        for j in range(len(M)):
+            mean[i, j] = X[i, j] / 24.0
+    t3.product(M, mean, Y)
+    for i in range(len(M)):
+        Y[i, i] += 1.0
+    return Y
 
 
 @array_kernel
 def _add_tool_noise(innovation: Any, variances: Any, B: Any, S: Any, P: Any) -> None:
     """Add the innovation of a sample of the tool's noise, and its variances, to the states."""
-    noise = t3.transpose(B)
-    for j in range(6):
-        S[:, -1] += noise[j] * innovation[j]
-        noise[j] *= variances[j]
+    noise = np.empty((6, P.shape[0]))
+    for i in range(P.shape[0]):
+        for j in range(6):
+            noise[j, i] = variances[j] * B[i, j]
+            S[i, -1] += B[i, j] * innovation[j]
     t3.add_product(B, noise, P)
 
 
@@ -269,18 +284,22 @@ def _update(
     n, p = P.shape[0], S.shape[1] - 1
     gain, p_row, s_row = np.empty((n, 1)), np.empty((1, n)), np.empty((1, p + 1))
     for j in range(6):
-        p_row[0], s_row[0] = P[j], S[j]
-        if n > noise_state:
-            p_row[0] += P[noise_state + j]
-            s_row[0] += S[noise_state + j]
-        s_row[0, :p] += by_pose[j]
+        for i in range(n):  # loops: temporary arrays would cost a tenth of the fit
+            p_row[0, i] = P[j, i] + (P[noise_state + j, i] if n > noise_state else 0.0)
+        for i in range(p + 1):
+            s_row[0, i] = S[j, i] + (S[noise_state + j, i] if n > noise_state else 0.0)
+        for i in range(p):
+            s_row[0, i] += by_pose[j, i]
         e = out[j] - s_row[0, p]
         s = p_row[0, j] + (p_row[0, noise_state + j] if n > noise_state else 0.0) + variance[j]
         s = max(s, s * abs(e) / (HUBER_STD * np.sqrt(s)))  # Huber's weight: a larger variance
         scale = 1.0 / np.sqrt(s)
-        out[j], slopes[j], s_row[0, p] = e * scale, s_row[0, :p] * scale, -e
-        K[j, :n], K[j, n] = p_row[0] / s, scale
-        gain[:, 0] = -K[j, :n]
+        for i in range(p):
+            slopes[j, i] = s_row[0, i] * scale
+        for i in range(n):
+            gain[i, 0] = -p_row[0, i] / s
+            K[j, i] = -gain[i, 0]
+        out[j], s_row[0, p], K[j, n] = e * scale, -e, scale
         t3.add_product(gain, p_row, P)
         t3.add_product(gain, s_row, S)
 
