@@ -22,8 +22,8 @@ from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS, poses_of
 from bellows_ros.core.identification.search import (
     BodyNoise,
-    measured_motions,
-    MeasuredMotion,
+    measured_segments,
+    MeasuredSegment,
     Search,
     Segment,
 )
@@ -117,7 +117,7 @@ def sensed(
                             true.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, ar1_coefficient)
 
 
-def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[MeasuredMotion]:
+def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[MeasuredSegment]:
     """Return a simulated recording, the noise of its poses times a factor."""
     rng = np.random.default_rng(seed)
     motion = motion_from(Settings({**MOTION, 'duration': duration + 0.5}), rng)
@@ -133,14 +133,14 @@ def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list
         tool_stream, package_stream = (
             PoseStream(name, 'world', _arrivals(poses.stamps_ns, cell.jitter, rng), poses.position,
                        poses.rotation) for name, poses in (('tool', tool), ('package', body)))
-        return measured_motions(prepare(
+        return measured_segments(prepare(
             tool_stream, package_stream, PrepareSettings(payload=PLATE, gravity=GRAVITY)))
     if cell.apart:
         wrong = {name: np.array(value) for name, value in APART.items()}
         late = round(float(wrong.pop('time_offset')[0]) * 1e9)
         body = poses_of(body, wrong, np.zeros(3))
         body = Trajectory(body.stamps_ns - late, body.position, body.rotation)
-    return [MeasuredMotion(tool, body, PLATE, GRAVITY, tool_noise, package_noise)]
+    return [MeasuredSegment(tool, body, PLATE, GRAVITY, tool_noise, package_noise)]
 
 
 def _arrivals(stamps: Stamps, jitter: float, rng: np.random.Generator) -> Stamps:
@@ -161,7 +161,7 @@ class Trial(NamedTuple):
 
 
 def bound_of(
-    cup: Cup, structure: Structure, true: MeasuredMotion, free: Mapping[str, Array]
+    cup: Cup, structure: Structure, true: MeasuredSegment, free: Mapping[str, Array]
 ) -> Array:
     """Return the Cramer-Rao bound (n,) of the parameters and of all else that is free."""
     search = Search([Segment(true)], structure, cup, free)

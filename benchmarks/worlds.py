@@ -20,7 +20,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.quantities import anything
-from bellows_ros.core.identification.search import MeasuredMotion
+from bellows_ros.core.identification.search import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import structure_named
@@ -67,7 +67,7 @@ def tool_motion(rng: np.random.Generator, duration: float, tilts: bool) -> Traje
     return driven(path, duration + (9.0 if tilts else 0.0), RATE)
 
 
-def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, MeasuredMotion]:
+def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, MeasuredSegment]:
     """Return a cup, what robot and camera record of it, and the same without noise, as it is."""
     rng, standard = np.random.default_rng(seed), Cup.thesis()
     scale = np.sqrt(np.exp(rng.uniform(-0.5, 0.5, (2, 4)))[:, [0, 0, 1, 2, 2, 3]])
@@ -89,7 +89,7 @@ def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, M
     return cup, PoseStream('/tool', 'base', tool.stamps_ns, tool.position, tool.rotation), (
         PoseStream('/camera', 'camera', body.stamps_ns + late_ns,
                    (body.position + apply(body.rotation, marker_offset) - o_world) @ R_world,
-                   R_world.T @ body.rotation @ R_marker)), MeasuredMotion(
+                   R_world.T @ body.rotation @ R_marker)), MeasuredSegment(
                        true_tool, true_body, PLATE, GRAVITY, tool_noise, noise)
 
 

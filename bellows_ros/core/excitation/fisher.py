@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.equations import covariance_of
-from bellows_ros.core.identification.search import MeasuredMotion, Search, Segment
+from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -63,7 +63,7 @@ def motion_information(
     density = np.sqrt(tracking.tool_period / tracking.package_period)
     of_tool, of_package = (BodyNoise(np.repeat(std, 3)) for std in (
         density * np.array(tracking.tool), tracking.package))
-    measured = MeasuredMotion(tool, body, package, gravity, of_tool, of_package)
+    measured = MeasuredSegment(tool, body, package, gravity, of_tool, of_package)
     search = Search([Segment(measured)], structure, cup, {})
     (part,), _, _ = search.system(search.start)
     return np.asarray(part.jacobian.T @ part.jacobian / np.outer(search.units, search.units))

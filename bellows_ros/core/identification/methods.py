@@ -188,13 +188,13 @@ def _by_output_error(
     """Return the fit by simulation, with all that is uncertain free beside K and P."""
     from bellows_ros.core.identification.given import given_std
     from bellows_ros.core.identification.output_error import output_error
-    from bellows_ros.core.identification.search import measured_motions
+    from bellows_ros.core.identification.search import measured_segments
 
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
     start = replace(one_cup_of(values), relaxation=strengths)
     measured = [motion for number, own in enumerate(recordings)
-                for motion in measured_motions(own, number)]
+                for motion in measured_segments(own, number)]
     if all(own.report.package.timing.rate_hz >= LOW_RATE_HZ for own in recordings):
         start = start_cup([reduced(own, values).statistics for own in recordings], start)
     named = dict.fromkeys(values['fit.free'])

@@ -23,7 +23,7 @@ from bellows_ros.core.identification.quantities import anything, Free, KINDS
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
-    MeasuredMotion,
+    MeasuredSegment,
     Minimum,
     Search,
     Segment,
@@ -77,7 +77,7 @@ NOT_CONVERGED = (
 
 
 def output_error(
-    measured: Sequence[MeasuredMotion],
+    measured: Sequence[MeasuredSegment],
     structure: Structure,
     start: Cup,
     progress: Callable[[Iteration], None] | None = None,
@@ -91,7 +91,7 @@ def output_error(
 
     Parameters
     ----------
-    measured : sequence of MeasuredMotion
+    measured : sequence of MeasuredSegment
         Parts of recordings of one cup.
     structure : Structure
         Which entries of K and P are free.

@@ -17,7 +17,7 @@ from bellows_ros.core.geometry.lie import (
     rotation_to_quaternion,
 )
 from bellows_ros.core.identification.quantities import anything, KINDS
-from bellows_ros.core.identification.search import measured_motions, Search, Segment
+from bellows_ros.core.identification.search import measured_segments, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment, slow_poses, turn_of
@@ -99,7 +99,7 @@ def registered(
         If the search ends nowhere, and not for the clock alone.
 
     """
-    measured = measured_motions(recording)
+    measured = measured_segments(recording)
     search = Search([Segment(own) for own in measured], structure, start, anything(names))
     found = search.minimum()
     middle, alignment = np.asarray(measured[0].middle), recording.alignment

@@ -144,7 +144,7 @@ MAX_RISE = 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredMotion:
+class MeasuredSegment:
     """
     A part of a recording in which the tool is known.
 
@@ -181,7 +181,7 @@ class MeasuredMotion:
     middle: Array | None = None
 
 
-def measured_motions(recording: Recording, number: int = 0) -> list[MeasuredMotion]:
+def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSegment]:
     """
     Return the parts of a recording between gaps of the tool that cannot be bridged.
 
@@ -207,7 +207,7 @@ def measured_motions(recording: Recording, number: int = 0) -> list[MeasuredMoti
             poses = [body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
                      for body in bodies]
             if last - first > MIN_SEGMENT * NS_PER_S and poses[1].valid.any():
-                motions.append(MeasuredMotion(poses[0], poses[1], *context))
+                motions.append(MeasuredSegment(poses[0], poses[1], *context))
     if not motions:
         raise UndeterminedError(
             f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked. Record '
@@ -245,7 +245,7 @@ class Nodes(NamedTuple):
 class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
-    def __init__(self, measured: MeasuredMotion, half_window: int = 0) -> None:
+    def __init__(self, measured: MeasuredSegment, half_window: int = 0) -> None:
         self.measured = measured
         self.tool = bridged(measured.tool)
         self.half_window = half_window or _half_window_of(

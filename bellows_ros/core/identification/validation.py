@@ -13,8 +13,8 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.search import (
-    measured_motions,
-    MeasuredMotion,
+    measured_segments,
+    MeasuredSegment,
     Search,
     Segment,
 )
@@ -144,7 +144,7 @@ class Validation(residuals.Comparison):
         if np.min(self.recording.measured_noise) < LEAST_NOISE:
             return None
         try:
-            parts = measured_motions(self.recording)
+            parts = measured_segments(self.recording)
         except BellowsError:
             return None
         segment = Segment(_middle(max(parts, key=lambda own: len(own.package))))
@@ -191,7 +191,7 @@ class Validation(residuals.Comparison):
         return f'All axes that move are predicted within {part}.'
 
 
-def _middle(part: MeasuredMotion) -> MeasuredMotion:
+def _middle(part: MeasuredSegment) -> MeasuredSegment:
     """Return the middle of a part of a recording that is long."""
     stamps = part.package.stamps_ns
     edge = max(len(stamps) - MAX_INNOVATIONS, 0) // 2

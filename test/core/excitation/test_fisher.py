@@ -2,7 +2,7 @@
 
 from bellows_ros.core.excitation import fisher
 from bellows_ros.core.excitation.fisher import Tracking
-from bellows_ros.core.identification.search import MeasuredMotion, Search, Segment
+from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
@@ -59,7 +59,7 @@ def estimates(mover, duration, draws):
     tool, at, body = recorded(mover, duration)
     usual, cup = expected(at), cup_of(TRUTH)
     for _ in range(draws):
-        measured = MeasuredMotion(
+        measured = MeasuredSegment(
             noisy(rng, tool, TRACKING.tool), noisy(rng, body, TRACKING.package), PACKAGE, 9.81,
             *(BodyNoise(np.repeat(noise, 3)) for noise in (TRACKING.tool, TRACKING.package)))
         search = Search([Segment(measured)], STRUCTURE, cup, {})

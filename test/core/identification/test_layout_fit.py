@@ -7,7 +7,7 @@ from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.search import MeasuredMotion
+from bellows_ros.core.identification.search import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import (
     composition,
@@ -95,8 +95,8 @@ def by_output_error(package_noise):
     tool, package = (noisy(rng, body, noise) for body, noise in zip(
         truth(), (tool_noise, package_noise), strict=True))
     return output_error(
-        [MeasuredMotion(tool, package.select(slice(0, None, 8)), PLATE, GRAVITY,
-                        *(BodyNoise(np.repeat(std, 3)) for std in (tool_noise, package_noise)))],
+        [MeasuredSegment(tool, package.select(slice(0, None, 8)), PLATE, GRAVITY,
+                         *(BodyNoise(np.repeat(std, 3)) for std in (tool_noise, package_noise)))],
         LAYOUT, Cup(2.0 * ONE.stiffness, 0.6 * ONE.damping, ONE.length))
 
 

@@ -9,7 +9,7 @@ from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import anything, KINDS
-from bellows_ros.core.identification.search import MeasuredMotion, Search, Segment
+from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
@@ -45,8 +45,8 @@ def measured(
     tool = at(truth, tool_hz, 0, tool_noise)
     package = at(body, package_hz, 0 if tool_hz == package_hz else 1_300_000, package_noise)
     package = Trajectory(package.stamps_ns - late_ns, package.position, package.rotation)
-    return MeasuredMotion(tool, package, PLATE, GRAVITY, BodyNoise(np.repeat(tool_noise, 3)),
-                          BodyNoise(np.repeat(package_noise, 3)))
+    return MeasuredSegment(tool, package, PLATE, GRAVITY, BodyNoise(np.repeat(tool_noise, 3)),
+                           BodyNoise(np.repeat(package_noise, 3)))
 
 
 def scaled(factor):
@@ -177,7 +177,7 @@ def with_memory(own, kept, std, rng):
         e *= np.repeat(std, 3)
         poses.append(with_errors(body, e))
     noise = BodyNoise(np.repeat(std, 3), kept)
-    return MeasuredMotion(*poses, PLATE, GRAVITY, noise, noise)
+    return MeasuredSegment(*poses, PLATE, GRAVITY, noise, noise)
 
 
 def test_noise_with_memory_is_whitened():
@@ -294,7 +294,7 @@ def test_gaps_and_outliers_are_bridged():
     R[50::41] = R[50::41] @ exp_so3(np.array([0.3, 0.0, 0.0]))
     seen = (np.arange(len(R)) < 150) | (np.arange(len(R)) > 190)
     package = Trajectory(own.package.stamps_ns, position, R).select(seen)
-    fit = output_error([MeasuredMotion(
+    fit = output_error([MeasuredSegment(
         own.tool, package, PLATE, GRAVITY, own.tool_noise, own.package_noise)],
         AXISYMMETRIC, scaled(1.5))
     assert fit.converged
