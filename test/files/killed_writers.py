@@ -115,7 +115,12 @@ def kill_one(path, write, after):
 
 
 def kill_many(folder, name, rng, kills):
-    """Kill writers of one kind of output, and count what they leave."""
+    """
+    Kill writers of one kind of output, and count what they leave.
+
+    The kills are spread evenly over the writing, each at random within its share of it: with few
+    of them, too, some come before the first output is whole and some after it.
+    """
     folder.mkdir()
     contents, seconds = whole(folder, name)
     found = Counter()
@@ -125,7 +130,8 @@ def kill_many(folder, name, rng, kills):
         old = k % 2  # every other time there is nothing yet
         if old:
             WRITERS[name](folder / name, 0)
-        kill_one(folder / name, WRITERS[name], rng.uniform(0.0, LONG * seconds))
+        share = (k // 2 + rng.random()) / ((kills + 1) // 2)
+        kill_one(folder / name, WRITERS[name], share * LONG * seconds)
         found[judged(content(folder / name), contents, bool(old))] += 1
         left = [path.name for path in folder.iterdir() if path.name != name]
         found['hidden'] += len(left)
