@@ -51,7 +51,7 @@ def false_alarms(
 
         def after(k: int, cell: Cell = cell) -> None:
             if k % 125 == 0 and k > 250:
-                e = error_of(cell.made, cell.body[k])
+                e = error_of(cell.made.body, cell.body[k])
                 errors.append(e @ np.linalg.solve(cell.made.estimate.covariance[:12, :12], e))
 
         causes.update(cause for cause, _ in cell.run(after))

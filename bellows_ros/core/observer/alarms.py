@@ -72,7 +72,7 @@ class Cause(NamedTuple):
 CAUSES = (
     Cause('slip', ((ekf.COM, ekf.SHIFT), (ekf.COM + 1, ekf.SHIFT + 1),
                    *((ekf.MARKER + 3 + i,) for i in range(3))),
-          (3e-3, 3e-3, 0.1, 0.1, 0.1), (2, 5), 0.4, False, True,
+          (3e-3, 3e-3, 0.1, 0.1, 0.1), (2, 5), 0.3, False, True,
           'The grip has slipped by {} mm[ and turned by {} degrees]: move slower, or raise '
           'the vacuum.', ((0, 2, 1e3), (2, 5, 180.0 / math.pi))),
     Cause('leak', ((ekf.LENGTHENING,),), (5e-3,), (1,), 0.1, False, True,
@@ -84,7 +84,7 @@ CAUSES = (
           "it is worn, or another cup is mounted. Identify it with 'bellows identify'.",
           ((0, 1, LOG), (1, 2, LOG))),
     Cause('payload', tuple((row,) for row in range(ekf.MASS, ekf.MASS + 4)),
-          (0.2, 0.01, 0.01, 0.01), (1, 4), 0.1, True, False,
+          (0.2, 0.01, 0.01, 0.01), (1, 4), 0.2, True, False,
           'The mass is off by {} %[ and the centre of mass by {} mm]: correct package.*, or '
           'set payload.estimate.', ((0, 1, LOG), (1, 4, 1e3))),
     Cause('lost', ((GONE,),), (0.3,), (1,), 0.1, False, True,
@@ -160,7 +160,7 @@ Added to the logarithm of the threshold for sums over all onsets: only some of t
 tested. Counted in `python -m benchmarks.alarms`.
 """
 
-START_WEIGHT = 30.0
+START_WEIGHT = 100.0
 """Prior odds of a fault from the start against an onset at any one of the times tested."""
 
 SETTLING = 4
@@ -191,8 +191,8 @@ DECIDES = {
 """What tells causes apart; of the first mass with inertia is K and P the other way round."""
 
 
-Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int]]
-NO_FAULT = -math.inf, 0.0, (0, 0, 0), 0, (0, 0, 0)
+Likeliest = tuple[float, float, tuple[int, int, int], int, tuple[int, int, int], int]
+NO_FAULT = -math.inf, 0.0, (0, 0, 0), 0, (0, 0, 0), 1
 """What `_assessed` returns, and where nothing is compared."""
 
 
@@ -262,7 +262,7 @@ class Alarms:
             np.zeros((len(self.steps), COLUMNS[CUP] + cups * ONSETS), np.float32),
             np.zeros(STATISTICS[CUP] + 2 * cups * ONSETS),
             np.repeat([[0], [-1]], 1 + ONSETS, axis=1), (), from_start)
-        _add_onset(*none[:3], self.steps, stamp_ns, 0)
+        _add_onset(*none[:3], self.steps, stamp_ns, 1)
         return none
 
     def suspect_ns(self, before: tuple[int, ...], stamp_ns: int, total: float) -> tuple[int, ...]:
@@ -277,7 +277,7 @@ class Alarms:
 
         The lost cups of a gripper have been found before.
         """
-        total, lead, best, second, runner_up = likeliest
+        total, lead, best, second, runner_up, _ = likeliest
         if total < self._threshold or len(evidence.suspect_ns) <= CONFIRMED or (
                 stamp_ns - evidence.suspect_ns[0] < (
                     DECIDE_NS if lead < MIN_LEAD else CONFIRMED_NS)):
@@ -448,6 +448,8 @@ def _assessed(
     second, runner_up : int, tuple of int
         The next, its place in `CAUSES`, and as the likeliest; cups of a gripper are after all
         others in both.
+    pinned : int
+        Slots of the likeliest onset of each cause, as bits.
 
     """
     z, H, root, distance, whitened = innovation
@@ -469,23 +471,24 @@ def _assessed(
         t3.subtract_product(whitened.astype(np.float32), change, E)
     likeliest = _likeliest_fault(statistics, onsets, stamp_ns, from_start, faults)
     if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS:
-        _add_onset(E, statistics, onsets, steps, stamp_ns, likeliest[2][0])
+        _add_onset(E, statistics, onsets, steps, stamp_ns, likeliest[5])
     return likeliest
 
 
 @kernel
-def _free_slot(onsets: Stamps, stamp_ns: int, likeliest: int) -> int:
+def _free_slot(onsets: Stamps, stamp_ns: int, pinned: int) -> int:
     """
     Return the slot for another onset: that of the older one nearest to its neighbour.
 
-    The slot of the likeliest onset stays: an alarm takes the size of its fault from there.
+    The likeliest onset of each cause stays, by the bits of `pinned`: evidence of a small fault
+    grows slowly, and an alarm takes size and odds from there.
     """
     slot, least = 0, math.inf
     for k in range(len(onsets)):
         before_ns, after_ns = onsets[0], stamp_ns
         if onsets[k] < 0:
             return k
-        if k == 0 or k == likeliest:
+        if pinned >> k & 1:
             continue
         if stamp_ns - onsets[k] > OLDEST_NS:
             return k
@@ -502,10 +505,10 @@ def _free_slot(onsets: Stamps, stamp_ns: int, likeliest: int) -> int:
 
 @kernel
 def _add_onset(
-    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int, likeliest: int
+    E: Any, statistics: Array, onsets: Stamps, steps: Array, stamp_ns: int, pinned: int
 ) -> None:
-    """Write the error that each fault causes with an onset now, but in the likeliest's slot."""
-    k = _free_slot(onsets[1], stamp_ns, likeliest)
+    """Write the error that each fault causes with an onset now, into a slot of `_free_slot`."""
+    k = _free_slot(onsets[1], stamp_ns, pinned)
     statistics[k], onsets[0, k], onsets[1, k] = 0.0, 0, stamp_ns
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
     for number in range(0 if k == 0 else AT_START, AT_START if k == 0 else faults):
@@ -569,17 +572,18 @@ def _likeliest_fault(
         top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[min(c, OF_CAUSE[CUP])]
         if c >= OF_CAUSE[CUP]:
             top[c] -= math.log(faults - CUP)
-    leader = top.argmax()
+    leader, pinned = top.argmax(), 1
     if top[leader] == -math.inf:
         return NO_FAULT
     total, second = 0.0, 1 if leader == 0 else 0
     for c in range(causes):
+        pinned |= 1 << best[c, 0]
         total += math.exp(top[c] - top[leader])
         if c != leader and top[c] > top[second]:
             second = c
     return (top[leader] + math.log(total), top[leader] - top[second],
             (best[leader, 0], best[leader, 1], best[leader, 2]), second,
-            (best[second, 0], best[second, 1], best[second, 2]))
+            (best[second, 0], best[second, 1], best[second, 2]), pinned)
 
 
 @kernel
