@@ -15,14 +15,13 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.signals.trajectory import (
     checked_stamps,
     frozen,
     NS_PER_S,
     PoseStream,
     Trajectory,
-    UNIFORM_WITHIN,
+    UNIFORMITY_TOLERANCE,
 )
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -34,24 +33,24 @@ GAP_PERIODS = 1.5
 GAP_DEVIATIONS = 3.0
 # Steps within this part of the period count as uniform; `savgol` allows twice as much, measured
 # from the mean step instead of the period estimated here.
-COPIED_WITHIN = 0.5 * UNIFORM_WITHIN
+COPY_TOLERANCE = 0.5 * UNIFORMITY_TOLERANCE
 # Stamps come in bursts where the mean of so many steps is mostly not within these factors
 # of the typical step: half the samples may be lost, but none is there twice.
-STEPS_TOGETHER = 20
-MEAN_WITHIN = (0.8, 2.5)
+BURST_STEPS = 20
+MEAN_RANGE = (0.8, 2.5)
 # Standard deviation of a normal distribution per median absolute deviation.
 MAD_TO_STD = 1.4826
 
 JITTER_WARNED = 0.1
 """Jitter in parts of the period that is worth a look."""
 
-NEAR, MOST_GAPS, SURELY_LOST = 30, 200, 0.65
+GAP_SAMPLES, MAX_GAPS, LOST_PERIODS = 30, 200, 0.65
 """Samples compared on both sides of a gap, most gaps, and periods that tell that one is lost."""
 
-WINDOW_S, FEWEST, ORDER = 1 / 12, 8, 5
+WINDOW_S, MIN_WINDOW_SAMPLES, ORDER = 1 / 12, 8, 5
 """Length of the polynomials that a motion follows (s; samples) and their order."""
 
-SMOOTHER = 0.8
+MAX_DEVIATION_RATIO = 0.8
 """Product of the squared deviations of position and rotation below which stamps are replaced."""
 
 
@@ -102,7 +101,7 @@ class Timing:
     @property
     def longest_step_ns(self) -> int:
         """Longest time between samples that is not a gap, ns."""
-        return int(_longest_step(NS_PER_S / self.rate_hz, self.jitter_s * NS_PER_S))
+        return int(NS_PER_S * (GAP_PERIODS / self.rate_hz + GAP_DEVIATIONS * self.jitter_s))
 
 
 def timing(stamps_ns: Stamps) -> Timing:
@@ -135,10 +134,11 @@ def timing(stamps_ns: Stamps) -> Timing:
     period = _period(steps)
     jitter = MAD_TO_STD * float(np.median(np.abs(steps - period)))
     slots = np.maximum(np.rint(steps / period), 1.0)
-    uniform = bool(np.all(np.abs(steps / (slots * period) - 1.0) <= COPIED_WITHIN))
-    long = np.flatnonzero(steps > _longest_step(period, jitter))
-    gaps = tuple(Gap(int(i), int(stamps_ns[i]), float(steps[i] / NS_PER_S)) for i in long)
-    return Timing(NS_PER_S / period, jitter / NS_PER_S, uniform, gaps)
+    uniform = bool(np.all(np.abs(steps / (slots * period) - 1.0) <= COPY_TOLERANCE))
+    result = Timing(NS_PER_S / period, jitter / NS_PER_S, uniform, ())
+    long = np.flatnonzero(steps > result.longest_step_ns)
+    return replace(result, gaps=tuple(
+        Gap(int(i), int(stamps_ns[i]), float(steps[i] / NS_PER_S)) for i in long))
 
 
 def _period(steps: Stamps) -> float:
@@ -149,11 +149,10 @@ def _period(steps: Stamps) -> float:
     which average that out, knows it better. Of stamps in pairs or bursts only the mean over many
     steps is the period.
     """
-    together = min(STEPS_TOGETHER, max(len(steps) // 4, 1))
+    count = min(BURST_STEPS, max(len(steps) // 4, 1))
     typical = _typical(steps)
-    mean = _typical(np.convolve(steps, np.ones(together), 'valid')) / together
-    few, many = MEAN_WITHIN
-    return typical if few * typical <= mean <= many * typical else mean
+    mean = _typical(np.convolve(steps, np.ones(count), 'valid')) / count
+    return typical if MEAN_RANGE[0] * typical <= mean <= MEAN_RANGE[1] * typical else mean
 
 
 def _typical(values: Array | Stamps) -> float:
@@ -161,11 +160,6 @@ def _typical(values: Array | Stamps) -> float:
     median = float(np.median(values))
     near = values[np.abs(values - median) < 0.5 * median]
     return float(np.mean(near)) if len(near) else median
-
-
-def _longest_step(period: float, jitter: float) -> float:
-    """Return the longest step that is not a gap."""
-    return GAP_PERIODS * period + GAP_DEVIATIONS * jitter
 
 
 def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
@@ -223,19 +217,18 @@ class ArrivalStamps(NamedTuple):
 
 def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
     """Return poses with the stamps of their sampling, where theirs are times of arrival."""
-    if len(stream) < 4 * NEAR:
+    if len(stream) < 4 * GAP_SAMPLES:
         return stream, None
-    found = timing(stream.stamps_ns)
-    if found.jitter_s * found.rate_hz < JITTER_WARNED:
+    recorded = timing(stream.stamps_ns)
+    if recorded.jitter_s * recorded.rate_hz < JITTER_WARNED:
         return stream, None
     sampled = sampling_stamps(stream.stamps_ns)
     if sampled is None:
         return stream, None
-    size = max(round(WINDOW_S * found.rate_hz), FEWEST)
+    size = max(round(WINDOW_S * recorded.rate_hz), MIN_WINDOW_SAMPLES)
     before, after = (
-        _deviation(stream.position, stream.rotation, stamps, size)
-        for stamps in (stream.stamps_ns, sampled))
-    if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < SMOOTHER:
+        _deviation(stream, stamps, size) for stamps in (stream.stamps_ns, sampled))
+    if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < MAX_DEVIATION_RATIO:
         return stream, None
     late = (stream.stamps_ns - sampled) / NS_PER_S
     return replace(stream, stamps_ns=sampled), ArrivalStamps(
@@ -252,19 +245,20 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     jitter of many periods, leave it unknown.
     """
     since, number = (stamps_ns - stamps_ns[0]).astype(np.float64), np.arange(len(stamps_ns))
-    period = float(np.quantile(since[2 * NEAR:] - since[:-2 * NEAR], 0.25)) / (2 * NEAR)
-    for _ in range(MOST_GAPS):
+    n = GAP_SAMPLES
+    period = float(np.quantile(since[2 * n:] - since[:-2 * n], 0.25)) / (2 * n)
+    for _ in range(MAX_GAPS):
         late = since - period * number
-        earliest = np.min(np.lib.stride_tricks.sliding_window_view(late, NEAR), axis=1)
-        steps = earliest[NEAR:] - earliest[:-NEAR]
+        earliest = np.min(np.lib.stride_tricks.sliding_window_view(late, n), axis=1)
+        steps = earliest[n:] - earliest[:-n]
         drift = float(np.median(steps))
-        period += drift / NEAR
+        period += drift / n
         i = int(np.argmax(steps))
-        lost = int((steps[i] - drift) / period + 1.0 - SURELY_LOST)
+        lost = int((steps[i] - drift) / period + 1.0 - LOST_PERIODS)
         if lost < 1:
             sampled = _line_below(number, since)
             return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
-        before = np.flatnonzero(late[i:i + 3 * NEAR] < earliest[i] + (lost - 0.1) * period)
+        before = np.flatnonzero(late[i:i + 3 * n] < earliest[i] + (lost - 0.1) * period)
         number[i + before[-1] + 1:] += lost
     return None
 
@@ -282,18 +276,17 @@ def _line_below(x: Array | Stamps, y: Array) -> Array:
         slope = (y[new[1]] - y[new[0]]) / (x[new[1]] - x[new[0]])
 
 
-def _deviation(position: Array, rotation: Array, stamps_ns: Stamps, size: int) -> Array:
+def _deviation(poses: PoseStream, stamps_ns: Stamps, size: int) -> Array:
     """Return how far poses are from polynomials (m, rad), in the median over short windows."""
     count = len(stamps_ns) // size
-    t, o, R = (own[:count * size].reshape(count, size, *own.shape[1:])
-               for own in (stamps_ns, position, rotation))
+    t, o, R = (part[:count * size].reshape(count, size, *part.shape[1:])
+               for part in (stamps_ns, poses.position, poses.rotation))
     t = (t - t[:, :1]) / (t[:, -1:] - t[:, :1])
     Q, _ = np.linalg.qr((2.0 * t - 1.0)[:, :, None] ** np.arange(ORDER + 1))
-    squares = []
-    for own in (o - o[:, :1], log_so3(np.swapaxes(R[:, :1], 2, 3) @ R)):
-        left = own - Q @ (np.swapaxes(Q, 1, 2) @ own)
-        squares.append(np.median(np.sum(left**2, axis=(1, 2))) / (3 * (size - ORDER - 1)))
-    return np.sqrt(squares)
+    moved = np.stack([o - o[:, :1], lie.log_so3(np.swapaxes(R[:, :1], 2, 3) @ R)])
+    residual = moved - Q @ (np.swapaxes(Q, 1, 2) @ moved)
+    squares = np.median(np.sum(residual**2, axis=(2, 3)), axis=1)
+    return np.asarray(np.sqrt(squares / (3 * (size - ORDER - 1))))
 
 
 def resample(
@@ -331,64 +324,51 @@ def resample(
 
     """
     wanted = checked_stamps(stamps_ns, 'Wanted stamps')
-    known = trajectory.stamps_ns
-    if len(wanted) and not (len(known) and known[0] <= wanted[0] and wanted[-1] <= known[-1]):
-        span = f'{known[0]} to {known[-1]} ns' if len(known) else 'no time (it is empty)'
+    stamps = trajectory.stamps_ns
+    if len(wanted) and not (len(stamps) and stamps[0] <= wanted[0] and wanted[-1] <= stamps[-1]):
+        span = f'{stamps[0]} to {stamps[-1]} ns' if len(stamps) else 'no time (it is empty)'
         raise BellowsError(
             f'The requested stamps cover {wanted[0]} to {wanted[-1]} ns, the trajectory only '
             f'{span}. Poses are never extrapolated; request stamps inside the trajectory.')
-    before = np.searchsorted(trajectory.stamps_ns, wanted, side='right') - 1
+    before = np.searchsorted(stamps, wanted, side='right') - 1
     same = slice(before[0], before[-1] + 1) if len(before) else slice(0)
-    if np.array_equal(trajectory.stamps_ns[same], wanted):  # nothing to interpolate, or to copy
+    if np.array_equal(stamps[same], wanted):  # nothing to interpolate, or to copy
         return replace(trajectory.select(same), acceleration=None)
     position, rotation = trajectory.position[before], trajectory.rotation[before]
     twist = None if trajectory.twist is None else trajectory.twist[before]
     valid = trajectory.valid[before]
-    between = np.flatnonzero(wanted != trajectory.stamps_ns[before])
+    between = np.flatnonzero(wanted != stamps[before])
     start, end = before[between], before[between] + 1
-    interval = trajectory.stamps_ns[end] - trajectory.stamps_ns[start]
-    fraction = ((wanted[between] - trajectory.stamps_ns[start]) / interval)[:, None]
-    if trajectory.twist is None or twist is None:
-        position[between], rotation[between] = _geodesic(trajectory, start, end, fraction)
-    else:
-        position[between], rotation[between], twist[between] = _hermite(
-            trajectory, trajectory.twist, start, end, fraction, (interval / NS_PER_S)[:, None])
-    near = longest_gap_ns is None or interval <= longest_gap_ns
+    position[between], rotation[between], twists = _between(
+        trajectory, start, end, wanted[between])
+    if twist is not None:
+        twist[between] = twists
+    near = longest_gap_ns is None or stamps[end] - stamps[start] <= longest_gap_ns
     valid[between] &= trajectory.valid[end] & near
     return Trajectory(
         frozen(wanted), frozen(position), frozen(rotation),
         None if twist is None else frozen(twist), None, valid)
 
 
-def _geodesic(
-    trajectory: Trajectory, before: Stamps, after: Stamps, s: Array
-) -> tuple[Array, Array]:
-    """Return positions and rotations at fractions s (M, 1) of the geodesics between samples."""
-    start, end = trajectory.position[before], trajectory.position[after]
-    R_start = trajectory.rotation[before]
-    turn = lie.log_so3(np.swapaxes(R_start, -1, -2) @ trajectory.rotation[after])
-    return start + s * (end - start), R_start @ lie.exp_so3(s * turn)
-
-
-def _hermite(
-    trajectory: Trajectory, twist: Array, before: Stamps, after: Stamps, s: Array,
-    interval_s: Array
-) -> tuple[Array, Array, Array]:
-    """Return positions, rotations and body twists of the cubic Hermite interpolant at s (M, 1)."""
+def _between(
+    trajectory: Trajectory, before: Stamps, after: Stamps, wanted_ns: Stamps
+) -> tuple[Array, Array, Array | None]:
+    """Return positions, rotations and body twists of the interpolant between samples."""
+    interval_s = (trajectory.stamps_ns[after] - trajectory.stamps_ns[before])[:, None] / NS_PER_S
+    s = (wanted_ns - trajectory.stamps_ns[before])[:, None] / (NS_PER_S * interval_s)
     R_start, R_end = trajectory.rotation[before], trajectory.rotation[after]
-    start, end = twist[before] * interval_s, twist[after] * interval_s
     origin = trajectory.position[before]
-    step, step_rate = cubic(
-        s,
-        lie.apply(R_start, start[:, :3]),
-        trajectory.position[after] - origin,
-        lie.apply(R_end, end[:, :3]))
+    step = trajectory.position[after] - origin
     turn = lie.log_so3(np.swapaxes(R_start, -1, -2) @ R_end)
+    if trajectory.twist is None:
+        return origin + s * step, R_start @ lie.exp_so3(s * turn), None
+    start, end = (trajectory.twist[index] * interval_s for index in (before, after))
+    o, o_rate = cubic(s, lie.apply(R_start, start[:, :3]), step, lie.apply(R_end, end[:, :3]))
     c, c_rate = cubic(s, start[:, 3:], turn, lie.apply(lie.dexp_inverse(-turn), end[:, 3:]))
     rotation = R_start @ lie.exp_so3(c)
-    linear = lie.apply(np.swapaxes(rotation, -1, -2), step_rate)
+    linear = lie.apply(np.swapaxes(rotation, -1, -2), o_rate)
     angular = lie.apply(lie.dexp(-c), c_rate)
-    return origin + step, rotation, np.concatenate([linear, angular], axis=-1) / interval_s
+    return origin + o, rotation, np.concatenate([linear, angular], axis=-1) / interval_s
 
 
 def cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Array, Array]:
@@ -400,8 +380,7 @@ def cubic(s: Array, rate_start: Array, end: Array, rate_end: Array) -> tuple[Arr
 
 
 # A grid may have this many samples, or this many per message: a stamp far away is no recording.
-LARGEST_GRID = 1_000_000
-LARGEST_GRID_PER_MESSAGE = 10
+MAX_GRID_SAMPLES, MAX_GRID_PER_MESSAGE = 1_000_000, 10
 
 
 def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
@@ -430,7 +409,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
     """
     span = float(trajectory.stamps_ns[-1] - trajectory.stamps_ns[0])
     count = span * timing.rate_hz / NS_PER_S
-    if count > max(LARGEST_GRID, LARGEST_GRID_PER_MESSAGE * len(trajectory)):
+    if count > max(MAX_GRID_SAMPLES, MAX_GRID_PER_MESSAGE * len(trajectory)):
         raise BellowsError(
             f'{len(trajectory)} poses at {timing.rate_hz:.6g} Hz should cover '
             f'{len(trajectory) / timing.rate_hz:.6g} s, but their stamps cover '

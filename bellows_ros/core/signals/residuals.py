@@ -128,10 +128,10 @@ def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Com
         If stamps differ, or there is no sample at which both are known.
 
     """
-    known = np.where(tool.valid, 1.0, np.nan)[:, None]
-    measured = relative_coordinates(tool, package) * known
+    tracked = np.where(tool.valid, 1.0, np.nan)[:, None]
+    measured = relative_coordinates(tool, package) * tracked
     measured[~package.valid] = np.nan
-    coordinates = relative_coordinates(tool, predicted) * known
+    coordinates = relative_coordinates(tool, predicted) * tracked
     return Comparison(tool.stamps_ns, measured, coordinates, score(measured, coordinates))
 
 

@@ -25,10 +25,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 # The polynomial must have a second derivative, for the accelerations.
-LOWEST_ORDER = 2
+MIN_ORDER = 2
 # rad. Beyond pi the logarithm jumps to the opposite side; a window in which the body turns as far
 # as this from the centre is not trusted.
-LARGEST_TURN = 0.75 * pi
+MAX_TURN = 0.75 * pi
 # Samples filtered at a time: the working arrays stay in the processor's cache, and memory is
 # bounded.
 BLOCK = 4096
@@ -63,9 +63,9 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     if half_window < 1:
         raise BellowsError(
             f'The half window of a filter must be at least 1 sample, not {half_window}.')
-    if not LOWEST_ORDER <= order <= 2 * half_window:
+    if not MIN_ORDER <= order <= 2 * half_window:
         raise BellowsError(
-            f'The order of a filter with half window {half_window} must be from {LOWEST_ORDER} '
+            f'The order of a filter with half window {half_window} must be from {MIN_ORDER} '
             f'(accelerations need a second derivative) to {2 * half_window} (a window has '
             f'{2 * half_window + 1} samples), not {order}. Change the order or the half window.')
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
@@ -108,7 +108,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     -------
     Filtered
         The N - 2n samples with a full window, the first and last such included. A sample is valid
-        if its whole window is, and if the body turns by less than `LARGEST_TURN` between the
+        if its whole window is, and if the body turns by less than `MAX_TURN` between the
         centre and every sample in it.
 
     Raises
@@ -189,7 +189,7 @@ def _filter_block(
         R,
         np.concatenate([v, w], axis=-1),
         np.concatenate([dv, dw], axis=-1),
-        largest < LARGEST_TURN)
+        largest < MAX_TURN)
 
 
 def _fit(
@@ -271,7 +271,7 @@ def with_filtered_noise(
     """
     at = period * np.arange(int(motion.seconds[-1] / period) + 2)
     white = np.repeat(noise, 3) * draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
-    drawn = np.hstack([correlated(part, own) for part, own in zip(
+    drawn = np.hstack([correlated(part, lag_1) for part, lag_1 in zip(
         np.hsplit(white, 2), ar1.tolist(), strict=True)])
     filtered = np.array([
         np.column_stack([np.interp(motion.seconds, at, np.correlate(column, row))
@@ -305,16 +305,14 @@ def bridged(poses: Trajectory) -> Trajectory:
     if not lost.any():
         return poses
     quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
-    known = quartic.select(quartic.valid)
-    if not len(known):
+    valid = quartic.select(quartic.valid)
+    if not len(valid):
         return poses
-    lost &= poses.stamps_ns > known.stamps_ns[0]
-    lost &= poses.stamps_ns < known.stamps_ns[-1]
-    between = Trajectory(known.stamps_ns, known.position, known.rotation, known.twist)
-    bridge = resample(between, poses.stamps_ns[lost])
-    position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
-    position[lost], rotation[lost], valid[lost] = bridge.position, bridge.rotation, bridge.valid
-    return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+    lost &= (poses.stamps_ns > valid.stamps_ns[0]) & (poses.stamps_ns < valid.stamps_ns[-1])
+    bridge = resample(valid, poses.stamps_ns[lost])
+    position, rotation, is_valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
+    position[lost], rotation[lost], is_valid[lost] = bridge.position, bridge.rotation, bridge.valid
+    return Trajectory(poses.stamps_ns, position, rotation, valid=is_valid)
 
 
 def correlated(white: Array, ar1: float) -> Array:

@@ -18,18 +18,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 # Largest entry of R^T R - I that is still taken for rounding of a recorded rotation.
-ORTHONORMAL_WITHIN = 1e-6
+ORTHONORMALITY_TOLERANCE = 1e-6
 # Largest deviation of a step from the mean step, as a part of it, at which a rate counts as
 # uniform. At 360 Hz and 1 m/s it moves a sample by 28 um, less than the noise of a motion capture
 # system.
-UNIFORM_WITHIN = 0.01
+UNIFORMITY_TOLERANCE = 0.01
 NS_PER_S = 1_000_000_000
 # Rotations whose entries are in the processor's cache while they are checked.
-CHECKED_AT_ONCE = 2048
+CHECK_BLOCK = 2048
+
+
+class _Stamped:
+    """What has stamps."""
+
+    stamps_ns: Stamps
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps_ns)
 
 
 @dataclass(frozen=True, eq=False)
-class PoseStream:
+class PoseStream(_Stamped):
     """
     Poses of one body as recorded on one topic.
 
@@ -71,17 +81,13 @@ class PoseStream:
         """Check and freeze the arrays."""
         _freeze_arrays(self, f"Poses '{self.name}'", position=(3,), rotation=(3, 3))
 
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return len(self.stamps_ns)
-
     def trajectory(self) -> 'Trajectory':
         """Return the poses as a trajectory whose samples are all valid."""
         return Trajectory(self.stamps_ns, self.position, self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
-class TwistStream:
+class TwistStream(_Stamped):
     """
     Twists of one body as recorded on one topic, in the axes they were recorded in.
 
@@ -117,13 +123,9 @@ class TwistStream:
         """Check and freeze the arrays."""
         _freeze_arrays(self, f"Twists '{self.name}'", linear=(3,), angular=(3,))
 
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return len(self.stamps_ns)
-
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(_Stamped):
     """
     Poses of one body over time, with body twists and their derivatives if known.
 
@@ -178,10 +180,6 @@ class Trajectory:
                 f'of shape {mask.shape}.')
         _store(self, 'valid', mask)
 
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return len(self.stamps_ns)
-
     @property
     def seconds(self) -> Array:
         """Times since the first sample, s (N,)."""
@@ -197,10 +195,7 @@ class Trajectory:
         _store(picked, 'stamps_ns', checked_stamps(self.stamps_ns[index], 'Picked samples'))
         for name in ('position', 'rotation', 'twist', 'acceleration', 'valid'):
             array = getattr(self, name)
-            if array is None:
-                object.__setattr__(picked, name, None)
-            else:
-                _store(picked, name, array[index])
+            _store(picked, name, None if array is None else array[index])
         return picked
 
     def between(self, first_ns: int, last_ns: int) -> 'Trajectory':
@@ -251,7 +246,7 @@ def uniform_rate_hz(stamps_ns: Stamps) -> float:
     ------
     BellowsError
         With fewer than two stamps, or where a step differs from the mean step by more than
-        `UNIFORM_WITHIN` of it.
+        `UNIFORMITY_TOLERANCE` of it.
 
     """
     if len(stamps_ns) < 2:
@@ -259,7 +254,7 @@ def uniform_rate_hz(stamps_ns: Stamps) -> float:
     steps = np.diff(stamps_ns)
     mean = float(stamps_ns[-1] - stamps_ns[0]) / len(steps)
     worst = int(np.argmax(np.abs(steps - mean)))
-    if abs(steps[worst] - mean) > UNIFORM_WITHIN * mean:
+    if abs(steps[worst] - mean) > UNIFORMITY_TOLERANCE * mean:
         raise BellowsError(
             f'A uniform rate is needed, but sample {worst + 1} comes {steps[worst]} ns after the '
             f'one before, and the mean step is {mean:.1f} ns. Resample the poses to a uniform '
@@ -274,6 +269,7 @@ def any_within(mask: Mask, width: int) -> Mask:
 
 
 Stamped = TypeVar('Stamped', PoseStream, TwistStream, Trajectory)
+Posed = TypeVar('Posed', PoseStream, Trajectory)
 
 
 def earlier(stream: Stamped, seconds: float) -> Stamped:
@@ -290,9 +286,9 @@ def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
             f'{stamps.dtype} of shape {stamps.shape}.')
     if not (_is_frozen(stamps) and stamps.dtype == np.int64):
         stamps = stamps.astype(np.int64)
-    backward = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(backward):
-        i = int(backward[0])
+    backward = np.diff(stamps) <= 0
+    if backward.any():
+        i = int(np.argmax(backward))
         raise BellowsError(
             f'{of}: stamps must increase strictly, but sample {i + 1} has {stamps[i + 1]} ns '
             f'after {stamps[i]} ns. Sort the samples and leave repeated stamps out.')
@@ -326,7 +322,7 @@ def _freeze(owner: object, of: str, name: str, shape: tuple[int, ...]) -> None:
     _store(owner, name, array)
 
 
-def frozen(array: Array | Stamps) -> Any:
+def frozen(array: NDArray[Any]) -> Any:
     """Return an array made read-only, so that objects built from it need not copy it."""
     array.setflags(write=False)
     return array
@@ -339,27 +335,25 @@ def _is_frozen(array: NDArray[Any]) -> bool:
     return owner_frozen and not array.flags.writeable
 
 
-def _store(owner: object, name: str, array: NDArray[np.generic]) -> None:
+def _store(owner: object, name: str, array: NDArray[Any] | None) -> None:
     """Make an array read-only and set it on a frozen owner."""
-    array.setflags(write=False)
-    object.__setattr__(owner, name, array)
+    object.__setattr__(owner, name, None if array is None else frozen(array))
 
 
 def _require_rotations(rotation: Array, of: str) -> None:
     """Refuse matrices that are not rotations."""
-    for start in range(0, len(rotation), CHECKED_AT_ONCE):
+    for start in range(0, len(rotation), CHECK_BLOCK):
         # Entry by entry along the samples: twenty times faster than matrix by matrix.
-        x, y, z = rotation[start:start + CHECKED_AT_ONCE].transpose(1, 2, 0).copy()
+        x, y, z = rotation[start:start + CHECK_BLOCK].transpose(1, 2, 0).copy()
         across = x[[1, 2, 0]] * y[[2, 0, 1]] - x[[2, 0, 1]] * y[[1, 2, 0]]
         error = np.max(np.abs([
             np.sum(x * x, axis=0) - 1.0, np.sum(y * y, axis=0) - 1.0, np.sum(x * y, axis=0),
             *(across - z)]), axis=0)
-        bad = np.flatnonzero(error > ORTHONORMAL_WITHIN)
-        if len(bad):
-            i = int(bad[0])
+        if np.any(bad := error > ORTHONORMALITY_TOLERANCE):
+            i = int(np.argmax(bad))
             raise BellowsError(
                 f'{of}: the rotation of sample {start + i} is not orthonormal and right-handed '
-                f'to {ORTHONORMAL_WITHIN:g} (off by {error[i]:.3g}). '
+                f'to {ORTHONORMALITY_TOLERANCE:g} (off by {error[i]:.3g}). '
                 'Normalise the quaternions before converting them.')
 
 
@@ -372,15 +366,16 @@ def tip_of(values: Mapping[str, Any]) -> Array | None:
     return lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3])
 
 
-def at_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
+def at_tip(motion: Posed, tip: Array | None) -> Posed:
     """Return a motion with body twists of frames at poses (4, 4) or (N, 4, 4) in a moving one."""
     if tip is None:
         return motion
-    twist = motion.twist
+    twist, changed = getattr(motion, 'twist', None), dict[str, Any]()
+    if twist is not None:
+        changed['twist'] = applied(lie.adjoint(lie.inverse_transform(tip)), twist)
     return replace(
         motion, position=motion.position + applied(motion.rotation, tip[..., :3, 3]),
-        rotation=motion.rotation @ tip[..., :3, :3], twist=None if twist is None else applied(
-            lie.adjoint(lie.inverse_transform(tip)), twist))
+        rotation=motion.rotation @ tip[..., :3, :3], **changed)
 
 
 def from_tip(motion: Trajectory, tip: Array | None) -> Trajectory:
@@ -392,13 +387,9 @@ def streams_at_tip(
     poses: PoseStream, twists: TwistStream | None, tip: Array | None, in_world: bool
 ) -> tuple[PoseStream, TwistStream | None]:
     """Return recorded poses and twists of E, those of another frame of the tool being given."""
-    if tip is None:
-        return poses, twists
-    moved = replace(
-        poses, position=poses.position + applied(poses.rotation, tip[:3, 3]),
-        rotation=poses.rotation @ tip[:3, :3])
-    if twists is None:
-        return moved, None
+    moved = at_tip(poses, tip)
+    if tip is None or twists is None:
+        return moved, twists
     R, lever = tip[:3, :3], np.broadcast_to(tip[:3, 3], twists.linear.shape)
     if in_world:  # with the orientation at the nearest pose
         later = np.searchsorted(poses.stamps_ns, twists.stamps_ns).clip(1, len(poses) - 1)
