@@ -10,7 +10,7 @@ endless query.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -116,7 +116,8 @@ class _Bag:
         for file in self._listed.files:
             losses: list[str] = []
             try:
-                yield from _file_batches(file, wanted, self.counts, losses)
+                for batches in _file_batches(file, wanted, self.counts, losses):
+                    yield [_plain(batch) for batch in batches]
             except (DamagedError, ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
@@ -191,7 +192,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
         readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
         return readable and (not wanted or topic.name in wanted)
 
-    stored = [message._replace(data=_plain(message.data)) for message in bag.messages(chosen)]
+    stored = list(bag.messages(chosen))
     bag.require_messages()
     read_topics = {topic.name for topic in bag.counts if chosen(topic)}
     if wanted - read_topics or not read_topics:
@@ -199,7 +200,8 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
         raise BellowsError(
             f"Recording '{path}' has no poses or twists on "
             f'{", ".join(sorted(wanted - read_topics)) or "any topic"}; there are: {recorded}.')
-    sound = [message for message in stored if len(message.data) >= SHORTEST]
+    sound = [message for message in stored
+             if SHORTEST <= len(message.data) <= messages.LARGEST_MESSAGE]
     if len(sound) < len(stored):
         bag.notes.append(f'{len(stored) - len(sound)} damaged messages are left out.')
     return sorted(sound, key=lambda message: message.log_time_ns), bag.notes
@@ -290,13 +292,11 @@ def messages_of(
         If there is no such recording, or it is damaged.
 
     """
-    name = _absolute(topic) if topic else ''
-    for message in _Bag(path).messages(
+    name = topic and _absolute(topic)
+    for channel, log_time_ns, data in _Bag(path).messages(
         lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name)
     ):
-        data = message.data
-        plain = decompressed('zstd', data, LARGEST_PLAN) if data.startswith(ZSTD_MAGIC) else data
-        yield message.topic.name, message.topic.type_name, message.log_time_ns, plain
+        yield channel.name, channel.type_name, log_time_ns, data
 
 
 def decoded(data: bytes, type_name: str) -> Any:
@@ -354,7 +354,7 @@ class _Collector:
 
     def add(self, batch: Batch) -> None:
         """Decode messages, unless there are too many."""
-        batch = _plain_batch(batch.chosen(slice(0, LARGEST_COUNT - self._count)))
+        batch = batch.chosen(slice(0, LARGEST_COUNT - self._count))
         self._count += len(batch.starts)
         self._decoded.append(messages.decode(batch, self._layout, self._part, self._frames))
 
@@ -417,22 +417,25 @@ def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -
         f'For {given_by}, {meant}.')
 
 
-def _plain(data: bytes) -> bytes:
-    """Return a message's plain bytes; none if it is damaged, which is counted later."""
-    if not data.startswith(ZSTD_MAGIC):
-        return data if len(data) <= messages.LARGEST_MESSAGE else b''
-    try:
-        return decompressed('zstd', data, messages.LARGEST_MESSAGE)
-    except DamagedError:
+def _plain(batch: Batch) -> Batch:
+    """
+    Return messages decompressed where each was compressed on its own.
+
+    A damaged one is empty then, which is counted later.
+    """
+    firsts = rows_of(batch.data, batch.starts[batch.sizes >= len(ZSTD_MAGIC)], len(ZSTD_MAGIC))
+    if not (firsts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
+        return batch
+    limit = LARGEST_PLAN
+    if batch.topic.type_name in messages.LAYOUTS:
+        limit = messages.LARGEST_MESSAGE
+
+    def plain(data: bytes) -> bytes:
+        with suppress(DamagedError):
+            return decompressed('zstd', data, limit) if data.startswith(ZSTD_MAGIC) else data
         return b''
 
-
-def _plain_batch(batch: Batch) -> Batch:
-    """Return messages decompressed where each was compressed on its own."""
-    firsts = rows_of(batch.data, batch.starts[batch.sizes >= len(ZSTD_MAGIC)], len(ZSTD_MAGIC))
-    if (firsts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
-        return Batch.of(batch.topic, batch.log_times_ns, [_plain(m) for m in batch.messages()])
-    return batch
+    return Batch.of(batch.topic, batch.log_times_ns, [*map(plain, batch.messages())])
 
 
 def _file_batches(

@@ -337,8 +337,6 @@ REASONS: Mapping[str, str] = MappingProxyType({
     'backward_stamp': 'have a stamp before an earlier one',
     'future_stamp': 'have a stamp ahead of its time'})
 
-_ROTATIONS_AT_ONCE = 65536
-
 
 def describe(refused: Mapping[str, tuple[int, ...]]) -> str:
     """Return the refusals in words: how many of each reason, and where the first is."""
@@ -375,7 +373,7 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
     used, frame_id, refused = _drop_invalid(decoded, decoded.values[:, :3], unusable)
     return PoseStream(
         name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
-        _rotations(decoded.values[used, 3:]), refused,
+        quaternion_to_rotation(decoded.values[used, 3:]), refused,
         covariance[used].reshape(-1, 6, 6) if covariance.size else None)
 
 
@@ -435,12 +433,3 @@ def _drop(refused: Refused, reason: str, usable: Stamps, bad: Mask) -> Stamps:
     if bad.any():
         refused[reason] = tuple(usable[bad].tolist())
     return usable[~bad]
-
-
-def _rotations(quaternion_xyzw: Array) -> Array:
-    """Return rotation matrices, converted in parts to save memory."""
-    rotation = np.empty((len(quaternion_xyzw), 3, 3))
-    for start in range(0, len(quaternion_xyzw), _ROTATIONS_AT_ONCE):
-        part = slice(start, start + _ROTATIONS_AT_ONCE)
-        rotation[part] = quaternion_to_rotation(quaternion_xyzw[part])
-    return rotation

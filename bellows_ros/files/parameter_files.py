@@ -9,6 +9,7 @@ decimal point.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import difflib
 from fnmatch import fnmatchcase
+import math
 from os.path import commonprefix
 from pathlib import Path
 import textwrap
@@ -18,6 +19,7 @@ from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
+import yaml
 
 NODES = ('identifier', 'predictor')
 _SECTION = 'ros__parameters'
@@ -237,22 +239,19 @@ def _rows(parameter: Parameter, value: tuple[Any, ...], indent: str) -> Iterator
         yield f'{indent}{opening}{cells}{closing}{unit}'
 
 
+class _Dumper(yaml.SafeDumper):
+    """PyYAML's safe dumper, with quotes around all texts."""
+
+
+_Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar(
+    'tag:yaml.org,2002:str', text, "'" if text.isprintable() else '"'))
+
+
 def _scalar(value: object) -> str:
-    """Return a value in a form that every version of YAML reads."""
-    if isinstance(value, tuple):
-        return '[' + ', '.join(_scalar(item) for item in value) + ']'
-    if isinstance(value, bool):
-        return 'true' if value else 'false'
-    if isinstance(value, float):  # the shortest decimals that read back, with a decimal point
-        mantissa, exponent, power = repr(value).partition('e')
-        return f'{mantissa}{"" if "." in mantissa else ".0"}{exponent}{power}'
-    if not isinstance(value, str):
-        return str(value)
-    if not value.isprintable():  # in double quotes, which know escapes
-        escaped = (c if c.isprintable() and c not in '"\\' else f'\\U{ord(c):08x}' for c in value)
-        return f'"{"".join(escaped)}"'
-    doubled = value.replace("'", "''")
-    return f"'{doubled}'"
+    """Return a value in a form that every version of YAML reads: doubles with a decimal point."""
+    text = yaml.dump([value], Dumper=_Dumper, default_flow_style=True, width=math.inf,
+                     allow_unicode=True)
+    return text.strip()[1:-1]
 
 
 def cup_names(names: Iterable[str]) -> list[str]:

@@ -58,10 +58,9 @@ def read_kitti(path: File) -> tuple[Stamps, Array]:
 
     That is named NAME_times.txt, or times.txt. See `read_tum` for what is returned.
     """
-    file = Path(path)
-    lines = _lines(path, None, 12, 12)
+    lines, file = _lines(path, None, 12, 12), Path(path)
     files = [file.with_name(f'{file.stem}_times.txt'), file.with_name('times.txt')]
-    times = next((each for each in files if each.is_file()), None)
+    times = next(filter(Path.is_file, files), None)
     if times is None:
         raise BellowsError(
             f"'{path}' is of KITTI, without times. Put them into '{files[0]}', one (s) per line.")
@@ -127,11 +126,8 @@ def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
         If it cannot be written.
 
     """
-    lines = [
-        f'{stamp // NS_PER_S}.{stamp % NS_PER_S:09d} ' + ' '.join(f'{x:.9g}' for x in row)
-        for stamp, row in zip(stamps_ns.tolist(), values.tolist(), strict=True)]
-    head = '# time x y z qx qy qz qw (s, m)'
-    atomic.write_text(path, '\n'.join([head, *lines]) + '\n')
+    _write(path, '# time x y z qx qy qz qw (s, m)', '%d.%09d' + 7 * ' %.9g',
+           *divmod(stamps_ns, NS_PER_S), *values.T)
 
 
 def write_euroc(path: File, stamps_ns: Stamps, values: Array) -> None:
@@ -153,11 +149,14 @@ def write_euroc(path: File, stamps_ns: Stamps, values: Array) -> None:
         If it cannot be written.
 
     """
-    order = [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]
-    lines = [f'{stamp},' + ','.join(f'{x:.9g}' for x in row) for stamp, row in zip(
-        stamps_ns.tolist(), values[:, order].tolist(), strict=True)]
-    head = '#time (ns),x,y,z (m),qw,qx,qy,qz,vx,vy,vz (m/s),wx,wy,wz (rad/s)'
-    atomic.write_text(path, '\n'.join([head, *lines]) + '\n')
+    _write(path, '#time (ns),x,y,z (m),qw,qx,qy,qz,vx,vy,vz (m/s),wx,wy,wz (rad/s)',
+           '%d' + 13 * ',%.9g', stamps_ns, *values[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]].T)
+
+
+def _write(path: File, head: str, form: str, *columns: Array | Stamps) -> None:
+    """Write a text file of a head and a line per row of some columns."""
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    atomic.write_text(path, '\n'.join([head, *map(form.__mod__, rows)]) + '\n')
 
 
 def write_urscript(
