@@ -212,11 +212,11 @@ def _misread(recording: Recording) -> Finding | None:
             f"topics.tool_pose ('{streams[0].name}') and topics.package_pose "
             f"('{streams[1].name}') are poses of one body. Name that of the package; "
             "'bellows info BAG' lists the topics.")
-    if away <= conventions.FARTHEST and above <= 0.0:
+    if away <= conventions.MAX_DISTANCE and above <= 0.0:
         return None
     if apart := _two_worlds(recording, tool, package, lip):
         return _fact('package_world', apart)
-    if away > conventions.FARTHEST:
+    if away > conventions.MAX_DISTANCE:
         raise BellowsError(
             f"The poses of '{streams[0].name}' and '{streams[1].name}' use different worlds: the "
             f'lip of the cup is {away:.3g} m from the tool tip. Set recording.package_world.')

@@ -19,7 +19,13 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
-from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import (
+    common_span,
+    frozen,
+    NS_PER_S,
+    PoseStream,
+    Trajectory,
+)
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,8 +56,7 @@ SHORTEST_REST = 0.5
 LONGEST_BEGINNING = 20.0
 # Marker frames are turned against each other if by more than this (rad), and by more than this
 # part of the tool's tilt, with which a package bends the cup.
-TURNED = np.deg2rad(1.5)
-OF_TILT = 0.5
+MIN_FRAME_TURN, MIN_TURN_TO_TILT = np.deg2rad(1.5), 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,26 +157,6 @@ def in_world(poses: Trajectory, R_world_recorded: Array) -> Trajectory:
         return poses
     return replace(poses, position=frozen(lie.apply(R_world_recorded, poses.position)),
                    rotation=frozen(R_world_recorded @ poses.rotation))
-
-
-def as_recorded(package_frame: str, com: ArrayLike) -> Alignment:
-    """
-    Return the alignment of poses that are those of E, and of S or B, already.
-
-    Parameters
-    ----------
-    package_frame : str
-        What the package's poses are poses of: 'com' or 'lip'.
-    com : array (3,)
-        Centre of mass B in S, m.
-
-    Returns
-    -------
-    Alignment
-
-    """
-    origin_to_com = np.array(com, dtype=np.float64) if package_frame == 'lip' else np.zeros(3)
-    return Alignment(np.eye(3), np.eye(3), origin_to_com, np.zeros(3))
 
 
 def aligned_at_rest(
@@ -275,7 +260,7 @@ class Rest(NamedTuple):
     def is_turned(self) -> bool:
         """Whether marker frames are turned against each other, by more than a cup bends."""
         return (self.seconds >= SHORTEST_REST
-                and bool(self.turned > max(TURNED, OF_TILT * self.tilts[0])))
+                and bool(self.turned > max(MIN_FRAME_TURN, MIN_TURN_TO_TILT * self.tilts[0])))
 
     @property
     def turned_sentence(self) -> tuple[str, ...]:
@@ -292,16 +277,14 @@ class Rest(NamedTuple):
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
     """Return how both bodies begin, from where both are known; poses in the world, z up."""
-    begin = max(int(body.stamps_ns[0]) for body in (tool, package))
+    begin, _ = common_span(tool, package)
     spans = [body.between(begin, begin + int(LONGEST_BEGINNING * NS_PER_S))
              for body in (tool, package)]
     if not all(body.valid.any() for body in spans):
         return Rest(0.0, (0.0, 0.0), 0.0)
-    (R_tool, *still), (R_package, *package_still) = (
-        _beginning(body.select(body.valid)) for body in spans)
-    tilts = tuple(float(np.arccos(np.clip(R[2, 2], -1.0, 1.0))) for R in (R_tool, R_package))
-    return Rest(min(still + package_still), tilts,
-                float(np.linalg.norm(lie.log_so3(R_tool.T @ R_package))))
+    R, still = zip(*(_beginning(body.select(body.valid)) for body in spans), strict=True)
+    tilts = tuple(float(np.arccos(np.clip(each[2, 2], -1.0, 1.0))) for each in R)
+    return Rest(min(still), tilts, float(np.linalg.norm(lie.log_so3(R[0].T @ R[1]))))
 
 
 def _beginning(body: Trajectory) -> tuple[Array, float]:
@@ -356,10 +339,10 @@ TURN_RATE_HZ, TURN_SAMPLES = 50.0, 15
 MIN_CORRELATION = 0.3
 """Correlation of these rotations at which two clocks are aligned: of others it is below 0.2."""
 
-ALTERNATIVE, MAX_LAGS = 0.9, 3
+MIN_PEAK_RATIO, MAX_LAGS = 0.9, 3
 """Part of the largest correlation at which another lag may be the true one, and how many may."""
 
-TURNING = 0.01
+MIN_TURN_STD = 0.01
 """Standard deviation of these rotations (rad) below which bodies hardly turn."""
 
 
@@ -384,7 +367,7 @@ def turn_correlation(
         turn = turn if one_world else np.linalg.norm(turn, axis=1, keepdims=True)
         turn -= turn.mean(axis=0)
         size = float(np.linalg.norm(turn))
-        if size < TURNING * np.sqrt(len(turn)):
+        if size < MIN_TURN_STD * np.sqrt(len(turn)):
             return np.empty(0), np.empty(0)
         turns.append(turn / size)
     count, before = sum(map(len, turns)) - 1, len(turns[1]) - 1
@@ -413,10 +396,10 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     if largest >= MIN_CORRELATION:
         is_peak = correlation >= np.maximum(np.roll(correlation, 1), np.roll(correlation, -1))
         highest = np.argsort(-correlation * is_peak)[:MAX_LAGS]
-        return sorted(lags[highest[correlation[highest] >= ALTERNATIVE * largest]].tolist(),
+        return sorted(lags[highest[correlation[highest] >= MIN_PEAK_RATIO * largest]].tolist(),
                       key=abs)
-    starts, ends = np.transpose([body.stamps_ns[[0, -1]] for body in (tool, package)])
-    if not len(lags) and max(starts) < min(ends):
+    first, last = common_span(tool, package)
+    if not len(lags) and first < last:
         return [0.0]
     raise BellowsError(
         'The stamps of tool and package cannot be aligned: the two do not turn alike at any '
@@ -509,8 +492,7 @@ def motion_sentence(theta: Array, std: Array | None = None) -> str:
 
 def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Return valid poses of both at common stamps, the slowest ones."""
-    first = max(tool.stamps_ns[0], package.stamps_ns[0])
-    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
+    first, last = common_span(tool, package)
     count = int((last - first) / NS_PER_S * START_RATE_HZ)
     if count < 20:
         raise BellowsError(

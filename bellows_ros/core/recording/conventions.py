@@ -3,29 +3,29 @@
 from dataclasses import replace
 from itertools import product
 import os
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import common_span, Posed, PoseStream, Trajectory
 import numpy as np
 
 SAMPLES = 300
 """Poses that are compared."""
 
-FARTHEST = 2.0
+MAX_DISTANCE = 2.0
 """Distance (m) of the package from the tool that no cup reaches."""
 
-REACH, MOST_CHANGE = (0.01, 0.5), 0.25
-"""Distances (m) of a held package, and by which part they vary at most: two worlds are no other
-convention."""
+REACH, MAX_CHANGE = (0.01, 0.5), 0.25
+"""Distances (m) of a package on a cup, and by which part they vary at most: two worlds are no
+other convention."""
 
-BETTER = 0.4
+MAX_MOTION_RATIO = 0.4
 """Part of the motion of the package in the tool that is left with another order, at most ..."""
 
-HANGING, ASKEW = 0.2, 0.5
+MAX_HANGING_TILT, MIN_OTHER_TILT = 0.2, 0.5
 """... or how far from hanging it is at most where it hangs, and beyond which it does not (see
 `_motion`): poses of two worlds come near to hanging by chance."""
 
@@ -48,43 +48,40 @@ def reordered(rotation: Array) -> Array:
     return lie.quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(rotation), -1, axis=-1))
 
 
-Poses = TypeVar('Poses', PoseStream, Trajectory)
-
-
-def converted(poses: Poses, own: Convention) -> Poses:
+def converted(poses: Posed, convention: Convention) -> Posed:
     """Return poses in metres, with w last, that were recorded by a convention."""
-    return replace(poses, position=poses.position * (1e-3 if own.millimetres else 1.0),
-                   rotation=reordered(poses.rotation) if own.w_first else poses.rotation)
+    return replace(
+        poses, position=poses.position * (1e-3 if convention.millimetres else 1.0),
+        rotation=reordered(poses.rotation) if convention.w_first else poses.rotation)
 
 
 def conventions_of(tool: PoseStream, package: PoseStream) -> tuple[Convention, Convention]:
     """Return the conventions of two streams of one world; as they should be where they may be."""
-    first = max(tool.stamps_ns[0], package.stamps_ns[0])
-    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
+    first, last = common_span(tool, package)
     units = Convention(), Convention()
     if last <= first:
         return units
     stamps = np.linspace(0, last - first, SAMPLES).astype(np.int64) + first
-    bodies = [resample(own.trajectory(), np.unique(stamps)) for own in (tool, package)]
-    if _distance(bodies, units)[0] > FARTHEST:
+    bodies = [resample(body.trajectory(), np.unique(stamps)) for body in (tool, package)]
+    if _distance(bodies, units)[0] > MAX_DISTANCE:
         both = [(Convention(a), Convention(b)) for a, b in product((False, True), repeat=2)]
-        units = min((own for own in both if _is_held(bodies, own)),
-                    key=lambda own: _distance(bodies, own)[1], default=units)
-    if not _is_held(bodies, units):
+        units = min((each for each in both if _is_on_cup(bodies, each)),
+                    key=lambda each: _distance(bodies, each)[1], default=units)
+    if not _is_on_cup(bodies, units):
         return units
     orders = [(units[0]._replace(w_first=a), units[1]._replace(w_first=b))
               for a, b in product((False, True), repeat=2)]
-    seen = [_motion(bodies, own) for own in orders]
-    best = int(np.argmin([sum(own) for own in seen]))
-    (moves, hangs), (before, hung) = seen[best], seen[0]
-    upright = moves < before and hangs < HANGING and ASKEW < hung
-    return orders[best] if moves < BETTER * before or upright else units
+    motions = [_motion(bodies, each) for each in orders]
+    best = min(range(4), key=lambda i: sum(motions[i]))
+    (moves, tilt), (moves_read, tilt_read) = motions[best], motions[0]
+    upright = moves < moves_read and tilt < MAX_HANGING_TILT and MIN_OTHER_TILT < tilt_read
+    return orders[best] if moves < MAX_MOTION_RATIO * moves_read or upright else units
 
 
-def _is_held(bodies: list[Trajectory], units: tuple[Convention, Convention]) -> bool:
+def _is_on_cup(bodies: list[Trajectory], units: tuple[Convention, Convention]) -> bool:
     """Return whether the bodies are apart as tool and package, in some units."""
     distance, change = _distance(bodies, units)
-    return REACH[0] < distance < REACH[1] and change < MOST_CHANGE
+    return REACH[0] < distance < REACH[1] and change < MAX_CHANGE
 
 
 def _distance(
@@ -121,20 +118,21 @@ def convention_sentence(
     tool: PoseStream, package: PoseStream, bag: str | os.PathLike[str] = ''
 ) -> str:
     """Return what is said of two streams that fit in other conventions, with commands, or ''."""
-    names: dict[Convention, list[str]] = {}
-    for own, stream in zip(conventions_of(tool, package), (tool, package), strict=True):
-        names.setdefault(own, []).append(stream.name)
-    wrong = {own: topics for own, topics in names.items() if own.words}
+    wrong: dict[Convention, list[str]] = {}
+    for convention, stream in zip(conventions_of(tool, package), (tool, package), strict=True):
+        if convention.words:
+            wrong.setdefault(convention, []).append(stream.name)
     if not wrong:
         return ''
     source = first = short(os.fspath(bag)) or 'RECORDING'
     commands = []
-    for number, (own, topics) in enumerate(wrong.items(), 1):
+    for number, (convention, topics) in enumerate(wrong.items(), 1):
         out = f"{first.rstrip('/')}_converted{number if number > 1 else ''}"
-        options = [f'--topic {topic}' for topic in topics]
-        options += ['--unit mm'] * own.millimetres + ['--quaternion wxyz'] * own.w_first
+        options = [*(f'--topic {topic}' for topic in topics),
+                   *['--unit mm'] * convention.millimetres,
+                   *['--quaternion wxyz'] * convention.w_first]
         commands.append(f"bellows convert {source} {' '.join(options)} --out {out}")
         source = out
-    what = '; '.join(f"The poses of {' and '.join(map(repr, topics))} are {own.words}"
-                     for own, topics in wrong.items())
+    what = '; '.join(f"The poses of {' and '.join(map(repr, topics))} are {convention.words}"
+                     for convention, topics in wrong.items())
     return f"{what}. Correct the driver, or convert the recording: '{' && '.join(commands)}'."

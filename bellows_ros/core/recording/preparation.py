@@ -15,7 +15,6 @@ from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.recording.alignment import (
     aligned_at_rest,
     Alignment,
-    as_recorded,
     in_world,
     rest_of,
     standstill,
@@ -55,9 +54,9 @@ AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
 # poses repeated in motion (part of them), travel (m) that is no cell's, but millimetres.
 LATERAL_WARNED, LATERAL_COM_WARNED, REPEATS_WARNED, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
-MOST_IN_GAPS = 0.5  # part of the time in gaps above which poses come in bursts
+MAX_GAP_FRACTION = 0.5  # of the time; poses with more come in bursts
 # A step that a slow camera sees at least as often as the rest (%) in the motion is none.
-OFTEN = 99.0
+MOTION_PERCENTILE = 99.0
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
 STEP_JITTERS = 10.0
 
@@ -107,41 +106,39 @@ def prepare(
         _filter(aligned[1], settings.package_half_window, settings.package_order, package.name))
     of_tool, of_package = (
         replace(report, arrivals=arrivals, overlapping_gap=int(np.count_nonzero(
-            own.poses.between(*own.stamps_ns[[0, -1]]).valid & ~own.whole)))
-        for report, own, arrivals in zip(
+            of_body.poses.between(*of_body.stamps_ns[[0, -1]]).valid & ~of_body.whole)))
+        for report, of_body, arrivals in zip(
             (of_tool, of_package), filters, (tool_arrivals, package_arrivals), strict=True))
-    warnings = [warning for own in (of_tool, of_package) for warning in stream_warnings(
-        own.recorded, own.timing, own.outliers, own.arrivals)]
+    warnings = [warning for report in (of_tool, of_package) for warning in stream_warnings(
+        report.recorded, report.timing, report.outliers, report.arrivals)]
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
-    return _joined(tool, package, tool_twist, filters, settings, alignment, report,
-                   filters[1].poses if of_package.timing.uniform else alignment.package(tracked))
+    return _joined(Recording(
+        settings, tool, package, tool_twist, filters, *aligned,
+        filters[1].poses if of_package.timing.uniform else alignment.package(tracked),
+        alignment, report))
 
 
-def with_tool_earlier(own: Recording, seconds: float) -> Recording:
+def with_tool_earlier(recording: Recording, seconds: float) -> Recording:
     """Return a recording with the stamps of the tool earlier by so many seconds."""
-    twist, (of_tool, of_package) = own.tool_twist, own.filters
-    return _joined(
-        earlier(own.tool_pose, seconds), own.package_pose, twist and earlier(twist, seconds),
-        (replace(of_tool, poses=earlier(of_tool.poses, seconds)), of_package), own.settings,
-        own.alignment, own.report, own.tracked_package)
+    twist, (of_tool, of_package) = recording.tool_twist, recording.filters
+    return _joined(replace(
+        recording, tool_pose=earlier(recording.tool_pose, seconds),
+        tool_twist=twist and earlier(twist, seconds), _filtered={},
+        filters=(replace(of_tool, poses=earlier(of_tool.poses, seconds)), of_package)))
 
 
-def _joined(
-    tool: PoseStream, package: PoseStream, tool_twist: TwistStream | None,
-    filters: tuple[Filter, Filter], settings: PrepareSettings, alignment: Alignment,
-    report: Report, tracked_package: Trajectory,
-) -> Recording:
-    """Return a recording of aligned streams, the tool brought to the stamps of the package."""
-    of_tool, of_package = filters
-    common = _common(of_tool.stamps_ns, of_package.stamps_ns, (tool, package))
-    measured_tool = resampling.resample(of_tool.poses, common, report.tool.timing.longest_step_ns)
-    if tool_twist is not None:
-        measured_tool = _with_twist(measured_tool, tool_twist, alignment, settings)
-    recording = Recording(
-        settings, tool, package, tool_twist, filters, measured_tool,
-        of_package.poses.between(*common[[0, -1]]), tracked_package, alignment, report)
+def _joined(recording: Recording) -> Recording:
+    """Return a recording with its measured poses at the stamps of the package."""
+    (of_tool, of_package), twist = recording.filters, recording.tool_twist
+    report, streams = recording.report, (recording.tool_pose, recording.package_pose)
+    common = _common(of_tool.stamps_ns, of_package.stamps_ns, streams)
+    tool = resampling.resample(of_tool.poses, common, report.tool.timing.longest_step_ns)
+    if twist is not None:
+        tool = _with_twist(tool, twist, recording.alignment, recording.settings)
+    recording = replace(recording, measured_tool=tool,
+                        measured_package=of_package.poses.between(*common[[0, -1]]))
     if not recording.whole.any():
         both = report.tool, report.package
         faults = '; '.join(
@@ -160,7 +157,7 @@ def _alignment(
     """Return the alignment at the standstill from where both streams have begun, or none."""
     given = settings.package_frame, settings.payload.com
     if not settings.align_at_rest:
-        return as_recorded(*given)
+        return Alignment(np.eye(3), np.eye(3), given[1] * (given[0] == 'lip'), np.zeros(3))
     start = max(int(poses.stamps_ns[0]) for poses in (tool_poses, package_poses))
     tool, package = (
         standstill(poses, start, settings.rest_duration, body)
@@ -206,8 +203,8 @@ def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStrea
     common: Stamps = package[(package >= tool[0]) & (package <= tool[-1])]
     if not len(common):
         covered = ', '.join(
-            "'{}' covers {:.3f} to {:.3f} s".format(own.name, *own.stamps_ns[[0, -1]] / NS_PER_S)
-            for own in recorded)
+            "'{}' covers {:.3f} to {:.3f} s".format(s.name, *s.stamps_ns[[0, -1]] / NS_PER_S)
+            for s in recorded)
         raise BellowsError(
             f'The two streams overlap by less than the filter windows: {covered}. Choose topics '
             'of one recording, stamped by one clock, use smaller half windows, or record longer.')
@@ -227,13 +224,13 @@ def _with_twist(
     stamps_ns, wanted_ns = recorded.stamps_ns, tool.stamps_ns
     end = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, len(stamps_ns) - 1)
     ends = stamps_ns[[end - 1, end]]  # of the step that a wanted stamp lies in
-    is_known = (wanted_ns >= stamps_ns[0]) & (wanted_ns <= stamps_ns[-1]) & (
+    is_valid = (wanted_ns >= stamps_ns[0]) & (wanted_ns <= stamps_ns[-1]) & (
         (ends[1] - ends[0] <= resampling.timing(stamps_ns).longest_step_ns)
         | (ends == wanted_ns).any(axis=0))
     at, since = wanted_ns - stamps_ns[0], stamps_ns - stamps_ns[0]
     twist = np.stack([apply(R, np.column_stack([np.interp(at, since, axis) for axis in part.T]))
                       for part in (recorded.linear, recorded.angular)], axis=1)
-    return replace(tool, twist=frozen(twist).reshape(-1, 6), valid=tool.valid & is_known)
+    return replace(tool, twist=frozen(twist).reshape(-1, 6), valid=tool.valid & is_valid)
 
 
 def _as_moved(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:
@@ -295,7 +292,7 @@ def stream_warnings(
 def burst_sentence(*streams: tuple[PoseStream, resampling.Timing]) -> str:
     """Return a sentence on streams in which no pose comes most of the time, '' without any."""
     bursts = [f"'{poses.name}'" for poses, time in streams
-              if sum(gap.duration_s for gap in time.gaps) > MOST_IN_GAPS * float(
+              if sum(gap.duration_s for gap in time.gaps) > MAX_GAP_FRACTION * float(
                   np.ptp(poses.stamps_ns)) / NS_PER_S]
     return (f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: stamp '
             'them when they are measured.') if bursts else ''
@@ -307,10 +304,9 @@ def lasting_steps(
     """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
     if not outliers.steps:
         return []
-    moved = np.linalg.norm(increments_of(poses), axis=2)
-    often = np.zeros(2)
+    moved, usual = np.linalg.norm(increments_of(poses), axis=2), np.zeros(2)
     if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
-        often = np.percentile(moved, OFTEN, axis=1)
+        usual = np.percentile(moved, MOTION_PERCENTILE, axis=1)
 
     def exceeds_motion(step: LastingStep) -> bool:
         """Return whether a step is larger than what is frequent, and than jitter there makes."""
@@ -318,6 +314,6 @@ def lasting_steps(
         speed = moved[:, near.start:near.stop - 1].sum(axis=1) / (
             np.ptp(poses.stamps_ns[near]) / NS_PER_S)
         return not any(np.all(step[1:] < limit) for limit in (
-            often, STEP_JITTERS * time.jitter_s * speed))
+            usual, STEP_JITTERS * time.jitter_s * speed))
 
     return list(filter(exceeds_motion, outliers.steps))
