@@ -84,12 +84,12 @@ def _topic_rows(result: Info) -> list[tuple[str, ...]]:
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in result.topics:
         begin = (topic.start_ns - first_ns) * 1e-9
-        numbers = (
-            (topic.rate_hz, '.1f', 'Hz'), (topic.jitter_s * 1e3, '.2f', 'ms'), (begin, '.2f', 's'),
-            (begin + topic.duration_s, '.2f', 's'), (len(topic.gaps), 'd', ''))
         timing = [  # a single message has no rate
-            f'{value:{form}} {unit}'.rstrip() if topic.kind and math.isfinite(value) else ''
-            for value, form, unit in numbers]
+            form.format(value) if topic.kind and math.isfinite(value) else ''
+            for form, value in (
+                ('{:.1f} Hz', topic.rate_hz), ('{:.2f} ms', topic.jitter_s * 1e3),
+                ('{:.2f} s', begin), ('{:.2f} s', begin + topic.duration_s),
+                ('{}', len(topic.gaps)))]
         rows.append((
             topic.name, topic.type_name.replace('/msg/', '/'), str(topic.messages), *timing))
     return rows

@@ -20,22 +20,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
-from bellows_ros.files import File, mcap, messages
-from bellows_ros.files.bag_folder import (
-    Batch,
-    Channel,
-    DamagedError,
-    decompressed,
-    LARGEST_RECORD,
-    listing,
-    Message,
-    METADATA,
-    rows_of,
-    Wanted,
-    ZSTD_MAGIC,
-    ZstdError,
-    ZstdFile,
-)
+from bellows_ros.files import bag_folder, File, mcap, messages
+from bellows_ros.files.bag_folder import Batch, Channel, DamagedError, Message, Wanted, ZSTD_MAGIC
 import numpy as np
 
 # A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
@@ -98,7 +84,7 @@ class _Bag:
     def __init__(self, path: File) -> None:
         """Find its files; raise BellowsError if there are none."""
         self.path = Path(path)
-        self._listed = listing(path)
+        self._listed = bag_folder.listing(path)
         self.counts: dict[Channel, int] = {}
         self.notes = list(self._listed.notes)
 
@@ -118,7 +104,7 @@ class _Bag:
             try:
                 for batches in _file_batches(file, wanted, self.counts, losses):
                     yield [_plain(batch) for batch in batches]
-            except (DamagedError, ZstdError, EOFError) as error:
+            except (DamagedError, bag_folder.ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
                     'Give a sound copy, or record again.') from None
@@ -128,8 +114,8 @@ class _Bag:
         count, stated = sum(self.counts.values()), self._listed.information.get('message_count')
         if self._listed.information and stated != count:
             self.notes.append(
-                f'The recording has {count} messages, but {METADATA} says {str(stated)[:20]}. Was '
-                'it copied whole?')
+                f'The recording has {count} messages, but {bag_folder.METADATA} says '
+                f'{str(stated)[:20]}. Was it copied whole?')
 
     def require_messages(self) -> None:
         """Refuse a recording without messages."""
@@ -186,7 +172,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
         If there is no such recording, it is damaged, or lacks a topic.
 
     """
-    bag, wanted = _Bag(path), {_absolute(name) for name in names}
+    bag, wanted = _Bag(path), {absolute(name) for name in names}
 
     def chosen(topic: Channel) -> bool:
         readable = topic.type_name in messages.LAYOUTS and topic.encoding == 'cdr'
@@ -245,7 +231,7 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
 
     """
     bag = _Bag(path)
-    roles = {role: _absolute(topic) for role, topic in wanted.items() if topic}
+    roles = {role: absolute(topic) for role, topic in wanted.items() if topic}
     collectors: dict[Channel, dict[str, _Collector]] = {}
 
     def is_wanted(topic: Channel) -> bool:
@@ -292,7 +278,7 @@ def messages_of(
         If there is no such recording, or it is damaged.
 
     """
-    name = topic and _absolute(topic)
+    name = topic and absolute(topic)
     for channel, log_time_ns, data in _Bag(path).messages(
         lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name)
     ):
@@ -325,9 +311,9 @@ def message_types() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def _absolute(topic: str) -> str:
-    """Return a topic's name as a recording has it."""
-    return topic if topic.startswith('/') else f'/{topic}'
+def absolute(topic: str) -> str:
+    """Return a topic's name as a recording has it, with a slash before it."""
+    return f'/{topic.lstrip("/")}'
 
 
 def accepted_types(role: str) -> tuple[str, ...]:
@@ -423,19 +409,18 @@ def _plain(batch: Batch) -> Batch:
 
     A damaged one is empty then, which is counted later.
     """
-    firsts = rows_of(batch.data, batch.starts[batch.sizes >= len(ZSTD_MAGIC)], len(ZSTD_MAGIC))
+    size = len(ZSTD_MAGIC)
+    firsts = bag_folder.rows_of(batch.data, batch.starts[batch.sizes >= size], size)
     if not (firsts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
         return batch
-    limit = LARGEST_PLAN
-    if batch.topic.type_name in messages.LAYOUTS:
-        limit = messages.LARGEST_MESSAGE
-
-    def plain(data: bytes) -> bytes:
-        with suppress(DamagedError):
-            return decompressed('zstd', data, limit) if data.startswith(ZSTD_MAGIC) else data
-        return b''
-
-    return Batch.of(batch.topic, batch.log_times_ns, [*map(plain, batch.messages())])
+    is_layout = batch.topic.type_name in messages.LAYOUTS
+    limit, plain = messages.LARGEST_MESSAGE if is_layout else LARGEST_PLAN, batch.messages()
+    for i, data in enumerate(plain):
+        if data.startswith(ZSTD_MAGIC):
+            plain[i] = b''
+            with suppress(DamagedError):
+                plain[i] = bag_folder.decompressed('zstd', data, limit)
+    return Batch.of(batch.topic, batch.log_times_ns, plain)
 
 
 def _file_batches(
@@ -445,7 +430,7 @@ def _file_batches(
     with path.open('rb') as stored:
         compressed = stored.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
         stored.seek(0)
-        file: Any = ZstdFile(stored) if compressed else stored
+        file: Any = bag_folder.ZstdFile(stored) if compressed else stored
         magic = file.read(len(SQLITE_MAGIC))
         file.seek(0)
         if magic.startswith(mcap.MAGIC):
@@ -565,7 +550,7 @@ def _connect(path: Path) -> sqlite3.Connection:
     """Open a database that is neither changed nor trusted."""
     uri = f'{path.resolve().as_uri()}?mode=ro&immutable=1'
     database = sqlite3.connect(uri, uri=True)
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, bag_folder.LARGEST_RECORD)
     for setting in ('trusted_schema = OFF', 'cell_size_check = ON',
                     'ignore_check_constraints = ON'):
         database.execute(f'PRAGMA {setting}')

@@ -16,16 +16,8 @@ import struct
 from typing import BinaryIO
 import zlib
 
-from bellows_ros.files.bag_folder import (
-    Batch,
-    Channel,
-    DamagedError,
-    decompressed,
-    FRAMES,
-    LARGEST_RECORD,
-    rows_of,
-    Wanted,
-)
+from bellows_ros.files import bag_folder
+from bellows_ros.files.bag_folder import Batch, Channel, DamagedError, LARGEST_RECORD, Wanted
 import numpy as np
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -180,7 +172,7 @@ class _Scan:
     def _messages(self, records: bytes, starts: list[int]) -> Iterator[list[Batch]]:
         """Count the messages that begin there, and yield those that are wanted."""
         at = np.array(starts, dtype=np.int64)
-        heads = rows_of(records, at, _MESSAGE_HEAD.itemsize).view(_MESSAGE_HEAD)[:, 0]
+        heads = bag_folder.rows_of(records, at, _MESSAGE_HEAD.itemsize).view(_MESSAGE_HEAD)[:, 0]
         unknown = ~np.isin(heads['channel'], list(self._channels))
         sound = heads[:np.argmax(unknown)] if unknown.any() else heads
         batches = []
@@ -297,11 +289,11 @@ def _chunk_data(fields: _Fields) -> bytes:
     cut = len(stored) != stored_size
     if size > LARGEST_RECORD:
         raise DamagedError(f'a chunk says it is {size} bytes long')
-    if compression not in ('', *FRAMES):
+    if compression not in ('', *bag_folder.FRAMES):
         raise DamagedError(
             f"its compression '{compression[:20]}' is not supported; zstd, lz4 and none are")
     try:
-        data = decompressed(compression, stored, size, cut) if compression else stored
+        data = bag_folder.decompressed(compression, stored, size, cut) if compression else stored
     except DamagedError as error:
         raise DamagedError(f'a chunk cannot be decompressed: {error}') from None
     if cut:

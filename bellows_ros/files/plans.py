@@ -22,19 +22,9 @@ from bellows_ros.core.planning.points import require_count
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, read_text, safe_yaml
+from bellows_ros.files import File, plan_messages, read_text, safe_yaml
 from bellows_ros.files.bags import decoded, message_types, messages_of
-from bellows_ros.files.plan_messages import (
-    decode_multi_dof,
-    durations_of,
-    joint_plan,
-    JointPlan,
-    lists_of,
-    MULTI_DOF,
-    ns_of,
-    PATH,
-    PlanMessage,
-)
+from bellows_ros.files.plan_messages import JointPlan, MULTI_DOF, ns_of, PATH, PlanMessage
 import numpy as np
 
 TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
@@ -223,8 +213,9 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
 
     """
     makers: dict[str, Callable[[bytes], PlanMessage | JointPlan]] = {
-        MULTI_DOF: decode_multi_dof, PATH: lambda data: path_points(decoded(data, PATH)),
-        JOINTS: lambda data: joint_plan(decoded(data, JOINTS))}
+        MULTI_DOF: plan_messages.decode_multi_dof,
+        PATH: lambda data: path_points(decoded(data, PATH)),
+        JOINTS: lambda data: plan_messages.joint_plan(decoded(data, JOINTS))}
     found = messages_of(path, makers, topic)
     return [(name, makers[kind](data)) for name, kind, _, data in found]
 
@@ -246,7 +237,8 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
         else:
             points = message.points or []
             require_count(len(points), 'The plan')
-            read = multi_dof(message) if hasattr(points[0], 'transforms') else joint_plan(message)
+            is_of_tool = hasattr(points[0], 'transforms')
+            read = multi_dof(message) if is_of_tool else plan_messages.joint_plan(message)
         for name in (read.frame_id, *read.names):
             if not isinstance(name, str):
                 raise TypeError(f'{name} as name of a frame or joint')
@@ -271,8 +263,8 @@ def multi_dof(message: Any) -> PlanMessage:
     """Return the points of a MultiDOFJointTrajectory."""
     points = message.points
     require_count(len(points), 'The plan')
-    transforms, *rates = (
-        lists_of(points, part, 1) for part in ('transforms', 'velocities', 'accelerations'))
+    transforms, *rates = (plan_messages.lists_of(points, part, 1)
+                          for part in ('transforms', 'velocities', 'accelerations'))
     if transforms is None:
         raise BellowsError('The plan has points without transforms; expected one of each.')
     poses = np.array([_seven(own.translation, own.rotation) for (own,) in transforms])
@@ -281,7 +273,7 @@ def multi_dof(message: Any) -> PlanMessage:
             [(*_three(own.linear), *_three(own.angular)) for (own,) in lists]) for lists in rates)
     return PlanMessage(
         ns_of(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
-        durations_of(points), poses, twists, accelerations)
+        plan_messages.durations_of(points), poses, twists, accelerations)
 
 
 def path_points(message: Any) -> PlanMessage:

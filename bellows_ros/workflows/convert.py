@@ -16,7 +16,7 @@ from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, trajectory_files
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.bags import accepted_types, messages_of, read_streams, topics
+from bellows_ros.files.bags import absolute, accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
 from bellows_ros.files.results import attributes
 from bellows_ros.workflows.recordings import FULL_RANGE, inside, part_of
@@ -126,7 +126,7 @@ def bodies_in_files(
             f'{len(names)} topics are given for {len(bodies)} bodies: '
             f'{", ".join(body.source for body in bodies)}. Give one for each, in this order.')
     if names:
-        bodies = [replace(body, messages=replace(body.messages, topic=_absolute(name)))
+        bodies = [replace(body, messages=replace(body.messages, topic=absolute(name)))
                   for body, name in zip(bodies, names, strict=True)]
     chosen = [body.topic for body in bodies]
     if len(set(chosen)) < len(chosen):
@@ -134,11 +134,6 @@ def bodies_in_files(
             f'Several bodies have the same topic, among {", ".join(chosen)}. Give a topic for '
             'each.')
     return bodies
-
-
-def _absolute(topic: str) -> str:
-    """Return a topic with a slash before it."""
-    return f'/{topic.lstrip("/")}'
 
 
 def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -> list[Body]:
@@ -163,7 +158,7 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
 
     """
     read = joints_or_tf(bag, urdf, tool_link)
-    name = _absolute(topic or TOOL_POSE)
+    name = absolute(topic or TOOL_POSE)
     others = _copied(bag, {*accepted_types('pose'), *accepted_types('twist')})
     if any(other.topic == name for other in others):
         raise BellowsError(
@@ -209,7 +204,7 @@ def bodies_in_transforms(
         stamps, T, world_frame, bad = poses_in(links, frame, world_frame, f"'{bag}'")
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
         bodies.append(Body(
-            as_messages(_absolute(topic), POSE, stamps, rows, world_frame),
+            as_messages(absolute(topic), POSE, stamps, rows, world_frame),
             f"{frame} in '{world_frame}' of {bag}",
             {'transforms that are no poses': bad} if bad else {}))
     return bodies
@@ -237,7 +232,7 @@ def bodies_in_recording(
 
     """
     counts, types = topics(bag), accepted_types('pose')
-    chosen = [_absolute(name) for name in names] or [
+    chosen = [absolute(name) for name in names] or [
         topic.name for topic in counts if topic.type_name in types and topic.messages]
     bodies = list[Body]()
     for name, stream in read_streams(bag, {name: name for name in chosen}).items():

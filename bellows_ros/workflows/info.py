@@ -6,7 +6,7 @@ at a distance that hardly changes while both move. The names of the topics are a
 the poses leave a choice.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import permutations
 import os
@@ -26,7 +26,7 @@ from bellows_ros.core.recording.conventions import convention_sentence
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.preparation import stream_warnings
 from bellows_ros.core.recording.recording import LOW_RATE_HZ
-from bellows_ros.core.signals.resampling import at_sampling, resample, timing
+from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.files import File
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
@@ -247,10 +247,10 @@ def _frames_note(path: File) -> str:
     """Return which frames move in the transforms, and how to make a recording with poses."""
     moving = sorted(
         short(name) for name, link in read_transforms(path).items() if len(link.stamps_ns) > 1)
-    more = len(moving) - MAX_FRAMES
+    if len(moving) > MAX_FRAMES:
+        moving[MAX_FRAMES:] = [f'and {len(moving) - MAX_FRAMES} more']
     return (
-        'It has transforms instead of poses. Frames that move: '
-        f'{", ".join(moving[:MAX_FRAMES]) or "none"}{f" and {more} more" if more > 0 else ""}. '
+        f'It has transforms instead of poses. Frames that move: {", ".join(moving) or "none"}. '
         f"Make a recording with poses: 'bellows convert {short(os.fspath(path))} "
         "--tool-frame FRAME --package-frame FRAME --out with_poses'.")
 
@@ -312,15 +312,11 @@ def _assigned(
     notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
               if topic.problem]
     notes += [text for topic in described if topic.name in used for text in topic.warnings]
-    if any(timing(poses[guess.topic].stamps_ns).rate_hz < LOW_RATE_HZ
-           for guess in (tool, package) if guess):
+    rest_s, streams = None, tuple(poses[guess.topic] for guess in (tool, package) if guess)
+    if any(timing(stream.stamps_ns).rate_hz < LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
-    rest_s = None
-    if tool and package:
-        error, proposed, rest_s, remarks = _arrangement(
-            pair, poses[tool.topic], poses[package.topic], path)
-        settings |= proposed
-        notes = [error, *notes] if error else notes + remarks  # an error makes remarks doubtful
+    if len(streams) == 2:
+        rest_s = _arrange(pair, streams, path, settings, notes)
     else:
         notes.append(
             'An identification needs the poses of tool and package; the tool alone is enough '
@@ -330,32 +326,34 @@ def _assigned(
     return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes))
 
 
-def _arrangement(
-    pair: Pair | None, tool: PoseStream, package: PoseStream, path: File
-) -> tuple[str, dict[str, Any], float | None, list[str]]:
-    """Return an error of convention, settings, the duration of the initial rest, and remarks."""
-    settings, notes, rest_s = dict[str, Any](), list[str](), None
-    if len({tool.frame_id, package.frame_id} - {''}) < 2 and (
-            error := convention_sentence(tool, package, path)):
-        apart = ''
-    else:
-        error, apart = '', _reason_apart(pair, tool, package)
+def _arrange(
+    pair: Pair | None, streams: Sequence[PoseStream], path: File, settings: dict[str, Any],
+    notes: list[str]
+) -> float | None:
+    """Add settings and notes on how the poses fit together; return how long they rest first, s."""
+    error, apart, remarks, (tool, package) = '', '', list[str](), streams
+    if len({tool.frame_id, package.frame_id} - {''}) < 2:
+        error = convention_sentence(tool, package, path)
+    if not error:
+        apart = _reason_apart(pair, tool, package)
     if apart:
-        settings = {
+        settings |= {
             'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
             'fit.time_offset': True, 'fit.free': ('package_marker',)}
-        notes.append(
+        remarks.append(
             f'{apart} recording.package_world: {ESTIMATE} finds how the world of the package '
             'lies in that of the tool, best with standstills tilted to several sides at the end; '
             'if you know it, give its seven numbers. The time offset and the marker are '
             'estimated, too: leave out what you know.')
     elif pair:
         settings['recording.world'] = pair.world
+    rest_s = None
     if pair:
-        rest_s, at_rest, remarks = _initial_rest(pair, tool, package, bool(apart))
+        rest_s, at_rest, more = _initial_rest(pair, tool, package, bool(apart))
         settings |= at_rest
-        notes += remarks
-    return error, settings, rest_s, notes
+        remarks += more
+    notes[:] = [error, *notes] if error else notes + remarks  # an error makes remarks doubtful
+    return rest_s
 
 
 def _reason_apart(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
@@ -363,7 +361,8 @@ def _reason_apart(pair: Pair | None, tool: PoseStream, package: PoseStream) -> s
     frames = short(tool.frame_id), short(package.frame_id)
     if all(frames) and frames[0] != frames[1]:
         return f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'."
-    if tool.stamps_ns[-1] < package.stamps_ns[0] or package.stamps_ns[-1] < tool.stamps_ns[0]:
+    first, last = common_span(tool, package)
+    if last < first:
         return 'The stamps of tool and package do not overlap: they are of two clocks.'
     low, high = IMPLAUSIBLE_DISTANCE
     if pair and low < pair.distance < high and pair.change > MAX_CHANGE:
@@ -407,24 +406,25 @@ def longest_hold(tool: Trajectory) -> float:
     some = tool.select(np.unique(steps, return_index=True)[1])  # stamps may be years apart
     up = some.rotation[:, 2]
     turn = log_so3(np.swapaxes(some.rotation[:-1], 1, 2) @ some.rotation[1:])
-    held = np.arccos(np.clip(up[1:] @ up[0], -1.0, 1.0)) > MIN_TILT
+    still = np.arccos(np.clip(up[1:] @ up[0], -1.0, 1.0)) > MIN_TILT
     for step, speed in zip((np.diff(some.position, axis=0), turn), STILL_SPEED, strict=True):
-        held &= np.linalg.norm(step, axis=1) < HOLD_STEP * speed
-    edges = np.flatnonzero(np.diff(held, prepend=False, append=False)).reshape(-1, 2)
+        still &= np.linalg.norm(step, axis=1) < HOLD_STEP * speed
+    edges = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
     return float(HOLD_STEP * np.max(edges[:, 1] - edges[:, 0], initial=0))
 
 
 def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
     """Return tool and package judged by names alone, None where no name tells."""
-    guesses: list[Guess | None] = []
-    for words, others in ((TOOL_WORDS, PACKAGE_WORDS), (PACKAGE_WORDS, TOOL_WORDS)):
-        named = [name for name in poses if _words_in(name, words) and not _words_in(name, others)]
-        guesses.append(Guess(named[0], (_name_reason(named[0], words),)) if named else None)
-    for i, other in ((0, guesses[1]), (1, guesses[0])):
-        if guesses[i] is None and other and len(poses) == 2:
-            rest = next(name for name in poses if name != other.topic)
-            guesses[i] = Guess(rest, ('it is the other',))
-    return guesses[0], guesses[1]
+    def named(words: frozenset[str], others: frozenset[str]) -> Guess | None:
+        return next((Guess(name, _name_reason(name, words)) for name in poses
+                     if _words_in(name, words) and not _words_in(name, others)), None)
+
+    def rest(other: Guess | None) -> Guess | None:
+        return next((Guess(name, ('it is the other',)) for name in poses
+                     if other and len(poses) == 2 and name != other.topic), None)
+
+    tool, package = named(TOOL_WORDS, PACKAGE_WORDS), named(PACKAGE_WORDS, TOOL_WORDS)
+    return tool or rest(package), package or rest(tool)
 
 
 def _words_in(topic: str, words: frozenset[str]) -> set[str]:
@@ -432,20 +432,20 @@ def _words_in(topic: str, words: frozenset[str]) -> set[str]:
     return set(re.findall(r'[a-z]+', topic.lower())) & words
 
 
-def _name_reason(topic: str, words: frozenset[str]) -> str:
-    """Return the reason that is a name."""
-    return "its name says '" + "' and '".join(sorted(_words_in(topic, words))) + "'"
+def _name_reason(topic: str, words: frozenset[str]) -> tuple[str, ...]:
+    """Return the reason that is a name, if it is one."""
+    there = "' and '".join(sorted(_words_in(topic, words)))
+    return (f"its name says '{there}'",) if there else ()
 
 
 def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
     """Return two topics as tool and package with the reasons; None without a common time."""
-    first = max(tool.stamps_ns[0], package.stamps_ns[0])
-    last = min(tool.stamps_ns[-1], package.stamps_ns[-1])
+    first, last = common_span(tool, package)
     if last <= first:
         return None
     stamps = np.unique(np.linspace(first, last, SAMPLES).astype(np.int64)).clip(first, last)
-    ends = [resample(stream.trajectory(), stamps).position for stream in (package, tool)]
-    offset = ends[0] - ends[1]
+    offset = np.subtract(*(resample(stream.trajectory(), stamps).position
+                           for stream in (package, tool)))
     distances = np.linalg.norm(offset, axis=1)
     start = offset[: max(1, int(len(offset) * 0.01))].mean(axis=0)
     distance = float(np.linalg.norm(start))
@@ -455,9 +455,8 @@ def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
     world = lowest if below else 'z_up'
     low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
     constant = distance < MAX_DISTANCE and most - quarter < MAX_RELATIVE_CHANGE * distance
-    why_tool, why_package = (
-        [_name_reason(name, words)] if _words_in(name, words) else []
-        for name, words in ((tool.name, TOOL_WORDS), (package.name, PACKAGE_WORDS)))
+    why_tool = [*_name_reason(tool.name, TOOL_WORDS)]
+    why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
     score = 3.0 * below + 2.0 * constant + 1.5 * (len(why_tool) + len(why_package))
     if constant:
         why_package.insert(0, f'it stays {1e3 * low:.1f} to {1e3 * high:.1f} mm from it')
@@ -501,7 +500,7 @@ def _twist_of(
 
 def _twist_match(tool: PoseStream, twist: TwistStream) -> TwistMatch:
     """Compare a twist, integrated over `TWIST_WINDOW`, with the change of the poses."""
-    inside = (twist.stamps_ns >= tool.stamps_ns[0]) & (twist.stamps_ns <= tool.stamps_ns[-1])
+    inside = (tool.stamps_ns[0] <= twist.stamps_ns) & (twist.stamps_ns <= tool.stamps_ns[-1])
     if np.count_nonzero(inside) < 10:
         return TwistMatch()
     body = resample(tool.trajectory(), twist.stamps_ns[inside])

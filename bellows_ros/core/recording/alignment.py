@@ -18,14 +18,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
-from bellows_ros.core.signals.trajectory import (
-    common_span,
-    frozen,
-    NS_PER_S,
-    PoseStream,
-    Trajectory,
-)
+from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.parameters.table import short
-from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import common_span, Posed, PoseStream, Trajectory
+from bellows_ros.core.signals.resampling import common_span, resample
+from bellows_ros.core.signals.trajectory import Posed, PoseStream, Trajectory
 import numpy as np
 
 SAMPLES = 300

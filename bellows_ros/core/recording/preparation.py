@@ -34,17 +34,9 @@ from bellows_ros.core.recording.recording import (
     Report,
     StreamReport,
 )
-from bellows_ros.core.signals import resampling
+from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import weights_for
-from bellows_ros.core.signals.trajectory import (
-    earlier,
-    frozen,
-    NS_PER_S,
-    PoseStream,
-    Trajectory,
-    TwistStream,
-    uniform_rate_hz,
-)
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -124,9 +116,9 @@ def with_tool_earlier(recording: Recording, seconds: float) -> Recording:
     """Return a recording with the stamps of the tool earlier by so many seconds."""
     twist, (of_tool, of_package) = recording.tool_twist, recording.filters
     return _joined(replace(
-        recording, tool_pose=earlier(recording.tool_pose, seconds),
-        tool_twist=twist and earlier(twist, seconds), _filtered={},
-        filters=(replace(of_tool, poses=earlier(of_tool.poses, seconds)), of_package)))
+        recording, tool_pose=trajectory.earlier(recording.tool_pose, seconds),
+        tool_twist=twist and trajectory.earlier(twist, seconds), _filtered={},
+        filters=(replace(of_tool, poses=trajectory.earlier(of_tool.poses, seconds)), of_package)))
 
 
 def _joined(recording: Recording) -> Recording:
@@ -192,7 +184,7 @@ def _naming(topic: str) -> Iterator[None]:
 def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filter:
     """Return the filter of the poses of a topic."""
     if half_window == 0:
-        rate_hz = uniform_rate_hz(poses.stamps_ns)
+        rate_hz = trajectory.uniform_rate_hz(poses.stamps_ns)
         half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
     with _naming(name):
         return Filter(poses, half_window, order, weights_for(poses, half_window, order))
@@ -230,7 +222,7 @@ def _with_twist(
     at, since = wanted_ns - stamps_ns[0], stamps_ns - stamps_ns[0]
     twist = np.stack([apply(R, np.column_stack([np.interp(at, since, axis) for axis in part.T]))
                       for part in (recorded.linear, recorded.angular)], axis=1)
-    return replace(tool, twist=frozen(twist).reshape(-1, 6), valid=tool.valid & is_valid)
+    return replace(tool, twist=twist.reshape(-1, 6), valid=tool.valid & is_valid)
 
 
 def _as_moved(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:

@@ -15,14 +15,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.signals.trajectory import (
-    checked_stamps,
-    frozen,
-    NS_PER_S,
-    PoseStream,
-    Trajectory,
-    UNIFORMITY_TOLERANCE,
-)
+from bellows_ros.core.signals.trajectory import checked_stamps, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,9 +24,9 @@ from numpy.typing import ArrayLike
 # stamps adds to it, as many of its standard deviations as here.
 GAP_PERIODS = 1.5
 GAP_DEVIATIONS = 3.0
-# Steps within this part of the period count as uniform; `savgol` allows twice as much, measured
-# from the mean step instead of the period estimated here.
-COPY_TOLERANCE = 0.5 * UNIFORMITY_TOLERANCE
+# Steps within this part of the period count as uniform; `savgol` allows twice as much
+# (`UNIFORMITY_TOLERANCE`), measured from the mean step instead of the period estimated here.
+COPY_TOLERANCE = 0.005
 # Stamps come in bursts where the mean of so many steps is mostly not within these factors
 # of the typical step: half the samples may be lost, but none is there twice.
 BURST_STEPS = 20
@@ -160,6 +153,12 @@ def _typical(values: Array | Stamps) -> float:
     median = float(np.median(values))
     near = values[np.abs(values - median) < 0.5 * median]
     return float(np.mean(near)) if len(near) else median
+
+
+def common_span(one: PoseStream | Trajectory, other: PoseStream | Trajectory) -> tuple[int, int]:
+    """Return the first and the last stamp (ns) of the time in which both are, if any."""
+    starts, ends = zip(*(body.stamps_ns[[0, -1]].tolist() for body in (one, other)), strict=True)
+    return max(starts), min(ends)
 
 
 def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
@@ -345,9 +344,9 @@ def resample(
         twist[between] = twists
     near = longest_gap_ns is None or stamps[end] - stamps[start] <= longest_gap_ns
     valid[between] &= trajectory.valid[end] & near
-    return Trajectory(
-        frozen(wanted), frozen(position), frozen(rotation),
-        None if twist is None else frozen(twist), None, valid)
+    for array in (wanted, position, rotation):
+        array.setflags(write=False)  # so that none is copied
+    return Trajectory(wanted, position, rotation, twist, valid=valid)
 
 
 def _between(

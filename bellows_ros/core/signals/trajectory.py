@@ -277,12 +277,6 @@ def earlier(stream: Stamped, seconds: float) -> Stamped:
     return replace(stream, stamps_ns=stream.stamps_ns - round(seconds * NS_PER_S))
 
 
-def common_span(one: PoseStream | Trajectory, other: PoseStream | Trajectory) -> tuple[int, int]:
-    """Return the first and the last stamp (ns) of the time in which both are, if any."""
-    starts, ends = zip(*(body.stamps_ns[[0, -1]].tolist() for body in (one, other)), strict=True)
-    return max(starts), min(ends)
-
-
 def checked_stamps(stamps_ns: ArrayLike, of: str) -> Stamps:
     """Return stamps as a read-only int64 array, or raise an error."""
     stamps = np.asarray(stamps_ns)
