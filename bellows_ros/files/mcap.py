@@ -9,7 +9,6 @@ crashed, is read up to the break. The format is specified at https://mcap.dev/sp
 
 from collections import Counter
 from collections.abc import Iterator
-import io
 import os
 from pathlib import Path
 import struct
@@ -140,7 +139,7 @@ class _Scan:
                     together, loose = bytes(loose), bytearray()
                     yield from self._read_chunk(together)
                 if kind == _CHUNK:
-                    yield from self._read_chunk(_chunk_data(_Fields(body)))
+                    yield from self._read_chunk(_chunk_data(body))
         except _BROKEN:
             yield from self._read_chunk(bytes(loose))
             raise
@@ -192,33 +191,31 @@ class _Scan:
 
     def _read_other(self, kind: int, body: bytes) -> None:
         """Read what is no message."""
-        fields = _Fields(body)
         if kind == _SCHEMA:
-            number = fields.number('<H')
-            self._schemas[number] = fields.text()
+            (number,) = struct.unpack_from('<H', body)
+            self._schemas[number] = _texts(body, 2, 1)[0]
         elif kind == _CHANNEL:
-            self._add_channel(fields)
+            self._add_channel(body)
         elif kind == _STATISTICS:
-            self._compare(fields)
+            self._compare(body)
 
     def add_counts(self) -> None:
         """Add the messages met to those of their topics."""
         for channel, number in self.met.items():
             self._counts[self._channels[channel]] += number
 
-    def _compare(self, fields: '_Fields') -> None:
+    def _compare(self, body: bytes) -> None:
         """Refuse a file with fewer or more messages than its statistics count."""
-        fields.block(42)  # totals and times
-        counted = fields.block(fields.number('<I'))
-        for channel, count in struct.iter_unpack('<HQ', counted):
+        (size,) = struct.unpack_from('<42xI', body)  # behind totals and times
+        for channel, count in struct.iter_unpack('<HQ', _field(body, 46, size)):
             if self.met[channel] != count:
                 raise DamagedError(
                     f'it has {self.met[channel]} messages in channel {channel}, but says {count}')
 
-    def _add_channel(self, fields: '_Fields') -> None:
+    def _add_channel(self, body: bytes) -> None:
         """Remember a topic; the summary at the end repeats them."""
-        number, schema = fields.number('<H'), fields.number('<H')
-        name, encoding = fields.text(), fields.text()
+        number, schema = struct.unpack_from('<HH', body)
+        name, encoding = _texts(body, 4, 2)
         topic = Channel(name, self._schemas.get(schema, ''), encoding)
         if self._channels.setdefault(number, topic) != topic:
             raise DamagedError(f'channel {number} is defined twice and differently')
@@ -235,57 +232,47 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
     return data
 
 
-class _Fields(io.BytesIO):
-    """The fields of a record, read in order."""
+def _field(body: bytes, at: int, size: int) -> bytes:
+    """Return so many bytes, which must be there."""
+    if at + size > len(body):
+        raise DamagedError(f'a field of {size} bytes has only {len(body) - at}')
+    return body[at:at + size]
 
-    def number(self, form: str) -> int:
-        """Take an unsigned number."""
-        (value,) = struct.unpack(form, self.read(struct.calcsize(form)))
-        return int(value)
 
-    def text(self) -> str:
-        """Take a string."""
-        return self.block(self.number('<I')).decode()
-
-    def block(self, size: int) -> bytes:
-        """Take a number of bytes."""
-        block = self.rest(size)
-        if len(block) != size:
-            raise DamagedError(f'a field of {size} bytes has only {len(block)}')
-        return block
-
-    def rest(self, size: int) -> bytes:
-        """Take up to a number of bytes."""
-        return self.read(min(size, LARGEST_RECORD))
+def _texts(body: bytes, at: int, count: int) -> list[str]:
+    """Return so many strings from there on."""
+    texts = []
+    for _ in range(count):
+        (size,) = struct.unpack_from('<I', body, at)
+        texts.append(_field(body, at + 4, size).decode())
+        at += 4 + size
+    return texts
 
 
 def _require_checksums(kind: int, body: bytes, before: int, checksum: int) -> None:
     """Check the ends of data and summary, by the checksums before and behind their heads."""
-    fields = _Fields(body)
     if kind == _DATA_END:
-        _require_checksum(fields.number('<I'), before, 'its data')
-    elif kind == _FOOTER:
-        checksum = zlib.crc32(fields.block(16), checksum)  # two offsets
-        _require_checksum(fields.number('<I'), checksum, 'its summary')
+        _require_checksum(body[:4], before, 'its data')
+    elif kind == _FOOTER:  # behind two offsets
+        _require_checksum(body[16:20], zlib.crc32(body[:16], checksum), 'its summary')
 
 
-def _require_checksum(stated: int, computed: int, of: str) -> None:
+def _require_checksum(stated: bytes, computed: int, of: str) -> None:
     """Refuse a checksum other than the stated one; 0 stands for none."""
-    if stated and stated != computed:
+    if struct.unpack('<I', stated)[0] not in (0, computed):
         raise DamagedError(f'the checksum of {of} is wrong')
 
 
-def _chunk_data(fields: _Fields) -> bytes:
+def _chunk_data(body: bytes) -> bytes:
     """
     Return the decompressed records of a chunk, checked against its size and its checksum.
 
     Of one that is cut short, what there is.
     """
-    fields.block(16)  # first and last time
-    size, checksum = fields.number('<Q'), fields.number('<I')
-    compression = fields.text()
-    stored_size = fields.number('<Q')
-    stored = fields.rest(stored_size)
+    (size,), (compression,) = struct.unpack_from('<16xQ', body), _texts(body, 28, 1)
+    at = 32 + len(compression.encode())
+    (stored_size,) = struct.unpack_from('<Q', body, at)
+    stored = body[at + 8:at + 8 + stored_size]
     cut = len(stored) != stored_size
     if size > LARGEST_RECORD:
         raise DamagedError(f'a chunk says it is {size} bytes long')
@@ -300,7 +287,7 @@ def _chunk_data(fields: _Fields) -> bytes:
         return data
     if len(data) != size:
         raise DamagedError(f'a chunk has {len(data)} bytes, but says {size}')
-    _require_checksum(checksum, zlib.crc32(data), 'a chunk')
+    _require_checksum(body[24:28], zlib.crc32(data), 'a chunk')
     return data
 
 
@@ -313,7 +300,7 @@ def seal(path: Path) -> None:
             kind, size = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
             at = file.tell()
             if kind == _CHUNK:
-                records = _chunk_data(_Fields(file.read(size)))
+                records = _chunk_data(file.read(size))
                 file.seek(at + _CHUNK_CHECKSUM_AT)
                 file.write(struct.pack('<I', zlib.crc32(records)))
             file.seek(at + size)
