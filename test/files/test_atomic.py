@@ -98,20 +98,16 @@ def test_a_folder_is_exchanged_where_the_system_can(tmp_path, monkeypatch, in_on
 
 def test_a_folder_that_appears_meanwhile_is_not_touched(tmp_path):
     path = tmp_path / 'bag'
-    with pytest.raises(BellowsError, match='meanwhile|meantime'), new_folder(path) as folder:
+    with pytest.raises(BellowsError, match='meantime'), new_folder(path) as folder:
         folder.mkdir()
         path.mkdir()
     assert os.listdir(tmp_path) == ['bag']
-    with pytest.raises(BellowsError, match='exists'), new_folder(path):
-        pass
 
 
 def test_a_folder_replaces_neither_files_nor_links(tmp_path):
     (tmp_path / 'file').write_text('x')
     (tmp_path / 'real').mkdir()
     (tmp_path / 'link').symlink_to('real')
-    for name in ('file', 'link'):
-        with pytest.raises(BellowsError, match='exists'), new_folder(tmp_path / name, True):
+    for name in ('file', 'link', 'no/x'):
+        with pytest.raises(BellowsError, match='exist'), new_folder(tmp_path / name, True):
             pass
-    with pytest.raises(BellowsError), new_folder(tmp_path / 'no' / 'x'):
-        pass

@@ -1,5 +1,4 @@
-"""TUM and EuRoC files."""
-
+"""TUM, EuRoC and KITTI files."""
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.trajectory_files import (

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-START = 1_760_000_000_000_000_000
+from .tracking import START
 
 
 def rounded_stamps(rate_hz, count):

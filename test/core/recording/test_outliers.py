@@ -101,18 +101,15 @@ def test_excursions_are_marked_to_the_sample(seed, rate_hz, motion, noise, excur
 
 @pytest.mark.parametrize('metres, radians', [(0.0, 0.02), (0.004, 0.0)])
 def test_jumps_of_position_or_rotation_alone_are_enough(metres, radians):
-    poses = recorded(15)
-    run = slice(4000, 4006)
-    poses = displaced(poses, run, np.array([0, metres, 0]), np.array([0, 0, radians]), True)
+    poses = displaced(recorded(15), slice(4000, 4006), np.array([0, metres, 0]),
+                      np.array([0, 0, radians]), True)
     assert_array_equal(np.flatnonzero(~found_in(poses).good), np.arange(4000, 4006))
 
 
 @pytest.mark.parametrize('on_body', [False, True])
 def test_a_permanent_step_is_reported_and_only_its_sides_are_marked(on_body):
-    poses = recorded(16)
-    after = slice(3000, None)
-    poses = displaced(poses, after, np.array([0.03, 0, 0]), np.array([0, 0.2, 0]), on_body)
-    found = found_in(poses)
+    found = found_in(displaced(recorded(16), slice(3000, None), np.array([0.03, 0, 0]),
+                               np.array([0, 0.2, 0]), on_body))
     (step,) = found.steps
     assert step.before == 2999
     # The size of a jump is known to a few times the noise of one sample.
@@ -173,22 +170,16 @@ def frozen(poses, run):
 
 
 @pytest.mark.parametrize('noise', [NONE, LAB])
-@pytest.mark.parametrize('length', [5, 12, 60])
+@pytest.mark.parametrize('length', [5, 12, 60, 100])
 def test_frozen_poses_are_marked(length, noise):
+    """In the motion, and till the end."""
     rng = np.random.default_rng(23)
-    for start in (2500, 4000, 5500):
+    for start in (2500, 4000, 7200 - length):
         poses = noisy(rng, shaken(rng, Shake(360.0)), noise)
         run = slice(start, start + length)
         found = found_in(frozen(poses, run))
         assert_array_equal(np.flatnonzero(~found.good), np.arange(run.start, run.stop))
         assert found.steps == ()
-
-
-def test_poses_frozen_till_the_end_are_marked():
-    rng = np.random.default_rng(24)
-    poses = shaken(rng, Shake(360.0))
-    found = found_in(frozen(poses, slice(7100, 7200)))
-    assert_array_equal(np.flatnonzero(~found.good), np.arange(7100, 7200))
 
 
 def test_a_rest_recorded_without_noise_is_not_frozen_even_with_an_outlier_in_it():
