@@ -20,7 +20,7 @@ from collections.abc import Iterator
 import math
 
 from bellows_ros.core.parameters.table import PARAMETERS
-from bellows_ros.core.recording.alignment import SHORTEST_REST
+from bellows_ros.core.recording.alignment import MIN_REST
 from bellows_ros.files.atomic import write_text
 from bellows_ros.report import many
 from bellows_ros.workflows.info import Info, info, TopicInfo
@@ -72,7 +72,7 @@ def print_result(result: Info, console: Console) -> None:
     if world := result.settings.get('recording.world'):
         axes = 'z up' if world == 'z_up' else "Motive's, y up"
         console.line(f'World    probably {axes} (recording.world: {world}).')
-    if result.rest_s is not None and result.rest_s >= SHORTEST_REST:
+    if result.rest_s is not None and result.rest_s >= MIN_REST:
         console.line(f'Both stand still for the first {result.rest_s:.1f} s.')
     console.paragraph(*result.notes)
 

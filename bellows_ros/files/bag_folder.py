@@ -21,7 +21,7 @@ else:
     from backports import zstd
 
 # No record, chunk or message of a sound recording is larger, whatever a damaged file claims.
-LARGEST_RECORD = 256 * 2**20
+MAX_RECORD_BYTES = 256 * 2**20
 
 
 class Channel(NamedTuple):

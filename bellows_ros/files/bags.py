@@ -25,15 +25,15 @@ from bellows_ros.files.bag_folder import Batch, Channel, DamagedError, Message, 
 import numpy as np
 
 # A recording of a topic may have so many messages: five hours at 500 Hz, some 1 GB once read.
-LARGEST_COUNT = 10_000_000
+MAX_MESSAGES = 10_000_000
 # A message that is not a single pose or twist has at most so many bytes.
-LARGEST_PLAN = 2**28
+MAX_PLAN_BYTES = 2**28
 # A compressed SQLite file is decompressed beside the system's temporary files, up to this size.
-LARGEST_TEMPORARY = 16 * 2**30
+MAX_TEMPORARY_BYTES = 16 * 2**30
 
 SQLITE_MAGIC = b'SQLite format 3\0'
 
-SHORTEST = 16
+MIN_MESSAGE_BYTES = 16
 """Bytes of the shortest message with a header: encoding, stamp, and the length of frame_id."""
 
 _COPY_STEP = 2**20
@@ -187,7 +187,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
             f"Recording '{path}' has no poses or twists on "
             f'{", ".join(sorted(wanted - read_topics)) or "any topic"}; there are: {recorded}.')
     sound = [message for message in stored
-             if SHORTEST <= len(message.data) <= messages.LARGEST_MESSAGE]
+             if MIN_MESSAGE_BYTES <= len(message.data) <= messages.MAX_MESSAGE_BYTES]
     if len(sound) < len(stored):
         bag.notes.append(f'{len(stored) - len(sound)} damaged messages are left out.')
     return sorted(sound, key=lambda message: message.log_time_ns), bag.notes
@@ -340,7 +340,7 @@ class _Collector:
 
     def add(self, batch: Batch) -> None:
         """Decode messages, unless there are too many."""
-        batch = batch.chosen(slice(0, LARGEST_COUNT - self._count))
+        batch = batch.chosen(slice(0, MAX_MESSAGES - self._count))
         self._count += len(batch.starts)
         self._decoded.append(messages.decode(batch, self._layout, self._part, self._frames))
 
@@ -374,9 +374,9 @@ def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -
         raise BellowsError(
             f"Topic '{name}' has messages of two types, {filled[0].topic.type_name} and "
             f'{filled[1].topic.type_name}. Record them under two names.')
-    if filled and bag.counts[filled[0].topic] > LARGEST_COUNT:
+    if filled and bag.counts[filled[0].topic] > MAX_MESSAGES:
         raise BellowsError(
-            f"Topic '{name}' has more than {LARGEST_COUNT} messages. "
+            f"Topic '{name}' has more than {MAX_MESSAGES} messages. "
             'Give a part of the recording.')
     if filled:
         return filled[0].stream(bag.path)
@@ -414,7 +414,7 @@ def _plain(batch: Batch) -> Batch:
     if not (firsts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
         return batch
     is_layout = batch.topic.type_name in messages.LAYOUTS
-    limit, plain = messages.LARGEST_MESSAGE if is_layout else LARGEST_PLAN, batch.messages()
+    limit, plain = messages.MAX_MESSAGE_BYTES if is_layout else MAX_PLAN_BYTES, batch.messages()
     for i, data in enumerate(plain):
         if data.startswith(ZSTD_MAGIC):
             plain[i] = b''
@@ -456,7 +456,7 @@ def _file_batches(
 
 def _decompress(file: BinaryIO, path: Path) -> None:
     """Write a file's content to a path, which may take up at most half of the free space."""
-    limit = min(LARGEST_TEMPORARY, shutil.disk_usage(path.parent).free // 2)
+    limit = min(MAX_TEMPORARY_BYTES, shutil.disk_usage(path.parent).free // 2)
     with path.open('wb') as out:
         while piece := file.read(_COPY_STEP):
             if out.tell() + len(piece) > limit:
@@ -472,7 +472,7 @@ _BATCH = 4096
 
 # Steps of SQLite's machine: a sound file of N bytes is read in far fewer than these.
 _STEPS_PER_BYTE = 10
-_LEAST_STEPS = 10_000_000
+_MIN_STEPS = 10_000_000
 _STEPS_BETWEEN_CHECKS = 100_000
 
 
@@ -550,11 +550,11 @@ def _connect(path: Path) -> sqlite3.Connection:
     """Open a database that is neither changed nor trusted."""
     uri = f'{path.resolve().as_uri()}?mode=ro&immutable=1'
     database = sqlite3.connect(uri, uri=True)
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, bag_folder.LARGEST_RECORD)
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, bag_folder.MAX_RECORD_BYTES)
     for setting in ('trusted_schema = OFF', 'cell_size_check = ON',
                     'ignore_check_constraints = ON'):
         database.execute(f'PRAGMA {setting}')
-    steps = max(_LEAST_STEPS, path.stat().st_size * _STEPS_PER_BYTE)
+    steps = max(_MIN_STEPS, path.stat().st_size * _STEPS_PER_BYTE)
     checks = iter(range(steps // _STEPS_BETWEEN_CHECKS))
     # What the handler returns ends the query once all checks are used up.
     database.set_progress_handler(lambda: next(checks, None) is None, _STEPS_BETWEEN_CHECKS)

@@ -16,7 +16,7 @@ from typing import BinaryIO
 import zlib
 
 from bellows_ros.files import bag_folder
-from bellows_ros.files.bag_folder import Batch, Channel, DamagedError, LARGEST_RECORD, Wanted
+from bellows_ros.files.bag_folder import Batch, Channel, DamagedError, MAX_RECORD_BYTES, Wanted
 import numpy as np
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -28,13 +28,13 @@ _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = np.dtype([
     ('kind', 'u1'), ('size', '<u8'), ('channel', '<u2'), ('number', '<u4'), ('log_time', '<u8'),
     ('publish_time', '<u8')])
-_SHORTEST_MESSAGE = _MESSAGE_HEAD.itemsize - _RECORD_HEAD.size
+_MIN_MESSAGE_BYTES = _MESSAGE_HEAD.itemsize - _RECORD_HEAD.size
 _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
 _CUT_HEAD = 'a message is damaged, as it is shorter than its head'
 _SKIP_STEP = 2**20
 _TOGETHER = 2**20  # bytes of records outside chunks that are read at once
-_LARGEST_TIME = np.uint64(2**63 - 1)
+_MAX_TIME = np.uint64(2**63 - 1)
 
 _BROKEN = (struct.error, UnicodeDecodeError, DamagedError)
 
@@ -112,7 +112,7 @@ class _Scan:
             if kind not in _READ:
                 for at in range(0, size, _SKIP_STEP):
                     checksum = zlib.crc32(_exactly(file, min(size - at, _SKIP_STEP)), checksum)
-            elif size > LARGEST_RECORD:
+            elif size > MAX_RECORD_BYTES:
                 raise DamagedError(f'a record says it is {size} bytes long')
             else:
                 body = file.read(size)
@@ -131,7 +131,7 @@ class _Scan:
         loose = bytearray()
         try:
             for kind, body in records:
-                if kind == _MESSAGE and len(body) < _SHORTEST_MESSAGE:
+                if kind == _MESSAGE and len(body) < _MIN_MESSAGE_BYTES:
                     raise DamagedError(_CUT_HEAD)
                 if kind != _CHUNK:
                     loose += _RECORD_HEAD.pack(kind, len(body)) + body
@@ -155,7 +155,7 @@ class _Scan:
                 if size > end - at - head or kind in (0, _CHUNK):
                     raise DamagedError('a record inside a chunk is damaged')
                 if kind == _MESSAGE:
-                    if size < _SHORTEST_MESSAGE:
+                    if size < _MIN_MESSAGE_BYTES:
                         raise DamagedError(_CUT_HEAD)
                     starts.append(at)
                 else:
@@ -179,10 +179,10 @@ class _Scan:
             self.met[channel] += count
             if channel in self._wanted_channels:
                 index = np.flatnonzero(sound['channel'] == channel)
-                times = np.minimum(sound['log_time'][index], _LARGEST_TIME).astype(np.int64)
+                times = np.minimum(sound['log_time'][index], _MAX_TIME).astype(np.int64)
                 batches.append(Batch(
                     self._channels[channel], times, records, at[index] + _MESSAGE_HEAD.itemsize,
-                    sound['size'][index].astype(np.int64) - _SHORTEST_MESSAGE))
+                    sound['size'][index].astype(np.int64) - _MIN_MESSAGE_BYTES))
         if batches:
             yield batches
         if unknown.any():
@@ -274,7 +274,7 @@ def _chunk_data(body: bytes) -> bytes:
     (stored_size,) = struct.unpack_from('<Q', body, at)
     stored = body[at + 8:at + 8 + stored_size]
     cut = len(stored) != stored_size
-    if size > LARGEST_RECORD:
+    if size > MAX_RECORD_BYTES:
         raise DamagedError(f'a chunk says it is {size} bytes long')
     if compression not in ('', *bag_folder.FRAMES):
         raise DamagedError(

@@ -24,10 +24,10 @@ import numpy as np
 Indices = Stamps
 
 # A stamped pose or twist is at most this long; longer ones are not decoded.
-LARGEST_MESSAGE = 4096
+MAX_MESSAGE_BYTES = 4096
 
 _STAMP_AT, _STRINGS_AT = 4, 12
-_LARGEST_PADDING = 3  # at the end, to a multiple of four
+_MAX_PADDING = 3  # at the end, to a multiple of four
 
 HEAD = b'\0\1\0\0'
 """Plain CDR, little-endian."""
@@ -152,7 +152,7 @@ def _by_layout(
     Head and strings, their indices, and their bytes as rows. Mostly all agree with the first, and
     are compared with it at once.
     """
-    rest = np.flatnonzero((batch.sizes > _STRINGS_AT) & (batch.sizes <= LARGEST_MESSAGE))
+    rest = np.flatnonzero((batch.sizes > _STRINGS_AT) & (batch.sizes <= MAX_MESSAGE_BYTES))
     for message in batch.chosen(rest[:1]).messages():
         names, end = _strings(message, strings)
         same = rest[batch.sizes[rest] == len(message)]
@@ -251,7 +251,7 @@ def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
         return None
     order = '<' if head[1] else '>'
     doubles_at = _doubles_at(head)
-    if not 0 <= size - doubles_at - 8 * layout.doubles <= _LARGEST_PADDING:
+    if not 0 <= size - doubles_at - 8 * layout.doubles <= _MAX_PADDING:
         return None
     return np.dtype({
         'names': ['sec', 'nanosec', 'doubles'],
@@ -320,18 +320,18 @@ Refused = dict[str, tuple[int, ...]]
 # A quaternion shorter than this is zero; one whose norm is off by more than that is no unit
 # quaternion. Smaller deviations are the rounding of drivers that send single precision or a few
 # decimals.
-ZERO_QUATERNION_BELOW = 1e-6
-NOT_UNIT_ABOVE = 0.01
+MIN_QUATERNION_NORM = 1e-6
+MAX_NORM_ERROR = 0.01
 # No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
-LARGEST_VALUE = 1e6
+MAX_VALUE = 1e6
 
 REASONS: Mapping[str, str] = MappingProxyType({
     'malformed': 'could not be decoded',
     'zero_stamp': 'have no stamp',
     'nan': 'hold NaN or infinity',
-    'out_of_range': f'hold a number above {LARGEST_VALUE:g}',
+    'out_of_range': f'hold a number above {MAX_VALUE:g}',
     'zero_quaternion': 'have a quaternion of zero',
-    'not_unit': f'have a quaternion whose norm is off by more than {NOT_UNIT_ABOVE:.0%}',
+    'not_unit': f'have a quaternion whose norm is off by more than {MAX_NORM_ERROR:.0%}',
     'frame_id': 'name another frame than most',
     'duplicate_stamp': 'repeat the stamp before',
     'backward_stamp': 'have a stamp before an earlier one',
@@ -368,8 +368,8 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
     with np.errstate(over='ignore', invalid='ignore'):  # infinite where the square overflows
         norm = np.linalg.norm(decoded.values[:, 3:], axis=1)
     unusable = {
-        'zero_quaternion': norm < ZERO_QUATERNION_BELOW,
-        'not_unit': np.abs(norm - 1.0) > NOT_UNIT_ABOVE}
+        'zero_quaternion': norm < MIN_QUATERNION_NORM,
+        'not_unit': np.abs(norm - 1.0) > MAX_NORM_ERROR}
     used, frame_id, refused = _drop_invalid(decoded, decoded.values[:, :3], unusable)
     return PoseStream(
         name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],
@@ -412,7 +412,7 @@ def _drop_invalid(
         'malformed': decoded.frame < 0,
         'zero_stamp': decoded.stamps_ns == 0,
         'nan': ~finite,
-        'out_of_range': finite & (np.abs(lengths) > LARGEST_VALUE).any(axis=1),
+        'out_of_range': finite & (np.abs(lengths) > MAX_VALUE).any(axis=1),
         **unusable}
     usable = np.arange(len(decoded.stamps_ns))
     refused: Refused = {}

@@ -29,7 +29,7 @@ import numpy as np
 
 TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
 
-LONGEST_GAP = 4.0
+MAX_GAP_PERIODS = 4.0
 """Gaps in a link's transforms longer than this many periods are not interpolated."""
 
 
@@ -184,7 +184,7 @@ def _chain_poses(
             T = link.poses @ T
             continue
         recorded = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
-        longest = LONGEST_GAP * float(np.median(np.diff(link.stamps_ns)))
+        longest = MAX_GAP_PERIODS * float(np.median(np.diff(link.stamps_ns)))
         found = resample(recorded, stamps, round(longest))
         T, valid = lie.transform(found.rotation, found.position) @ T, valid & found.valid
     return T, valid
@@ -193,8 +193,8 @@ def _chain_poses(
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
-LARGEST_URDF = 2**26
-LARGEST_YAML = 2**27
+MAX_URDF_BYTES = 2**26
+MAX_YAML_BYTES = 2**27
 """Largest files, in bytes; as much YAML holds `MOST_POINTS` with all their digits."""
 
 
@@ -377,7 +377,7 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
             'The input has joint positions, but the link of the tool tip is not given. Name it: '
             '--tool-link LINK.')
     if urdf:
-        return read_arm(read_text(urdf, LARGEST_URDF, 'URDF'), tool_link)
+        return read_arm(read_text(urdf, MAX_URDF_BYTES, 'URDF'), tool_link)
     if recording:
         for name, kind, _, data in messages_of(recording, (DESCRIPTION,)):
             if name.endswith('robot_description'):
@@ -389,7 +389,7 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
 
 def read_yaml(path: File) -> Mapping[str, Any]:
     """Return the content of a YAML file; points of a message have attributes."""
-    content = safe_yaml.load_records(Path(path), ('points', 'poses'), LARGEST_YAML)
+    content = safe_yaml.load_records(Path(path), ('points', 'poses'), MAX_YAML_BYTES)
     if not isinstance(content, Mapping):
         raise BellowsError(f"'{path}' holds no names and values, so no plan.")
     return content

@@ -24,7 +24,7 @@ from bellows_ros.files import atomic, File, read_text
 from bellows_ros.files.bag_folder import digests
 import numpy as np
 
-LARGEST_FILE = 64 * 2**20
+MAX_FILE_BYTES = 64 * 2**20
 
 KEYS = (
     'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std', 'samples_used',
@@ -113,7 +113,7 @@ def read_result(path: File) -> dict[str, Any]:
         If the file cannot be read, is not JSON, or lacks something.
 
     """
-    text = read_text(path, LARGEST_FILE, 'Result')
+    text = read_text(path, MAX_FILE_BYTES, 'Result')
     try:
         content = json.loads(text, parse_constant=_refuse_constant)
     except RecursionError:

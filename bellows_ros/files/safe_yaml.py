@@ -16,9 +16,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import read_text
 import yaml
 
-LARGEST_FILE = 2**20
+MAX_FILE_BYTES = 2**20
 # Values and keys in a file; as many take some seconds.
-LARGEST_COUNT = 50_000
+MAX_VALUES = 50_000
 
 Lines = dict[tuple[str, ...], int]
 
@@ -56,9 +56,9 @@ class _Loader(yaml.SafeLoader):
         """Refuse tags, aliases, and more values than anyone writes."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
         self.count += 1
-        if self.count > LARGEST_COUNT:
+        if self.count > MAX_VALUES:
             raise _refused(
-                f'more than {LARGEST_COUNT} values are not read; split the file, or record what '
+                f'more than {MAX_VALUES} values are not read; split the file, or record what '
                 "is a message with 'ros2 bag record'", event)
         alias = isinstance(event, yaml.AliasEvent)
         if getattr(event, 'tag', None) or (alias and not self.aliases_allowed):
@@ -110,7 +110,7 @@ def load(path: Path, aliases: bool = False) -> Any:
         If the file cannot be read, is too large, or is not the YAML described above.
 
     """
-    return _parsed(_text(path, LARGEST_FILE), path, aliases)
+    return _parsed(_text(path, MAX_FILE_BYTES), path, aliases)
 
 
 def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
@@ -137,9 +137,9 @@ def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
             content = dict(_parsed(text[:start.end()] + '0\n' + text[end:], path, False))
             content[start[1]] = records
             return content
-    if len(text) > LARGEST_FILE:
+    if len(text) > MAX_FILE_BYTES:
         raise BellowsError(
-            f'{path} is larger than {LARGEST_FILE} bytes; expected so much only of '
+            f'{path} is larger than {MAX_FILE_BYTES} bytes; expected so much only of '
             f'{" or ".join(names)} that differ in nothing but plain numbers. Give a recording of '
             "the message: 'ros2 bag record'.")
     return _parsed(text, path, False)
@@ -147,13 +147,13 @@ def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
 
 _NEXT_KEY = re.compile(r'^[^\s#-]', re.MULTILINE)
 _NUMBER = r'(-?(?:0|[1-9]\d{0,18})(?:\.\d+)?(?:[eE][-+]?\d+)?)'
-LARGEST_RECORD = 2**13
+MAX_RECORD_LENGTH = 2**13
 """Characters."""
 
 
 def _records(texts: Sequence[str]) -> list[Any]:
     """Return records that differ in their numbers alone, or nothing if they are not such."""
-    if len(texts[0]) > LARGEST_RECORD:
+    if len(texts[0]) > MAX_RECORD_LENGTH:
         return []
     between = re.split(rf'(?<=[ ,\[]){_NUMBER}(?=[\s,\]}}]|\Z)', texts[0])[::2]
     marked = ''.join(f'{part}__{i}__' for i, part in enumerate(between))

@@ -33,14 +33,14 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, File, read_text
 import numpy as np
 
-LARGEST_FILE = 2**31
-LATEST_NS = 9 * 10**18
+MAX_FILE_BYTES = 2**31
+MAX_STAMP_NS = 9 * 10**18
 """Later stamps do not fit into 64 bits."""
 
 Lines = list[tuple[int, list[str]]]
 """Numbers and cells of the lines of a file."""
 
-NO_ROTATION = 0.01
+MAX_ROTATION_ERROR = 0.01
 """R^T R of a KITTI pose may differ from I by this much; R is then made a rotation."""
 
 
@@ -72,7 +72,7 @@ def read_kitti(path: File) -> tuple[Stamps, Array]:
     rows = numbers(path, lines, range(12)).reshape(-1, 3, 4)
     R, unit = rows[:, :, :3], np.eye(3)
     off = np.abs(np.einsum('nji,njk->nik', R, R) - unit).max(axis=(1, 2))
-    bad = np.flatnonzero(~(off < NO_ROTATION) | ~(np.linalg.det(R) > 0.0))
+    bad = np.flatnonzero(~(off < MAX_ROTATION_ERROR) | ~(np.linalg.det(R) > 0.0))
     if len(bad):
         raise BellowsError(
             f"'{path}', line {lines[bad[0]][0]}: the first three columns are no rotation, by "
@@ -195,7 +195,7 @@ def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6
     """Return the numbers and cells of the lines that are no comments."""
     lines = [
         (number, [cell.strip() for cell in line.split(separator)])
-        for number, line in enumerate(read_text(path, LARGEST_FILE).splitlines(), 1)
+        for number, line in enumerate(read_text(path, MAX_FILE_BYTES).splitlines(), 1)
         if line.strip() and not line.lstrip().startswith('#')]
     if not lines:
         raise BellowsError(f"'{path}' has no poses.")
@@ -220,7 +220,7 @@ def _stamps(path: File, lines: Lines, unit: str) -> Stamps:
     for number, (cell, *_) in lines:
         try:
             time = Decimal(cell)
-            valid = 0 <= time < LATEST_NS // factor and (factor > 1 or time % 1 == 0)
+            valid = 0 <= time < MAX_STAMP_NS // factor and (factor > 1 or time % 1 == 0)
         except ArithmeticError:
             valid = False
         if not valid:
@@ -242,15 +242,15 @@ def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequenc
 
 # ------------------------------------------------------------------------------------- Motive
 
-SEEN_QUALITY = 0.99  # appendix H
-FEWEST_MARKERS = 3  # of a rigid body, for a pose
+MIN_MARKER_QUALITY = 0.99  # appendix H
+MIN_MARKERS = 3  # of a rigid body, for a pose
 UNITS = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
 # 2021-05-11 02.31.05.250 PM, in some languages of Windows with P.M. or without.
 START = re.compile(
     r'(\d{4})-(\d\d)-(\d\d) (\d{1,2})[.:](\d\d)[.:](\d\d)(?:[.,](\d{1,6}))?\s*([AaPp]?)')
 SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
             'Capture Start Time')
-LONGEST = 1e9  # s, of the time of a frame
+MAX_FRAME_TIME = 1e9  # s, of the time of a frame
 HEAD_ROWS = 12  # in which the table must begin
 POSE = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W', 'Position X', 'Position Y',
         'Position Z')
@@ -287,7 +287,7 @@ class MotiveBody:
     unseen: int
 
 
-def read_motive(path: File, fewest_markers: int = FEWEST_MARKERS) -> tuple[MotiveBody, ...]:
+def read_motive(path: File, fewest_markers: int = MIN_MARKERS) -> tuple[MotiveBody, ...]:
     """
     Read the rigid bodies of a Motive CSV export.
 
@@ -306,8 +306,8 @@ def read_motive(path: File, fewest_markers: int = FEWEST_MARKERS) -> tuple[Motiv
     """
     file = Path(path)
     try:
-        if file.stat().st_size > LARGEST_FILE:
-            raise BellowsError(f"'{path}' is larger than {LARGEST_FILE} bytes. Export a part.")
+        if file.stat().st_size > MAX_FILE_BYTES:
+            raise BellowsError(f"'{path}' is larger than {MAX_FILE_BYTES} bytes. Export a part.")
         with file.open(encoding='utf-8-sig', newline='') as stream:
             return _bodies(file, stream, fewest_markers)
     except OSError as error:
@@ -333,17 +333,18 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
               for row in rows if any(row))
     table = dict(zip(needed, numbers(path, frames, range(len(needed))).T, strict=True))
     seconds = table[TIME]
-    if not len(seconds) or not np.all(np.abs(seconds) < LONGEST):
+    if not len(seconds) or not np.all(np.abs(seconds) < MAX_FRAME_TIME):
         raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
     stamps = _start_ns(about) + np.rint(seconds * NS_PER_S).astype(np.int64)
     bodies = []
     for name, (pose_columns, qualities, positions) in columns.items():
         pose = np.column_stack([table[c] for c in pose_columns])
-        present, enough = np.isfinite(pose).all(axis=1), np.ones(len(pose), dtype=bool)
+        present, markers = np.isfinite(pose).all(axis=1), np.full(len(pose), fewest_markers)
         if qualities:
-            enough = np.sum([table[c] >= SEEN_QUALITY for c in qualities], 0) >= fewest_markers
-        elif len(positions) >= FEWEST_MARKERS:
-            enough = np.sum([np.isfinite(table[c]) for c in positions], 0) >= fewest_markers
+            markers = np.sum([table[c] >= MIN_MARKER_QUALITY for c in qualities], axis=0)
+        elif len(positions) >= MIN_MARKERS:
+            markers = np.sum([np.isfinite(table[c]) for c in positions], axis=0)
+        enough = markers >= fewest_markers
         usable = present & enough
         bodies.append(MotiveBody(
             name, stamps[usable], np.hstack([scale * pose[usable, 4:], pose[usable, :4]]),

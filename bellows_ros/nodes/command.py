@@ -168,15 +168,15 @@ def _initialise(argv: list[str]) -> None:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    from ..files.safe_yaml import LARGEST_FILE
+    from ..files.safe_yaml import MAX_FILE_BYTES
 
     for before, file in pairwise(argv):
         path = Path(file)
         size = path.stat().st_size if before == '--params-file' and path.is_file() else 0
-        if size > LARGEST_FILE:  # ROS would read it for minutes, deaf to Ctrl-C
+        if size > MAX_FILE_BYTES:  # ROS would read it for minutes, deaf to Ctrl-C
             raise BellowsError(
                 f"Parameter file '{short(file)}' is too large: {size} bytes, at most "
-                f'{LARGEST_FILE}. It may be a recording or a result.')
+                f'{MAX_FILE_BYTES}. It may be a recording or a result.')
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl

@@ -99,7 +99,7 @@ class Conversion:
 
 def bodies_in_files(
     sources: Sequence[File], names: Sequence[str] = (),
-    fewest_markers: int = trajectory_files.FEWEST_MARKERS,
+    fewest_markers: int = trajectory_files.MIN_MARKERS,
 ) -> list[Body]:
     """
     Return the bodies in trajectory files.

@@ -391,7 +391,7 @@ def _initial_rest(
          '(com).', not apart),
         (f'The standstill at the beginning lasts only {rest.seconds:.1f} s. Start with 2 s of '
          'standstill, so that rotated marker frames can be detected.',
-         rest.seconds < alignment.SHORTEST_REST),
+         rest.seconds < alignment.MIN_REST),
         (f'No tilt is held for {MIN_HOLD:g} s, so how far the rubber creeps (cup.relaxation) is '
          'not seen. Hold one still for 5 to 10 s beside the motion.',
          longest_hold(tool) < MIN_HOLD)) if applies]

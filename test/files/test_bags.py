@@ -414,7 +414,7 @@ def test_a_damaged_or_computing_database_is_refused(tmp_path, reason, statements
 
 
 def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(bags, '_LEAST_STEPS', 1_000_000)
+    monkeypatch.setattr(bags, '_MIN_STEPS', 1_000_000)
     folder = altered_database(
         tmp_path,
         'WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c LIMIT 200000)'
@@ -424,14 +424,14 @@ def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(bags, 'LARGEST_COUNT', 9)
+    monkeypatch.setattr(bags, 'MAX_MESSAGES', 9)
     assert len(read_streams(one_topic(tmp_path / 'a', made.poses(9)), {'p': 'a'})['p']) == 9
     assert 'more than 9 messages' in error_of(one_topic(tmp_path / 'b', made.poses(10)))
 
 
 def test_a_compressed_database_that_is_too_large_is_refused(tmp_path, monkeypatch):
     folder = one_topic(tmp_path / 'b', made.poses(9), storage='sqlite3', compression='FILE')
-    monkeypatch.setattr(bags, 'LARGEST_TEMPORARY', 1000)
+    monkeypatch.setattr(bags, 'MAX_TEMPORARY_BYTES', 1000)
     assert 'decompressed it is too large' in error_of(folder)
 
 

@@ -130,7 +130,7 @@ def test_any_bytes_are_either_decoded_or_left_out(data):
 
 
 def test_messages_that_are_too_long_are_not_decoded():
-    name = 'x' * cdr.LARGEST_MESSAGE
+    name = 'x' * cdr.MAX_MESSAGE_BYTES
     data = made.encoded(made.POSE, made.EPOCH_NS, pose=[0.0] * 7, frame_id=name)
     decoded = cdr.decode(batch([data]), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert_array_equal(decoded.frame, [-1])

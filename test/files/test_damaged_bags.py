@@ -14,7 +14,7 @@ import zlib
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import mcap
-from bellows_ros.files.bag_folder import decompressed, LARGEST_RECORD
+from bellows_ros.files.bag_folder import decompressed, MAX_RECORD_BYTES
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_contents, read_streams, topics
 import lz4.frame
@@ -183,7 +183,7 @@ def test_chunks_are_read_and_unknown_records_passed_over(tmp_path, compression):
     ([BASE, message(0), statistics({1: 2})], 'has 1 messages in channel 1, but says 2'),
     ([record(5, b'')], 'damaged'), ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
     ([struct.pack('<BQ', 5, 2**63)], 'says it is'),
-    ([struct.pack('<BQ', 5, LARGEST_RECORD)], 'beyond its end'),
+    ([struct.pack('<BQ', 5, MAX_RECORD_BYTES)], 'beyond its end'),
     ([record(2, bytes(20))], 'does not end')])
 def test_records_that_are_not_sound_are_refused(tmp_path, records, reason):
     path = write_mcap(tmp_path / 'a.mcap', *records)

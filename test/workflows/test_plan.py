@@ -349,7 +349,7 @@ def test_points_that_are_not_alike_are_the_same_plan(tmp_path, kind):
 
 
 def test_too_much_yaml_names_the_remedy(tmp_path, monkeypatch):
-    monkeypatch.setattr(safe_yaml, 'LARGEST_COUNT', 5000)
+    monkeypatch.setattr(safe_yaml, 'MAX_VALUES', 5000)
     text = yaml.safe_dump(plan_messages(400)['multi'])
     (tmp_path / 'plan.yaml').write_text(text.replace('x: 0.02', 'x: 0.02  # turn', 1))
     with pytest.raises(BellowsError, match='ros2 bag record'):

@@ -36,18 +36,18 @@ WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
 """From axes of a recording to those with z up, by the value of recording.world."""
 
 # Fewer valid samples than this, or a smaller part of what the rate gives, make no standstill.
-FEWEST_AT_REST, SMALLEST_PART_AT_REST = 10, 0.5
+MIN_SAMPLES_AT_REST, MIN_PART_AT_REST = 10, 0.5
 # A mean over the standstill leaves out what is further from the median than this many robust
 # standard deviations.
-TRIMMED_BEYOND = 5.0
+TRIM_DEVIATIONS = 5.0
 # A beginning at rest: over how long (s) poses are averaged, how far (m, rad) and how many times
 # the noise's second differences a body moves at least, how long (s) it stands still for an
 # alignment, and how much of a recording (s) is its beginning.
 START_SECONDS = 0.2
 STILL_POSITION, STILL_ROTATION = 1e-3, 5e-3
 STILL_DEVIATIONS = 3.0
-SHORTEST_REST = 0.5
-LONGEST_BEGINNING = 20.0
+MIN_REST = 0.5
+BEGINNING_SECONDS = 20.0
 # Marker frames are turned against each other if by more than this (rad), and by more than this
 # part of the tool's tilt, with which a package bends the cup.
 MIN_FRAME_TURN, MIN_TURN_TO_TILT = np.deg2rad(1.5), 0.5
@@ -221,12 +221,12 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
     """
     poses = poses.between(start_ns, start_ns + int(duration_s * NS_PER_S))
     rest = poses.select(poses.valid)
-    if len(rest) < max(FEWEST_AT_REST, SMALLEST_PART_AT_REST * len(poses)):
+    if len(rest) < max(MIN_SAMPLES_AT_REST, MIN_PART_AT_REST * len(poses)):
         raise BellowsError(
             f'Alignment needs the {body} at rest in the first {duration_s:g} s, but only '
             f'{len(rest)} of the {len(poses)} poses there are usable; expected at '
-            f'least {FEWEST_AT_REST} and half of them. Set recording.rest_duration to the actual '
-            'standstill, or recording.align_at_rest to false.')
+            f'least {MIN_SAMPLES_AT_REST} and half of them. Set recording.rest_duration to the '
+            'actual standstill, or recording.align_at_rest to false.')
     still_s = _beginning(rest)[1]
     if still_s < rest.seconds[-1]:
         raise BellowsError(
@@ -253,7 +253,7 @@ class Rest(NamedTuple):
     @property
     def is_turned(self) -> bool:
         """Whether marker frames are turned against each other, by more than a cup bends."""
-        return (self.seconds >= SHORTEST_REST
+        return (self.seconds >= MIN_REST
                 and bool(self.turned > max(MIN_FRAME_TURN, MIN_TURN_TO_TILT * self.tilts[0])))
 
     @property
@@ -272,7 +272,7 @@ class Rest(NamedTuple):
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
     """Return how both bodies begin, from where both are known; poses in the world, z up."""
     begin, _ = common_span(tool, package)
-    spans = [body.between(begin, begin + int(LONGEST_BEGINNING * NS_PER_S))
+    spans = [body.between(begin, begin + int(BEGINNING_SECONDS * NS_PER_S))
              for body in (tool, package)]
     if not all(body.valid.any() for body in spans):
         return Rest(0.0, (0.0, 0.0), 0.0)
@@ -309,7 +309,7 @@ def _near(deviation: Array) -> Mask:
     """Return where no axis deviates by more than its typical deviation times a factor."""
     typical = MAD_TO_STD * np.median(np.abs(deviation), axis=0)
     # Without noise the median is nothing but rounding: then all that is tiny is near.
-    return np.asarray(np.all(np.abs(deviation) <= TRIMMED_BEYOND * typical + 1e-6, axis=1))
+    return np.asarray(np.all(np.abs(deviation) <= TRIM_DEVIATIONS * typical + 1e-6, axis=1))
 
 
 def levelling(direction: ArrayLike) -> Array:
@@ -400,7 +400,7 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
         f'offset (correlation {largest:.2f}). Check the topics, or turn the tool more.')
 
 
-START_RATE_HZ, SLOWEST_PART = 50.0, 0.5
+START_RATE_HZ, SLOW_PART = 50.0, 0.5
 """Poses per second for the start value, and the part used: the slowest, of which the cup yields
 least."""
 
@@ -499,7 +499,7 @@ def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Traje
     sizes = [np.linalg.norm(change, axis=1)
              for change in (np.gradient(hand.position, axis=0), turn)]
     speed = sum(size / max(float(np.median(size)), 1e-9) for size in sizes)
-    slow = (speed <= np.quantile(speed, SLOWEST_PART)) & hand.valid & eye.valid
+    slow = (speed <= np.quantile(speed, SLOW_PART)) & hand.valid & eye.valid
     return hand.select(slow), eye.select(slow)
 
 

@@ -32,17 +32,17 @@ from scipy.ndimage import find_objects, label, median_filter
 Indices = Stamps
 
 # Samples on each side of the second, longer look, and how even their times must be.
-LONG_SIDE, EVEN_WITHIN = 5, 0.1
+LONG_SIDE, MAX_UNEVENNESS = 5, 0.1
 # A jump counts from this many times the median of its surroundings on. Of white noise, the largest
 # in two million samples reaches 4.0.
 THRESHOLD_FACTOR = 4.5
 # It must be at least this large: far below what matters, far above rounding and quantisation.
-QUANTITIES, SMALLEST_JUMP = ('position', 'rotation'), np.array([0.5e-3, 1e-3])
+QUANTITIES, MIN_JUMP = ('position', 'rotation'), np.array([0.5e-3, 1e-3])
 # Motion whose velocity changes at once is no jump: parabolas through the samples on each side, if
 # they are smooth to this part of the jump, then meet to within that part of it.
-SMOOTH_WITHIN, MEETING_DISTANCE = 0.5, 0.3
+MAX_ROUGHNESS, MEETING_DISTANCE = 0.5, 0.3
 # In the longer look, the lines must fit their samples to this part of the jump.
-LINE_MISFIT = 0.6
+MAX_LINE_MISFIT = 0.6
 # A jump that may be the other end of one that counts may be weaker, by this factor.
 PARTNER_STRENGTH = 0.5
 # Among fewer jumps than this nothing stands out.
@@ -113,7 +113,7 @@ def _bends(increment: Array, jump: Array, strength: Array, gap: Mask) -> Indices
     before, after = path[:, :4], path[:, :3:-1]  # each from far to near
     size = np.linalg.norm(jump[i], axis=1)
     rough = [np.linalg.norm(np.diff(side, 3, axis=1)[:, 0], axis=1) for side in (before, after)]
-    smooth = np.maximum(*rough) < SMOOTH_WITHIN * size
+    smooth = np.maximum(*rough) < MAX_ROUGHNESS * size
     # Parabolas through samples at -2, -1 and 0, from each side, at times from 0 to 1.
     time, through = np.linspace(0.0, 1.0, 21), np.linalg.inv(np.vander([-2.0, -1.0, 0.0]))
     ahead, behind = (np.vander(t, 3) @ through for t in (time, 1.0 - time))
@@ -140,7 +140,7 @@ def long_window(increments: Array, breaks: Mask) -> Jumps:
             (before @ curved) ** 2 + (after @ curved) ** 2, axis=(2, 3)))
         unobserved[inside] = any_within(breaks, 2 * m - 1)
     jumps = _jumps(*_without_acceleration(start, end, 2 * m + 1), unobserved)
-    jumps.jump[misfit > LINE_MISFIT * np.linalg.norm(jumps.jump, axis=2)] = 0.0
+    jumps.jump[misfit > MAX_LINE_MISFIT * np.linalg.norm(jumps.jump, axis=2)] = 0.0
     return _without_bends(increments, jumps, breaks)
 
 
@@ -176,7 +176,7 @@ def _jumps(start: Array, end: Array, unobserved: Mask) -> Jumps:
     middle = 0.5 * (start + end)
     surroundings = np.array([_surroundings(np.linalg.norm(part, axis=1), unobserved)
                              for part in middle])
-    return Jumps(jump, np.maximum(THRESHOLD_FACTOR * surroundings, SMALLEST_JUMP[:, None]),
+    return Jumps(jump, np.maximum(THRESHOLD_FACTOR * surroundings, MIN_JUMP[:, None]),
                  np.median(np.abs(middle), axis=1))
 
 
@@ -197,24 +197,24 @@ def _surroundings(values: Array, unobserved: Mask) -> Array:
 
 
 # Two jumps cancel when their sum is below this part of the larger one, ...
-CANCELS_WITHIN = 0.5
+MAX_REMAINDER = 0.5
 # ... or this, when more samples than that lie between.
-CANCELS_LATE_WITHIN, CANCELS_LATE_SAMPLES = 0.2, 210
+MAX_LATE_REMAINDER, LATE_SAMPLES = 0.2, 210
 # Noise adds this part of the threshold, and sums of what does not stand out are below that part.
-NOISE_WITHIN, NOTHING_WITHIN = 0.35, 0.85
+NOISE_PART, MAX_NOISE_SUM = 0.35, 0.85
 # A jump lasts if lines through so many samples on each side see this part of it. Those of an
 # excursion of more samples than that must last, the smaller being this part of the larger one;
 # what nothing cancels is a step only if it lasts. Bursts of noise, as real tracks have, do not.
-LINE_SIDE, LASTS_FROM, ALIKE_FROM = 5, 0.5, 0.5
+LINE_SIDE, MIN_LASTING_PART, MIN_SIZE_RATIO = 5, 0.5, 0.5
 # So many others of at least half its strength, within so many samples, show that tracking flickers
 # there, for instance with a marker that is seen and lost in turn. Such a jump is no step, and no
 # end of a longer excursion.
-FLICKERS_FROM, FLICKERS_WITHIN = 3, 25
+FLICKER_COUNT, FLICKER_SAMPLES = 3, 25
 # How many of the jumps around one are tried for cancelling it.
 MAX_PARTNERS = 50
 # Without a cancelling jump, what lies between a jump and an end of the recording is marked up to
 # this time, s.
-LONGEST_AT_END = 1.0
+MAX_END_SECONDS = 1.0
 # A jump over a gap counts when it is larger by this factor than any over equally long parts of
 # the same recording; so many of these are looked at, and at least so many must there be.
 GAP_THRESHOLD_FACTOR, GAPS_SAMPLED, MIN_GAPS_SAMPLED = 2.0, 2000, 20
@@ -304,7 +304,7 @@ def edges_over_gaps(poses: Trajectory, increments: Array, gap: Mask, breaks: Mas
     steps_ns = np.diff(poses.stamps_ns)
     slots = np.maximum(np.rint(steps_ns / np.median(steps_ns)), 1.0).astype(int)
     thresholds_of = cache(lambda count: np.maximum(
-        _thresholds_over(poses, increments, breaks, count), SMALLEST_JUMP))
+        _thresholds_over(poses, increments, breaks, count), MIN_JUMP))
     for i in (np.flatnonzero(gap[1:-1]) + 1).tolist():
         # A velocity with a jump in it is none, nor is one over a gap; the other side must do.
         beside = [k for k in (i - 1, i + 1) if not breaks[k]]
@@ -380,18 +380,18 @@ def _flicker(edges: list[Edge]) -> Mask:
     """Return which jumps, in the order of their samples, are among others as strong."""
     at = np.array([edge.before for edge in edges])
     strength = np.array([edge.strength for edge in edges])
-    first = np.searchsorted(at, at - FLICKERS_WITHIN)
-    after = np.searchsorted(at, at + FLICKERS_WITHIN, side='right')
+    first = np.searchsorted(at, at - FLICKER_SAMPLES)
+    after = np.searchsorted(at, at + FLICKER_SAMPLES, side='right')
     return np.array([
-        np.count_nonzero(strength[i:j] >= PARTNER_STRENGTH * own) > FLICKERS_FROM
-        for i, j, own in zip(first, after, strength, strict=True)], dtype=bool)
+        np.count_nonzero(strength[i:j] >= PARTNER_STRENGTH * each) > FLICKER_COUNT
+        for i, j, each in zip(first, after, strength, strict=True)], dtype=bool)
 
 
 def _lasts(edge: Edge) -> bool:
     """Return whether a jump persists beyond the neighbouring samples, or this is undecidable."""
     return edge.lasting is None or bool(np.any(
         (edge.sizes >= PARTNER_STRENGTH * edge.thresholds)
-        & (edge.lasting >= LASTS_FROM * edge.sizes)))
+        & (edge.lasting >= MIN_LASTING_PART * edge.sizes)))
 
 
 def _last_alike(one: Edge, other: Edge) -> bool:
@@ -401,7 +401,7 @@ def _last_alike(one: Edge, other: Edge) -> bool:
     stronger = max(one, other, key=attrgetter('strength'))
     q = int(np.argmax(stronger.sizes / stronger.thresholds))
     smaller, larger = sorted((one.lasting[q], other.lasting[q]))
-    return _lasts(stronger) and bool(smaller >= ALIKE_FROM * larger)
+    return _lasts(stronger) and bool(smaller >= MIN_SIZE_RATIO * larger)
 
 
 def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
@@ -409,11 +409,11 @@ def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int
     total = edges[k].forms
     for b in range(k + 1, min(k + 1 + MAX_PARTNERS, len(edges))):
         other = edges[b]
-        late = other.before - edges[k].before > CANCELS_LATE_SAMPLES
+        late = other.before - edges[k].before > LATE_SAMPLES
         if b in used or (late and other.strength < 1.0):
             continue
         summed = _sum(total, other.forms)
-        if _cancels(edges[k], other, summed, CANCELS_LATE_WITHIN if late else CANCELS_WITHIN):
+        if _cancels(edges[k], other, summed, MAX_LATE_REMAINDER if late else MAX_REMAINDER):
             yield k, b
             return
         if other.strength >= 1.0:
@@ -424,7 +424,7 @@ def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[in
     """Yield the pair (b, k) of a jump and the nearest weaker one before it that it cancels."""
     for b in range(k - 1, max(k - 1 - MAX_PARTNERS, -1), -1):
         other = edges[b]
-        if b in used or edges[k].before - other.before > CANCELS_LATE_SAMPLES:
+        if b in used or edges[k].before - other.before > LATE_SAMPLES:
             return
         if other.strength < 1.0 and _cancels(edges[k], other, _sum(other.forms, edges[k].forms)):
             yield b, k
@@ -438,13 +438,13 @@ def _sum(first: Array, second: Array) -> Array:
     return np.asarray(total)
 
 
-def _cancels(edge: Edge, last: Edge, summed: Array, within: float = CANCELS_WITHIN) -> bool:
+def _cancels(edge: Edge, last: Edge, summed: Array, within: float = MAX_REMAINDER) -> bool:
     """Return whether a jump and others to a last one cancel when summed, in the best form."""
-    least = np.maximum(edge.thresholds, last.thresholds) if last.lasting is None else (
+    threshold = np.maximum(edge.thresholds, last.thresholds) if last.lasting is None else (
         edge.thresholds)  # over a gap less is known
     allowed = np.where(
-        edge.sizes >= edge.thresholds, within * edge.sizes + NOISE_WITHIN * edge.thresholds,
-        NOTHING_WITHIN * least)
+        edge.sizes >= edge.thresholds, within * edge.sizes + NOISE_PART * edge.thresholds,
+        MAX_NOISE_SUM * threshold)
     return bool(np.all(np.linalg.norm(summed, axis=2).min(axis=1) < allowed))
 
 
@@ -452,22 +452,22 @@ def _to_the_end(edge: Edge, poses: Trajectory) -> slice | None:
     """Return the part between a jump and an end of the recording, if short, else nothing."""
     seconds, first = poses.seconds, edge.before + 1
     before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[first])
-    if before < min(after, LONGEST_AT_END):
+    if before < min(after, MAX_END_SECONDS):
         return slice(0, edge.before + 1)
-    if after < min(before, LONGEST_AT_END):
+    if after < min(before, MAX_END_SECONDS):
         return slice(first, len(poses))
     return None
 
 
 # Fewer samples than this between gaps and marked samples cannot be judged, and are marked.
-SHORTEST_RUN = 3
+MIN_RUN = 3
 # A frozen pose ends with a step that is larger than its neighbours' by this factor.
-CATCHES_UP = 1.5
+CATCH_UP_FACTOR = 1.5
 # ... and has so many moves among so many intervals on each side.
-NEARBY, MOVES_NEARBY = 5, 3
+NEAR_SAMPLES, MIN_NEAR_MOVES = 5, 3
 # A pose that is published twice is followed by a step larger than the smallest ones, which are
 # rounding, by this factor, and than this (m or rad).
-BEYOND_ROUNDING, LEAST_STEP = 4.0, 1e-9
+ROUNDING_FACTOR, MIN_STEP = 4.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,12 +513,12 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     usable = np.full(len(poses), True)
     _exclude(usable, _frozen(poses))
     moving = np.flatnonzero(usable)
-    if len(moving) < 2 * SHORTEST_RUN:
+    if len(moving) < 2 * MIN_RUN:
         return Outliers(usable, (), dict.fromkeys(QUANTITIES, np.zeros(3)))
     poses = poses.select(moving)
     steps_ns = np.diff(poses.stamps_ns)
     gap = steps_ns > longest_step_ns
-    uneven = np.abs(steps_ns / np.median(steps_ns) - 1.0) > EVEN_WITHIN
+    uneven = np.abs(steps_ns / np.median(steps_ns) - 1.0) > MAX_UNEVENNESS
     increments = increments_of(poses)
     short = short_window(increments, steps_ns, gap)
     breaks = gap | (short.strength >= 1.0)
@@ -555,13 +555,13 @@ def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
         return 0
     moved = np.concatenate([[0], np.cumsum(~repeats)])
     at = np.flatnonzero(repeats)
-    before = moved[at] > moved[np.maximum(at - NEARBY, 0)]
-    after = moved[np.minimum(at + 1 + NEARBY, len(repeats))] > moved[at + 1]
+    before = moved[at] > moved[np.maximum(at - NEAR_SAMPLES, 0)]
+    after = moved[np.minimum(at + 1 + NEAR_SAMPLES, len(repeats))] > moved[at + 1]
     next_move = np.append(np.flatnonzero(~repeats), -1)[moved[at + 1].astype(int)]
     is_beyond = np.zeros(len(at), dtype=bool)
     for length in np.linalg.norm(increments_of(poses), axis=2):
         smallest = length[length > 0.0].min(initial=np.inf)
-        is_beyond |= length[next_move] > max(BEYOND_ROUNDING * smallest, LEAST_STEP)
+        is_beyond |= length[next_move] > max(ROUNDING_FACTOR * smallest, MIN_STEP)
     return int(np.count_nonzero(before & after & is_beyond))
 
 
@@ -582,7 +582,7 @@ def _isolated(good: Mask, gap: Mask) -> list[slice]:
     begins = np.concatenate([[True], gap | (good[1:] != good[:-1])])
     first = np.append(np.flatnonzero(begins), len(good)).tolist()
     return [slice(i, after) for i, after in pairwise(first)
-            if good[i] and after - i < SHORTEST_RUN]
+            if good[i] and after - i < MIN_RUN]
 
 
 def _frozen(poses: Trajectory) -> list[slice]:
@@ -600,12 +600,13 @@ def _frozen(poses: Trajectory) -> list[slice]:
     frozen = []
     for (run,) in find_objects(label(repeats)[0]):
         first, last = run.start, run.stop - 1
-        around = (repeats[max(first - NEARBY, 0):first], repeats[last + 1:last + 1 + NEARBY])
-        if any(np.sum(~near) < MOVES_NEARBY for near in around if len(near) or not first):
+        around = (repeats[max(first - NEAR_SAMPLES, 0):first],
+                  repeats[last + 1:last + 1 + NEAR_SAMPLES])
+        if any(np.sum(~near) < MIN_NEAR_MOVES for near in around if len(near) or not first):
             continue
         k = int(np.searchsorted(moves, last))
         excess = [_catch_up(length, moves, k, last - first + 1) for length in lengths]
-        if np.any(excess > SMALLEST_JUMP):
+        if np.any(excess > MIN_JUMP):
             frozen.append(slice(first + 1, last + 2))
     return frozen
 
@@ -618,6 +619,6 @@ def _catch_up(length: Array, moves: Indices, k: int, repeats: int) -> float:
     """
     if k == len(moves):
         typical = float(np.median(length[moves[-1 - ACCELERATION_SAMPLES:]]))
-        return repeats * typical if float(length[moves[-1]]) * CATCHES_UP > typical else 0.0
+        return repeats * typical if float(length[moves[-1]]) * CATCH_UP_FACTOR > typical else 0.0
     near = moves[max(k - ACCELERATION_SAMPLES // 2, 0):k + ACCELERATION_SAMPLES // 2 + 1]
-    return float(length[moves[k]] - CATCHES_UP * np.median(length[near]))
+    return float(length[moves[k]] - CATCH_UP_FACTOR * np.median(length[near]))

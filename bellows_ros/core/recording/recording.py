@@ -48,10 +48,10 @@ CLIPPED_AT = 5.0
 LOW_RATE_HZ = 100.0
 """Rate of poses below which polynomials do not follow the motion on a cup."""
 
-AT_REST, FEWEST_AT_REST = 0.9, 10
+REST_PART, MIN_SAMPLES_AT_REST = 0.9, 10
 """Part of a standstill whose poses count as at rest, and the fewest that determine noise."""
 
-WIDE_WINDOW, COLOURED = 0.06, 1.15
+WIDE_WINDOW, MIN_NOISE_RATIO = 0.06, 1.15
 """Time (s) over which poses are compared for correlated noise, and by how much more is seen."""
 
 
@@ -173,13 +173,14 @@ def ar1_noise_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
         wide = noise
     times = np.array([1e-12, *np.geomspace(1.0, 200.0, 24)]) / 1e3  # as good as white, first
     ar1 = np.exp(-1.0 / (times * rate_hz))
-    seen = np.sqrt(ripple_part(np.stack([ar1, ar1**stride], axis=1)) / ripple_part(0.0))
+    sizes = np.sqrt(ripple_part(np.stack([ar1, ar1**stride], axis=1)) / ripple_part(0.0))
+    ratios = sizes[:, 1] / sizes[:, 0]
 
     def fitted(one: float, other: float) -> AR1Noise:
         """Return the noise that is seen so in neighbours and in poses a stride apart."""
         ratio = other / one if one > 0.0 else 1.0
-        at = int(np.argmin(np.abs(seen[:, 1] / seen[:, 0] - ratio))) if ratio > COLOURED else 0
-        return AR1Noise(one / float(seen[at, 0]), float(ar1[at]))
+        at = int(np.argmin(np.abs(ratios - ratio))) if ratio > MIN_NOISE_RATIO else 0
+        return AR1Noise(one / float(sizes[at, 0]), float(ar1[at]))
 
     return fitted(noise.position, wide.position), fitted(noise.rotation, wide.rotation)
 
@@ -509,25 +510,25 @@ class Recording:
         """Return a result computed from the recording, computed at the first request."""
         if key not in self._cache:
             self._cache[key] = make()
-        found: T = self._cache[key]
-        return found
+        result: T = self._cache[key]
+        return result
 
     @property
     def tool(self) -> Trajectory:
         """Tool tip E in the world, filtered, with body twists of the filter."""
-        own = self.filters[0]
-        if own not in self._filtered:
-            self._filtered[own] = resample(own.filtered(), self.measured_tool.stamps_ns,
-                                           self.report.tool.timing.longest_step_ns)
-        return self._filtered[own]
+        of_tool = self.filters[0]
+        if of_tool not in self._filtered:
+            self._filtered[of_tool] = resample(of_tool.filtered(), self.measured_tool.stamps_ns,
+                                               self.report.tool.timing.longest_step_ns)
+        return self._filtered[of_tool]
 
     @property
     def package(self) -> Trajectory:
         """Centre of mass B in the world, filtered, with body twists and their derivatives."""
-        own = self.filters[1]
-        if own not in self._filtered:
-            self._filtered[own] = own.filtered().between(*self.measured_tool.stamps_ns[[0, -1]])
-        return self._filtered[own]
+        of_package, ends = self.filters[1], self.measured_tool.stamps_ns[[0, -1]]
+        if of_package not in self._filtered:
+            self._filtered[of_package] = of_package.filtered().between(*ends)
+        return self._filtered[of_package]
 
     @property
     def aligned_tool(self) -> Trajectory:
@@ -553,7 +554,7 @@ class Recording:
     def whole(self) -> Mask:
         """Where both filters have windows without gaps and outliers (N,)."""
         of_tool, of_package = (
-            own.is_whole_at(self.measured_tool.stamps_ns) for own in self.filters)
+            body.is_whole_at(self.measured_tool.stamps_ns) for body in self.filters)
         return of_tool & of_package
 
     @property
@@ -587,14 +588,14 @@ class Recording:
         of_tool, of_package = (
             BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
                 (self.aligned_tool, self.aligned_package),
-                (max(part.correlation for part in own) for own in self.ar1_noise), strict=True))
+                (max(part.correlation for part in body) for body in self.ar1_noise), strict=True))
         if self.report.package.timing.rate_hz < LOW_RATE_HZ:
             tool, package = self.aligned_tool, self.tracked_package
             first = max(tool.stamps_ns[0], package.stamps_ns[0])
-            last = first + AT_REST * rest_of(tool, package).seconds * trajectory.NS_PER_S
+            last = first + REST_PART * rest_of(tool, package).seconds * trajectory.NS_PER_S
             still = package.between(first, last)
             still = still.select(still.valid)
-            if len(still) >= FEWEST_AT_REST:
+            if len(still) >= MIN_SAMPLES_AT_REST:
                 of_package = of_package._replace(std=noise_at_rest(still))
         return of_tool, of_package
 

@@ -19,10 +19,10 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-SHORTEST = 0.5
+MIN_DURATION = 0.5
 """Shortest standstill, s."""
 
-STILL_WITHIN = Noise(1.5e-4, 1.5e-3)
+MAX_MOTION = Noise(1.5e-4, 1.5e-3)
 """Block means of a still body differ by at most this (m, rad), beside noise ..."""
 
 NOISE_DEVIATIONS = 5.0
@@ -32,7 +32,7 @@ CREEP_CHI2, MAX_SPREAD = 45.0, 8.0
 """Creep is significant from this chi^2 of 6 degrees of freedom on (chance 5e-8), and left out
 where the rest pose would be so many times less certain than the mean: hold longer."""
 
-BLOCK_SECONDS, FEWEST_IN_BLOCK = 0.1, 3
+BLOCK_SECONDS, MIN_BLOCK_SAMPLES = 0.1, 3
 """Time (s) that block means are of, shorter than a body sways, and their fewest samples."""
 
 
@@ -101,8 +101,8 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
     spans = _spans_at_rest(bodies, noise, blocks)
     if not spans:
         raise BellowsError(
-            f'The recording contains no standstill of {SHORTEST:g} s or more: the tool and the '
-            'package must both come to rest. Hold each pose until the package has stopped '
+            f'The recording contains no standstill of {MIN_DURATION:g} s or more: the tool and '
+            'the package must both come to rest. Hold each pose until the package has stopped '
             'swinging, some 3 s.')
     settled = np.array([span[0] for span in spans], dtype=np.int64)
     failed = sum(
@@ -149,7 +149,7 @@ def _spans_at_rest(
     stamps = bodies[0].stamps_ns
     means = [_means(body, blocks) for body in bodies]
     factor = NOISE_DEVIATIONS / np.sqrt(np.median([len(block) for block in blocks]))
-    limits = [Noise(*np.add(STILL_WITHIN, np.multiply(factor, n))) for n in noise]
+    limits = [Noise(*np.add(MAX_MOTION, np.multiply(factor, n))) for n in noise]
     ends = stamps[[block[-1] for block in blocks]]
     spans, last = [], len(blocks) - 1
     while last >= 0:
@@ -159,7 +159,7 @@ def _spans_at_rest(
         # The first and the last block may have a little of the moves before and after in them.
         inner = slice(first + 1, last) if last - first > 3 else slice(first, last + 1)
         span = np.concatenate(blocks[inner])
-        is_long = _seconds(stamps, span) >= SHORTEST
+        is_long = _seconds(stamps, span) >= MIN_DURATION
         spans += [span] if is_long else []
         last = first - 1 if is_long else last - 1
     return spans[::-1]
@@ -172,7 +172,7 @@ def _blocks(tool: Trajectory, package: Trajectory) -> list[Stamps]:
         raise BellowsError('No valid sample is left to find standstills in.')
     number = (tool.stamps_ns[valid] - tool.stamps_ns[0]) // int(BLOCK_SECONDS * NS_PER_S)
     parts = np.split(valid, np.flatnonzero(np.diff(number)) + 1)
-    return [part for part in parts if len(part) >= FEWEST_IN_BLOCK] or [valid]
+    return [part for part in parts if len(part) >= MIN_BLOCK_SAMPLES] or [valid]
 
 
 def _means(body: Trajectory, spans: Sequence[Stamps]) -> Trajectory:
@@ -219,10 +219,11 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
 
 
 def with_standstills(
-    known: Envelope, standstills: Sequence[Standstill], cup_length: float
+    envelope: Envelope, standstills: Sequence[Standstill], cup_length: float
 ) -> Envelope:
     """Return a validity range with the deflections of standstills in it; these have no rates."""
     nominal = np.array([0.0, 0.0, -cup_length, 0.0, 0.0, 0.0])
     deflections = np.array([still.lip - nominal for still in standstills])
-    return replace(known, deflection_low=np.minimum(known.deflection_low, deflections.min(axis=0)),
-                   deflection_high=np.maximum(known.deflection_high, deflections.max(axis=0)))
+    return replace(
+        envelope, deflection_low=np.minimum(envelope.deflection_low, deflections.min(axis=0)),
+        deflection_high=np.maximum(envelope.deflection_high, deflections.max(axis=0)))

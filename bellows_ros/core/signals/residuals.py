@@ -177,20 +177,20 @@ class Spectrum:
         return low, high
 
 
-def _there(values: Array) -> Mask:
+def _is_finite(values: Array) -> Mask:
     """Return which samples (N,) of values (N, C) are not missing, or refuse values without any."""
-    there = np.isfinite(values).all(axis=1)
-    if not there.any():
+    present = np.isfinite(values).all(axis=1)
+    if not present.any():
         raise BellowsError('There is no sample of which to take a spectrum.')
-    return np.asarray(there)
+    return np.asarray(present)
 
 
 def interpolated(values: Array) -> Array:
     """Return values (N, C) with the samples that are missing (NaN) on lines between the others."""
-    there, every = np.flatnonzero(_there(values)), np.arange(len(values))
-    if len(there) == len(values):
+    present, every = np.flatnonzero(_is_finite(values)), np.arange(len(values))
+    if len(present) == len(values):
         return values
-    return np.column_stack([np.interp(every, there, channel[there]) for channel in values.T])
+    return np.column_stack([np.interp(every, present, channel[present]) for channel in values.T])
 
 
 def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spectrum:
@@ -209,11 +209,11 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
         Length of a segment, s.
 
     """
-    there = _there(values)
+    present = _is_finite(values)
     length = min(len(values), round(segment_s * rate_hz))
     window = np.sin(np.pi * np.arange(length) / length) ** 2
-    scale = 2.0 * len(values) / np.count_nonzero(there) / (rate_hz * np.sum(window**2))
-    filled = np.where(there[:, None], values - values[there].mean(axis=0), 0.0)
+    scale = 2.0 * len(values) / np.count_nonzero(present) / (rate_hz * np.sum(window**2))
+    filled = np.where(present[:, None], values - values[present].mean(axis=0), 0.0)
     # Channel by channel: SciPy's takes a second and 50 MB to load, and more memory.
     density = scale * np.column_stack([
         np.mean(np.abs(np.fft.rfft(window * segments)) ** 2, axis=0)
@@ -298,13 +298,13 @@ def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
         If there are too few samples for the lags.
 
     """
-    there = np.asarray(np.isfinite(residuals).all(axis=1))
-    count = int(np.count_nonzero(there))
-    pairs = np.array([np.count_nonzero(there[k:] & there[:-k]) for k in range(1, lags + 1)])
+    present = np.asarray(np.isfinite(residuals).all(axis=1))
+    count = int(np.count_nonzero(present))
+    pairs = np.array([np.count_nonzero(present[k:] & present[:-k]) for k in range(1, lags + 1)])
     if count <= lags or len(residuals) <= lags or pairs.min() == 0:
         raise BellowsError(
             f'{count} residuals are too few to test whether they are white over {lags} lags.')
-    e = np.where(there[:, None], residuals, 0.0)
+    e = np.where(present[:, None], residuals, 0.0)
     power = np.sum(e**2, axis=0)
     products = np.array([np.einsum('nc,nc->c', e[k:], e[:-k]) for k in range(1, lags + 1)])
     r = np.full_like(products, np.nan)
