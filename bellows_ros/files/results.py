@@ -13,8 +13,9 @@ from importlib import metadata
 import json
 import math
 import os
-from pathlib import PurePath
+from pathlib import Path, PurePath
 import platform
+import tomllib
 from typing import Any
 
 from bellows_ros import __version__
@@ -42,27 +43,8 @@ UNIT_OF: Mapping[str, Any] = {
     **dict.fromkeys(
         ('rms largest motion noise_rms lip creep measured predicted shake_rms '
          'deflection').split(), POSE_UNITS),
-    **{name: unit for unit, names in {
-        '1': 'relaxation chi2 robust_chi2 condition_number narrowed noise_share signal_to_noise '
-             'bias pairs aic bic held_out simulated effective_samples probability '
-             'probability_stiffness probability_damping deviations excess left moved nrmse '
-             'model_error limit p_value portmanteau largest_autocorrelation real_time_factor '
-             'smallest_safety_factor least_safety_factor fastest_scale time_scale '
-             'landing_rotation stiffness_after_moves stiffness_of_a_step factor odds '
-             'part_in_ellipse standard_errors parts_of_limits limited_by',
-        '%': 'percent', '1/h': 'per_hour at_most allowed',
-        'm': 'cup_length length lengths peak_deflection path_error landing_position com shift '
-             'position',
-        's': 'time_offsets duration own_delay took smallest_safety_time settled_after '
-             'added_time smoothed valve_time release_time landing_time time seconds latency '
-             'latest',
-        'N': 'load loads linear_load peak_force', 'N m': 'peak_moment rigid_peak_moment',
-        'rad': 'tilt peak_bending swing_left largest_tilt expected_swing hold_tilt turn '
-               'rotation',
-        'N s': 'impulse', 'kg': 'mass',
-        'm/s': 'speed', 'm/s^2': 'acceleration', 'm/s^3': 'jerk', 'rad/s^3': 'angular_jerk',
-        'rad/s': 'angular_speed tumbling', 'rad/s^2': 'angular_acceleration',
-    }.items() for name in names.split()},
+    **{name: unit for unit, names in tomllib.loads(
+        Path(__file__).with_name('units.toml').read_text()).items() for name in names.split()},
     **dict.fromkeys(('release_twist', 'landing_twist'), [*3 * ['m/s'], *3 * ['rad/s']]),
     'release_pose': [*3 * ['m'], *4 * ['1']],
     'landing_covariance': [

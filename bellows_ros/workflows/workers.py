@@ -41,8 +41,7 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
     while pending:
         begun: list[int] = []
         try:
-            with closing(_in_pool(
-                    joblib, jobs, task, _noted([*pending.values()], begun))) as results:
+            with closing(_in_pool(joblib, jobs, task, [*pending.values()], begun)) as results:
                 for number, result in results:
                     del pending[number]
                     yield number, result
@@ -50,7 +49,7 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
             # One of those begun has ended its process; in a pool of its own it ends no other.
             for item in (pending.pop(number) for number in begun if number in pending):
                 try:
-                    yield from _in_pool(joblib, 2, task, [item])
+                    yield from _in_pool(joblib, 2, task, [item], [])
                 except BrokenProcessPool:
                     yield item[0], Failed(
                         item[1], 'the process that read it was ended from outside, twice. If '
@@ -58,17 +57,23 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
 
 
 def _in_pool(
-    joblib: Any, jobs: int, task: Task, work: Iterable[Work]
+    joblib: Any, jobs: int, task: Task, work: Iterable[Work], begun: list[int]
 ) -> Generator[Outcome, None, None]:
     """
     Yield the results of a pool of processes, which is handed no more than it works on.
 
+    The numbers of what it was handed are added to those begun.
     Whatever ends this generator early ends the processes, and what they left is removed.
     """
     parallel = joblib.Parallel(
         jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
-    watched = joblib.delayed(_watched)
-    results = parallel(watched(os.getpid(), task, *item) for item in work)
+
+    def handed() -> Iterator[Any]:
+        for item in work:
+            begun.append(item[0])
+            yield joblib.delayed(_watched)(os.getpid(), task, *item)
+
+    results = parallel(handed())
     try:
         yield from results
     finally:
@@ -91,13 +96,6 @@ def _end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _noted(work: Iterable[Work], begun: list[int]) -> Iterator[Work]:
-    """Yield work, and store the numbers of those begun."""
-    for item in work:
-        begun.append(item[0])
-        yield item
 
 
 def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any], **more: Any) -> Outcome:
