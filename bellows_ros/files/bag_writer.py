@@ -149,7 +149,7 @@ def require_replaceable(folder: Path) -> None:
     names = [p.name for p in folder.iterdir()]
     strange = [n for n in names if n != METADATA and not n.endswith(STORED)]
     if strange or METADATA not in names:
-        held = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
+        why = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
         raise BellowsError(
-            f"Folder '{folder}' is not replaced because it is not just a recording: {held}. "
+            f"Folder '{folder}' is not replaced because it is not just a recording: {why}. "
             'Give another name, or remove it first.')
