@@ -26,17 +26,13 @@ FRAME_RUN_NS = 150_000_000
 JUMP_RUN = 5
 """Consecutive poses, close together but far from the last accepted one, that make a new place."""
 
-SPEED_SLACK, RATE_SLACK = 0.05, 0.3
+SHIFT_TOLERANCE, TURN_TOLERANCE = 0.05, 0.3
 """Tolerance (m, rad) of a pose about where an arm could be."""
 
-LARGEST_JUMP, JUMP_SLACK = 100.0, 0.02
-"""Largest acceleration of an arm (m/s^2), and tolerance of a pose beside it (m)."""
+MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
+"""Of an arm (m/s^2, rad/s^2), and tolerance of a pose besides (m, rad)."""
 
-LARGEST_TURN_JUMP, TURN_JUMP_SLACK = 1000.0, 0.2
-"""The same for rotations (rad/s^2, rad)."""
-
-DOUBTED_JUMP, DOUBTED_JUMP_SLACK = 40.0, 0.015
-DOUBTED_TURN_JUMP, DOUBTED_TURN_JUMP_SLACK = 400.0, 0.15
+SUSPECT_ACCELERATION, SUSPECT_TOLERANCE = (40.0, 400.0), (0.015, 0.15)
 """The same, for doubting the arm's motion or the tracker."""
 
 AFTER_JUMPS = 0.2
@@ -45,11 +41,8 @@ AFTER_JUMPS = 0.2
 JITTER = 0.025
 """Largest error (s) of stamps; those of arrival come in bursts."""
 
-LARGEST_STOP, STOP_SLACK = 30.0, 3e-4
-"""Largest deceleration (m/s^2) to a complete stop within one sample, and its noise (m)."""
-
-LARGEST_TURN_STOP, TURN_STOP_SLACK = 300.0, 1.5e-3
-"""The same for rotations (rad/s^2, rad)."""
+MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
+"""To a complete stop within one sample (m/s^2, rad/s^2), and its noise (m, rad)."""
 
 UNKNOWN = -1.0
 """Period of a pose at which the tool's speed is unknown."""
@@ -62,18 +55,18 @@ class PoseStep(NamedTuple):
     """Size relative to what an arm can do; above 1 is impossible."""
     suspicion: float
     """Size relative to the limit of suspicion."""
-    position_jump: float
-    """Deviation from a steady motion, m."""
-    rotation_jump: float
-    """The same for rotations, rad."""
-    speed: float
-    """Smaller speed of this step and the one before, m/s: one jump is no motion."""
-    turn_speed: float
-    """Smaller rate of the two, rad/s."""
+    jump: tuple[float, float]
+    """Deviation from a steady motion, m and rad."""
+    speed: tuple[float, float]
+    """Smaller speed (m/s) and rate (rad/s) of this step and the one before: one jump is no
+    motion."""
     velocity: Vector
     """In the axes of the poses' frame, m/s."""
     rate: Vector
     """In the tool's axes, rad/s."""
+
+
+REST = PoseStep(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), ZERO, ZERO)
 
 
 class Reference(NamedTuple):
@@ -87,8 +80,11 @@ class Reference(NamedTuple):
     step: PoseStep
     """From the previous pose."""
 
-
-REST = PoseStep(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
+    def step_to(self, stamp_ns: int, o: Vector, q: Quaternion) -> PoseStep:
+        """Return the step to a later pose."""
+        return PoseStep(*_pose_step(
+            self.position, self.quaternion_xyzw, self.step.velocity, self.step.rate, self.period,
+            o, q, (stamp_ns - self.stamp_ns) * 1e-9))
 
 
 @kernel
@@ -97,18 +93,11 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
     return t3.norm(t3.subtract(b, a)), min(t3.norm(a), t3.norm(b)) if t3.dot(a, b) > 0.0 else 0.0
 
 
-def step_between(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> PoseStep:
-    """Return the step from a reference to a later pose."""
-    return PoseStep(*step_after(
-        last.position, last.quaternion_xyzw, last.step.velocity, last.step.rate, last.period,
-        o, q, (stamp_ns - last.stamp_ns) * 1e-9))
-
-
 @kernel
-def step_after(
+def _pose_step(
     o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
     other_o: Vector, other_q: Quaternion, seconds: float,
-) -> tuple[float, float, float, float, float, float, Vector, Vector]:
+) -> tuple[float, float, tuple[float, float], tuple[float, float], Vector, Vector]:
     """
     Return the `PoseStep` from a pose to another after some seconds; numba is slow at named tuples.
 
@@ -121,23 +110,22 @@ def step_after(
     velocity_change, speed = change(velocity, v)
     rate_change, turn_speed = change(rate, w)
     shorter = min(seconds, period) if period > 0.0 else seconds
-    position_jump, rotation_jump = velocity_change * shorter, rate_change * shorter
+    jump, turn_jump = velocity_change * shorter, rate_change * shorter
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
     squared = 0.5 * (seconds + shorter) * shorter
     excess = max(
-        t3.norm(shift) / (SPEED_SLACK + screening.LARGEST_SPEED * seconds),
-        t3.norm(turn) / (RATE_SLACK + screening.LARGEST_RATE * seconds),
-    )
+        t3.norm(shift) / (SHIFT_TOLERANCE + screening.LARGEST_SPEED * seconds),
+        t3.norm(turn) / (TURN_TOLERANCE + screening.LARGEST_RATE * seconds))
     suspicion = 0.0
     if period != UNKNOWN:
         excess = max(
-            excess, position_jump / (JUMP_SLACK + jitter + LARGEST_JUMP * squared),
-            rotation_jump / (TURN_JUMP_SLACK + turn_jitter + LARGEST_TURN_JUMP * squared))
+            excess, jump / (JUMP_TOLERANCE[0] + jitter + MAX_ACCELERATION[0] * squared),
+            turn_jump / (JUMP_TOLERANCE[1] + turn_jitter + MAX_ACCELERATION[1] * squared))
     if period > 0.0:
         suspicion = max(
-            position_jump / (DOUBTED_JUMP_SLACK + jitter + DOUBTED_JUMP * squared),
-            rotation_jump / (DOUBTED_TURN_JUMP_SLACK + turn_jitter + DOUBTED_TURN_JUMP * squared))
-    return excess, suspicion, position_jump, rotation_jump, speed, turn_speed, v, w
+            jump / (SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared),
+            turn_jump / (SUSPECT_TOLERANCE[1] + turn_jitter + SUSPECT_ACCELERATION[1] * squared))
+    return excess, suspicion, (jump, turn_jump), (speed, turn_speed), v, w
 
 
 class FrameChange:
@@ -220,20 +208,16 @@ class Screen(StampScreen):
         self._last: Reference | None = None
         self._step = REST  # from there, if judged by its place
         self.suspect = False
-        self._elsewhere: Reference | None = None
+        self._elsewhere: Reference | None = None  # the newest of poses that were refused
         self._elsewhere_run = 0
 
     @property
     def jump(self) -> tuple[float, float]:
         """Deviation (m, rad) of the newest pose from a steady motion."""
-        return self._step.position_jump, self._step.rotation_jump
+        return self._step.jump
 
     def judge(
-        self,
-        stamp_ns: int,
-        frame_id: str,
-        position: Vector,
-        quaternion_xyzw: Quaternion,
+        self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
         arrival_ns: int | None = None,
     ) -> Verdict:
         """
@@ -256,16 +240,14 @@ class Screen(StampScreen):
         """
         verdict = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
         if not verdict.refused:
-            there = self._elsewhere if verdict.restart == 'moved' else None
+            moved = self._elsewhere if verdict.restart == 'moved' else None
             if verdict.restart:
                 self.forget_motion()
             seconds = 0.0 if self._last is None else (stamp_ns - self.newest_ns) * 1e-9
-            self._last = Reference(stamp_ns, position, quaternion_xyzw, seconds, self._step)
-            self.frame_id = frame_id
+            self._last = moved or Reference(
+                stamp_ns, position, quaternion_xyzw, seconds, self._step)
+            self.frame_id, self._elsewhere = frame_id, None
             self._change.clear()
-            self._elsewhere_run = 0
-            if there is not None:  # where it has been seen to move
-                self._last = there
             self.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
         return verdict
 
@@ -273,22 +255,17 @@ class Screen(StampScreen):
         self, stamp_ns: int, frame_id: str, o: Vector, q: Quaternion, arrival_ns: int | None
     ) -> Verdict:
         """Return the first verdict of the checks."""
-        reason = screening.why_no_pose(o, q)
-        if reason:
+        if reason := screening.why_no_pose(o, q):
             return Verdict(reason, '')
         if stamp_ns <= 0:
             return Verdict('zero_stamp', '')
         if self.frame_id and frame_id != self.frame_id:
-            believed = self._change.is_believed(frame_id, stamp_ns)
-            return (Verdict(screening.ACCEPTED, 'frame_changed') if believed
-                    else Verdict('frame_id', ''))
+            if self._change.is_believed(frame_id, stamp_ns):
+                return Verdict(screening.ACCEPTED, 'frame_changed')
+            return Verdict('frame_id', '')
         self._change.clear()
         verdict = self.judge_stamp(stamp_ns, arrival_ns)
-        if verdict is not screening.GOOD:
-            return verdict
-        return self._judge_place(stamp_ns, o, q)
-
-    # ------------------------------------------------------------------ places
+        return self._judge_place(stamp_ns, o, q) if verdict is screening.GOOD else verdict
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> Verdict:
         """Refuse poses of a tracker that has lost its body: repeated, or far away."""
@@ -298,12 +275,12 @@ class Screen(StampScreen):
         if o == last.position and q == last.quaternion_xyzw:
             self._step, self.suspect = REST, False
             return Verdict('repeated_pose', '') if _cannot_stop(last) else screening.GOOD
-        if self._elsewhere_run:  # then the time since the last one tells of no burst
+        is_doubted = self._elsewhere is not None
+        if is_doubted:  # then the time since the last one tells of no burst
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
-        self._step = step = step_between(last, stamp_ns, o, q)
-        if step.excess <= 1.0 and not (
-                self._elsewhere_run and self._is_elsewhere(stamp_ns, o, q)):
-            self.suspect = step.suspicion > (AFTER_JUMPS if self._elsewhere_run else 1.0)
+        self._step = step = last.step_to(stamp_ns, o, q)
+        if step.excess <= 1.0 and not self._is_elsewhere(stamp_ns, o, q):
+            self.suspect = step.suspicion > (AFTER_JUMPS if is_doubted else 1.0)
             return screening.GOOD
         self._note_elsewhere(stamp_ns, o, q)
         if self._elsewhere_run >= JUMP_RUN:
@@ -311,36 +288,30 @@ class Screen(StampScreen):
         return Verdict('jump', '')
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
-        """Return whether a pose continues from the last refused pose."""
+        """Return whether a pose continues rather from the last refused than the last accepted."""
         there, last = self._elsewhere, self._last
         if there is None or last is None or stamp_ns <= there.stamp_ns:
             return False
-        return _beside(there, stamp_ns, o, q) < _beside(last, stamp_ns, o, q)
+        of_refused, of_accepted = (
+            each._replace(period=0.0).step_to(stamp_ns, o, q).jump for each in (there, last))
+        return of_refused < of_accepted
 
     def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:
         """Count poses that can come one after the other, far from the last accepted."""
-        before, run = self._elsewhere, self._elsewhere_run
-        self._elsewhere = Reference(stamp_ns, o, q, UNKNOWN, REST)
+        before, self._elsewhere = self._elsewhere, Reference(stamp_ns, o, q, UNKNOWN, REST)
+        if before is not None and stamp_ns > before.stamp_ns:
+            step = before.step_to(stamp_ns, o, q)
+            if step.excess <= 1.0:
+                seconds = (stamp_ns - before.stamp_ns) * 1e-9
+                self._elsewhere = self._elsewhere._replace(period=seconds, step=step)
+                self._elsewhere_run += 1
+                return
         self._elsewhere_run = 1
-        if not run or before is None or stamp_ns <= before.stamp_ns:
-            return
-        step = step_between(before, stamp_ns, o, q)
-        if step.excess <= 1.0:
-            seconds = (stamp_ns - before.stamp_ns) * 1e-9
-            self._elsewhere = Reference(stamp_ns, o, q, seconds, step)
-            self._elsewhere_run = run + 1
-
-
-def _beside(last: Reference, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, float]:
-    """Return how far (m, rad) a pose is from where the motion at a reference leads."""
-    later = step_between(last._replace(period=0.0), stamp_ns, o, q)
-    return later.position_jump, later.rotation_jump
 
 
 def _cannot_stop(last: Reference) -> bool:
     """Return whether an arm is too fast to stand still one sample later."""
-    step, period = last.step, last.period
-    return (
-        (step.speed - LARGEST_STOP * period) * period > STOP_SLACK
-        or (step.turn_speed - LARGEST_TURN_STOP * period) * period > TURN_STOP_SLACK
-    )
+    return any(
+        (speed - deceleration * last.period) * last.period > tolerance
+        for speed, deceleration, tolerance in zip(
+            last.step.speed, MAX_DECELERATION, STOP_TOLERANCE, strict=True))
