@@ -1,14 +1,6 @@
 """The live predictor without ROS: screening, pairing, propagation."""
 
-from bellows_ros.core.live.predictor import (
-    LivePredictor,
-    LONGEST_GAP_NS,
-    REFUSALS,
-    RESTARTS,
-    warm_up,
-)
+from bellows_ros.core.live.predictor import LivePredictor, REFUSALS, RESTARTS, warm_up
 from bellows_ros.core.live.samples import Prediction
 
-__all__ = [
-    'LivePredictor', 'LONGEST_GAP_NS', 'Prediction', 'REFUSALS', 'RESTARTS', 'warm_up',
-]
+__all__ = ['LivePredictor', 'Prediction', 'REFUSALS', 'RESTARTS', 'warm_up']

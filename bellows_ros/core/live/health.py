@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Safety
-from bellows_ros.core.live.predictor import LivePredictor, LONGEST_GAP_NS
+from bellows_ros.core.live.predictor import LivePredictor, REFUSALS, RESTARTS
 from bellows_ros.core.model.validity_range import Distance
 import numpy as np
 
@@ -114,33 +114,6 @@ TWIST_MESSAGES = {
     'does_not_fit': 'The twists do not fit the poses. Check their units, and that they are '
                     'those of the tool tip.',
 }
-REASONS = {
-    'nan': 'nan (a number in it is not finite)',
-    'zero_quaternion': 'zero quaternion',
-    'not_unit': 'quaternion not of unit length',
-    'zero_stamp': 'no valid stamp',
-    'duplicate_stamp': 'repeated stamp',
-    'backward_stamp': 'backward stamp',
-    'future_stamp': 'stamp in the future',
-    'repeated_pose': 'the pose repeats although the tool moves (tracking lost?)',
-    'jump': 'too far from the pose before (tracking lost, or two tools on one topic?)',
-    'frame_id': 'frame_id is another than before',
-    'twist_nan': 'nan (a number in it is not finite)',
-    'twist_too_fast': 'faster than any arm',
-    'twist_frame_id': 'frame_id is another than before',
-    'twist_misses_pose': 'does not match the motion from pose to pose',
-    'twist_unpaired': 'no pose near its stamp',
-    'gap': f'no usable pose arrived for more than {LONGEST_GAP_NS * 1e-9:g} s',
-    'clock_set_back': 'the stamps went back (a clock was set, or a recording started again)',
-    'clock_set_forward': 'the stamps jumped ahead of the elapsed time',
-    'clock_jump': 'the clock of the simulation was set, or switched on or off',
-    'frame_changed': "the tool's poses are now in another frame",
-    'moved': "the tool's poses jumped further than it can move",
-    'diverged': 'the prediction diverged, with its lip further away than any cup reaches; check '
-                'cup.stiffness, cup.damping and the package',
-}
-"""Why messages are refused, and why the prediction starts again."""
-
 PHASE_MESSAGES = {
     'detached': 'Detached: no package is held, so nothing is predicted.',
     'waiting': 'Waiting for the first pose of the tool.',
@@ -218,8 +191,9 @@ def _values(report: InputReport) -> dict[str, str]:
 
 def _listed(counts: Mapping[str, int]) -> str:
     """Return counts in words."""
+    words = {**REFUSALS, **RESTARTS}
     return ', '.join(
-        f'{count} x {REASONS.get(reason, reason)}' for reason, count in counts.items() if count)
+        f'{count} x {words.get(reason, reason)}' for reason, count in counts.items() if count)
 
 
 def _refusals(report: InputReport) -> str:

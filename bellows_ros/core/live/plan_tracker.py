@@ -15,6 +15,7 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.live.tool_twist import LEVER
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import (
     first_after,
@@ -26,8 +27,6 @@ from bellows_ros.core.model.simulation import (
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-LEVER = 0.1
-"""Distance (m) that counts as much as a rotation by 1 rad."""
 WINDOW = 0.05
 """The tool is searched up to this far (s of the plan) ahead of its expected place."""
 LATEST = 0.1

@@ -40,15 +40,38 @@ COAST_LIMIT_NS = 100_000_000
 MOVING_SPEED, MOVING_RATE = 0.02, 0.1
 """Speed (m/s) or rate (rad/s) of the tool from which on no package is released."""
 
-REFUSALS = (
-    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
-    'future_stamp', 'frame_id', 'repeated_pose', 'jump', 'twist_nan', 'twist_too_fast',
-    'twist_frame_id', 'twist_misses_pose', 'twist_unpaired',
-)
-RESTARTS = (
-    'gap', 'clock_set_back', 'clock_set_forward', 'clock_jump', 'frame_changed', 'moved',
-    'diverged', 'no_equilibrium', 'failure',
-)
+REFUSALS = {
+    'nan': 'nan (a number in it is not finite)',
+    'zero_quaternion': 'zero quaternion',
+    'not_unit': 'quaternion not of unit length',
+    'zero_stamp': 'no valid stamp',
+    'duplicate_stamp': 'repeated stamp',
+    'backward_stamp': 'backward stamp',
+    'future_stamp': 'stamp in the future',
+    'frame_id': 'frame_id is another than before',
+    'repeated_pose': 'the pose repeats although the tool moves (tracking lost?)',
+    'jump': 'too far from the pose before (tracking lost, or two tools on one topic?)',
+    'twist_nan': 'nan (a number in it is not finite)',
+    'twist_too_fast': 'faster than any arm',
+    'twist_frame_id': 'frame_id is another than before',
+    'twist_misses_pose': 'does not match the motion from pose to pose',
+    'twist_unpaired': 'no pose near its stamp',
+}
+"""Why messages are refused, in words."""
+
+RESTARTS = {
+    'gap': f'no usable pose arrived for more than {LONGEST_GAP_NS * 1e-9:g} s',
+    'clock_set_back': 'the stamps went back (a clock was set, or a recording started again)',
+    'clock_set_forward': 'the stamps jumped ahead of the elapsed time',
+    'clock_jump': 'the clock of the simulation was set, or switched on or off',
+    'frame_changed': "the tool's poses are now in another frame",
+    'moved': "the tool's poses jumped further than it can move",
+    'diverged': 'the prediction diverged, with its lip further away than any cup reaches; check '
+                'cup.stiffness, cup.damping and the package',
+    'no_equilibrium': 'the cup cannot hold the package',
+    'failure': 'a fault of this node',
+}
+"""Why the prediction starts again, in words."""
 
 
 class LivePredictor:
@@ -68,8 +91,6 @@ class LivePredictor:
     twist_frame : {'world', 'tool'}
         Axes of the linear and angular velocity given to `on_twist`; the linear one is the
         velocity of the tool point in either case.
-    history : int
-        Number of poses from which a missing twist is estimated.
     coast_limit_ns : int
         How long the tool is extrapolated when no pose comes, 0 for not at all.
 
@@ -105,12 +126,12 @@ class LivePredictor:
 
     def __init__(
         self, cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str = 'world',
-        history: int = 5, coast_limit_ns: int = COAST_LIMIT_NS,
+        coast_limit_ns: int = COAST_LIMIT_NS,
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
         self._screen, self._twist_screen = Screen(), TwistScreen()
         self.pairing = Pairing()
-        self.tool = ToolMotion(history, twist_frame == 'world')
+        self.tool = ToolMotion(twist_frame == 'world')
         self.package = LivePayload(cup, package, gravity)
         self.coast_limit_ns = coast_limit_ns
         self._counts = dict.fromkeys(REFUSALS, 0)
@@ -402,6 +423,3 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
     live.flush()
     for prediction in live.coast(arrival_ns + COAST_AFTER_NS + 1_000_000):
         deflection(live.model, prediction)
-
-
-__all__ = ['LivePredictor', 'LONGEST_GAP_NS', 'REFUSALS', 'RESTARTS', 'warm_up']

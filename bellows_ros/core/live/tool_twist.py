@@ -19,6 +19,12 @@ from bellows_ros.core.live.samples import PoseSample, TwistSample
 from bellows_ros.core.model.kernels import State
 import numpy as np
 
+HISTORY = 5
+"""Number of poses from which a missing twist is estimated."""
+
+LEVER = 0.1
+"""Distance (m) that counts as much as a rotation by 1 rad."""
+
 MIN_DETERMINANT = 1e-4
 """Of the normal matrix in units of the time spanned; three even samples have 0.06."""
 
@@ -32,10 +38,10 @@ class PoseHistory:
     quadratic; more of them average noise.
     """
 
-    def __init__(self, size: int) -> None:
-        """Reserve memory for a number of poses, at least two."""
+    def __init__(self) -> None:
+        """Reserve memory for `HISTORY` poses."""
         # stamp (s, from the first), position, quaternion xyzw
-        self._rows, = as_inputs(np.zeros((size, 8)))
+        self._rows, = as_inputs(np.zeros((HISTORY, 8)))
         self._count = self._origin_ns = 0
 
     def clear(self) -> None:
@@ -46,9 +52,8 @@ class PoseHistory:
         """Add the newest pose, and drop the oldest when full."""
         if self._count == 0:
             self._origin_ns = stamp_ns
-        self._count = append_row(
-            self._rows, self._count, (stamp_ns - self._origin_ns) * 1e-9, position,
-            quaternion_xyzw)
+        seconds = (stamp_ns - self._origin_ns) * 1e-9
+        self._count = append_row(self._rows, self._count, seconds, position, quaternion_xyzw)
 
     def state(self, back: int = 0) -> State:
         """Return the pose that many samples before the newest, with its estimated body twist."""
@@ -89,15 +94,15 @@ def pose_with_slope(rows: Any, count: int, at: int) -> State:
         d0, d1, d2 = t3.add(d0, d), t3.add_scaled(d1, s, d), t3.add_scaled(d2, s * s, d)
         p0, p1, p2 = t3.add(p0, p), t3.add_scaled(p1, s, p), t3.add_scaled(p2, s * s, p)
     w0, w1, w2 = slope_weights(float(count), s1, s2, s3, s4)
-    velocity = weighted_sum(w0 / span, d0, w1 / span, d1, w2 / span, d2)
-    rate = weighted_sum(w0 / span, p0, w1 / span, p1, w2 / span, p2)
+    weights = w0 / span, w1 / span, w2 / span
+    velocity, rate = weighted_sum(weights, d0, d1, d2), weighted_sum(weights, p0, p1, p2)
     return o, q, t3.apply_transposed(t3.rotation_matrix(q), velocity), rate
 
 
 @kernel
-def weighted_sum(a: float, x: Vector, b: float, y: Vector, c: float, z: Vector) -> Vector:
-    """Return a x + b y + c z."""
-    return t3.add_scaled(t3.add_scaled(t3.scale(a, x), b, y), c, z)
+def weighted_sum(w: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+    """Return w0 x + w1 y + w2 z."""
+    return t3.add_scaled(t3.add_scaled(t3.scale(w[0], x), w[1], y), w[2], z)
 
 
 @kernel
@@ -132,16 +137,13 @@ MIN_COMPARISONS = 20
 MAX_MISFIT = 0.25
 """Twists are wrong if the poses leave this fraction of their mean square unexplained."""
 
-LEVER = 0.1
-"""Distance (m) that counts as much as a rotation by 1 rad."""
-
 MIN_SQUARED_SPEED = 1e-3
 """Mean square speed (m^2/s^2) below which noise dominates and there is no verdict."""
 
-MAX_JERK, SLACK = 5e3, 0.015
+MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
 """Largest jerk of an arm (m/s^3), and tolerance of a position besides (m)."""
 
-MAX_ANGULAR_JERK, ANGLE_SLACK = 5e4, 0.15
+MAX_ANGULAR_JERK, ANGLE_TOLERANCE = 5e4, 0.15
 """The same for rotations (rad/s^3, rad)."""
 
 SUSPECT_JERK, SUSPECT_ANGULAR_JERK = 5e2, 5e3
@@ -159,13 +161,17 @@ def misfits(
     rotations are weighed by the lever.
     """
     R = t3.rotation_matrix(q)
-    dv = t3.subtract(t3.apply_transposed(R, linear), v)
-    dw = t3.subtract(t3.apply_transposed(R, angular), w)
-    ev, ew = t3.subtract(linear, v), t3.subtract(angular, w)
-    weight = LEVER * LEVER
     return (
-        t3.dot(v, v) + weight * t3.dot(w, w), t3.dot(dv, dv) + weight * t3.dot(dw, dw),
-        t3.dot(ev, ev) + weight * t3.dot(ew, ew))
+        squared(v, w),
+        squared(t3.subtract(t3.apply_transposed(R, linear), v),
+                t3.subtract(t3.apply_transposed(R, angular), w)),
+        squared(t3.subtract(linear, v), t3.subtract(angular, w)))
+
+
+@kernel
+def squared(v: Vector, w: Vector) -> float:
+    """Return the square of a twist, turns counted as by `LEVER`."""
+    return t3.dot(v, v) + LEVER * LEVER * t3.dot(w, w)
 
 
 class TwistCheck:
@@ -190,7 +196,7 @@ class TwistCheck:
         self._recent.clear()
         self._due_ns = -1
         self._count = 0
-        self._squares = 0.0, 0.0, 0.0  # as of `misfits`
+        self._squares = [0.0, 0.0, 0.0]  # as of `misfits`
 
     def skip(self) -> None:
         """Record that a pose came without a measured twist."""
@@ -203,10 +209,8 @@ class TwistCheck:
             return
         v, w = history.state(LATER_POSES)[2:4]
         self._due_ns = pose.stamp_ns + PERIOD_NS
-        energy, world, tool = misfits(*self._recent[0], v, w)
-        before = self._squares
-        self._squares = (
-            MEMORY * before[0] + energy, MEMORY * before[1] + world, MEMORY * before[2] + tool)
+        self._squares = [MEMORY * before + square for before, square in zip(
+            self._squares, misfits(*self._recent[0], v, w), strict=True)]
         self._count += 1
 
     @property
@@ -223,7 +227,7 @@ class TwistCheck:
 
 
 @kernel
-def with_twist(
+def with_measured_twist(
     before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
     seconds: float,
 ) -> tuple[State, float, float, tuple[float, float]]:
@@ -244,9 +248,11 @@ def with_twist(
     angle = t3.norm(t3.subtract(turn, t3.scale(0.5 * seconds, t3.add(before[3], w))))
     cubed = seconds * seconds * seconds / 12.0
     excess = max(
-        shift / (SLACK + MAX_JERK * cubed), angle / (ANGLE_SLACK + MAX_ANGULAR_JERK * cubed))
-    suspicion = max(shift / (SLACK + SUSPECT_JERK * cubed),
-                    angle / (ANGLE_SLACK + SUSPECT_ANGULAR_JERK * cubed))
+        shift / (SHIFT_TOLERANCE + MAX_JERK * cubed),
+        angle / (ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
+    suspicion = max(
+        shift / (SHIFT_TOLERANCE + SUSPECT_JERK * cubed),
+        angle / (ANGLE_TOLERANCE + SUSPECT_ANGULAR_JERK * cubed))
     return (o, q, v, w), excess, suspicion, (shift, angle)
 
 
@@ -256,8 +262,6 @@ class ToolMotion:
 
     Parameters
     ----------
-    history : int
-        Number of poses from which a missing twist is estimated.
     in_world : bool
         Whether twists are in axes of the world, else in those of the frame.
 
@@ -268,9 +272,9 @@ class ToolMotion:
 
     """
 
-    def __init__(self, history: int, in_world: bool) -> None:
+    def __init__(self, in_world: bool) -> None:
         """Start without poses."""
-        self._history, self._in_world = PoseHistory(history), in_world
+        self._history, self._in_world = PoseHistory(), in_world
         self._tip: tuple[Vector, Quaternion] | None = None
         self.check = TwistCheck(in_world)
 
@@ -299,12 +303,12 @@ class ToolMotion:
     def measured(
         self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
     ) -> tuple[State, float, float, tuple[float, float]]:
-        """Return E at the pose just added with a measured twist, and the rest of `with_twist`."""
+        """Return what `with_measured_twist` does, of E at the pose just added."""
         q = pose.quaternion_xyzw
         if self._tip is not None:
             twist = _at_tip(twist, *self._tip, q, self._in_world)
         self.check.add(pose, twist, self._history)
-        return with_twist(
+        return with_measured_twist(
             before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds)
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:

@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live import health, REFUSALS, RESTARTS
+from bellows_ros.core.live import health
 from bellows_ros.core.live import load as loads
 from bellows_ros.core.live.health import InputReport, Level, Mismatch, Quantiles, quantiles
 from bellows_ros.core.live.load import ALL, Load, Vacuum
@@ -186,7 +186,3 @@ def test_numbers_of_a_status():
     assert of_input().values['refused: nan'] == '7'
     assert of_prediction().values['compute time p99 (us)'] == '100'
     assert of_load(2.0, 0.1).values['distance from envelope'] == 'not known'
-
-
-def test_every_count_has_words():
-    assert {*health.REASONS, 'no_equilibrium', 'failure'} == {*REFUSALS, *RESTARTS}

@@ -9,17 +9,17 @@ import pytest
 from ..cases import ShakenTool
 
 
-def filled(positions, rotations, stamps_ns, size):
+def filled(positions, rotations, stamps_ns):
     """Return a history that has seen these poses."""
-    history = PoseHistory(size)
+    history = PoseHistory()
     for o, R, stamp in zip(positions, rotations, stamps_ns, strict=True):
         history.append(int(stamp), tuple(o), tuple(rotation_to_quaternion(R)))
     return history
 
 
-@pytest.mark.parametrize(('count', 'size'), [(3, 5), (5, 5), (9, 5)])
+@pytest.mark.parametrize('count', [3, 5, 9])
 @pytest.mark.parametrize('back', [0, 1])
-def test_exact_on_quadratics_even_with_uneven_stamps(count, size, back):
+def test_exact_on_quadratics_even_with_uneven_stamps(count, back):
     rng = np.random.default_rng(count)
     stamps = 1_760_000_000_000_000_000 + np.cumsum(rng.integers(1_000_000, 9_000_000, count))
     t = (stamps - stamps[count - 1 - back]) * 1e-9
@@ -27,7 +27,7 @@ def test_exact_on_quadratics_even_with_uneven_stamps(count, size, back):
     R_now = exp_so3(a)
     positions = b + np.outer(t, c) + np.outer(t**2, d)
     rotations = R_now @ exp_so3(np.outer(t, e) + np.outer(t**2, a))
-    o, _, v, w = filled(positions, rotations, stamps, size).state(back)
+    o, _, v, w = filled(positions, rotations, stamps).state(back)
     assert_allclose(o, b, atol=1e-15)
     assert_allclose(v, R_now.T @ c, atol=1e-10)
     assert_allclose(w, e, atol=1e-10)
@@ -38,14 +38,14 @@ def test_second_order_on_a_smooth_motion():
     for h in (0.008, 0.004, 0.002):
         stamps = np.round(np.arange(-4, 1) * h * 1e9 + 1e9).astype(np.int64)
         samples = [motion.at(stamp * 1e-9) for stamp in stamps]
-        history = filled([s[0] for s in samples], [s[1] for s in samples], stamps, 5)
+        history = filled([s[0] for s in samples], [s[1] for s in samples], stamps)
         _, _, v, w = history.state()
         errors.append(np.abs(np.concatenate([v, w]) - samples[-1][2]).max())
     assert np.all(np.log2(np.divide(errors[:-1], errors[1:])) > 1.8), errors
 
 
 def test_one_pose_has_no_twist_and_two_have_that_of_the_line():
-    history = PoseHistory(5)
+    history = PoseHistory()
     history.append(10, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     assert history.state()[2:] == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     history.append(10 + 2_000_000, (1.002, 0.0, 0.0), (0.0, 0.0, 0.001, 1.0))
@@ -57,5 +57,5 @@ def test_one_pose_has_no_twist_and_two_have_that_of_the_line():
 def test_bursts_give_the_slope_of_the_line_and_not_of_their_noise():
     stamps = np.array([0, 10, 100_000_000, 100_000_010]) + 1
     positions = np.outer([0.0, 1e-4, 0.1, 0.1001], [1.0, 0.0, 0.0])  # 0.1 mm off the line in 10 ns
-    history = filled(positions, np.tile(np.eye(3), (4, 1, 1)), stamps, 5)
+    history = filled(positions, np.tile(np.eye(3), (4, 1, 1)), stamps)
     assert_allclose(history.state()[2], [1.0, 0.0, 0.0], atol=2e-3)
