@@ -24,7 +24,7 @@ from .outputs import Topic
 from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import Level, number, Status
-from ..core.live.plan_tracker import LONGEST_WAIT, PlanTracker, thin_out
+from ..core.live.plan_tracker import MAX_WAIT, PlanTracker, thin_out
 from ..core.live.samples import STILL
 from ..core.live.uncertainty import UNKNOWN_ROOT
 from ..core.model.grip import Grip, grip_of, safety_sentence
@@ -217,7 +217,7 @@ class Planning:
                         'give the plan the stamp 0.')
                 tracker.follow(now)
                 grip = self.grip()
-                if wait <= LONGEST_WAIT and not tracker.deviated:
+                if wait <= MAX_WAIT and not tracker.deviated:
                     rest = tracker.rest(now, self._coarse)  # points as far apart as steps
                     body, stamp_ns = now.body, now.stamp_ns
             self._tracker = tracker

@@ -343,7 +343,8 @@ def selection(
     compared = select_structure(
         [samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings],
-        structure.structure_of_gripper(values) if is_gripper(values) else None)
+        structure.given_structure({**values, 'fit.structure': 'layout'})
+        if is_gripper(values) else None)
     if verdict and values['fit.structure'] == compared.advised:
         return compared.judged(verdict.diagnosis, ())
     advised = verdict_of(None, recordings, values['cup.length'],

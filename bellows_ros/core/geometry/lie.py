@@ -33,7 +33,7 @@ SERIES_BELOW = 1.0
 # The first omitted term at t = SERIES_BELOW is below 1e-19 of the sum.
 SERIES_TERMS = 10
 # Rotations converted at a time, so that what is in between stays in the processor's cache.
-AT_ONCE = 8192
+PART_LENGTH = 8192
 
 
 def _in_parts(function: Callable[[ArrayLike], Array]) -> Callable[[ArrayLike], Array]:
@@ -41,10 +41,10 @@ def _in_parts(function: Callable[[ArrayLike], Array]) -> Callable[[ArrayLike], A
     @wraps(function)
     def converted(values: ArrayLike) -> Array:
         array = np.asarray(values, dtype=np.float64)
-        if array.ndim < 2 or len(array) <= AT_ONCE:
+        if array.ndim < 2 or len(array) <= PART_LENGTH:
             return function(array)
-        parts = [function(array[start:start + AT_ONCE])
-                 for start in range(0, len(array), AT_ONCE)]
+        parts = [function(array[start:start + PART_LENGTH])
+                 for start in range(0, len(array), PART_LENGTH)]
         return np.ascontiguousarray(np.concatenate(parts))
 
     return converted

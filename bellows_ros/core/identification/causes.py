@@ -315,7 +315,7 @@ def radius_of_gyration(held: Package) -> float:
 def _package(recording: Recording) -> Finding | None:
     """Return the unit of a mass or an inertia that no package has, None where it may have it."""
     gyration = radius_of_gyration(recording.payload)
-    if recording.payload.mass > checks.LARGEST_MASS:
+    if recording.payload.mass > checks.MAX_MASS:
         return Finding('mass', 'g')
     return None if gyration < checks.GYRATION[-1] else Finding(
         'inertia', checks.unit_of_inertia(gyration))

@@ -22,18 +22,18 @@ from bellows_ros.core.toss.release import HeldMotion, Toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-AHEAD = 0.05
+EXTRA_TIME = 0.05
 """The cup lets go at most this much (s) later than without a load, or not at all."""
-AIMED_AHEAD = 0.4
+AIM_TIME = 0.4
 """How far ahead (s) a release for the target is searched."""
-AIMED_SCAN, AIMED_CLOSELY = 0.01, 1
+AIM_SPACING, AIM_CANDIDATES = 0.01, 1
 """Spacing (s) of that scan, and how many of its times are refined."""
-COARSE = 2.0
+STEP_FACTOR = 2.0
 """Steps are so many times as long as elsewhere: the landing is within 0.02 mm, 0.2 mrad."""
-MOST_AIMED = 100_000
+MAX_AIM_STEPS = 100_000
 """Most integration steps of that time; and of any other answer:"""
-MOST_STEPS = 2_000_000
-RENEWED = 10
+MAX_STEPS = 2_000_000
+COVARIANCE_PERIOD = 10
 """The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
 NOTHING = np.empty((0, 13)), np.empty(0)
@@ -96,7 +96,7 @@ class Flight:
         self._grip_now = grip or (lambda: of_values)
         self.known = min(values['package.size']) > 0.0
         self._release = release.release_of(values) if self.known else release.NO_FLIGHT
-        self._ahead = release.latest_release(release.law_of(values)) + AHEAD
+        self._ahead = release.latest_release(release.law_of(values)) + EXTRA_TIME
         self._factor = factor_columns(values)
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
         self._of_state, self._by = np.zeros((12, 12)), np.zeros((6, len(release.DIFFERENCE_STEPS)))
@@ -195,7 +195,7 @@ class Flight:
         """
         released, body, landed = 0.0, now.body, math.inf
         if not now.flies:
-            require_steps(seconds / self._longest_step(model), MOST_STEPS)
+            require_steps(seconds / self._longest_step(model), MAX_STEPS)
             switched = (self._switched_ns - now.stamp_ns) * 1e-9 if self.state else math.inf
             try:
                 released, body, landed, _ = self._toss(
@@ -251,10 +251,10 @@ class Flight:
             From it to the covariance (12, 12) of its state, in its own axes.
 
         """
-        longest = COARSE * self._longest_step(model)
+        longest = STEP_FACTOR * self._longest_step(model)
         if not self.known or self.state or self._ahead > MAX_SUBSTEPS * longest:
             return None  # so many steps would hold up the poses
-        if self._count % RENEWED == 0:
+        if self._count % COVARIANCE_PERIOD == 0:
             self._of_state[:] = covariance(prediction)
         k = self._count % len(release.DIFFERENCE_STEPS)
         try:
@@ -274,13 +274,13 @@ class Flight:
         """Return the time (s) until the valve should be switched for the target, or None."""
         if not self.known or self.state or not self._values['landing.aim']:
             return None
-        if 2.0 * AIMED_AHEAD > MOST_AIMED * self._longest_step(model):
+        if 2.0 * AIM_TIME > MAX_AIM_STEPS * self._longest_step(model):
             return None  # so many steps take too long
         x, y = self._values['landing.target']
         try:
-            tool = at_constant_velocity(prediction, self._future(prediction), 2.0 * AIMED_AHEAD)
-            held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIMED_AHEAD)
-            found = aim(held, self._release, (x, y), None, AIMED_AHEAD, AIMED_SCAN, AIMED_CLOSELY)
+            tool = at_constant_velocity(prediction, self._future(prediction), 2.0 * AIM_TIME)
+            held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIM_TIME)
+            found = aim(held, self._release, (x, y), None, AIM_TIME, AIM_SPACING, AIM_CANDIDATES)
         except (BellowsError, ArithmeticError, ValueError):
             return None
         return found.switched if math.isfinite(found.distance) else None

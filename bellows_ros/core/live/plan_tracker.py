@@ -27,27 +27,27 @@ from bellows_ros.core.model.simulation import (
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-WINDOW = 0.05
+SEARCH_TIME = 0.05
 """The tool is searched up to this far (s of the plan) ahead of its expected place."""
-LATEST = 0.1
+MAX_DELAY = 0.1
 """A tool that stands for longer (s) than its plan does at the beginning, waits."""
-LONGEST_WAIT = 10.0
+MAX_WAIT = 10.0
 """A plan that begins later than this (s) is not ahead yet, and one that should have ended longer
 ago begins with the tool, as its stamp may be of another clock."""
-AT_ONCE = 2e-4
+SAME_PLACE = 2e-4
 """Places of the plan within this distance (m) of the tool are distinguished by the clock."""
-OFF_THE_PLAN = 0.05
+MAX_DEVIATION = 0.05
 """A tool farther than this (m) from the plan does not follow it."""
 
-MOVING = 0.05
+MIN_SPEED_RATIO = 0.05
 """Fraction of the plan's highest speed above which the driver's speed can be measured."""
-SLOWEST, QUICKEST = 0.1, 2.0
+MIN_RATE, MAX_RATE = 0.1, 2.0
 """Range of the driver's speed relative to the plan; below it, the driver pauses."""
 
 SMOOTHING = 0.8
 """Weight of the latest measured speed factor."""
 
-JOIN_SPEED, LONGEST_JOIN = 0.05, 0.1
+JOIN_SPEED, MAX_JOIN_TIME = 0.05, 0.1
 """The tool returns to the plan at this speed (m/s), within this time (s)."""
 SPACING = 0.01
 """Minimum spacing (s) of the points of the remaining plan."""
@@ -87,14 +87,14 @@ def locate(
     o, q, v, w = tool[:4]
     last = len(seconds) - 1
     first, end = index_at(seconds, progress), 1 + min(
-        last, 1 + index_at(seconds, max(expected, progress) + WINDOW))
+        last, 1 + index_at(seconds, max(expected, progress) + SEARCH_TIME))
     nearest = math.inf
     for i in range(first, end):
         nearest = min(nearest, pose_distance(rows[i], o, q))
     found, beside = first, math.inf
     for i in range(first, end):
         if (abs(seconds[i] - expected) < beside
-                and pose_distance(rows[i], o, q) <= max(nearest, AT_ONCE) + reach[i]):
+                and pose_distance(rows[i], o, q) <= max(nearest, SAME_PLACE) + reach[i]):
             found, beside = i, abs(seconds[i] - expected)
     point = row_state(rows[found])
     speed = along(point[2], point[3], point[2], point[3])
@@ -114,7 +114,7 @@ def departure_index(rows: Any, reach: Any) -> int:
     """Return the index of the first point at which the tool is seen to have left, or the last."""
     start = row_state(rows[0])
     for i in range(len(rows)):
-        if pose_distance(rows[i], start[0], start[1]) > AT_ONCE + reach[i]:
+        if pose_distance(rows[i], start[0], start[1]) > SAME_PLACE + reach[i]:
             return i
     return len(rows) - 1
 
@@ -133,7 +133,7 @@ def remaining_plan(
     last, here = len(seconds) - 1, index_at(seconds, progress)
     if here < last and seconds[here + 1] - progress < progress - seconds[here]:
         here += 1
-    join = min(LONGEST_JOIN, pose_distance(rows[here], tool[0], tool[1]) / JOIN_SPEED)
+    join = min(MAX_JOIN_TIME, pose_distance(rows[here], tool[0], tool[1]) / JOIN_SPEED)
     first = progress + max(join, 1e-4 if wait == 0.0 else 0.0)
     k = index_at(seconds, first)
     if k < last and seconds[k] < first:
@@ -207,7 +207,7 @@ class PlanTracker:
         gaps = np.diff(self._seconds)
         reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
         self._inputs = as_inputs(self._rows, self._seconds, reach)
-        self._slow = MOVING * float(speed.max())
+        self._slow = MIN_SPEED_RATIO * float(speed.max())
         self._leaves = float(self._seconds[departure_index(self._inputs[0], self._inputs[2])])
         self.done = self.deviated = self.paused = False
         self._anchor = -1, 0.0, 1.0
@@ -227,12 +227,12 @@ class PlanTracker:
         _, before, rate = self._anchor
         far, progress, measured = locate(
             *self._inputs, self._slow, now.tool, before, self._expected(now.stamp_ns))
-        self.deviated = far > OFF_THE_PLAN
+        self.deviated = far > MAX_DEVIATION
         if self.deviated:
             return
-        self.paused = measured <= SLOWEST
-        if SLOWEST < measured < math.inf:
-            rate += SMOOTHING * (min(measured, QUICKEST) - rate)
+        self.paused = measured <= MIN_RATE
+        if MIN_RATE < measured < math.inf:
+            rate += SMOOTHING * (min(measured, MAX_RATE) - rate)
         self._anchor = now.stamp_ns, max(before, progress), rate  # at once: threads read it
         self.done = self.progress >= self._seconds[-1] - 1e-3
 
@@ -247,14 +247,14 @@ class PlanTracker:
     def _wait(self, stamp_ns: int) -> float:
         """Return the time (s) until the plan begins; infinite where it does with the tool."""
         wait = (self._stamp_ns - stamp_ns) / NS_PER_S if self._stamp_ns else math.inf
-        is_near = -LONGEST_WAIT - self._seconds[-1] <= wait <= LONGEST_WAIT
+        is_near = -MAX_WAIT - self._seconds[-1] <= wait <= MAX_WAIT
         return wait if is_near else math.inf
 
     def is_driven(self, now: Prediction) -> bool:
         """Return whether the tool is on the plan, or will be soon."""
         return not (self.done or self.deviated or self.paused) and (
             self.progress > self._leaves
-            or -LATEST - self._leaves <= self._wait(now.stamp_ns) < math.inf)
+            or -MAX_DELAY - self._leaves <= self._wait(now.stamp_ns) < math.inf)
 
     def rest(self, now: Prediction, spacing: float = SPACING) -> ToolRows:
         """

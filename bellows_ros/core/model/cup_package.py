@@ -158,8 +158,7 @@ def is_gripper(values: Mapping[str, Any]) -> bool:
 
 def cup_of(values: Mapping[str, Any]) -> Cup:
     """Return the cup that parameter values describe (see `parameters`), composed of several."""
-    cup = one_cup_of(values)
-    return gripper_of(cup, structure.places_of(values)) if is_gripper(values) else cup
+    return gripper_of(one_cup_of(values), structure.places_of(values))
 
 
 def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:

@@ -42,11 +42,11 @@ def rest(model: ModelTuple, row: Array, guess: State | None = None) -> State:
     return equilibrium.static_equilibrium(model, state_row(row[:3], row[3:7]), guess)
 
 
-MOST_STEPS = 10_000_000
+MAX_STEPS = 10_000_000
 """Most integration steps of a prediction, which take seconds."""
 
 
-def require_steps(steps: float, most: int = MOST_STEPS) -> None:
+def require_steps(steps: float, most: int = MAX_STEPS) -> None:
     """Refuse a prediction of too many integration steps."""
     if not steps <= most:
         raise BellowsError(

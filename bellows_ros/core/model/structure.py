@@ -165,8 +165,8 @@ class Structure:
     def blocks(self) -> tuple[tuple[CoupledAxes, ...], ...]:
         """The blocks of each group, which hold the same parameters."""
         return tuple(
-            tuple(tuple(_signed_axis(axis) for axis in block.split())
-                  for block in group.split('='))
+            tuple(tuple((AXES.index(axis.lstrip('-')), -1.0 if '-' in axis else 1.0)
+                        for axis in block.split()) for block in group.split('='))
             for group in self.groups)
 
     @cached_property
@@ -280,8 +280,8 @@ class Structure:
         """
         Q = np.zeros((6, 6))
         for blocks in self.blocks:
-            sign = np.array(blocks)[:, :, 1]
-            axis = np.array(blocks)[:, :, 0].astype(np.intp)
+            axis, sign = np.moveaxis(np.array(blocks), -1, 0)
+            axis = axis.astype(np.intp)
             rows, columns = axis[:, :, None], axis[:, None]
             signs = sign[:, :, None] * sign[:, None]
             off = mean[axis] * sign
@@ -290,11 +290,6 @@ class Structure:
                 scatter[rows, columns] * signs + count * off[:, :, None] * off[:, None], axis=0)
             Q[rows, columns] = total * signs / (len(blocks) * count - 1)
         return Q
-
-
-def _signed_axis(name: str) -> tuple[int, float]:
-    """Return the index of an axis, and the sign it has in a group."""
-    return AXES.index(name.lstrip('-')), -1.0 if '-' in name else 1.0
 
 
 def _entry(one: tuple[int, float], other: tuple[int, float]) -> Entry:
@@ -338,7 +333,15 @@ def given_structure(values: Mapping[str, Any]) -> Structure:
 
     """
     structure = structure_named(values['fit.structure'])
-    return structure_of_gripper(values) if structure is OF_LAYOUT else structure
+    if structure is not OF_LAYOUT:
+        return structure
+    places = places_of(values)
+    if is_single(places):
+        raise BellowsError(
+            'fit.structure: layout fits one cup of a gripper, but cup.layout is that of a single '
+            'cup. Give x, y and z of each cup in the tool, in m, one cup after the other: '
+            'cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
+    return replace(structure, places=tuple(map(tuple, places.tolist())))
 
 
 def fitted_structure(values: Mapping[str, Any]) -> Structure:
@@ -351,17 +354,6 @@ def fitted_structure(values: Mapping[str, Any]) -> Structure:
             'find the numbers of one cup from the gripper, or leave cup.layout out to fit the '
             'gripper as one cup (fit.structure: full).')
     return structure
-
-
-def structure_of_gripper(values: Mapping[str, Any]) -> Structure:
-    """Return the structure of one cup of a gripper; BellowsError without cup.layout."""
-    places = places_of(values)
-    if is_single(places):
-        raise BellowsError(
-            'fit.structure: layout fits one cup of a gripper, but cup.layout is that of a single '
-            'cup. Give x, y and z of each cup in the tool, in m, one cup after the other: '
-            'cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
-    return replace(OF_LAYOUT, places=tuple(map(tuple, places.tolist())))
 
 
 def common_structure(one: Structure, other: Structure) -> Structure:

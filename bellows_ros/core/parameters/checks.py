@@ -32,13 +32,13 @@ ESTIMATE = 'estimate'
 POSES = ('recording.package_world', 'tool_pose.offset')
 """Parameters that are a pose, as a string."""
 
-LEAST_VACUUM = 1000.0
+MIN_VACUUM = 1000.0
 """Smallest vacuum (Pa below ambient) that is no mistake of unit."""
 
-VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (LEAST_VACUUM, 'mbar', 1e2))
+VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2))
 """Below the first number a smaller one is likely in this unit, of so many Pa."""
 
-LEAST_MASS, LARGEST_MASS = 0.01, 50.0
+MIN_MASS, MAX_MASS = 0.01, 50.0
 """Masses (kg) outside are likely in another unit."""
 
 GYRATION = (0.01, 0.3, 1.0)
@@ -116,11 +116,11 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
                 f'({body}.half_window {half_window}) determines at most order {2 * half_window}. '
                 'Widen the window or lower the order.')
     holding = resolved['vacuum.holding']
-    if isinstance(holding, float) and 0.0 < holding < LEAST_VACUUM:
+    if isinstance(holding, float) and 0.0 < holding < MIN_VACUUM:
         _, unit, pascals = next(of for of in VACUUM_UNITS if holding < of[0])
         raise BellowsError(
             f'vacuum.holding is {holding:g} Pa, which holds nothing; expected 0 for unknown, or '
-            f'{LEAST_VACUUM:g} Pa and more. If it is in {unit}, give {pascals * holding:g}.')
+            f'{MIN_VACUUM:g} Pa and more. If it is in {unit}, give {pascals * holding:g}.')
     return resolved
 
 
@@ -132,10 +132,10 @@ def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
         sentences.append(
             f'package.com is {height:g} m above the lip, inside the cup; z points into the arm. '
             f'Is it {-height:g}?')
-    if not LEAST_MASS <= mass <= LARGEST_MASS:
+    if not MIN_MASS <= mass <= MAX_MASS:
         sentences.append(
-            f'package.mass is {mass:g} kg; cups of this kind carry {LEAST_MASS:g} to '
-            f'{LARGEST_MASS:g} kg. Is it in another unit?')
+            f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '
+            f'{MAX_MASS:g} kg. Is it in another unit?')
     gyration = math.sqrt(sum(values['package.inertia'][:3]) / mass)
     if gyration > GYRATION[-1]:
         sentences.append(
@@ -313,7 +313,7 @@ def gravity_of(values: Mapping[str, Any]) -> Array:
 
 Where = Callable[[Sequence[str]], str]
 
-LARGEST = 1e15
+MAX_NUMBER = 1e15
 """Bound of all numbers, which few come near: no square or product of some overflows."""
 
 
@@ -458,6 +458,6 @@ class Settings:
             normal = convert(parameter, value)
         except BellowsError as error:
             raise self.error(name, str(error)) from None
-        if kind in ('double', 'double_array') and np.max(np.abs(normal), initial=0.0) > LARGEST:
-            raise self.refuse(name, f'between {-LARGEST:g} and {LARGEST:g}', value)
+        if kind in ('double', 'double_array') and np.max(np.abs(normal), initial=0.0) > MAX_NUMBER:
+            raise self.refuse(name, f'between {-MAX_NUMBER:g} and {MAX_NUMBER:g}', value)
         return normal

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.parameters.checks import LARGEST
+from bellows_ros.core.parameters.checks import MAX_NUMBER
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -258,7 +258,7 @@ def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:
         numbers = np.array([])
-    largest = math.inf if count == 1 else LARGEST  # limits may be as good as none
+    largest = math.inf if count == 1 else MAX_NUMBER  # limits may be as good as none
     if numbers.shape != (count,) or not (np.abs(numbers) < largest).all():
         wanted = 'a number' if count == 1 else 'three numbers'
         raise BellowsError(

@@ -201,11 +201,11 @@ def test_wrong_shapes_are_named(function, argument):
 
 
 @pytest.mark.parametrize(('function', 'values'), [
-    (lie.exp_so3, np.random.default_rng(3).normal(size=(2 * lie.AT_ONCE + 7, 3))),
-    (lie.rotation_to_quaternion, random_poses(2 * lie.AT_ONCE + 7)[:, :3, :3]),
+    (lie.exp_so3, np.random.default_rng(3).normal(size=(2 * lie.PART_LENGTH + 7, 3))),
+    (lie.rotation_to_quaternion, random_poses(2 * lie.PART_LENGTH + 7)[:, :3, :3]),
 ])
 def test_long_arrays_are_converted_in_parts_to_the_same_numbers(function, values):
     whole = function(values)
     assert_array_equal(whole[-9:], function(values[-9:]))
-    assert_array_equal(whole[lie.AT_ONCE - 2:lie.AT_ONCE + 2],
-                       function(values[lie.AT_ONCE - 2:lie.AT_ONCE + 2]))
+    assert_array_equal(whole[lie.PART_LENGTH - 2:lie.PART_LENGTH + 2],
+                       function(values[lie.PART_LENGTH - 2:lie.PART_LENGTH + 2]))

@@ -12,7 +12,6 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import (
     composition,
     given_structure,
-    structure_of_gripper,
     STRUCTURES,
 )
 from bellows_ros.core.recording.preparation import prepare
@@ -30,7 +29,8 @@ from ..motions import noisy
 ONE = Cup(np.diag([900.0, 900.0, 1500.0, 1.2, 1.2, 0.5]),
           np.diag([12.0, 12.0, 9.0, 0.02, 0.02, 0.02]), 0.0481)
 PLACES = np.array([[0.06, 0.05, 0.0], [-0.06, 0.03, 0.0], [0.01, -0.07, 0.0]])
-LAYOUT = structure_of_gripper({'cup.layout': tuple(PLACES.ravel())})
+LAYOUT = given_structure({
+    'fit.structure': 'layout', 'cup.layout': tuple(PLACES.ravel())})
 NUMBERS = LAYOUT.parameters(ONE.stiffness, ONE.damping)
 HZ, DURATION = 1000.0, 6.0
 
