@@ -13,11 +13,10 @@ from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, deflection
-from bellows_ros.core.live.pairing import Pairing
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
 from bellows_ros.core.live.screening import Screen, TwistScreen
-from bellows_ros.core.live.tool_twist import ToolMotion
+from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State

@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros.core.live import LivePredictor, REFUSALS
-from bellows_ros.core.live.pairing import MAX_QUEUE
+from bellows_ros.core.live.tool_twist import MAX_QUEUE
 from bellows_ros.core.model.cup_package import Cup, Package
 from hypothesis import given, HealthCheck, Phase, settings
 from hypothesis import strategies as st

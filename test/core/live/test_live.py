@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.live import LivePredictor, pairing
+from bellows_ros.core.live import LivePredictor, tool_twist
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
@@ -111,7 +111,7 @@ def test_twists_that_stop_are_not_waited_for_longer_than_the_limit(messages, pre
         if k < 20:
             messages.twist(predictor, k)
             continue
-        assert predictor.pairing.waiting * PERIOD <= pairing.MAX_WAIT_NS + PERIOD
+        assert predictor.pairing.waiting * PERIOD <= tool_twist.MAX_WAIT_NS + PERIOD
     assert not predictor.pairing.expect
     assert predictor.pairing.waiting == 0
     assert predictor.predictions == 60

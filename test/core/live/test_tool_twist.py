@@ -1,12 +1,120 @@
-"""The estimated tool twist: exact on quadratics, of second order on smooth motions."""
+"""
+Twists at the poses' stamps: paired, interpolated or given up, at any two rates; or estimated.
+
+The estimate is exact on quadratics, and of second order on smooth motions.
+"""
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
-from bellows_ros.core.live.tool_twist import PoseHistory
+from bellows_ros.core.live.samples import PoseSample, TwistSample
+from bellows_ros.core.live.tool_twist import MAX_QUEUE, MAX_WAIT_NS, Pairing, PoseHistory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
 from ..cases import ShakenTool
+
+MS = 1_000_000
+START = 1_760_000_000_000_000_000
+ZERO = (0.0, 0.0, 0.0)
+
+
+def pose(stamp_ns):
+    return PoseSample(START + stamp_ns, ZERO, (0.0, 0.0, 0.0, 1.0))
+
+
+def twist(stamp_ns):
+    """Return a twist that grows steadily: interpolation is exact."""
+    t = stamp_ns * 1e-9
+    return TwistSample(START + stamp_ns, (t, 2 * t, 0.0), (0.0, 0.0, -t))
+
+
+def run(pose_period, twist_period, duration=1000 * MS, offset=0, expect=True):
+    """Send both at their rates in the order of their stamps; return what goes on, and delays."""
+    pairing = Pairing()
+    pairing.expect = expect
+    events = [(t, 0) for t in range(MS, duration, pose_period)]
+    events += [(t, 1) for t in range(MS + offset, duration, twist_period)]
+    out = []
+    for now, is_twist in sorted(events):
+        (pairing.add_twist(twist(now)) if is_twist else pairing.add_pose(pose(now)))
+        out += [(p, v, now - (p.stamp_ns - START)) for p, v in pairing.ready()]
+    return pairing, out
+
+
+def check(out, pose_period):
+    """Every pose once and in order, and each twist right for its stamp."""
+    stamps = [p.stamp_ns - START for p, _, _ in out]
+    assert stamps == list(range(MS, MS + len(out) * pose_period, pose_period))
+    for p, v, _ in out:
+        if v is not None:
+            t = (p.stamp_ns - START) * 1e-9
+            assert_allclose(v.linear, (t, 2 * t, 0.0), atol=1e-4)  # the pairing's tolerance
+            assert_allclose(v.angular, (0.0, 0.0, -t), atol=1e-4)
+
+
+@pytest.mark.parametrize('twist_period', [MS, 2 * MS, 4 * MS])
+@pytest.mark.parametrize('offset', [0, MS // 3])
+def test_twists_as_often_or_more_often_serve_every_pose(twist_period, offset):
+    _, out = run(4 * MS, twist_period, offset=offset)
+    check(out, 4 * MS)
+    without = sum(v is None for _, v, _ in out)
+    assert without <= 1  # the first may have nothing before it
+    assert max(delay for _, _, delay in out) <= twist_period
+
+
+def test_seldom_twists_do_not_hold_up_the_poses():
+    pairing, out = run(2 * MS, 8 * MS, offset=MS // 3)
+    check(out, 2 * MS)
+    delays = [delay for p, _, delay in out if p.stamp_ns - START > 20 * MS]
+    assert max(delays) == 0
+    assert len(out) == len(range(MS, 1000 * MS, 2 * MS))
+
+
+@pytest.mark.parametrize('ahead_ns', [0, 3_600_000 * MS, 450 * MS, 50 * MS])
+def test_one_twist_that_is_lost_or_from_the_future_blocks_nothing(ahead_ns):
+    pairing = Pairing()
+    pairing.expect = True
+    out = []
+    for k in range(1, 50):
+        pairing.add_pose(pose(k * MS))
+        out += pairing.ready()  # one that does not wait goes on without its twist
+        if k == 25 and ahead_ns:
+            pairing.add_twist(twist(k * MS + ahead_ns))
+        if k != 25 or ahead_ns:
+            pairing.add_twist(twist(k * MS))
+        out += pairing.ready()
+    assert all(v is not None for _, v in out) and len(out) == 49
+    assert (pairing.interpolated, pairing.unpaired) == ((0, 1) if ahead_ns else (1, 0))
+
+
+@pytest.mark.parametrize('step_ns', [1, 1000])
+def test_waiting_is_bounded_however_near_the_stamps(step_ns):
+    pairing = Pairing()
+    pairing.expect = True
+    for k in range(20_000):
+        pairing.expect = True  # as if somebody insisted
+        pairing.add_pose(pose(MS + k * step_ns))
+        list(pairing.ready())
+        assert pairing.waiting <= max(MAX_QUEUE, MAX_WAIT_NS // step_ns)
+        assert pairing.waiting <= MAX_QUEUE
+
+
+def test_random_arrivals_lose_no_pose_and_keep_the_order():
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        pairing, out = Pairing(), []
+        pairing.expect = bool(rng.integers(2))
+        times = np.arange(1, 200) * MS
+        events = [(t + rng.integers(0, 30 * MS), 1, t) for t in times if rng.random() > 0.1]
+        events += [(t + 15 * MS, 0, t) for t in times]
+        for _, is_twist, stamp in sorted(events):
+            (pairing.add_twist(twist(int(stamp))) if is_twist else pairing.add_pose(
+                pose(int(stamp))))
+            out += pairing.ready()
+        pairing.give_up_waiting()
+        out += pairing.ready()
+        check([(p, v, 0) for p, v in out], MS)
+        assert len(out) == 199
 
 
 def filled(positions, rotations, stamps_ns):
