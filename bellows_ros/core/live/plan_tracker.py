@@ -16,14 +16,9 @@ from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.live.tool_twist import LEVER
+from bellows_ros.core.model import simulation
 from bellows_ros.core.model.kernels import State
-from bellows_ros.core.model.simulation import (
-    first_after,
-    row_state,
-    tool_rows,
-    ToolRows,
-    write_row,
-)
+from bellows_ros.core.model.simulation import row_state, ToolRows, write_row
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
@@ -71,7 +66,7 @@ def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
 @kernel
 def index_at(seconds: Any, t: float) -> int:
     """Return the index of the last time that is not after t (s), or of the first."""
-    return max(first_after(seconds, t, len(seconds)) - 1, 0)
+    return max(simulation.first_after(seconds, t, len(seconds)) - 1, 0)
 
 
 @kernel
@@ -201,7 +196,7 @@ class PlanTracker:
     def __init__(self, plan: Trajectory | ToolRows, stamp_ns: int) -> None:
         """Take the plan."""
         self._stamp_ns = stamp_ns
-        self.plan = ToolRows(plan.stamps_ns, tool_rows(plan))
+        self.plan = ToolRows(plan.stamps_ns, simulation.tool_rows(plan))
         self._seconds, self._rows = self.plan.seconds, self.plan.rows
         speed = np.linalg.norm(self._rows[:, 7:] * np.repeat([1.0, LEVER], 3), axis=1)
         gaps = np.diff(self._seconds)

@@ -17,15 +17,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import Matrix, Vector, ZERO
 from bellows_ros.core.model import kernels
-from bellows_ros.core.model.kernels import (
-    Blocks,
-    Branch,
-    ModelTuple,
-    PackageTuple,
-    State,
-    Strains,
-    Wrench,
-)
+from bellows_ros.core.model.kernels import Blocks, ModelTuple, PackageTuple, State, Wrench
 
 Square = tuple[Matrix, Matrix, Matrix, Matrix]
 """A 6x6 matrix as its blocks oo, oR, Ro, RR."""
@@ -106,7 +98,7 @@ def strain_jacobian(o: Vector, R: Matrix) -> tuple[Matrix, Matrix, Matrix]:
 
 @kernel
 def stress_jacobian(
-    o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...], strains: Strains
+    o: Vector, R: Matrix, K: Blocks, branches: tuple[kernels.Branch, ...], strains: kernels.Strains
 ) -> Square:
     """Return the derivative K J of K h, with K (1 + r1 + r2) for a cup that relaxes."""
     J_oo, q_hat, J_RR = strain_jacobian(o, R)
@@ -123,7 +115,7 @@ def stress_jacobian(
 
 @kernel
 def spring_jacobian(
-    o: Vector, R: Matrix, K: Blocks, branches: tuple[Branch, ...] = (), strains: Strains = ()
+    o: Vector, R: Matrix, K: Blocks, branches: tuple[kernels.Branch, ...], strains: kernels.Strains
 ) -> Square:
     """
     Return the derivative of `spring_wrench` by shift and turn of S1.
@@ -224,11 +216,10 @@ def accelerations(package: PackageTuple, A: Square) -> Square:
 @kernel
 def cup_accelerations(model: ModelTuple, tool: State, body: State) -> tuple[Square, Square]:
     """Return the derivatives of what the cup's wrench accelerates, as of `body_jacobians`."""
-    package = model[1]
     c = ends_of_spring(model, tool, body)[0]
     by_pose, by_twist = wrench_jacobians(model, tool, body)
-    return (accelerations(package, shift_left(c, shift_right(by_pose, c))),
-            accelerations(package, shift_left(c, shift_right(by_twist, c))))
+    return (accelerations(model[1], shift_left(c, shift_right(by_pose, c))),
+            accelerations(model[1], shift_left(c, shift_right(by_twist, c))))
 
 
 @kernel

@@ -2,11 +2,7 @@
 
 import math
 
-from bellows_ros.core.model.grip import (
-    grip_of,
-    margin,
-    safety_factors,
-)
+from bellows_ros.core.model.grip import grip_of, margin, safety_factors
 from bellows_ros.core.parameters.table import PARAMETERS
 import numpy as np
 from numpy.testing import assert_allclose

@@ -2,13 +2,8 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.geometry import jit
-from bellows_ros.core.geometry.lie import (
-    log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
+from bellows_ros.core.geometry import jit, lie
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.kernels import advance, tool_at, tool_segment, with_strains
 from bellows_ros.core.model.simulation import simulate, state_row
@@ -16,18 +11,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .. import oracle
-from ..cases import (
-    orthonormal,
-    random_cup,
-    random_package,
-    ShakenTool,
-    still_tool,
-    T_WORLD_PACKAGE,
-    T_WORLD_TOOL,
-    thesis_cup,
-    thesis_package,
-)
+from .. import cases, oracle
+from ..cases import random_cup, random_package, ShakenTool
 
 GRAVITY = 9.81
 
@@ -44,14 +29,15 @@ def angle_between(Ra, Rb):
 
 def thesis_energies(damping, steps, seconds=2):
     """Return the energies (3, N) of the thesis' validation case (3.45)-(3.49)."""
-    cup, package = thesis_cup(damping), thesis_package()
-    tool = still_tool(orthonormal(T_WORLD_TOOL), seconds * 10**9, steps)
-    body = simulate(cup, package, tool, start_of(orthonormal(T_WORLD_PACKAGE)), substeps=1)
+    cup, package = cases.thesis_cup(damping), cases.thesis_package()
+    tool = cases.still_tool(cases.orthonormal(cases.T_WORLD_TOOL), seconds * 10**9, steps)
+    start = start_of(cases.orthonormal(cases.T_WORLD_PACKAGE))
+    body = simulate(cup, package, tool, start, substeps=1)
     gravity = np.array([0.0, 0.0, -GRAVITY])
     return np.array([
         oracle.energies(cup, package, gravity, *each) for each in zip(
-            transform(tool.rotation, tool.position), transform(body.rotation, body.position),
-            body.twist, strict=True)]).T
+            lie.transform(tool.rotation, tool.position),
+            lie.transform(body.rotation, body.position), body.twist, strict=True)]).T
 
 
 def test_start_energies_of_the_thesis():

@@ -4,16 +4,8 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import adjoint, inverse_transform
 from bellows_ros.core.geometry.tuples import unit
-from bellows_ros.core.model import equilibrium
+from bellows_ros.core.model import equilibrium, jacobians
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.jacobians import (
-    body_jacobians,
-    parameter_jacobian,
-    PARAMETERS,
-    relaxation_jacobian,
-    strain_jacobians,
-    tool_jacobians,
-)
 from bellows_ros.core.model.kernels import lip_strain, lip_wrench, spring_wrench, with_strains
 from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row
 from bellows_ros.errors import BellowsError
@@ -123,18 +115,18 @@ def derivatives_case(seed, relaxes):
 @pytest.mark.parametrize('relaxes', [False, True])
 def test_accelerations_follow_states_and_parameters(relaxes, seed):
     case, rows, _, accelerate = derivatives_case(seed, relaxes)
-    for name, state, jacobians in (
-            ('body', case.body, body_jacobians), ('tool', case.tool, tool_jacobians)):
-        pose, twist = jacobians(*rows)
+    for name, state, derivatives in (('body', case.body, jacobians.body_jacobians),
+                                     ('tool', case.tool, jacobians.tool_jacobians)):
+        pose, twist = derivatives(*rows)
         expected = complex_step.derivative(
             lambda x, name=name, state=state: accelerate(
                 **{name: complex_step.changed(state, x)}), np.zeros(12))
         near(six_by_six(pose), expected[:, :6], 1e-12)
         near(six_by_six(twist), expected[:, 6:], 1e-12)
-    out = np.zeros((6, PARAMETERS))
-    parameter_jacobian(*rows, 0, PARAMETERS, out)
+    out = np.zeros((6, jacobians.PARAMETERS))
+    jacobians.parameter_jacobian(*rows, 0, jacobians.PARAMETERS, out)
     expected = complex_step.derivative(accelerate, case.numbers)
-    for column in range(PARAMETERS):
+    for column in range(jacobians.PARAMETERS):
         near(out[:, column], expected[:, column], 1e-11)
 
 
@@ -142,9 +134,9 @@ def test_accelerations_follow_states_and_parameters(relaxes, seed):
 def test_accelerations_follow_strengths_and_strains(seed):
     _, rows, z, accelerate = derivatives_case(seed, True)
     out = np.zeros((6, 2))
-    relaxation_jacobian(*rows, out, 0)
+    jacobians.relaxation_jacobian(*rows, out, 0)
     near(out, complex_step.derivative(lambda r: accelerate(r=r), R), 1e-12)
-    by_strain, by_pose = map(six_by_six, strain_jacobians(*rows))
+    by_strain, by_pose = map(six_by_six, jacobians.strain_jacobians(*rows))
     expected = complex_step.derivative(
         lambda x: accelerate(strains=x.reshape(2, 6)), z.ravel())
     near(np.hstack([R[0] * by_strain, R[1] * by_strain]), expected, 1e-12)
