@@ -1,4 +1,8 @@
-"""Compiled and interpreted kernels are one source; a changed source is compiled again."""
+"""
+Compiled and interpreted kernels are one source; a changed source is compiled again.
+
+The cache of compiled code is shared by processes that start at once, and is not needed.
+"""
 
 import ast
 import contextlib
@@ -19,6 +23,9 @@ from bellows_ros.core.geometry import jit
 from numpy.testing import assert_allclose
 import pytest
 
+pytestmark = pytest.mark.timeout(600)
+compiled = pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed')
+
 PACKAGE = Path(jit.__file__).parents[2]
 
 SCRIPT = """
@@ -38,29 +45,55 @@ for _ in range(50):
 print(json.dumps([jit.COMPILED, body]))
 """
 
+ONE_KERNEL = """
+import json
+from bellows_ros.core.model.kernels import strain
+R = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+print(json.dumps([strain((1.0, 2.0, 3.0), R), sum(strain.stats.cache_hits.values())]))
+"""
+NO_COMPILER = "import sys; assert 'numba.np.arrayobj' not in sys.modules"
+STRAIN = [[3.0, 1.0, 6.0], [0.0, 0.0, 2.0]]
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """Return a folder with a copy of the package, never compiled."""
+    shutil.copytree(PACKAGE, tmp_path / 'bellows_ros',
+                    ignore=shutil.ignore_patterns('__pycache__'))
+    return tmp_path
+
+
+def started(path, script=ONE_KERNEL, **environment):
+    """Start a script on a copy of the package."""
+    env = {name: value for name, value in os.environ.items() if name != 'NUMBA_CACHE_DIR'}
+    env |= {'PYTHONPATH': str(path), 'PYTHONDONTWRITEBYTECODE': '1', **environment}
+    return subprocess.Popen(
+        [sys.executable, '-P', '-c', script], cwd=path, env=env, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def ended(process):
+    """Return what a process has printed, and its errors."""
+    out, err = process.communicate(timeout=110)
+    assert process.returncode == 0, err
+    return json.loads(out), err
+
 
 def run(script, path=PACKAGE.parent, **environment):
-    """Run a script in a new interpreter and return what it prints, from JSON."""
-    env = {**os.environ, 'PYTHONPATH': str(path), **environment}
-    out = subprocess.run(
-        [sys.executable, '-c', script], cwd=path, env=env, capture_output=True, text=True,
-        check=False)
-    assert out.returncode == 0, out.stderr
-    return json.loads(out.stdout)
+    """Return what a script prints in a new interpreter."""
+    return ended(started(path, script, **environment))[0]
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing to compare')
+@compiled
 def test_interpreted_kernels_give_the_same_numbers():
-    (compiled, fast), (interpreted, slow) = run(SCRIPT), run(SCRIPT, NUMBA_DISABLE_JIT='1')
-    assert compiled
-    assert not interpreted
+    (is_compiled, fast), (is_interpreted, slow) = run(SCRIPT), run(SCRIPT, NUMBA_DISABLE_JIT='1')
+    assert is_compiled and not is_interpreted
     for got, wanted in zip(fast, slow, strict=True):
         assert_allclose(got, wanted, rtol=0, atol=1e-13)
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
-def test_a_change_in_one_file_reaches_its_callers_in_others_and_no_more(tmp_path):
-    shutil.copytree(PACKAGE, tmp_path / 'bellows_ros', ignore=shutil.ignore_patterns('*.nb?'))
+@compiled
+def test_a_change_in_one_file_reaches_its_callers_in_others_and_no_more(copy):
     script = """
 import json
 from bellows_ros.core.model.grip import ratio
@@ -70,16 +103,16 @@ second = ratio(4., 2.)
 hits = [sum(kernel.stats.cache_hits.values()) for kernel in (strain, ratio)]
 print(json.dumps([first, second, *hits]))
 """
-    cache = {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
-    assert run(script, tmp_path, **cache) == [2.0, 2.0, 0, 0]
-    assert run(script, tmp_path, **cache) == [2.0, 2.0, 1, 1]
-    assert list((tmp_path / 'cache').rglob('*.nbi'))
-    tuples = tmp_path / 'bellows_ros/core/geometry/tuples.py'
+    cache = {'NUMBA_CACHE_DIR': str(copy / 'cache')}
+    assert run(script, copy, **cache) == [2.0, 2.0, 0, 0]
+    assert run(script, copy, **cache) == [2.0, 2.0, 1, 1]
+    assert list((copy / 'cache').rglob('*.nbi'))
+    tuples = copy / 'bellows_ros/core/geometry/tuples.py'
     text = tuples.read_text()
     line = 'return (a[0] + b[0], a[1] + b[1], a[2] + b[2])'
     assert line in text
     tuples.write_text(text.replace(line, 'return (a[0] + 5 * b[0], a[1] + b[1], a[2] + b[2])'))
-    assert run(script, tmp_path, **cache) == [6.0, 2.0, 0, 1]
+    assert run(script, copy, **cache) == [6.0, 2.0, 0, 1]
 
 
 def kernels():
@@ -103,7 +136,7 @@ def used(function):
     return values
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: nothing is kept on disk')
+@compiled
 def test_every_kernel_is_of_all_that_it_calls():
     calls = 0
     for name, kernel in kernels().items():
@@ -153,9 +186,86 @@ print(json.dumps([before - after, twice(2.5), tuples.dot((1., 2., 3.), (1., 1., 
 """
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed: there is no compiler')
+@compiled
 @pytest.mark.skipif(not Path('/proc/self/maps').exists(), reason='only Linux lists its pages')
 def test_the_memory_of_the_compiler_is_returned_and_it_compiles_on():
     returned, *results = run(RELEASE)
     assert returned > 10_000  # kB
     assert results == [5.0, 6.0]
+
+
+def blocked_caches(copy):
+    """Put files where the folders of the package's caches would be."""
+    for room in ('geometry', 'model'):
+        (copy / f'bellows_ros/core/{room}/__pycache__').write_text('in the way, for root too')
+
+
+@compiled
+def test_processes_that_start_at_once_share_the_cache(copy):
+    first, second = [ended(p) for p in [started(copy), started(copy)]]
+    assert first[0][0] == second[0][0] == STRAIN
+    assert list((copy / 'bellows_ros/core/model/__pycache__').glob('*.nbi'))
+    assert ended(started(copy, ONE_KERNEL + NO_COMPILER)) == ([STRAIN, 1], '')
+
+
+@compiled
+def test_package_that_cannot_be_written_is_cached_for_the_user(copy):
+    blocked_caches(copy)
+    user = copy / 'user'
+    home = {'XDG_CACHE_HOME': str(user), 'HOME': str(user)}
+    assert ended(started(copy, **home))[0] == [STRAIN, 0]
+    assert list(user.rglob('*.nbi'))
+    assert ended(started(copy, **home))[0] == [STRAIN, 1]
+
+
+@compiled
+def test_runs_where_nothing_can_be_written(copy):
+    blocked_caches(copy)
+    blocked = copy / 'no folder'
+    blocked.write_text('')
+    home = {'XDG_CACHE_HOME': str(blocked), 'HOME': str(blocked)}
+    assert ended(started(copy, **home))[0] == [STRAIN, 0]
+
+
+def damaged(path, number):
+    """Spoil a file in one of several ways."""
+    if number == 0:
+        path.write_bytes(b'')
+    elif number == 1:
+        path.write_bytes(path.read_bytes()[:60])
+    else:
+        path.write_bytes(b'\x93NUMPY' * 100)
+
+
+@compiled
+def test_damaged_cache_is_said_and_made_anew(copy):
+    folder = copy / 'bellows_ros/core'
+    ended(started(copy))
+    files = sorted(folder.rglob('*.nbi'))
+    assert len(files) == 3  # with what it calls
+    for number, path in enumerate(files):
+        damaged(path, number)
+    out, err = ended(started(copy))
+    assert out == [STRAIN, 0]
+    assert f'Compiled code in {folder}/model/__pycache__ cannot be used' in err
+    assert ended(started(copy)) == ([STRAIN, 1], '')
+
+
+TWO_KINDS = """
+import json
+from bellows_ros.core.geometry.tuples import add
+print(json.dumps([add((1, 2, 3), (4, 5, 6)), add((0.5, 2.0, 3.0), (4.0, 5.0, 6.0))]))
+"""
+
+
+@compiled
+def test_code_for_other_arguments_is_not_used(copy):
+    """Two processes that start at once can leave one's code under the name of the other's."""
+    first = ended(started(copy, TWO_KINDS))
+    one, two = sorted((copy / 'bellows_ros/core/geometry/__pycache__').glob('tuples.add-*.nbc'))
+    both = one.read_bytes(), two.read_bytes()
+    two.write_bytes(both[0])
+    one.write_bytes(both[1])
+    out, err = ended(started(copy, TWO_KINDS))
+    assert out == [[5, 7, 9], [4.5, 7.0, 9.0]]
+    assert first == (out, '') and 'cannot be used (ValueError)' in err
