@@ -272,7 +272,7 @@ class PredictorNode(ManagedNode):
     def _restart(self, reason: str) -> None:
         """Start again from rest, as after a failure, or where simulated time was set."""
         if self._active:
-            self._live.start_afresh(reason)
+            self._live.reset(reason)
             self._latest = None
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -36,8 +36,6 @@ MAX_STEPS = 2_000_000
 COVARIANCE_PERIOD = 10
 """The covariance of the package's state is renewed once in this many landings."""
 PATH_POINTS = 24
-NOTHING = np.empty((0, 13)), np.empty(0)
-"""Rows and seconds of a tool of which only the present is known."""
 
 
 class Landing(NamedTuple):
@@ -48,6 +46,11 @@ class Landing(NamedTuple):
     covariance: Array
     """Of position on the floor and rotation vector, in world axes (6, 6); written over by the next
     landing."""
+
+
+def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
+    """Return rows and seconds of a tool after the present, without any if no more is known."""
+    return (np.empty((0, 13)), np.empty(0)) if tool is None else (tool.rows[1:], tool.seconds[1:])
 
 
 def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float) -> ToolRows:
@@ -219,10 +222,9 @@ class Flight:
         until: float,
     ) -> tuple[float, State, float, State]:
         """Return what `toss_along` does, of a package that is held up to a time (s)."""
-        rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
         return release.toss_along(
             model, self.grip or release.NO_GRIP, self._release, 0.0, now.tool,
-            adapted(model, now.tool, now.body), rows, seconds, switched, until,
+            adapted(model, now.tool, now.body), *_after_now(tool), switched, until,
             self._longest_step(model))
 
     def _longest_step(self, model: ModelTuple) -> float:
@@ -258,12 +260,11 @@ class Flight:
             self._of_state[:] = covariance(prediction)
         k = self._count % len(release.DIFFERENCE_STEPS)
         try:
-            tool = self._future(prediction)
-            rows, seconds = NOTHING if tool is None else (tool.rows[1:], tool.seconds[1:])
             sound, found = release.toss_with_covariance(
                 model, self.grip or release.NO_GRIP, self._release, self._factor, prediction.tool,
-                adapted(model, prediction.tool, prediction.body), rows, seconds, self._ahead,
-                longest, *((k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))),
+                adapted(model, prediction.tool, prediction.body),
+                *_after_now(self._future(prediction)), self._ahead, longest,
+                *((k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))),
                 self._of_state, self._by, self._covariance)
         except (BellowsError, ArithmeticError, ValueError):
             sound = False

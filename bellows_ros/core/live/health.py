@@ -53,8 +53,8 @@ class Window:
 
 def quantiles(values: Array) -> Quantiles:
     """Return the quantiles of numbers (N,)."""
-    return Quantiles(*(np.percentile(values, (50.0, 99.0, 100.0)).tolist()
-                       if len(values) else [math.nan] * 3))
+    numbers = values if len(values) else math.nan
+    return Quantiles(*np.percentile(numbers, (50.0, 99.0, 100.0)).tolist())
 
 
 class ArrivalStatistics(NamedTuple):

@@ -210,15 +210,13 @@ class LivePredictor:
         """Continue with another cup or package; pose and motion stay as they are."""
         self.package.set_model(cup, package)
 
-    def reset(self) -> None:
-        """Start from rest at the next pose, whatever its stamp and frame."""
-        self._screen.reset()
-        self._forget_motion()
-
-    def start_afresh(self, reason: str) -> None:
-        """Start from rest at the next pose, whatever its stamp, for one of `RESTARTS`."""
-        self.restarts[reason] += 1
-        self._screen.forget_motion()
+    def reset(self, reason: str = '') -> None:
+        """Start from rest at the next pose, in any frame; for one of `RESTARTS` in the same."""
+        if reason:
+            self.restarts[reason] += 1
+            self._screen.forget_motion()
+        else:
+            self._screen.reset()
         self._forget_motion()
 
     def set_attached(self, attached: bool) -> list[Prediction]:

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from bellows_ros.core.model import structure
 from bellows_ros.errors import BellowsError
+import numpy as np
 
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
@@ -137,8 +138,7 @@ _KIND_MESSAGES: Mapping[Kind, str] = {
 
 def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:
     """Return a diagonal matrix as a row-major tuple."""
-    size = range(len(values))
-    return tuple(values[i] if i == j else 0.0 for i in size for j in size)
+    return tuple(np.diag(values).ravel().tolist())
 
 
 FILE = Path(__file__).with_name('table.toml')
