@@ -138,7 +138,7 @@ class PredictorNode(ManagedNode):
             lambda: (self._observing.status('measured package'),
                      self._attachment.status('vacuum'), self._planning.status))
         self._apply(live, values)
-        if self._tossing.flight.known:  # whose landings have a covariance
+        if self._tossing.flight.has_size:  # whose landings have a covariance
             warm_up_uncertainty(cup.relaxation)
         release_compiler()
         self._live = live
@@ -290,7 +290,7 @@ class PredictorNode(ManagedNode):
         """Toss the package when its valve is switched off; take up the next one with it on."""
         if not self._active:
             return
-        if not self._tossing.flight.known:
+        if not self._tossing.flight.has_size:
             self.get_logger().warning(
                 'vacuum/valve has a publisher, but package.size is not set, so the package '
                 'counts as held. Set package.size and landing.height.', once=True)
@@ -346,7 +346,7 @@ class PredictorNode(ManagedNode):
         if held is not None and self._ticks % LOAD_TICKS == 0:
             self.diagnostics.load.watch_deflection(live.model, held)
         flight = self._tossing.flight
-        if held is not None and flight.known and not flight.state:
+        if held is not None and flight.has_size and not flight.state:
             self._tossing.publish(
                 live.model, held, live.frame_id, self._outputs.uncertainty.covariance)
 

@@ -83,7 +83,7 @@ class Flight:
     state : str
         'released' (the valve is switched, the cup still holds), 'flying', 'landed', or '' where
         the package is held.
-    known : bool
+    has_size : bool
         Whether the size of the package is known; without it there is no landing.
 
     """
@@ -97,8 +97,8 @@ class Flight:
         self._values, self._future = values, future
         of_values = grip_of(values)
         self._grip_now = grip or (lambda: of_values)
-        self.known = min(values['package.size']) > 0.0
-        self._release = release.release_of(values) if self.known else release.NO_FLIGHT
+        self.has_size = min(values['package.size']) > 0.0
+        self._release = release.release_of(values) if self.has_size else release.NO_FLIGHT
         self._ahead = release.latest_release(release.law_of(values)) + EXTRA_TIME
         self._factor = factor_columns(values)
         self._longest: tuple[ModelTuple | None, float] = None, 0.0
@@ -108,17 +108,17 @@ class Flight:
 
     def warm_up(self, model: ModelTuple) -> None:
         """Compile all that a toss needs."""
-        if not self.known:
+        if not self.has_size:
             return
         high = scale(self._release.height + 1.0 + 2.0 * max(self._values['package.size']),
                      upward(model[2]))
         still = Prediction(1, high, *ORIGIN[1:], ZERO, ZERO, (high, *ORIGIN[1:]))
-        found = self.landing(model, still, lambda _: np.zeros((12, 12)))
+        landing = self.landing(model, still, lambda _: np.zeros((12, 12)))
         with suppress(BellowsError):
             self.later(model, still, 0.1)
         self.time_to_target(model, still)
-        if found is not None:
-            release.flight_path(model, found.toss, 2)
+        if landing is not None:
+            release.flight_path(model, landing.toss, 2)
         self.forget()
 
     def forget(self) -> None:
@@ -132,7 +132,7 @@ class Flight:
 
     def switch(self, stamp_ns: int) -> None:
         """Note that the valve is switched at a stamp."""
-        if self.known and not self.state:
+        if self.has_size and not self.state:
             self._released_grip = self.grip
             self.state, self._switched_ns = 'released', stamp_ns
 
@@ -254,26 +254,26 @@ class Flight:
 
         """
         longest = STEP_FACTOR * self._longest_step(model)
-        if not self.known or self.state or self._ahead > MAX_SUBSTEPS * longest:
+        if not self.has_size or self.state or self._ahead > MAX_SUBSTEPS * longest:
             return None  # so many steps would hold up the poses
         if self._count % COVARIANCE_PERIOD == 0:
             self._of_state[:] = covariance(prediction)
         k = self._count % len(release.DIFFERENCE_STEPS)
         try:
-            sound, found = release.toss_with_covariance(
+            is_sound, landing = release.toss_with_covariance(
                 model, self.grip or release.NO_GRIP, self._release, self._factor, prediction.tool,
                 adapted(model, prediction.tool, prediction.body),
                 *_after_now(self._future(prediction)), self._ahead, longest,
                 *((k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))),
                 self._of_state, self._by, self._covariance)
         except (BellowsError, ArithmeticError, ValueError):
-            sound = False
-        self._count = self._count + 1 if sound else 0
-        return Landing(Toss(*found), self._covariance) if sound else None
+            is_sound = False
+        self._count = self._count + 1 if is_sound else 0
+        return Landing(Toss(*landing), self._covariance) if is_sound else None
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return the time (s) until the valve should be switched for the target, or None."""
-        if not self.known or self.state or not self._values['landing.aim']:
+        if not self.has_size or self.state or not self._values['landing.aim']:
             return None
         if 2.0 * AIM_TIME > MAX_AIM_STEPS * self._longest_step(model):
             return None  # so many steps take too long
@@ -281,7 +281,7 @@ class Flight:
         try:
             tool = at_constant_velocity(prediction, self._future(prediction), 2.0 * AIM_TIME)
             held = HeldMotion(model, self.grip, tool, prediction.body, 2.0 * AIM_TIME)
-            found = aim(held, self._release, (x, y), None, AIM_TIME, AIM_SPACING, AIM_CANDIDATES)
+            aimed = aim(held, self._release, (x, y), None, AIM_TIME, AIM_SPACING, AIM_CANDIDATES)
         except (BellowsError, ArithmeticError, ValueError):
             return None
-        return found.switched if math.isfinite(found.distance) else None
+        return aimed.switched if math.isfinite(aimed.distance) else None

@@ -86,22 +86,21 @@ def locate(
     nearest = math.inf
     for i in range(first, end):
         nearest = min(nearest, pose_distance(rows[i], o, q))
-    found, beside = first, math.inf
+    index, difference = first, math.inf
     for i in range(first, end):
-        if (abs(seconds[i] - expected) < beside
+        if (abs(seconds[i] - expected) < difference
                 and pose_distance(rows[i], o, q) <= max(nearest, SAME_PLACE) + reach[i]):
-            found, beside = i, abs(seconds[i] - expected)
-    point = row_state(rows[found])
+            index, difference = i, abs(seconds[i] - expected)
+    point = row_state(rows[index])
     speed = along(point[2], point[3], point[2], point[3])
     if speed <= slow * slow:
-        return nearest, seconds[found], math.inf
+        return nearest, seconds[index], math.inf
     R = t3.rotation_matrix(point[1])
     turn = t3.turn_between(point[1], q)
-    way = along(t3.apply_transposed(R, t3.subtract(o, point[0])), turn, point[2], point[3])
+    step = along(t3.apply_transposed(R, t3.subtract(o, point[0])), turn, point[2], point[3])
     return (
-        nearest, min(max(seconds[found] + way / speed, 0.0), seconds[last]),
-        along(v, w, point[2], point[3]) / speed,
-    )
+        nearest, min(max(seconds[index] + step / speed, 0.0), seconds[last]),
+        along(v, w, point[2], point[3]) / speed)
 
 
 @kernel
@@ -220,9 +219,9 @@ class PlanTracker:
     def follow(self, now: Prediction) -> None:
         """Find where on the plan the tool is, and how fast it is driven; for each of its poses."""
         _, before, rate = self._anchor
-        far, progress, measured = locate(
+        distance, progress, measured = locate(
             *self._inputs, self._slow, now.tool, before, self._expected(now.stamp_ns))
-        self.deviated = far > MAX_DEVIATION
+        self.deviated = distance > MAX_DEVIATION
         if self.deviated:
             return
         self.paused = measured <= MIN_RATE
@@ -233,11 +232,11 @@ class PlanTracker:
 
     def _expected(self, stamp_ns: int) -> float:
         """Return the expected time in the plan according to the clock, s."""
-        seen_ns, progress, rate = self._anchor
+        stored_ns, progress, rate = self._anchor
         late = -self._wait(stamp_ns)
-        if seen_ns < 0 or (progress == 0.0 and late <= 0.0):
+        if stored_ns < 0 or (progress == 0.0 and late <= 0.0):
             return max(0.0, late)
-        return progress + rate * (stamp_ns - seen_ns) / NS_PER_S
+        return progress + rate * (stamp_ns - stored_ns) / NS_PER_S
 
     def _wait(self, stamp_ns: int) -> float:
         """Return the time (s) until the plan begins; infinite where it does with the tool."""
@@ -257,7 +256,7 @@ class PlanTracker:
 
         A plan that has not begun and has no time to begin, begins now.
         """
-        seen_ns, progress, rate = self._anchor
+        stored_ns, progress, rate = self._anchor
         wait = 0.0
         if progress > 0.0:  # the poses seen last and now need not be the same
             progress = min(self._expected(now.stamp_ns), float(self._seconds[-1]))

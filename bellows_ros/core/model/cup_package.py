@@ -179,7 +179,7 @@ def one_cup_of(values: Mapping[str, Any]) -> Cup:
 
 
 def varied(
-    held: Package, com: ArrayLike = 0.0, mass: ArrayLike = 0.0, inertia: ArrayLike = 0.0
+    package: Package, com: ArrayLike = 0.0, mass: ArrayLike = 0.0, inertia: ArrayLike = 0.0
 ) -> Package:
     """
     Return a package with its centre of mass shifted (3,), m, and other mass and inertia.
@@ -189,9 +189,9 @@ def varied(
     """
     root = np.exp(0.5 * np.broadcast_to(inertia, 3))
     made = object.__new__(Package)
-    for name, value in (('mass', held.mass * float(np.exp(mass).item())),
-                        ('inertia', held.inertia * np.outer(root, root)),
-                        ('com', held.com + np.asarray(com))):
+    for name, value in (('mass', package.mass * float(np.exp(mass).item())),
+                        ('inertia', package.inertia * np.outer(root, root)),
+                        ('com', package.com + np.asarray(com))):
         object.__setattr__(made, name, value)
     return made
 
