@@ -1,5 +1,6 @@
 """The thesis' validation case and random models, shared by the tests of the core."""
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import dexp, exp_so3, nearest_rotation, transform
 from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -79,6 +80,16 @@ def still_tool(T_world_tool, duration_ns, steps):
     T = np.tile(T_world_tool, (steps + 1, 1, 1))
     stamps = np.arange(steps + 1) * (duration_ns // steps)
     return Trajectory(stamps, T[:, :3, 3], T[:, :3, :3], np.zeros((steps + 1, 6)))
+
+
+def messages(tool, start_ns=0, in_world=False):
+    """Return stamps, positions, quaternions, linear and angular twists as a driver sends them."""
+    v = tool.twist.reshape(-1, 2, 3)
+    if in_world:
+        v = np.einsum('nij,naj->nai', tool.rotation, v)
+    parts = tool.position, lie.rotation_to_quaternion(tool.rotation), v[:, 0], v[:, 1]
+    return [(tool.stamps_ns + start_ns).tolist(), *(
+        list(map(tuple, part.tolist())) for part in parts)]
 
 
 class ShakenTool:

@@ -6,12 +6,11 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotat
 from bellows_ros.core.live import LivePredictor, tool_twist
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import ShakenTool
+from .. import cases
 
 START = 1_760_000_000_000_000_000
 PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
@@ -23,14 +22,9 @@ class Messages:
     """A tool motion as messages: stamps, poses and twists in world axes."""
 
     def __init__(self, duration=1.0, rate_hz=360, seed=4):
-        self.tool = ShakenTool(np.random.default_rng(seed)).trajectory(duration, rate_hz)
-        R = self.tool.rotation
-        self.stamps = [START + int(stamp) for stamp in self.tool.stamps_ns]
-        self.positions = list(map(tuple, self.tool.position.tolist()))
-        self.quaternions = list(map(tuple, rotation_to_quaternion(R).tolist()))
-        in_world = np.einsum('nij,naj->nai', R, self.tool.twist.reshape(-1, 2, 3))
-        self.linear = list(map(tuple, in_world[:, 0].tolist()))
-        self.angular = list(map(tuple, in_world[:, 1].tolist()))
+        self.tool = cases.ShakenTool(np.random.default_rng(seed)).trajectory(duration, rate_hz)
+        self.stamps, self.positions, self.quaternions, self.linear, self.angular = cases.messages(
+            self.tool, START, in_world=True)
 
     def __len__(self):
         return len(self.stamps)
@@ -159,16 +153,6 @@ def test_what_cannot_be_used_is_refused_and_counted(predictor, reason, pose):
     assert counts == {reason: 1}
     after = predictor.on_pose(START + 2 * PERIOD, 'base', (0.0, 0.0, 0.0), IDENTITY)
     assert_allclose(after[0].position, first[0].position, atol=1e-12)
-
-
-def test_long_gap_starts_from_rest(messages, predictor):
-    for k in range(100):
-        messages.pose(predictor, k)
-    late = messages.stamps[99] + LONGEST_GAP_NS + 1
-    (out,) = messages.pose(predictor, 99, stamp=late)
-    assert predictor.restarts['gap'] == 1
-    assert out.linear == (0.0, 0.0, 0.0)
-    assert predictor.poses_in == predictor.predictions == 101
 
 
 @pytest.mark.parametrize(('speed', 'reason'), [

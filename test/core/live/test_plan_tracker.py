@@ -17,6 +17,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from ..cases import messages
 from ..plans import CUP, Move, PACKAGE
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
@@ -115,11 +116,9 @@ def test_a_plan_replayed_as_live_poses_agrees_with_its_prediction():
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
     live.pairing.expect = True
     rows = []
-    for k, stamp in enumerate((T0 + plan.stamps_ns).tolist()):
-        q = rotation_to_quaternion(plan.rotation[k]).tolist()
-        v = plan.twist[k].tolist()
-        rows += live.on_pose(stamp, 'world', tuple(plan.position[k].tolist()), tuple(q))
-        rows += live.on_twist(stamp, tuple(v[:3]), tuple(v[3:]))
+    for stamp, o, q, v, w in zip(*messages(plan, T0), strict=True):
+        rows += live.on_pose(stamp, 'world', o, q)
+        rows += live.on_twist(stamp, v, w)
     ahead = PlanTracker(plan, T0)
     ahead.follow(rows[0])
     found = PlanSimulation(MODEL, None, ahead.rest(rows[0], 0.0), rows[0].body).predict()
@@ -197,10 +196,7 @@ def test_landing_and_release_are_those_of_the_motion_that_the_tool_drives(driven
         lambda each: ToolRows(np.round(times[:-now] * 1e9).astype(np.int64), rows[now:]))]
     body = static_equilibrium(MODEL, state_row(rows[0, :3], rows[0, 3:7]))
     for now in range(1, round(1.5 / step)):
-        tool = tuple(tuple(rows[now, part].tolist()) for part in (
-            slice(3), slice(3, 7), slice(7, 10), slice(10, 13)))
-        before = tuple(tuple(rows[now - 1, part].tolist()) for part in (
-            slice(3), slice(3, 7), slice(7, 10), slice(10, 13)))
+        before, tool = (state_row(*np.split(row, [3, 7])) for row in rows[now - 1:now + 1])
         body = advance(MODEL, body, before, tool, step, 1)
         here = Prediction(T0 + round(times[now] * 1e9), *body, ZERO, ZERO, tool)
         ahead.follow(here)

@@ -8,7 +8,7 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
+from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.plan import PlanSimulation
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from ..cases import messages
 from ..plans import CUP, Move, PACKAGE
 from ..tosses import GRIP, values
 
@@ -32,15 +33,11 @@ def live(cup=RUBBER, **more):
 
 
 def fed(predictor, tool):
-    """Return the predictions (N, 7) from poses and twists."""
-    rows = tool_rows(tool)
+    """Return the predictions from poses and twists."""
     found = []
-    for k in range(len(rows)):
-        linear, angular = (tool.rotation[k] @ part for part in np.split(rows[k, 7:], 2))
-        stamp_ns = 10**9 + int(tool.stamps_ns[k])
-        predictor.on_twist(stamp_ns, tuple(linear.tolist()), tuple(angular.tolist()))
-        found += predictor.on_pose(
-            stamp_ns, 'world', tuple(rows[k, :3].tolist()), tuple(rows[k, 3:7].tolist()))
+    for stamp_ns, o, q, v, w in zip(*messages(tool, 10**9, in_world=True), strict=True):
+        predictor.on_twist(stamp_ns, v, w)
+        found += predictor.on_pose(stamp_ns, 'world', o, q)
     return found
 
 

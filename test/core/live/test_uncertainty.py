@@ -2,7 +2,7 @@
 
 import math
 
-from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN_ROOT
 from bellows_ros.core.model.cup_package import Cup, Package
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import ShakenTool
+from ..cases import messages, ShakenTool
 
 START = 1_760_000_000_000_000_000
 PERIOD = 2_777_778
@@ -194,16 +194,16 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
     """Against the motion from the beginning: the error lies within what is said, and goes."""
     tool = ShakenTool(np.random.default_rng(twists)).trajectory(6.0, 360)
     truth = simulate(THESIS, PLATE, tool)
-    q, v = rotation_to_quaternion(tool.rotation), tool.twist.reshape(-1, 2, 3)
+    driven = list(zip(*messages(tool, START), strict=True))
     live = LivePredictor(THESIS, PLATE, 9.81, twist_frame='tool')
     live.pairing.expect = twists
     uncertainty = Uncertainty(live.model, values(position=1e-6, rotation=1e-6))
     parts, phases, off = [], [], []
     for k in range(start, len(tool)):
-        stamp = START + int(tool.stamps_ns[k])
-        out = live.on_pose(stamp, 'world', tuple(tool.position[k]), tuple(q[k]), stamp)
+        stamp, o, q, v, w = driven[k]
+        out = live.on_pose(stamp, 'world', o, q, stamp)
         if twists:
-            out += live.on_twist(stamp, *map(tuple, v[k]))
+            out += live.on_twist(stamp, v, w)
         (prediction,) = out
         R = truth.rotation[k].T
         error = np.concatenate([

@@ -1,6 +1,6 @@
 """Structures of K and P: what is free, what is tied, and what follows from it."""
 
-from bellows_ros.core.model.structure import AXES, common_structure, structure_named, STRUCTURES
+from bellows_ros.core.model.structure import common_structure, structure_named, STRUCTURES
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -76,12 +76,6 @@ def test_structures_contain_each_other_as_matrices_do():
     assert contained['full'] == list(STRUCTURES)
     assert common_structure(COUPLED, STRUCTURES['diagonal']).name == 'full'
     assert common_structure(COUPLED, STRUCTURES['axisymmetric']) is COUPLED
-
-
-@pytest.mark.parametrize('name', list(STRUCTURES))
-def test_every_direction_belongs_to_one_block(name):
-    axes = [axis for blocks in STRUCTURES[name].blocks for block in blocks for axis, _ in block]
-    assert sorted(axes) == list(range(len(AXES)))
 
 
 def test_an_unknown_structure_is_refused():
