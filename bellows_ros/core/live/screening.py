@@ -55,18 +55,21 @@ class PoseStep(NamedTuple):
     """Size relative to what an arm can do; above 1 is impossible."""
     suspicion: float
     """Size relative to the limit of suspicion."""
-    jump: tuple[float, float]
-    """Deviation from a steady motion, m and rad."""
-    speed: tuple[float, float]
-    """Smaller speed (m/s) and rate (rad/s) of this step and the one before: one jump is no
-    motion."""
+    position_jump: float
+    """Deviation from a steady motion, m."""
+    rotation_jump: float
+    """The same for rotations, rad."""
+    speed: float
+    """Smaller speed of this step and the one before, m/s: one jump is no motion."""
+    turn_speed: float
+    """Smaller rate of the two, rad/s."""
     velocity: Vector
     """In the axes of the poses' frame, m/s."""
     rate: Vector
     """In the tool's axes, rad/s."""
 
 
-REST = PoseStep(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), ZERO, ZERO)
+REST = PoseStep(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ZERO, ZERO)
 
 
 class Reference(NamedTuple):
@@ -97,7 +100,7 @@ def change(a: Vector, b: Vector) -> tuple[float, float]:
 def _pose_step(
     o: Vector, q: Quaternion, velocity: Vector, rate: Vector, period: float,
     other_o: Vector, other_q: Quaternion, seconds: float,
-) -> tuple[float, float, tuple[float, float], tuple[float, float], Vector, Vector]:
+) -> tuple[float, float, float, float, float, float, Vector, Vector]:
     """
     Return the `PoseStep` from a pose to another after some seconds; numba is slow at named tuples.
 
@@ -125,7 +128,7 @@ def _pose_step(
         suspicion = max(
             jump / (SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared),
             turn_jump / (SUSPECT_TOLERANCE[1] + turn_jitter + SUSPECT_ACCELERATION[1] * squared))
-    return excess, suspicion, (jump, turn_jump), (speed, turn_speed), v, w
+    return excess, suspicion, jump, turn_jump, speed, turn_speed, v, w
 
 
 class FrameChange:
@@ -214,7 +217,7 @@ class Screen(StampScreen):
     @property
     def jump(self) -> tuple[float, float]:
         """Deviation (m, rad) of the newest pose from a steady motion."""
-        return self._step.jump
+        return self._step.position_jump, self._step.rotation_jump
 
     def judge(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
@@ -279,7 +282,7 @@ class Screen(StampScreen):
         if is_doubted:  # then the time since the last one tells of no burst
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
         self._step = step = last.step_to(stamp_ns, o, q)
-        if step.excess <= 1.0 and not self._is_elsewhere(stamp_ns, o, q):
+        if step.excess <= 1.0 and not (is_doubted and self._is_elsewhere(stamp_ns, o, q)):
             self.suspect = step.suspicion > (AFTER_JUMPS if is_doubted else 1.0)
             return screening.GOOD
         self._note_elsewhere(stamp_ns, o, q)
@@ -293,7 +296,7 @@ class Screen(StampScreen):
         if there is None or last is None or stamp_ns <= there.stamp_ns:
             return False
         of_refused, of_accepted = (
-            each._replace(period=0.0).step_to(stamp_ns, o, q).jump for each in (there, last))
+            each._replace(period=0.0).step_to(stamp_ns, o, q)[2:4] for each in (there, last))
         return of_refused < of_accepted
 
     def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:
@@ -314,4 +317,4 @@ def _cannot_stop(last: Reference) -> bool:
     return any(
         (speed - deceleration * last.period) * last.period > tolerance
         for speed, deceleration, tolerance in zip(
-            last.step.speed, MAX_DECELERATION, STOP_TOLERANCE, strict=True))
+            last.step[4:6], MAX_DECELERATION, STOP_TOLERANCE, strict=True))

@@ -392,7 +392,7 @@ class TwistCheck:
         self._recent.clear()
         self._due_ns = -1
         self._count = 0
-        self._squares = [0.0, 0.0, 0.0]  # as of `misfits`
+        self._squares = 0.0, 0.0, 0.0  # as of `misfits`
 
     def skip(self) -> None:
         """Record that a pose came without a measured twist."""
@@ -405,8 +405,9 @@ class TwistCheck:
             return
         v, w = history.state(LATER_POSES)[2:4]
         self._due_ns = pose.stamp_ns + PERIOD_NS
-        self._squares = [MEMORY * before + square for before, square in zip(
-            self._squares, misfits(*self._recent[0], v, w), strict=True)]
+        before, (energy, world, tool) = self._squares, misfits(*self._recent[0], v, w)
+        self._squares = (
+            MEMORY * before[0] + energy, MEMORY * before[1] + world, MEMORY * before[2] + tool)
         self._count += 1
 
     @property
