@@ -1,8 +1,8 @@
 """
 Report, before a fit, what of K and P is identifiable, and which motion is missing.
 
-Then compare the structures of K and P (fit.structure) by AIC, BIC and the held-out error: how well
-a cup fitted without a part of the recordings simulates that part. Recommend one.
+Then compare the structures of K and P (fit.structure) by the held-out error: how well a cup fitted
+without a part of the recordings simulates that part. Recommend one.
 
 Examples
 --------
@@ -53,9 +53,7 @@ def print_result(result: StructureAdvice, console: Console) -> None:
         f'Rank {excitation.rank} of {excitation.size}, scaled condition number '
         f'{excitation.condition_number:.3g}.')
     console.table(_structure_rows(selection_json(selection)), right=True, title='Structures')
-    console.paragraph(
-        f'{selection.samples} samples, equivalent to {selection.effective_samples:.0f} '
-        'independent ones.')
+    console.paragraph(f'{selection.samples} samples.')
     console.line()
     relaxation = result.recordings[0].relaxation
     print_relaxation(relaxation.strengths, relaxation.std, console)
@@ -88,7 +86,7 @@ def _parameter_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def _structure_rows(selection: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table, with its head, of the structures that were compared."""
-    return [('structure', 'parameters', 'AIC', 'BIC', 'held-out error', 'usable'), *(
-        (each['structure'], str(each['parameters']), f'+{each["aic"]:.1f}', f'+{each["bic"]:.1f}',
+    return [('structure', 'parameters', 'held-out error', 'usable'), *(
+        (each['structure'], str(each['parameters']),
          formatted(each['held_out'], '.2f', '%', 100.0), 'yes' if each['usable'] else 'no')
         for each in selection['candidates'])]

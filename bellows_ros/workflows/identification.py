@@ -379,7 +379,7 @@ def selection_json(selection: Any) -> dict[str, Any]:
     """Return a `StructureSelection` for the JSON file."""
     return {
         'candidates': [
-            attributes(candidate, 'structure', 'parameters', 'usable', 'refused', 'aic', 'bic',
-                       'held_out', 'simulated')
+            attributes(candidate, 'structure', 'parameters', 'usable', 'refused', 'held_out',
+                       'simulated')
             for candidate in selection.candidates],
-        **attributes(selection, 'samples', 'effective_samples', 'advised', 'advice', 'fits')}
+        **attributes(selection, 'samples', 'advised', 'advice', 'fits')}

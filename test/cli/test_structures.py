@@ -11,7 +11,7 @@ def test_summary_and_json(bellows, workshop, tmp_path):
         cwd=workshop)
     assert (done.returncode, done.stderr) == (0, '')
     for words in ('Excitation of the lip', 'Identifiability', 'P rz', 'Hz',
-                  'Structures', 'axisymmetric', 'diagonal', 'full', 'independent ones',
+                  'Structures', 'axisymmetric', 'diagonal', 'full', 'held-out error',
                   'Use fit.structure: axisymmetric.', 'Rank 8 of 8',
                   f'Wrote {tmp_path / "structures.json"}'):
         assert words in done.stdout
