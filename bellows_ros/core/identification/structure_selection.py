@@ -15,7 +15,12 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.causes import DOUBTED
 from bellows_ros.core.identification.hypotheses import Diagnosis
 from bellows_ros.core.identification.least_squares import least_squares
-from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
+from bellows_ros.core.identification.reduction import (
+    noise_products,
+    SEED,
+    Statistics,
+    statistics,
+)
 from bellows_ros.core.identification.samples import Samples
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate, state_row
@@ -24,6 +29,7 @@ from bellows_ros.core.recording.recording import FilterNoise
 from bellows_ros.core.signals.residuals import compare
 from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
 import numpy as np
+from scipy.linalg import block_diag
 
 FOLDS = 5
 """Folds of each recording; each is held out once."""
@@ -147,7 +153,10 @@ def select_structure(
 
     """
     structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
-    candidates = [_candidate(recordings, cup_length, noises, each) for each in structures]
+    # With other draws than those of a fit, which subtracts what it sees in its own.
+    added = [noise_products(samples, noise, cup_length, structures[-1], SEED + 1)
+             / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
+    candidates = [_candidate(recordings, cup_length, added, each) for each in structures]
     if all(own.refused for own in candidates):
         raise BellowsError(f'No structure can be fitted. {candidates[0].refused}')
     advised, advice = _advice(candidates)
@@ -156,19 +165,25 @@ def select_structure(
 
 
 def _candidate(
-    recordings: Sequence[Samples], cup_length: float, noises: Sequence[FilterNoise],
+    recordings: Sequence[Samples], cup_length: float, added: Sequence[Array],
     structure: Structure,
 ) -> Candidate:
-    """Return a structure with its errors: those of each fold, of a fit to all others."""
+    """
+    Return a structure with its errors: those of each fold, of a fit to all others.
+
+    Added is what noise adds to the products of a sample of each recording (see `noise_products`),
+    in the richest structure.
+    """
+    T = block_diag(structure.within(list(STRUCTURES.values())[-1]), np.eye(1))
     folds: list[list[Samples]] = [[] for _ in range(FOLDS)]
     parts: list[list[Statistics]] = [[] for _ in range(FOLDS)]
-    for samples, noise in zip(recordings, noises, strict=True):
-        added = noise_products(samples, noise, cup_length, structure) / max(samples.count, 1)
+    for samples, products in zip(recordings, added, strict=True):
+        noise = np.einsum('ipjq,pa,qb->iajb', products, T, T, optimize=True)
         ends = np.linspace(0, len(samples.tool), FOLDS + 1).astype(int)
         for fold, part, first, end in zip(folds, parts, ends, ends[1:], strict=False):
             fold.append(samples.select(slice(first, end)))
             own = statistics(fold[-1], cup_length, structure)
-            part.append(replace(own, noise=own.used * added))
+            part.append(replace(own, noise=own.used * noise))
     size = 2 * structure.size
     try:
         usable = least_squares(sum(parts, [])).usable
