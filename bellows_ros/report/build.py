@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.identification.reduction import SEED as EXCITATION_SEED
+from bellows_ros.core.identification.samples import SEED as EXCITATION_SEED
 from bellows_ros.core.identification.validation import SEED
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError

@@ -20,8 +20,8 @@ import numpy as np
 EXPENSIVE = {
     'savgol': 'core.signals.savgol',
     'noise_of': 'core.recording.recording',
-    'with_noise': 'core.identification.reduction',
-    'envelope': 'core.identification.samples',
+    'with_noise': 'core.identification.samples',
+    'envelope': 'core.identification.reduction',
 }
 
 

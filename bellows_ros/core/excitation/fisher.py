@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.equations import covariance_of
+from bellows_ros.core.identification.result import covariance_of
 from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium

@@ -13,8 +13,12 @@ from dataclasses import dataclass
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, log_so3, quaternion_to_rotation, transform
-from bellows_ros.core.identification.equations import covariance_of, information_of
-from bellows_ros.core.identification.result import Fit, parameter_units
+from bellows_ros.core.identification.result import (
+    covariance_of,
+    Fit,
+    information_of,
+    parameter_units,
+)
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
 from bellows_ros.core.model.simulation import simulate

@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.equations import joined, Solution, without
-from bellows_ros.core.identification.least_squares import noise_bias, weighted
-from bellows_ros.core.identification.reduction import Movement, Reduced
-from bellows_ros.core.identification.samples import PassBand
+from bellows_ros.core.identification.least_squares import noise_bias, Solution, weighted
+from bellows_ros.core.identification.reduction import Movement, PassBand, Reduced
+from bellows_ros.core.identification.result import without
+from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import AXES, Structure
 import numpy as np
 

@@ -10,34 +10,30 @@ wrench is linear in K, P and r_b K, too: K, P and r are the minimum of the same 
 Without a hold of some seconds r2 is not identifiable.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.equations import (
-    BLOCK,
-    CLUSTER_WINDOWS,
-    IN_NULL_SPACE,
-    joined,
-    LipMotion,
-    Moments,
-    MOST_KEPT,
-    r_factor,
-    regular,
-    SampleEquations,
-    Solution,
-    solution,
-    whitening_of,
-    without,
-)
-from bellows_ros.core.identification.reduction import draws, Reduced, Statistics, with_noise
+from bellows_ros.core.identification.reduction import MAX_STORED, Reduced, Statistics
 from bellows_ros.core.identification.result import (
     Fit,
+    IN_NULL_SPACE,
     LARGEST_ERROR,
+    without,
     WRENCH_UNITS,
 )
-from bellows_ros.core.identification.samples import Samples, samples_of
+from bellows_ros.core.identification.samples import (
+    CLUSTER_WINDOWS,
+    draws,
+    joined,
+    Moments,
+    regular,
+    SampleEquations,
+    Samples,
+    samples_of,
+    with_noise,
+)
 from bellows_ros.core.model.structure import given_structure, Structure, STRUCTURES
 from bellows_ros.core.recording.recording import (
     ENOUGH,
@@ -51,6 +47,15 @@ import numpy as np
 
 SHOWN = 4
 """Most parameters named in a sentence."""
+
+LARGEST_CONDITION = 1e6
+"""Ratio of singular values beyond which a combination of parameters is not identifiable."""
+
+NO_EFFECT = 1e-8
+"""A parameter whose column is smaller than this fraction of others of its kind has no effect."""
+
+QR_ROWS = 512
+"""Rows reduced to an R factor at a time, so that they stay in the processor's cache."""
 
 CLUSTERS_PER_PARAMETER = 2
 """Clusters per parameter required for the correlations of the estimates."""
@@ -71,6 +76,61 @@ TOO_SHORT = (
 
 UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
 """Residuals are too large beyond this multiple of noise and this fraction of the wrench."""
+
+
+def whitening_of(covariance: Array) -> Array:
+    """Return the root of the weight W that makes a covariance (6, 6) of wrenches the identity."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(regular(covariance))))
+
+
+def r_factor(parts: Iterable[Array], columns: int) -> Array:
+    """Return R (columns, columns) of the QR factorisation of stacked parts (4.71, 4.72)."""
+    R: Array = np.zeros((columns, columns))
+    for rows in parts:
+        rows = np.vstack([R, rows])
+        whole = len(rows) // QR_ROWS * QR_ROWS
+        # R factors of small parts, then of these: four times faster than at once.
+        small = np.linalg.qr(rows[:whole].reshape(-1, QR_ROWS, columns), mode='r')
+        R = np.asarray(np.linalg.qr(np.concatenate([*small, rows[whole:]]), mode='r'))
+    return R
+
+
+class Solution(NamedTuple):
+    """
+    The least-squares solution of p parameters.
+
+    x (p,): of what is not identifiable the smallest that fits as well as any. Inverse (p, p) of
+    R; which of the p are identifiable; the rank; the condition number with columns of unit length.
+    """
+
+    x: Array
+    inverse: Array
+    identifiable: Mask
+    rank: int
+    condition_number: float
+
+
+def solution(R: Array, structure: Structure) -> Solution:
+    """
+    Solve the equations of an R factor (q, q) of rows [A b] as far as they go (4.74).
+
+    Columns of K or P of the same units are compared with each other, and scaled.
+    """
+    sizes = np.linalg.norm(R[:-1, :-1], axis=0)
+    angular = [(row > 2) + (column > 2) for row, column in structure.leads]
+    kinds = np.array([*angular, *(3 + kind for kind in angular)])
+    largest = np.array([sizes[kinds == kind].max() for kind in kinds])
+    unit = np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
+    U, singular, Vt = np.linalg.svd(R[:-1, :-1] / unit)
+    known = singular > singular[0] / LARGEST_CONDITION
+    inverse = (Vt[known].T / singular[known]) @ U[:, known].T / unit[:, None]
+    return Solution(
+        inverse @ R[:-1, -1],
+        inverse,
+        ~np.any(np.abs(Vt[~known]) > IN_NULL_SPACE, axis=0),
+        int(np.count_nonzero(known)),
+        float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
+    )
 
 
 def least_squares(parts: Sequence[Statistics]) -> Fit:
@@ -144,7 +204,7 @@ def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None
     The last (6, q, 6, q) is that of all parts (see `noise_products`), None where one lacks it.
     """
     structure = parts[0].structure
-    whitening = whitening_of(regular(joined(part.moments for part in parts).covariance(structure)))
+    whitening = whitening_of(joined(part.moments for part in parts).covariance(structure))
     known = [part.noise for part in parts if part.noise is not None]
     R = r_factor((own.stacked for own in _rows(parts, whitening)), 2 * structure.size + 1)
     return (whitening, solution(R, structure),
@@ -329,7 +389,7 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
     simplest = structure if structure.places else next(
         iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
     found = relaxation_of(
-        [samples_of(own).thinned(MOST_KEPT) for own in whole], [own.noise for own in whole],
+        [samples_of(own).thinned(MAX_STORED) for own in whole], [own.noise for own in whole],
         values['cup.length'], simplest)
     if simplest is not structure:
         found = found._replace(by=simplest.within(structure) @ found.by)
@@ -340,18 +400,14 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
     return [replace(own, relaxation=found) for own in recordings]  # type: ignore[arg-type]
 
 
-def _branches(samples: Samples) -> list[LipMotion]:
-    """Return the motion of the lip of a cup that does not relax, and with one branch each."""
-    return [samples.lip, *(samples.relaxing(r).lip for r in ((1.0, 0.0), (0.0, 1.0)))]
-
-
 def _relaxing_rows(
-    lips: Sequence[LipMotion], cup_length: float, structure: Structure, keep: bool = True
+    samples: Samples, cup_length: float, structure: Structure
 ) -> Iterator[tuple[Array, list[slice]]]:
     """Yield rows [L, L1, L2, c] (N, 6, q), L_b by r_b K, and the clusters, block by block."""
     n = structure.size
     for own, *others in zip(*(
-            lip.equations(cup_length, structure, keep) for lip in lips), strict=True):
+            samples.relaxing(r).lip.equations(cup_length, structure)
+            for r in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))), strict=True):
         of_branches = [other.A[..., :n] - own.A[..., :n] for other in others]
         yield np.dstack([own.A, *of_branches, own.b]), own.clusters
 
@@ -365,24 +421,20 @@ def _products(
 
     Those of each cluster (C, q, q), and their sum (q, q) less what noise adds.
     """
-    moments = joined(Moments.of(samples.lip.wrench) for samples in recordings)
-    whitening = whitening_of(regular(moments.covariance(structure)))
+    whitening = whitening_of(joined(
+        Moments.of(samples.lip.wrench) for samples in recordings).covariance(structure))
     size, clusters = 4 * structure.size + 1, []
     added = np.zeros((size, size))
     for samples, noise in zip(recordings, noises, strict=True):
-        lips = _branches(samples)
-        for rows, parts in _relaxing_rows(lips, cup_length, structure):
+        for rows, parts in _relaxing_rows(samples, cup_length, structure):
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
         some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(ENOUGH), draws(1)
         part = max(some.count, 1) / max(samples.count, 1)
-        lips = [lip.thinned(max(len(samples.tool) // ENOUGH, 1)) for lip in lips]
-        for start, block in zip(range(0, some.count, BLOCK), some.blocks(), strict=True):
-            noisy = _branches(with_noise(block, noise, draw).relaxing((0.0, 0.0)))
-            exact = [lip.select(slice(start, start + BLOCK)) for lip in lips]
-            for (own, _), (other, _) in zip(
-                    _relaxing_rows(exact, cup_length, structure),
-                    _relaxing_rows(noisy, cup_length, structure, keep=False), strict=True):
+        for block in some.blocks():
+            for (own, _), (other, _) in zip(*(
+                    _relaxing_rows(each, cup_length, structure)
+                    for each in (block, with_noise(block, noise, draw))), strict=True):
                 added += _square(whitening @ (other - own)) / part
     products = np.array(clusters)
     return products, products.sum(axis=0) - added

@@ -13,16 +13,17 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.equations import (
-    IN_NULL_SPACE,
-    LipMotion,
+from bellows_ros.core.geometry.lie import exp_so3, log_so3
+from bellows_ros.core.identification.result import IN_NULL_SPACE
+from bellows_ros.core.identification.samples import (
+    draws,
+    lip_relative,
     Moments,
     regular,
+    Samples,
+    samples_of,
     sizes,
 )
-from bellows_ros.core.identification.reduction import draws
-from bellows_ros.core.identification.samples import lip_relative, Samples, samples_of
 from bellows_ros.core.identification.variations import Given, Hypothesis, Variation
 from bellows_ros.core.model.structure import Structure, THESIS_DAMPING, THESIS_STIFFNESS
 from bellows_ros.core.recording.recording import Recording
@@ -195,7 +196,7 @@ def _extra(given: Given, L: Array) -> list[Array]:
         for z in _dragged(given):
             there = replace(lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
                             rotation=exp_so3(z[lip.index, 3:]))
-            parts = there.equations(given.length, given.structure, keep=False)
+            parts = there.equations(given.length, given.structure)
             columns.append(np.concatenate([part.A[:, :, own] for part in parts]))
         return columns
     return []
@@ -204,10 +205,8 @@ def _extra(given: Given, L: Array) -> list[Array]:
 def _dragged(given: Given) -> Array:
     """Return the displacements (2, N, 6) of two sliders that the lip drags along (Dahl, 1968)."""
     own = given.samples
-    way = LipMotion(
-        np.arange(len(own.tool)), own.tool.stamps_ns, own.window,
-        *lip_relative(own.tool, own.package, own.payload.com), np.empty((0, 6)),
-    ).displacement(given.length)
+    position, rotation, _ = lip_relative(own.tool, own.package, own.payload.com)
+    way = np.hstack([position + [0.0, 0.0, given.length], log_so3(rotation)])
     steps = np.nan_to_num(np.diff(way, axis=0, prepend=way[:1]))
     most = sizes(way[own.valid] - way[own.valid].mean(axis=0)).max(axis=0)
     keeps = 1.0 / (1.0 + sizes(steps) / np.multiply.outer(

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.equations import without
 from bellows_ros.core.identification.given import causes, moved_between, stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.least_squares import (
@@ -20,7 +19,13 @@ from bellows_ros.core.identification.least_squares import (
     SIGNIFICANT,
 )
 from bellows_ros.core.identification.quantities import anything, Free, KINDS
-from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR
+from bellows_ros.core.identification.result import (
+    Fit,
+    Freed,
+    Iteration,
+    LARGEST_ERROR,
+    without,
+)
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
     MeasuredSegment,

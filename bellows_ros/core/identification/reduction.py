@@ -1,32 +1,31 @@
 """
-The sufficient statistics of a recording for fits and findings, small enough for a file.
+The sufficient statistics of a recording for fits and findings.
 
 The weight W of (4.66) comes from the wrenches of all recordings, so it is not known when one is
-reduced; what is kept can be weighted later. For a fit that are sufficient statistics: cluster by
+reduced; what is stored can be weighted later. For a fit that are sufficient statistics: cluster by
 cluster the rows [L c] of each wrench component, reduced by QR to an R factor with the same inner
 products. Where W couples the components six R factors would not do and those of all products would
-be larger than the samples, so that these themselves are kept. With them is kept what noise adds to
-the products on average, seen by adding it once more, and how the lip moved. All is added up over
-recordings, wherever they were made.
+be larger than the samples, so that these themselves are stored. With them is stored what noise
+adds to the products on average, seen by adding it once more; how the lip moved, hence what of the
+cup the motion has seen (its validity range); and whether the filter follows it: of a fast motion
+it leaves less, and of each derivative another part, so that K and P of least squares are off,
+which their standard errors do not know. All is added up over recordings, wherever they were made.
 """
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.equations import (
+from bellows_ros.core.identification.samples import (
+    filtered_samples,
     LipMotion,
     Moments,
-    MOST_KEPT,
     SampleEquations,
-)
-from bellows_ros.core.identification.samples import (
-    envelope,
-    filtered_samples,
-    PassBand,
     Samples,
     samples_of,
+    SEED,
+    with_noise,
 )
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import given_structure, Structure
@@ -34,49 +33,39 @@ from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.recording import (
     ENOUGH,
     FilterNoise,
-    Noise,
     PackageWorld,
     Recording,
     TimeOffset,
 )
-from bellows_ros.core.signals.savgol import displaced
-from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.signals.residuals import Spectrum
+from bellows_ros.core.signals.trajectory import uniform_rate_hz
+from bellows_ros.errors import BellowsError
 import numpy as np
 
-SEED = 20210801
-"""Seed of the added noise: the same recording always gives the same result."""
+MAX_STORED = 50_000
+"""Samples of the longest recording whose motion of the lip is stored for reuse."""
 
+FOLLOWED = 0.013
+"""Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
 
-def draws(count: int) -> list[np.random.Generator]:
-    """Return random generators for noise draws, the first ones always the same."""
-    return np.random.default_rng(SEED).spawn(count)
+RESOLUTION = 0.05
+"""Resolution (Hz) of the end of a pass band."""
 
+LOST, STANDS_OUT = 0.03, 5.0
+"""
+A direction is too fast if the filter takes more than this part of its velocities.
 
-def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:
-    """Return samples as they would be if the poses had as much noise once more."""
-    return Samples(
-        _noisy(samples.tool, noise.tool, noise.tool_weights, draw),
-        _noisy(samples.package, noise.package, noise.package_weights, draw),
-        samples.payload, samples.gravity, samples.window, samples.relaxation,
-        samples.histories if any(samples.relaxation) else None,
-    )
+Velocities count as so many times the power of the noise at least, which is known to some percent.
+"""
 
+NO_FLOOR = 1e-3
+"""Transmission of white noise below which the spectrum shows no noise floor."""
 
-def _noisy(
-    motion: Trajectory, noise: Noise, weights: Array, draw: np.random.Generator
-) -> Trajectory:
-    """
-    Return a filtered motion with filtered white noise added to its value and derivatives.
+ENVELOPE_BAND = 0.95
+"""Fraction of the deflection's power inside the frequency bands."""
 
-    Noise of one sample is as the filter makes it, correlated between value and derivatives; that
-    of neighbours is independent, which no mean square and no mean product notices.
-    """
-    root = np.linalg.cholesky(weights @ weights.T)
-    o, phi = (
-        sigma * np.einsum('ij,jnk->ink', root, draw.standard_normal((3, len(motion), 3)))
-        for sigma in noise
-    )
-    return displaced(motion, o, phi)
+BAND = 0.9
+"""Fraction of a velocity's power inside its frequency band."""
 
 
 def noise_products(
@@ -94,7 +83,7 @@ def noise_products(
     draw = np.random.default_rng(seed)
     some = recording.thinned(ENOUGH)
     for block, own in zip(some.blocks(), some.lip.equations(cup_length, structure), strict=False):
-        noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure, keep=False)
+        noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure)
         added = (next(noisy).stacked - own.stacked).reshape(-1, 6 * size)
         products += added.T @ added
     part = max(some.count, 1) / max(recording.count, 1)
@@ -185,8 +174,87 @@ def _component_r_factors(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(np.concatenate([rows, few], axis=1), mode='r'))
 
 
-BAND = 0.9
-"""Fraction of a velocity's power inside its frequency band."""
+def envelope(samples: Samples, cup_length: float) -> Envelope:
+    """
+    Return the validity range of a recording.
+
+    Parameters
+    ----------
+    samples : Samples
+        As they go into the fit; samples that are not valid are left out.
+    cup_length : float
+        Nominal length l0, m.
+
+    Raises
+    ------
+    BellowsError
+        Without valid samples.
+
+    """
+    if not samples.count:
+        raise BellowsError('The recording has no valid samples, hence no validity range.')
+    deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
+    strain = samples.spectrum_of(deflection)
+    shift_and_turn = np.column_stack([strain.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
+    bands = np.column_stack(Spectrum(strain.frequency, shift_and_turn).band(ENVELOPE_BAND))
+    return Envelope(
+        deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
+        np.nan_to_num(bands), np.array([mass, mass]))
+
+
+def left(weights: Array, rate_hz: float, frequency: Array) -> Array:
+    """Return the transmission (F,) of a filter for velocities at frequencies (F,) in Hz."""
+    half_window = weights.shape[1] // 2
+    time = np.arange(-half_window, half_window + 1) / rate_hz
+    omega = 2.0 * np.pi * np.maximum(frequency, RESOLUTION)
+    return np.asarray(np.sin(omega[:, None] * time) @ weights[1] / omega)
+
+
+def pass_band(weights: Array, rate_hz: float) -> float:
+    """Return the frequency (Hz) up to which a filter with weights (3, 2n+1) follows."""
+    frequency = np.arange(RESOLUTION, 0.5 * rate_hz, RESOLUTION)
+    beyond = left(weights, rate_hz, frequency) < 1.0 - FOLLOWED
+    return float(frequency[np.argmax(beyond)]) if beyond.any() else 0.5 * rate_hz
+
+
+class PassBand(NamedTuple):
+    """
+    The transmission of a package's filter for the lip's twist.
+
+    Mean squares (6,) of what the filter took of the motion, lost, and the least of them that are
+    too much; the end (Hz) of its pass band; half windows (samples) of the filters of tool and
+    package.
+    """
+
+    lost: Array
+    least: Array
+    end_hz: float
+    half_windows: tuple[int, int]
+
+    @classmethod
+    def of(cls, samples: Samples, noise: FilterNoise, size: Array) -> 'PassBand':
+        """
+        Return that of all samples of a recording, whose twists have noise of a size (6,).
+
+        In an axis where noise is larger, the spectrum beyond the pass band shows it.
+        """
+        twist, rate_hz = samples.twist_spectrum, uniform_rate_hz(samples.package.stamps_ns)
+        part = left(noise.package_weights, rate_hz, twist.frequency)
+        white = (part * twist.frequency) ** 2
+        end = pass_band(noise.package_weights, rate_hz)
+        beyond = (twist.frequency > 2.0 * end) & (white > NO_FLOOR * white.max())
+        back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the sample before
+        colour = np.abs(1.0 - np.multiply.outer(back, noise.correlation)) ** -2.0
+        seen = white[:, None] * np.repeat(colour, 3, axis=1)
+        level = twist.density[beyond] / seen[beyond]
+        floor = np.median(level, axis=0) * seen.sum(axis=0) if beyond.any() else np.zeros(6)
+        variance = np.maximum(size**2, twist.frequency[1] * floor)
+        moving = twist.frequency[1] * twist.density.sum(axis=0) - variance
+        lost = (twist.frequency[1] * (1.0 - part) @ twist.density
+                - (1.0 - part) @ seen / seen.sum(axis=0) * variance)
+        return cls(
+            lost, LOST * np.maximum(moving, STANDS_OUT * variance), end,
+            (noise.tool_half_window, noise.package_weights.shape[1] // 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +388,7 @@ def envelope_of(recording: Recording, cup_length: float) -> Envelope:
 def _reduced(recording: Recording, length: float, structure: Structure) -> Reduced:
     """Return a recording reduced."""
     samples, noise = samples_of(recording), recording.noise
-    if len(samples.tool) > MOST_KEPT:  # a copy, with which the motion of the lip is dropped
+    if len(samples.tool) > MAX_STORED:  # a copy, with which the motion of the lip is dropped
         samples = replace(samples)
     seen = recording.cached(  # refuses a recording without valid samples
         ('envelope', length), lambda: envelope(samples, length))

@@ -1,11 +1,16 @@
-"""The result of a fit, frozen, with its uncertainty and its warnings."""
+"""
+The result of a fit, frozen, with its uncertainty and its warnings.
+
+A parameter that has a part in a direction which is not identifiable has an infinite variance and
+no covariances; the information about it is zero.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.model.structure import Structure, structure_named, STRUCTURES
 import numpy as np
 
@@ -25,6 +30,55 @@ def parameter_units(structure: Structure) -> tuple[str, ...]:
 
 LARGEST_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
+
+ROUNDING = 1e-12
+"""Eigenvalues of scaled information below this fraction of the largest are rounding errors."""
+
+IN_NULL_SPACE = 0.05
+"""A parameter with a larger component in the null space is not identifiable."""
+
+
+def covariance_of(information: Array) -> Array:
+    """
+    Return the covariance (n, n) of parameters with this information.
+
+    What is not known has inf on the diagonal and 0 beside it; the rest is as if it were left out.
+    """
+    diagonal = np.diag(information)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    unit = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(information / unit)
+    null = vectors[:, values <= ROUNDING * values[-1]]
+    known = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
+    covariance = np.diag(np.where(known, 0.0, np.inf))
+    index = np.flatnonzero(known)
+    if len(index):
+        part = np.ix_(index, index)
+        values, vectors = np.linalg.eigh(information[part] / unit[part])
+        kept = values > ROUNDING * values[-1]
+        covariance[part] = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T / unit[part]
+    return covariance
+
+
+def information_of(covariance: Array) -> Array:
+    """Return the information (n, n) of a covariance, zero where that is infinite."""
+    index = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    information = np.zeros_like(covariance)
+    if len(index):
+        part = covariance[np.ix_(index, index)]
+        scale = np.sqrt(np.diag(part))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        unit = np.outer(scale, scale)
+        information[np.ix_(index, index)] = np.linalg.pinv(part / unit, hermitian=True) / unit
+    return information
+
+
+def without(covariance: Array, unknown: Mask) -> Array:
+    """Return a covariance in which some parameters (n,) are unknown."""
+    known = ~unknown
+    result = np.where(np.outer(known, known), covariance, 0.0)
+    result[np.diag_indices_from(result)] = np.where(known, np.diag(covariance), np.inf)
+    return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,36 +1,160 @@
 """
 The filtered motions of a recording, as inputs of the identification.
 
-The wrench that a motion needs and how the lip moves, what of the cup the motion has seen (its
-validity range), and whether the filter follows it: of a fast motion it leaves less, and of each
-derivative another part, so that K and P of least squares are off, which their standard errors do
-not know.
+How the lip moves, the wrench c that the motion needs, and the equations L x = c between them, x
+being the parameters of K and P (4.66-4.68); and the same with noise once more.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    log_so3,
-)
+from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.identification.causes import require_hanging
-from bellows_ros.core.identification.equations import BLOCK, LipMotion, NO_HISTORY, strain_history
-from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.model.validity_range import Envelope
+from bellows_ros.core.model.cup_package import Package, regressor
+from bellows_ros.core.model.structure import RELAXATION_TIMES, Structure
 from bellows_ros.core.recording.recording import FilterNoise, Recording
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
-from bellows_ros.core.signals.trajectory import (
-    Trajectory,
-    uniform_rate_hz,
-)
+from bellows_ros.core.signals.savgol import displaced, first_order
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+
+BLOCK = 4096
+"""Samples processed at a time, so that memory does not grow with the recording."""
+
+CLUSTER_WINDOWS = 4
+"""Residuals this many filter windows apart count as independent for standard errors."""
+
+SEED = 20210801
+"""Seed of the added noise: the same recording always gives the same result."""
+
+LEVER = 0.01
+"""Moments are compared with forces at this lever, m."""
+
+NO_WRENCH, FLOOR = 1e-10, 1e-8
+"""Relative variance below which a component of the wrench is zero, and what is then added."""
+
+NO_HISTORY: Array = np.empty((0, 2, 9))
+
+
+class SampleEquations(NamedTuple):
+    """Equations A x = b of N samples: A (N, 6, p), b (N, 6), and which of the N are a cluster."""
+
+    A: Array
+    b: Array
+    clusters: list[slice]
+
+    @property
+    def stacked(self) -> Array:
+        """Rows [A b] (6 N, p + 1)."""
+        return np.dstack([self.A, self.b]).reshape(-1, self.A.shape[2] + 1)
+
+    def whitened(self, whitening: Array) -> 'SampleEquations':
+        """Return the same equations with their errors whitened."""
+        return SampleEquations(whitening @ self.A, self.b @ whitening.T, self.clusters)
+
+
+def strain_history(position: Array, rotation: Array, rate_hz: float) -> Array:
+    """
+    Return what the internal strains of a cup that relaxes follow from (N, 2, 9).
+
+    For each branch three parts of h (3.18), relaxed: (I + R^T) E_o_S, (I + R^T)(I + R) z / 2,
+    which counts with the length, and (R - R^T)^vee. Exact where h is linear from sample to sample:
+    z1 = a z0 + (1 - a) h0 + (1 - (1 - a) tau / dt) (h1 - h0), a = exp(-dt / tau). At the first
+    sample the cup has been at rest.
+
+    Parameters
+    ----------
+    position, rotation : ndarray (N, 3), (N, 3, 3)
+        E_o_S (m) and E_R_S at a uniform rate.
+    rate_hz : float
+        Samples per second.
+
+    """
+    R_back = np.swapaxes(rotation, 1, 2)
+    of_length = 0.5 * (rotation[:, :, 2] + R_back[:, :, 2]) + [0.0, 0.0, 1.0]
+    skew = rotation - R_back
+    parts = np.hstack([
+        position + apply(R_back, position), of_length,
+        np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)])
+    relaxed = []
+    for tau in RELAXATION_TIMES:
+        a = float(np.exp(-1.0 / (rate_hz * tau)))
+        end = 1.0 - (1.0 - a) * tau * rate_hz
+        relaxed.append(first_order(
+            np.vstack([parts[:1], end * parts[1:] + (1.0 - a - end) * parts[:-1]]), a))
+    return np.stack(relaxed, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class LipMotion:
+    """
+    Motion of the lip in the tool, and the wrench that it needs, at the valid samples.
+
+    Parameters
+    ----------
+    index : ndarray (N,)
+        Which of the recording's samples they are.
+    stamps_ns : ndarray (N,)
+        ns.
+    window : float
+        Duration of the filter's window, s: so far residuals are correlated.
+    position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
+        E_o_S (m), E_R_S and S_v_ES (m/s, rad/s).
+    wrench : ndarray (N, 6)
+        c of (4.68), N and N m.
+    relaxation : (float, float)
+        Strengths r_b of a cup that relaxes.
+    history : ndarray (N, 2, 9)
+        What its internal strains follow from; see `strain_history`.
+
+    """
+
+    index: Stamps
+    stamps_ns: Stamps
+    window: float
+    position: Array
+    rotation: Array
+    twist: Array
+    wrench: Array
+    relaxation: tuple[float, float] = (0.0, 0.0)
+    history: Array = field(default_factory=lambda: NO_HISTORY)
+
+    def displacement(self, cup_length: float) -> Array:
+        """Return how the lip is displaced from nominal (N, 6): E_o_S + l0 z (m), and rotation."""
+        return np.hstack([self.position + [0.0, 0.0, cup_length], log_so3(self.rotation)])
+
+    def equations(self, cup_length: float, structure: Structure) -> Iterator[SampleEquations]:
+        """
+        Yield L and c of (4.67), (4.68), block by block.
+
+        Parameters
+        ----------
+        cup_length : float
+            Nominal length l0, m.
+        structure : Structure
+            Of K and P.
+
+        """
+        for start in range(0, max(len(self.index), 1), BLOCK):
+            block, strains = slice(start, min(start + BLOCK, len(self.index))), None
+            if any(self.relaxation):
+                linear, by_length, rotation = np.split(self.history[block], 3, axis=-1)
+                strains = np.concatenate([linear + cup_length * by_length, rotation], axis=-1)
+            L = regressor(
+                cup_length, structure.model_basis, self.position[block], self.rotation[block],
+                self.twist[block], self.relaxation, strains)
+            yield SampleEquations(L, self.wrench[block], self._clusters(self.stamps_ns[block]))
+
+    def _clusters(self, stamps_ns: Stamps) -> list[slice]:
+        """Return samples cut into clusters that are several windows long."""
+        cluster_ns = int(CLUSTER_WINDOWS * self.window * NS_PER_S)
+        starts = np.unique((stamps_ns - stamps_ns[:1]) // cluster_ns, return_index=True)[1]
+        return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(stamps_ns)], strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +256,7 @@ class Samples:
     def thinned(self, most: int) -> 'Samples':
         """Return every n-th sample, to about the number asked for."""
         step = max(len(self.tool) // most, 1)
-        if step == 1:
-            return self
-        some = self.select(slice(None, None, step))
-        if 'lip' in vars(self):  # with what is known of it
-            vars(some)['lip'] = self.lip.thinned(step)
-        return some
+        return self if step == 1 else self.select(slice(None, None, step))
 
 
 def samples_of(recording: Recording) -> Samples:
@@ -150,11 +269,8 @@ def samples_of(recording: Recording) -> Samples:
         If the package is not on that side of the tool where the cup is.
 
     """
-    def checked() -> Samples:
-        require_hanging(recording)
-        return filtered_samples(recording)
-
-    return recording.cached('samples', checked)
+    require_hanging(recording)
+    return filtered_samples(recording)
 
 
 def filtered_samples(recording: Recording) -> Samples:
@@ -205,104 +321,92 @@ def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> A
     return np.hstack([force, moment + np.cross(package.com, force)])
 
 
-FOLLOWED = 0.013
-"""Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
-
-RESOLUTION = 0.05
-"""Resolution (Hz) of the end of a pass band."""
-
-LOST, STANDS_OUT = 0.03, 5.0
-"""
-A direction is too fast if the filter takes more than this part of its velocities.
-
-Velocities count as so many times the power of the noise at least, which is known to some percent.
-"""
-
-NO_FLOOR = 1e-3
-"""Transmission of white noise below which the spectrum shows no noise floor."""
-
-BAND = 0.95
-"""Fraction of the deflection's power inside the frequency bands."""
+def sizes(displacement: Array) -> Array:
+    """Return sizes of displacements (N, 6): x and y together, as they are of a round cup."""
+    x, y, z, rx, ry, rz = displacement.T
+    radial, bent = np.hypot(x, y), np.hypot(rx, ry)
+    return np.asarray(np.abs(np.column_stack([radial, radial, z, bent, bent, rz])))
 
 
-def envelope(samples: Samples, cup_length: float) -> Envelope:
+def draws(count: int) -> list[np.random.Generator]:
+    """Return random generators for noise draws, the first ones always the same."""
+    return np.random.default_rng(SEED).spawn(count)
+
+
+def with_noise(samples: Samples, noise: FilterNoise, draw: np.random.Generator) -> Samples:
     """
-    Return the validity range of a recording.
+    Return samples as they would be if the poses had as much noise once more.
+
+    Noise of one sample is as the filter makes it, correlated between value and derivatives; that
+    of neighbours is independent, which no mean square and no mean product notices.
+    """
+    def noisy(motion: Trajectory, sizes: Iterable[float], weights: Array) -> Trajectory:
+        root = np.linalg.cholesky(weights @ weights.T)
+        return displaced(motion, *(
+            sigma * np.einsum('ij,jnk->ink', root, draw.standard_normal((3, len(motion), 3)))
+            for sigma in sizes))
+
+    return replace(
+        samples, tool=noisy(samples.tool, noise.tool, noise.tool_weights),
+        package=noisy(samples.package, noise.package, noise.package_weights),
+        history=samples.histories if any(samples.relaxation) else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """
+    First and second moments of six-vectors, such as wrenches (N and N m).
 
     Parameters
     ----------
-    samples : Samples
-        As they go into the fit; samples that are not valid are left out.
-    cup_length : float
-        Nominal length l0, m.
-
-    Raises
-    ------
-    BellowsError
-        Without valid samples.
+    count : int
+        How many.
+    mean : ndarray (6,)
+        In their units.
+    scatter : ndarray (6, 6)
+        Sum of the products of the deviations from the mean.
 
     """
-    if not samples.count:
-        raise BellowsError('The recording has no valid samples, hence no validity range.')
-    deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
-    strain = samples.spectrum_of(deflection)
-    shift_and_turn = np.column_stack([strain.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
-    bands = np.column_stack(Spectrum(strain.frequency, shift_and_turn).band(BAND))
-    return Envelope(
-        deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
-        np.nan_to_num(bands), np.array([mass, mass]))
 
-
-def left(weights: Array, rate_hz: float, frequency: Array) -> Array:
-    """Return the transmission (F,) of a filter for velocities at frequencies (F,) in Hz."""
-    half_window = weights.shape[1] // 2
-    time = np.arange(-half_window, half_window + 1) / rate_hz
-    omega = 2.0 * np.pi * np.maximum(frequency, RESOLUTION)
-    return np.asarray(np.sin(omega[:, None] * time) @ weights[1] / omega)
-
-
-def pass_band(weights: Array, rate_hz: float) -> float:
-    """Return the frequency (Hz) up to which a filter with weights (3, 2n+1) follows."""
-    frequency = np.arange(RESOLUTION, 0.5 * rate_hz, RESOLUTION)
-    beyond = left(weights, rate_hz, frequency) < 1.0 - FOLLOWED
-    return float(frequency[np.argmax(beyond)]) if beyond.any() else 0.5 * rate_hz
-
-
-class PassBand(NamedTuple):
-    """
-    The transmission of a package's filter for the lip's twist.
-
-    Mean squares (6,) of what the filter took of the motion, lost, and the least of them that are
-    too much; the end (Hz) of its pass band; half windows (samples) of the filters of tool and
-    package.
-    """
-
-    lost: Array
-    least: Array
-    end_hz: float
-    half_windows: tuple[int, int]
+    count: int
+    mean: Array
+    scatter: Array
 
     @classmethod
-    def of(cls, samples: Samples, noise: FilterNoise, size: Array) -> 'PassBand':
-        """
-        Return that of all samples of a recording, whose twists have noise of a size (6,).
+    def of(cls, vectors: Array) -> 'Moments':
+        """Return the moments of six-vectors (N, 6)."""
+        mean = vectors.sum(axis=0) / max(len(vectors), 1)
+        deviation = vectors - mean
+        return cls(len(vectors), mean, deviation.T @ deviation)
 
-        In an axis where noise is larger, the spectrum beyond the pass band shows it.
-        """
-        twist, rate_hz = samples.twist_spectrum, uniform_rate_hz(samples.package.stamps_ns)
-        part = left(noise.package_weights, rate_hz, twist.frequency)
-        white = (part * twist.frequency) ** 2
-        end = pass_band(noise.package_weights, rate_hz)
-        beyond = (twist.frequency > 2.0 * end) & (white > NO_FLOOR * white.max())
-        back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the sample before
-        colour = np.abs(1.0 - np.multiply.outer(back, noise.correlation)) ** -2.0
-        seen = white[:, None] * np.repeat(colour, 3, axis=1)
-        level = twist.density[beyond] / seen[beyond]
-        floor = np.median(level, axis=0) * seen.sum(axis=0) if beyond.any() else np.zeros(6)
-        variance = np.maximum(size**2, twist.frequency[1] * floor)
-        moving = twist.frequency[1] * twist.density.sum(axis=0) - variance
-        lost = (twist.frequency[1] * (1.0 - part) @ twist.density
-                - (1.0 - part) @ seen / seen.sum(axis=0) * variance)
-        return cls(
-            lost, LOST * np.maximum(moving, STANDS_OUT * variance), end,
-            (noise.tool_half_window, noise.package_weights.shape[1] // 2))
+    @property
+    def std(self) -> Array:
+        """Standard deviations (6,), NaN without samples."""
+        return np.sqrt(np.diag(self.scatter) / (self.count or np.nan))
+
+    def covariance(self, structure: Structure) -> Array:
+        """Return Q (6, 6) of wrenches in the form of a structure (4.69, 4.80)."""
+        return structure.covariance(self.count, self.mean, self.scatter)
+
+
+def joined(parts: Iterable[Moments]) -> Moments:
+    """Return the moments of all parts together, from deviations rather than raw squares."""
+    parts = list(parts)
+    counts, means = np.array([part.count for part in parts]), np.array([p.mean for p in parts])
+    mean = counts @ means / max(counts.sum(), 1)
+    apart = means - mean
+    return Moments(int(counts.sum()), mean, sum((part.scatter for part in parts), np.zeros((6, 6)))
+                   + (counts * apart.T) @ apart)
+
+
+def regular(covariance: Array) -> Array:
+    """Return a covariance (6, 6) of wrenches, made regular in directions without a wrench."""
+    force, moment = (float(np.mean(np.diag(covariance)[part]))
+                     for part in (slice(0, 3), slice(3, 6)))
+    scale = np.repeat([max(force, moment), max(moment, LEVER**2 * force)], 3)
+    if not scale[0] > 0.0:
+        return np.eye(6)
+    unit = np.sqrt(np.outer(scale, scale))
+    if np.linalg.eigvalsh(covariance / unit)[0] > NO_WRENCH:
+        return covariance
+    return np.asarray(covariance + FLOOR * np.diag(scale))

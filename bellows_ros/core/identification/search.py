@@ -30,10 +30,10 @@ from bellows_ros.core.geometry.lie import (
     rotation_to_quaternion,
 )
 from bellows_ros.core.identification import quantities, whitening
-from bellows_ros.core.identification.equations import sizes
 from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
 from bellows_ros.core.identification.quantities import Free, KINDS
 from bellows_ros.core.identification.result import LARGEST_ERROR
+from bellows_ros.core.identification.samples import sizes
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error, substeps_of

@@ -21,8 +21,12 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.identification.equations import covariance_of, information_of
-from bellows_ros.core.identification.result import Fit, StandstillPart
+from bellows_ros.core.identification.result import (
+    covariance_of,
+    Fit,
+    information_of,
+    StandstillPart,
+)
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple
 from bellows_ros.core.model.equilibrium import displaced, linearise, static_equilibrium
 from bellows_ros.core.model.jacobians import parameter_jacobian

@@ -15,13 +15,8 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.causes import DOUBTED
 from bellows_ros.core.identification.hypotheses import Diagnosis
 from bellows_ros.core.identification.least_squares import least_squares
-from bellows_ros.core.identification.reduction import (
-    noise_products,
-    SEED,
-    Statistics,
-    statistics,
-)
-from bellows_ros.core.identification.samples import Samples
+from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
+from bellows_ros.core.identification.samples import Samples, SEED
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import Structure, STRUCTURES

@@ -5,11 +5,11 @@ import functools
 from types import SimpleNamespace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification import equations
-from bellows_ros.core.identification.equations import Moments
+from bellows_ros.core.identification import result
 from bellows_ros.core.identification.identifiability import excitation_of
 from bellows_ros.core.identification.least_squares import least_squares as fit_statistics
 from bellows_ros.core.identification.reduction import movement_of, statistics
+from bellows_ros.core.identification.samples import Moments
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.preparation import prepare
@@ -113,7 +113,7 @@ def least_squares(recordings, cup_length, structure, noises=()):
 def without(fit, labels):
     """Return a fit with infinite standard errors of some parameters."""
     unknown = np.array([label in labels for label in fit.labels])
-    return replace(fit, covariance=equations.without(fit.covariance, unknown))
+    return replace(fit, covariance=result.without(fit.covariance, unknown))
 
 
 def excitation(recordings, cup_length, structure, noises=()):

@@ -1,9 +1,8 @@
 """What recordings can tell, against recordings that tell it and recordings that do not."""
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.equations import whitening_of
-from bellows_ros.core.identification.reduction import with_noise
-from bellows_ros.core.identification.samples import Samples, samples_of
+from bellows_ros.core.identification.least_squares import whitening_of
+from bellows_ros.core.identification.samples import Samples, samples_of, with_noise
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import FilterNoise, Noise
 from bellows_ros.core.signals.savgol import savgol

@@ -3,7 +3,8 @@
 from dataclasses import replace
 import re
 
-from bellows_ros.core.identification.samples import FOLLOWED, left, pass_band, samples_of
+from bellows_ros.core.identification.reduction import FOLLOWED, left, pass_band
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
 from bellows_ros.core.signals.savgol import savgol, weights

@@ -4,7 +4,7 @@ from dataclasses import replace
 import functools
 
 from bellows_ros.core.identification import statics
-from bellows_ros.core.identification.equations import covariance_of
+from bellows_ros.core.identification.result import covariance_of
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.statics import check_spring, nominal_length
 from bellows_ros.core.model.cup_package import Cup, Package
