@@ -21,6 +21,7 @@ from bellows_ros.core.identification.result import (
 )
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
+from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import common_structure, Structure, structure_named
 from bellows_ros.core.signals.residuals import relative_coordinates
@@ -84,11 +85,6 @@ class Fitted:
     structure: Structure
     cup: Cup
     covariance: Array
-
-    def entries(self, other: Structure) -> tuple[Array, Array]:
-        """Return the parameters of another structure (2 m,) and their covariance (2 m, 2 m)."""
-        return other.parameters(self.cup.stiffness, self.cup.damping), _spread(
-            self.structure.within(other), self.covariance)
 
 
 @dataclass(frozen=True)
@@ -207,17 +203,17 @@ def compare_fits(before: Fitted, after: Fitted, package: Package, gravity: float
 
     """
     structure = common_structure(before.structure, after.structure)
-    sides = before.entries(structure), after.entries(structure)
-    stds = [_deviations(covariance) for _, covariance in sides]
-    changes = tuple(map(
-        Change, structure.labels, parameter_units(structure), sides[0][0].tolist(),
-        sides[1][0].tolist(), stds[0].tolist(), stds[1].tolist()))
+    fits = (before, after)
+    values = [structure.parameters(fit.cup.stiffness, fit.cup.damping) for fit in fits]
+    covariances = [_spread(fit.structure.within(structure), fit.covariance) for fit in fits]
+    columns = (column.tolist() for column in (*values, *map(_deviations, covariances)))
+    changes = tuple(map(Change, structure.labels, parameter_units(structure), *columns))
     tool = SHAKE.at_rate(SHAKE_RATE_HZ)
-    first, second = (relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
-                     for fit in (before, after))
+    moved = [relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
+             for fit in fits]
     return FitComparison(changes, _effects(before, after, package, gravity),
-                         np.sqrt(np.mean((second - first) ** 2, axis=0)),
-                         _joint_p_value(sides[1][0] - sides[0][0], sides[0][1] + sides[1][1]))
+                         np.sqrt(np.mean((moved[1] - moved[0]) ** 2, axis=0)),
+                         _joint_p_value(values[1] - values[0], covariances[0] + covariances[1]))
 
 
 @dataclass(frozen=True)
@@ -254,9 +250,7 @@ def modes(cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ())
     Modes whose frequencies coincide have no shapes of their own: they get those in which damping
     does not couple them.
     """
-    model = model_tuple(cup, package, gravity)
-    zero = (0.0, 0.0, 0.0)
-    tool = (zero, (0.0, 0.0, 0.0, 1.0), zero, zero)
+    model, tool = model_tuple(cup, package, gravity), _tool_at_rest(0.0)
     jacobian = linearise(model, tool, static_equilibrium(model, tool))
     mass = block_diag(package.mass * np.eye(3), package.inertia)
     root = np.linalg.cholesky(mass)
@@ -310,14 +304,9 @@ def _deviations(covariance: Array) -> Array:
 
 def _joint_p_value(difference: Array, covariance: Array) -> float:
     """Return the probability of a difference by chance, of the parameters with a covariance."""
-    std = _deviations(covariance)
-    usable = np.isfinite(std) & (std > 0.0)
-    if not usable.any():
-        return float('nan')
-    std, d = std[usable], difference[usable] / std[usable]
-    values, vectors = np.linalg.eigh(covariance[np.ix_(usable, usable)] / np.outer(std, std))
-    regular = values > 1e-9 * values[-1]
-    return float(chdtrc(np.sum(regular), np.sum((vectors.T @ d)[regular] ** 2 / values[regular])))
+    information = information_of(covariance)
+    degrees = round(np.trace(information @ np.where(np.isfinite(covariance), covariance, 0.0)))
+    return float(chdtrc(degrees, difference @ information @ difference)) if degrees else np.nan
 
 
 def _effects(
@@ -350,11 +339,15 @@ def _effects(
     return tuple(changes)
 
 
+def _tool_at_rest(angle: float) -> State:
+    """Return the state of a tool that is tilted about x (rad)."""
+    zero = (0.0, 0.0, 0.0)
+    return zero, (float(np.sin(0.5 * angle)), 0.0, 0.0, float(np.cos(0.5 * angle))), zero, zero
+
+
 def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[float, float]:
     """Return the displacement (m) and rotation (rad) of the lip at rest from its nominal pose."""
-    zero = (0.0, 0.0, 0.0)
-    half = 0.5 * angle
-    tool = (zero, (float(np.sin(half)), 0.0, 0.0, float(np.cos(half))), zero, zero)
+    tool = _tool_at_rest(angle)
     body = static_equilibrium(model_tuple(cup, package, gravity), tool)
     R_world_tool, R = quaternion_to_rotation(np.array([tool[1], body[1]]))
     o_E_S = R_world_tool.T @ (np.array(body[0]) - R @ package.com)
@@ -463,7 +456,7 @@ def _weighted_mean(x: Array, covariances: Array) -> tuple[Array, float]:
     mean = np.where(np.outer(finite, finite), covariance, 0.0) @ np.einsum('nij,nj', weights, x)
     statistic = np.einsum('ni,nij,nj', x - mean, weights, x - mean)
     compared = np.isfinite(np.diagonal(covariances, axis1=1, axis2=2))
-    degrees = int(np.sum(compared) - np.sum(finite))
+    degrees = np.count_nonzero(compared) - np.count_nonzero(finite)
     return mean, float(chdtrc(degrees, statistic)) if degrees else np.nan
 
 

@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import exp_so3, log_so3
-from bellows_ros.core.identification.result import IN_NULL_SPACE
+from bellows_ros.core.identification import result
 from bellows_ros.core.identification.samples import (
     draws,
     lip_relative,
@@ -325,31 +325,22 @@ SINGULAR = 1e-10
 """Eigenvalues of scaled information below this count as zero."""
 
 
-def inverse_of(information: Array) -> tuple[Array, Mask]:
-    """Return the inverse of an information matrix as far as it goes, and what is unknown."""
-    diagonal = np.diag(information)
-    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    known = values > SINGULAR * max(float(values[-1]), SINGULAR)
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
-    unknown: Mask = np.any(np.abs(vectors[:, ~known]) > IN_NULL_SPACE, axis=1)
-    return inverse / np.outer(scale, scale), unknown
-
-
 def covariance_of(here: Solved, D: Array, of_motion: Array | None = None) -> Array:
     """
     Return the covariance that allows for residuals that hang together in clusters.
 
     Of columns D that have noise, with the inverse of the information that is of motion alone.
     """
-    inverse, unknown = inverse_of(D.T @ D)
-    inverse = inverse if of_motion is None else of_motion
+    unknown = np.isinf(np.diag(result.covariance_of(D.T @ D)))
+    inverse = _pseudo_inverse(D) if of_motion is None else of_motion
     left = here.rows.A @ here.x - here.rows.b
     scores = np.array([D[part].T @ left[part] for part in here.rows.clusters])
-    covariance: Array = inverse @ scores.T @ scores @ inverse
-    covariance[np.ix_(unknown, unknown)] = 0.0
-    covariance[unknown, unknown] = np.inf
-    return covariance
+    return result.without(inverse @ scores.T @ scores @ inverse, unknown)
+
+
+def _pseudo_inverse(D: Array) -> Array:
+    """Return the inverse (n, n) of the information of columns D, as far as it goes."""
+    return result.inverse_of(D.T @ D, np.full(D.shape[1], True))
 
 
 ROUNDS, HALVINGS = 12, 5
@@ -391,7 +382,7 @@ def refine(
     theta, here = start, at(start)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
-        step = -inverse_of(D.T @ D)[0] @ gradient
+        step = -_pseudo_inverse(D) @ gradient
         step *= min(1.0, float(np.min(own.furthest * steps / np.maximum(np.abs(step), 1e-300))))
         best, taken = here, step
         for shorter in np.outer(0.5 ** np.arange(HALVINGS), step):

@@ -46,31 +46,26 @@ def covariance_of(information: Array) -> Array:
     """
     diagonal = np.diag(information)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    unit = np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(information / unit)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     null = vectors[:, values <= ROUNDING * values[-1]]
     known = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
-    covariance = np.diag(np.where(known, 0.0, np.inf))
-    index = np.flatnonzero(known)
-    if len(index):
-        part = np.ix_(index, index)
-        values, vectors = np.linalg.eigh(information[part] / unit[part])
-        kept = values > ROUNDING * values[-1]
-        covariance[part] = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T / unit[part]
-    return covariance
+    return without(inverse_of(information, known), ~known)
 
 
 def information_of(covariance: Array) -> Array:
     """Return the information (n, n) of a covariance, zero where that is infinite."""
-    index = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    information = np.zeros_like(covariance)
-    if len(index):
-        part = covariance[np.ix_(index, index)]
-        scale = np.sqrt(np.diag(part))
-        scale = np.where(scale > 0.0, scale, 1.0)
-        unit = np.outer(scale, scale)
-        information[np.ix_(index, index)] = np.linalg.pinv(part / unit, hermitian=True) / unit
-    return information
+    return inverse_of(covariance, np.isfinite(np.diag(covariance)))
+
+
+def inverse_of(matrix: Array, used: Mask) -> Array:
+    """Return the pseudo-inverse (n, n) of the rows and columns in use, zero elsewhere."""
+    part = np.ix_(used, used)
+    scale = np.sqrt(np.diag(matrix)[used])
+    scale = np.where(scale > 0.0, scale, 1.0)
+    unit = np.outer(scale, scale)
+    inverse = np.zeros_like(matrix)
+    inverse[part] = np.linalg.pinv(matrix[part] / unit, ROUNDING, hermitian=True) / unit
+    return inverse
 
 
 def without(covariance: Array, unknown: Mask) -> Array:
