@@ -74,8 +74,10 @@ OF_CUP = ('drift', 'cubic')
 LARGE_DISPLACEMENT = np.repeat([5e-3, 0.1], 3)
 """m, rad."""
 
-DIAGONAL = [0, 6, 11, 15, 18, 20]
-"""Of K, among `jacobians.PARAMETERS`."""
+COLUMNS: Mapping[str, slice | list[int]] = {
+    'length': LENGTH, 'com': COM, 'relaxation': slice(-2, None),
+    **dict.fromkeys(OF_CUP, [0, 6, 11, 15, 18, 20])}
+"""Derivatives of the model by quantities, among `jacobians.PARAMETERS`."""
 
 
 Free = Mapping[str, Array]
@@ -134,14 +136,8 @@ def _middle(package: Trajectory) -> Array:
 
 def model_columns(name: str, payload: Package, parameters: Array) -> Array:
     """Return derivatives (..., count) by a free quantity of the model from those by parameters."""
-    if name == 'length':
-        return parameters[..., LENGTH]
-    if name == 'com':
-        return parameters[..., COM]
-    if name == 'relaxation':
-        return parameters[..., -2:]
-    if name in OF_CUP:
-        return parameters[..., DIAGONAL]
+    if name in COLUMNS:
+        return parameters[..., COLUMNS[name]]
     if name == 'mass':
         return np.asarray(payload.mass * parameters[..., MASS])
     if name == 'inertia':
