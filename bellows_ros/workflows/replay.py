@@ -267,6 +267,7 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
     """Simulate a prepared recording with the cup of the parameters, and compare."""
     try:
         validation = validate(cup_of(values), recording)
+        is_worse = bool(validation.worse_than_noise)
     except UnstableError as error:
         raise UnstableError(f'{_why_unstable(values, recording)}{error}') from None
     warnings = [
@@ -281,7 +282,7 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
             'The recording leaves the validity range of the fit: '
             f'{"; ".join(outside[:MAX_LISTED])}{more}. There the errors say little about the fit.')
     warnings += implausible(values)
-    if validation.worse_than_noise:
+    if is_worse:
         warnings += _causes(values, validation)
     return Replay(recording.name, dict(values), recording, validation, tuple(warnings))
 

@@ -309,18 +309,19 @@ def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:
 
 def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Simulated:
     """Return a recording simulated freely; all of it is unexplained where that is not possible."""
-    from bellows_ros.core.identification.validation import predicted, validate
+    from bellows_ros.core.identification.validation import validate
 
     try:
         result = validate(cup, recording, MAX_SIMULATED)
+        beyond = result.moves & ~(result.model_error <= UNEXPLAINED)
     except UnstableError:
         unknown = np.full(6, np.nan)
         return Simulated(recording.name, unknown, unknown, unknown, AXES)
     changes = []
     for other in others:
         with suppress(UnstableError):
-            changes.append(predicted(other, recording, MAX_SIMULATED) - result.predicted)
-    beyond = result.moves & ~(result.model_error <= UNEXPLAINED)
+            changes.append(
+                validate(other, recording, MAX_SIMULATED).predicted - result.predicted)
     seconds = float(np.ptp(result.stamps_ns)) / NS_PER_S
     return Simulated(
         recording.name, result.scores.rms, result.noise, result.scores.motion,

@@ -86,8 +86,6 @@ class Validation(residuals.Comparison):
 
     Parameters
     ----------
-    noise : ndarray (6,)
-        RMS error that measurement noise alone makes, m and rad.
     cup : Cup
         That was simulated.
     recording : Recording
@@ -103,7 +101,6 @@ class Validation(residuals.Comparison):
 
     """
 
-    noise: Array
     cup: Cup
     recording: Recording
     tool: Trajectory
@@ -117,6 +114,23 @@ class Validation(residuals.Comparison):
         """Of the cup at the lip in the free simulation, in lip axes, N and N m (N, 6)."""
         model = model_tuple(self.cup, self.recording.payload, self.recording.settings.gravity)
         return lip_wrenches(model, self.tool, self.package)
+
+    @cached_property
+    def noise(self) -> Array:
+        """RMS error (6,) that measurement noise of package and tool alone makes, m and rad."""
+        tool, body = (own.select(slice(ENOUGH)) for own in (self.tool, self.package))
+        poses, settings = self.recording.aligned_tool, self.recording.settings
+        rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(SEED)
+        W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
+        sizes, correlations = np.transpose(self.recording.ar1_noise[0])
+        correlations = np.where(correlations > LEAST_CORRELATION, correlations, 0.0)
+        for _ in range(NOISE_RUNS):
+            noisy = with_filtered_noise(tool, sizes, correlations, W, 1.0 / rate_hz, rng)
+            moved = simulate(
+                self.cup, self.recording.payload, noisy, self.state, settings.gravity)
+            squares.append(np.mean(np.subtract(*(
+                residuals.relative_coordinates(tool, own) for own in (moved, body)))**2, axis=0))
+        return np.asarray(np.sqrt(np.mean(squares, axis=0) + self.recording.body_noise[1].std**2))
 
     @cached_property
     def whiteness(self) -> Whiteness:
@@ -223,27 +237,8 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
     return recording.cached(('validated', key), lambda: _validated(cup, recording, most))
 
 
-class _Run(NamedTuple):
-    """The tool, its gaps (G, 2), the package with its first state, and where that is from."""
-
-    tool: Trajectory
-    gaps: Array
-    package: Trajectory
-    state: State
-    start: str
-
-    def compared(self, recording: Recording) -> residuals.Comparison:
-        """Return the run beside the measurement, where the package was measured."""
-        first, last = self.tool.stamps_ns[[0, -1]]
-        begin, end = recording.measured_tool.stamps_ns[[0, -1]]
-        package = recording.tracked_package.between(max(first, begin), min(last, end))
-        tool = resample(recording.aligned_tool, package.stamps_ns,
-                        recording.report.tool.timing.longest_step_ns)
-        return residuals.compare(resample(self.package, package.stamps_ns), tool, package)
-
-
-def _run(cup: Cup, recording: Recording, most: int | None) -> _Run:
-    """Return the free simulation, at the rate of the tool."""
+def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
+    """Return the comparison with the free simulation, at the rate of the tool."""
     poses, gravity = recording.aligned_tool, recording.settings.gravity
     first, last = recording.measured_tool.stamps_ns[[0, -1]]
     poses = poses.select(slice(max(int(np.searchsorted(poses.stamps_ns, first, 'right')) - 1, 0),
@@ -254,25 +249,19 @@ def _run(cup: Cup, recording: Recording, most: int | None) -> _Run:
         poses, half_window_of(poses)))
     state, begin, start = _start(model_tuple(cup, recording.payload, gravity), tool, recording)
     tool = resample(tool, np.append(begin, tool.stamps_ns[tool.stamps_ns > begin]))
-    return _Run(tool, gaps, simulate(cup, recording.payload, tool, state, gravity), state, start)
-
-
-def predicted(cup: Cup, recording: Recording, most: int | None = None) -> Array:
-    """Return the coordinates (N, 6) in the tool of the free simulation alone; see `validate`."""
-    return _run(cup, recording, most).compared(recording).predicted
-
-
-def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
-    """Return the comparison."""
-    run = _run(cup, recording, most)
+    moved = simulate(cup, recording.payload, tool, state, gravity)
+    measured = recording.tracked_package.between(
+        max(tool.stamps_ns[0], first), min(tool.stamps_ns[-1], last))
+    compared = residuals.compare(
+        resample(moved, measured.stamps_ns),
+        resample(recording.aligned_tool, measured.stamps_ns,
+                 recording.report.tool.timing.longest_step_ns), measured)
     return Validation(
-        **vars(run.compared(recording)), noise=_noise_of_errors(cup, recording, run),
-        cup=cup, recording=recording, tool=run.tool, package=run.package, state=run.state,
-        start=run.start, warnings=tuple(
+        **vars(compared), cup=cup, recording=recording, tool=tool, package=moved, state=state,
+        start=start, warnings=tuple(
             f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
             'bridges this gap by interpolation, and its error is larger for a while afterwards.'
-            for since, duration in run.gaps.tolist() if duration > LONGEST_BRIDGE_S),
-    )
+            for since, duration in gaps.tolist() if duration > LONGEST_BRIDGE_S))
 
 
 def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, Array]:
@@ -331,18 +320,3 @@ def _start(model: ModelTuple, tool: Trajectory, recording: Recording) -> tuple[S
                 package.twist[first]), int(package.stamps_ns[first]), 'measured'
     state = rest(model, tool_rows(tool.select(slice(0, 1)))[0])
     return state, int(tool.stamps_ns[0]), 'equilibrium'
-
-
-def _noise_of_errors(cup: Cup, recording: Recording, run: _Run) -> Array:
-    """Return the RMS error (6,) due to noise of the package and of the tool."""
-    tool, body = (own.select(slice(ENOUGH)) for own in (run.tool, run.package))
-    rate_hz, rng = uniform_rate_hz(recording.aligned_tool.stamps_ns), np.random.default_rng(SEED)
-    W, squares = weights(half_window_of(recording.aligned_tool), LIGHT_ORDER, rate_hz), []
-    sizes, correlations = np.transpose(recording.ar1_noise[0])
-    correlations = np.where(correlations > LEAST_CORRELATION, correlations, 0.0)
-    for _ in range(NOISE_RUNS):
-        noisy = with_filtered_noise(tool, sizes, correlations, W, 1.0 / rate_hz, rng)
-        perturbed = simulate(cup, recording.payload, noisy, run.state, recording.settings.gravity)
-        squares.append(np.mean(np.subtract(*(
-            residuals.relative_coordinates(tool, own) for own in (perturbed, body)))**2, axis=0))
-    return np.asarray(np.sqrt(np.mean(squares, axis=0) + recording.body_noise[1].std**2))
