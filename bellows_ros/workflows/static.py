@@ -122,7 +122,7 @@ class StaticResult:
         """Return the content of a JSON file, in SI units."""
         return with_units({
             'nominal_length': self.length and {
-                **vars(self.length), **attributes(self.length, 'text'),
+                **vars(self.length), **attributes(self.length, 'warnings', 'text'),
                 'units': {
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],

@@ -33,7 +33,6 @@ from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import body_acceleration, State
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.model.structure import Structure, structure_named
-from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError, UnstableError
@@ -104,8 +103,6 @@ class NominalLength:
     pick_std : float
         Standard deviation of the length from pick to pick of the same mass, m; NaN where no mass
         was picked often enough.
-    warnings : tuple of str
-        What the user should know, in sentences.
 
     """
 
@@ -120,7 +117,6 @@ class NominalLength:
     errors: Array
     coefficients: Array
     pick_std: float
-    warnings: tuple[str, ...]
 
     @property
     def text(self) -> str:
@@ -128,6 +124,31 @@ class NominalLength:
         if np.isfinite(self.length_std):
             return f'{1e3 * self.length:.3f} ± {1e3 * self.length_std:.3f} mm'
         return f'{1e3 * self.length:.3f} mm, without a standard error'
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know, in sentences."""
+        return tuple(self._warnings())
+
+    def _warnings(self) -> Iterator[str]:
+        """Yield the warnings."""
+        freedom, masses = self.degrees_of_freedom, len(set(_groups(self.loads).tolist()))
+        if freedom and chdtrc(freedom, self.chi2) < MISFIT:
+            size = float(np.sqrt(self.chi2 / freedom))
+            yield (
+                f'The lengths are off the line by {size:.2g} times their scatter from pick to '
+                'pick: a mass may be wrong. Check each mass.' if np.isfinite(self.pick_std) else
+                f'The lengths are off the line by {size:.2g} times their noise: they scatter from '
+                'pick to pick, or a mass is wrong. Pick each mass several times to tell which.')
+        if not np.isfinite(self.length_std):
+            yield ('With two masses the nominal length has no standard error, and a wrong mass '
+                   'would go unnoticed. Add a third mass.')
+        elif masses < CUBIC + 2:
+            yield (f'With {masses} different masses, a straight line is fitted to length against '
+                   f'load; {CUBIC + 2} or more show where the cup stops being linear.')
+        if WANTED_LENGTH_ERROR < self.length_std < np.inf:
+            yield (f'The nominal length is uncertain by {self.length_std * 1e3:.2f} mm. Add '
+                   f'masses lighter than {self.loads.min():.3g} N, or hold each for longer.')
 
 
 def nominal_length(standstills: Sequence[Standstill], gravity: float) -> NominalLength:
@@ -153,10 +174,10 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
         If no line fits.
 
     """
-    upright = [still for still in standstills if still.tilt <= UPRIGHT_WITHIN]
-    loads, lengths, errors = np.reshape([
+    measured = np.reshape([
         (still.payload.mass * gravity, -still.lip[2], max(still.error.position, 1e-9))
-        for still in upright], (-1, 3)).T
+        for still in standstills if still.tilt <= UPRIGHT_WITHIN], (-1, 3))
+    loads, lengths, errors = measured.T
     groups = _groups(loads)
     different = len(set(groups.tolist()))
     if different < 2:
@@ -165,13 +186,14 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
             f'vertical, but there {"is" if different == 1 else "are"} {different}. Record '
             'standstills with other known masses, and give each its own --mass.'
         )
-    pick = _pick_scatter(lengths, errors, groups)
-    scattered, degree = np.hypot(errors, np.nan_to_num(pick)), STRAIGHT
+    pick = _pick_scatter(measured, groups)
+    scattered = np.column_stack([loads, lengths, np.hypot(errors, np.nan_to_num(pick))])
+    degree = STRAIGHT
     if different >= CUBIC + 2:
-        straight, cubic = (_cross_validation_error(loads, lengths, scattered, groups, order)
+        straight, cubic = (_cross_validation_error(scattered, groups, order)
                            for order in (STRAIGHT, CUBIC))
         degree = CUBIC if cubic < CUBIC_GAIN * straight else STRAIGHT
-    coefficients, std, chi2, freedom = _polynomial(loads, lengths, scattered, degree)
+    coefficients, std, chi2, freedom = _polynomial(scattered, degree)
     fitted = polyval(loads, coefficients)
     scatter, stretch = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
     if not coefficients[1] > 0.0 or scatter > MAX_SCATTER * stretch:
@@ -190,7 +212,7 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
     return NominalLength(
         float(coefficients[0]), std, chi2, freedom, stiffness,
         _linear_range(coefficients, float(loads.max())), loads, lengths, errors,
-        coefficients, pick, tuple(_warnings(different, std, (chi2, freedom), pick, loads)))
+        coefficients, pick)
 
 
 def _groups(loads: Array) -> Places:
@@ -201,8 +223,9 @@ def _groups(loads: Array) -> Places:
     return number
 
 
-def _pick_scatter(lengths: Array, errors: Array, groups: Places) -> float:
+def _pick_scatter(measured: Array, groups: Places) -> float:
     """Return by how much lengths of the same mass scatter beyond their errors, or NaN."""
+    _, lengths, errors = measured.T
     means = np.array([lengths[groups == group].mean() for group in groups])
     freedom = len(lengths) - len(set(groups.tolist()))
     if freedom < FEWEST_PICKS:
@@ -211,16 +234,43 @@ def _pick_scatter(lengths: Array, errors: Array, groups: Places) -> float:
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def _cross_validation_error(
-    loads: Array, lengths: Array, errors: Array, groups: Places, degree: int
-) -> float:
+def _cross_validation_error(measured: Array, groups: Places, degree: int) -> float:
     """Return the summed squared errors (m^2) of predicting each mass from the others."""
     total = 0.0
-    for group in set(groups.tolist()):
-        out = groups == group
-        coefficients = _polynomial(loads[~out], lengths[~out], errors[~out], degree)[0]
-        total += float(np.mean(lengths[out] - polyval(loads[out], coefficients)) ** 2)
+    for out in (groups == group for group in np.unique(groups)):
+        loads, lengths, _ = measured[out].T
+        coefficients = _polynomial(measured[~out], degree)[0]
+        total += float(np.mean(lengths - polyval(loads, coefficients)) ** 2)
     return total
+
+
+def _polynomial(measured: Array, degree: int) -> tuple[Array, float, float, int]:
+    """
+    Return a weighted polynomial's coefficients, its error at no load, chi^2, and freedom.
+
+    Measured (N, 3) are load, length and its error. The scatter about the polynomial counts where
+    it is larger than the errors explain. Loads that are repeated do not test it: the error is
+    infinite where no others are left.
+    """
+    loads, lengths, errors = measured.T
+    largest = float(loads.max())
+    powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
+    x, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
+    is_tested = _groups(loads).max() > degree
+    freedom = len(loads) - degree - 1 if is_tested else 0
+    chi2 = float(np.sum((lengths / errors - powers @ x) ** 2))
+    scatter = max(chi2 / freedom, 1.0) if freedom else np.inf
+    variance = scatter * float(np.linalg.inv(powers.T @ powers)[0, 0])
+    return x / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, freedom
+
+
+def _linear_range(coefficients: Array, largest: float) -> float:
+    """Return the load (N) up to which a polynomial stays near its tangent at no load."""
+    loads = np.linspace(0.0, largest, 1001)[1:]
+    tangent = coefficients[0] + coefficients[1] * loads
+    bent = np.abs(polyval(loads, coefficients) - tangent) > LINEAR_WITHIN * np.abs(
+        coefficients[1] * loads)
+    return float(loads[int(np.argmax(bent))]) if bent.any() else largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,58 +359,6 @@ def _likely_cause(poses: Sequence[PoseCheck]) -> str:
         'directions, check their stiffness, or the alignment.')
 
 
-def _polynomial(
-    loads: Array, lengths: Array, errors: Array, degree: int
-) -> tuple[Array, float, float, int]:
-    """
-    Return a weighted polynomial's coefficients, its error at no load, chi^2, and freedom.
-
-    The scatter about the polynomial counts where it is larger than the errors explain. Loads that
-    are repeated do not test it: the error is infinite where no others are left.
-    """
-    largest = float(loads.max())
-    powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
-    x, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
-    is_tested = _groups(loads).max() > degree
-    freedom = len(loads) - degree - 1 if is_tested else 0
-    chi2 = float(np.sum((lengths / errors - powers @ x) ** 2))
-    scatter = max(chi2 / freedom, 1.0) if freedom else np.inf
-    variance = scatter * float(np.linalg.inv(powers.T @ powers)[0, 0])
-    return x / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, freedom
-
-
-def _linear_range(coefficients: Array, largest: float) -> float:
-    """Return the load (N) up to which a polynomial stays near its tangent at no load."""
-    loads = np.linspace(0.0, largest, 1001)[1:]
-    powers = np.vander(loads, len(coefficients), increasing=True)
-    tangent = coefficients[1] * loads
-    bent = np.abs(powers[:, 2:] @ coefficients[2:]) > LINEAR_WITHIN * np.abs(tangent)
-    return float(loads[int(np.argmax(bent))]) if bent.any() else largest
-
-
-def _warnings(
-    different: int, std: float, fit: tuple[float, int], pick: float, loads: Array
-) -> Iterator[str]:
-    """Yield warnings about a nominal length and its fit, chi^2 and degrees of freedom."""
-    chi2, freedom = fit
-    if freedom and chdtrc(freedom, chi2) < MISFIT:
-        size = float(np.sqrt(chi2 / freedom))
-        yield (
-            f'The lengths are off the line by {size:.2g} times their scatter from pick to pick: a '
-            'mass may be wrong. Check each mass.' if np.isfinite(pick) else
-            f'The lengths are off the line by {size:.2g} times their noise: they scatter from '
-            'pick to pick, or a mass is wrong. Pick each mass several times to tell which.')
-    if not np.isfinite(std):
-        yield ('With two masses the nominal length has no standard error, and a wrong mass would '
-               'go unnoticed. Add a third mass.')
-    elif different < CUBIC + 2:
-        yield (f'With {different} different masses, a straight line is fitted to length against '
-               f'load; {CUBIC + 2} or more show where the cup stops being linear.')
-    if WANTED_LENGTH_ERROR < std < np.inf:
-        yield (f'The nominal length is uncertain by {std * 1e3:.2f} mm. Add masses lighter than '
-               f'{loads.min():.3g} N, or hold each for longer.')
-
-
 def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     """Return predicted and measured equilibrium of one standstill."""
     nominal = np.array([0.0, 0.0, -cup.length, 0.0, 0.0, 0.0])
@@ -373,22 +371,17 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     predicted = replace(still, package=Trajectory(
         still.package.stamps_ns, np.array([position]),
         lie.quaternion_to_rotation(np.array([q])))).lip - nominal
-    return PoseCheck(still, measured, predicted, _verdict(measured, predicted, still.error))
+    off, size = (np.linalg.norm(each.reshape(2, 3), axis=1)
+                 for each in (predicted - measured, measured))
+    is_beyond = off > ERRORS_OF_NOISE * np.sqrt(3.0) * np.array(still.error)
+    is_off = is_beyond & (off > GOOD_WITHIN * size)
+    return PoseCheck(still, measured, predicted, (
+        'off' if is_off.any() else 'good' if is_beyond.any() else 'within noise'))
 
 
 def _state(body: Trajectory) -> State:
     """Return the state at rest of a body in its first pose."""
     return state_row(body.position[0], lie.rotation_to_quaternion(body.rotation[0]))
-
-
-def _verdict(measured: Array, predicted: Array, error: Noise) -> str:
-    """Return the verdict on a predicted deflection."""
-    off, size = (np.linalg.norm(each.reshape(2, 3), axis=1)
-                 for each in (predicted - measured, measured))
-    is_beyond = off > ERRORS_OF_NOISE * np.sqrt(3.0) * np.array(error)
-    if np.any(is_beyond & (off > GOOD_WITHIN * size)):
-        return 'off'
-    return 'good' if is_beyond.any() else 'within noise'
 
 
 NEWTON_STEPS, LARGEST_MOVE = 6, 0.05
