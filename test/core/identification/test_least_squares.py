@@ -1,5 +1,7 @@
 """Least squares: the truth recovered, the weights and the solver as the thesis has them."""
 
+from dataclasses import replace
+
 from bellows_ros.core.identification.result import definiteness_warnings
 from bellows_ros.core.identification.samples import lip_relative, needed_wrench, Samples
 from bellows_ros.core.model.cup_package import Cup, Package, regressor
@@ -76,11 +78,9 @@ def round_cup():
 def noisy(samples, rng, rate=1.0):
     """Return samples with white noise on the accelerations only: no error in the regressor."""
     sigma = rate * np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
-    p = samples.package
-    noise = sigma * rng.standard_normal(p.acceleration.shape)
-    return Samples(samples.tool, Trajectory(
-        p.stamps_ns, p.position, p.rotation, p.twist, p.acceleration + noise), samples.payload,
-        samples.gravity, samples.window)
+    rates = samples.package.acceleration
+    return replace(samples, package=replace(
+        samples.package, acceleration=rates + sigma * rng.standard_normal(rates.shape)))
 
 
 @pytest.mark.parametrize('name', list(STRUCTURES))
@@ -127,20 +127,13 @@ def test_standard_errors_are_those_of_repeated_noise(round_cup):
     assert_allclose(np.var(found, axis=0, ddof=1) / stated, 1.0, atol=0.6)
 
 
-def cut(samples, count):
-    """Return the first samples."""
-    first = slice(0, count)
-    return Samples(samples.tool.select(first), samples.package.select(first), samples.payload,
-                   samples.gravity, samples.window)
-
-
 def test_few_clusters_tell_no_more_than_they_know(round_cup):
     rng = np.random.default_rng(6)
     structure = STRUCTURES['axisymmetric']
     truth = structure.parameters(Cup.thesis().stiffness, Cup.thesis().damping)
     away = []
     for _ in range(40):
-        few = cut(noisy(round_cup, rng), 25)  # three clusters
+        few = noisy(round_cup, rng).select(slice(25))  # three clusters
         fit = simulated.least_squares([few], 0.0481, structure)
         found = structure.parameters(fit.stiffness, fit.damping)
         away.append((found - truth) / np.sqrt(np.diag(fit.covariance)))
@@ -149,7 +142,7 @@ def test_few_clusters_tell_no_more_than_they_know(round_cup):
 
 
 def test_one_cluster_tells_no_standard_error(round_cup):
-    short = cut(noisy(round_cup, np.random.default_rng(6)), 9)
+    short = noisy(round_cup, np.random.default_rng(6)).select(slice(9))
     fit = simulated.least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
     assert np.all(np.isinf(np.diag(fit.covariance)))
     assert np.all(np.isinf(np.diag(fit.stiffness_std)))
@@ -157,11 +150,9 @@ def test_one_cluster_tells_no_standard_error(round_cup):
 
 
 def test_too_few_samples(exact):
-    cup, package, samples = exact
-    few = Samples(samples.tool.select(slice(0, 5)), samples.package.select(slice(0, 5)), package,
-                  GRAVITY, 0.02)
+    cup, _, samples = exact
     with pytest.raises(BellowsError, match='5 valid samples are too few for 42'):
-        simulated.least_squares([few], cup.length, STRUCTURES['full'])
+        simulated.least_squares([samples.select(slice(5))], cup.length, STRUCTURES['full'])
 
 
 @pytest.mark.parametrize('name', ['axisymmetric', 'diagonal', 'full'])
@@ -193,13 +184,10 @@ def test_what_nothing_moves_is_not_identifiable(name):
 
 
 def test_not_positive_definite_is_said_and_not_mended(exact):
-    cup, package, samples = exact
-    p = samples.package
-    upside_down = Trajectory(
-        p.stamps_ns, p.position, p.rotation, p.twist, -p.acceleration)
-    fit = simulated.least_squares(
-        [Samples(samples.tool, upside_down, package, -GRAVITY, 0.02)], cup.length,
-        STRUCTURES['full'])
+    cup, _, samples = exact
+    upside_down = replace(samples, gravity=-GRAVITY, package=replace(
+        samples.package, acceleration=-samples.package.acceleration))
+    fit = simulated.least_squares([upside_down], cup.length, STRUCTURES['full'])
     assert not fit.usable
     assert np.linalg.eigvalsh(fit.stiffness)[0] < 0.0
     assert any('not positive definite' in warning for warning in fit.warnings)

@@ -1,9 +1,10 @@
 """Structure selection: the right one is advised, whichever it is."""
 
-from bellows_ros.core.identification.samples import Samples, samples_of
+from dataclasses import replace
+
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.structure_selection import select_structure
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 import pytest
 
@@ -62,9 +63,7 @@ def test_gaps_are_left_out():
     samples = samples_of(recording)
     valid = np.ones(len(samples.tool), dtype=bool)
     valid[300:330] = False
-    tool = Trajectory(*[getattr(samples.tool, name) for name in (
-        'stamps_ns', 'position', 'rotation', 'twist', 'acceleration')], valid)
-    gappy = Samples(tool, samples.package, samples.payload, samples.gravity, samples.window)
+    gappy = replace(samples, tool=replace(samples.tool, valid=valid))
     selection = select_structure([gappy], simulated.CUP.length, [recording.noise])
     assert selection.samples == len(samples.tool) - 30
     assert selection.advised == 'axisymmetric'
