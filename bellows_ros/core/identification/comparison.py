@@ -44,11 +44,11 @@ SHAKE = Oscillation(
 
 SHAKE_RATE_HZ = 240.0
 
-MATTERS_SHIFT, MATTERS_TURN = 1e-4, 1e-3
-"""Smallest material change of a pose, m and rad: the resolution of motion capture."""
-
-MATTERS_FREQUENCY, MATTERS_DAMPING = 0.02, 0.10
-"""Smallest material relative change of a natural frequency and of a damping ratio."""
+MATERIAL_CHANGE = {'m': 1e-4, 'rad': 1e-3, 'Hz': 0.02, '': 0.10}
+"""
+By units: the smallest material change of a pose, which is the resolution of motion capture, and
+the smallest relative one of a natural frequency and of a damping ratio.
+"""
 
 COINCIDE = 0.02
 """Natural frequencies closer than this fraction have no unique mode shapes."""
@@ -169,7 +169,7 @@ class FitComparison:
     def shake_matters(self) -> bool:
         """Whether the predicted motion differs by more than motion capture sees."""
         shift, turn = self.shake_rms[:3].max(), self.shake_rms[3:].max()
-        return bool(shift > MATTERS_SHIFT or turn > MATTERS_TURN)
+        return bool(shift > MATERIAL_CHANGE['m'] or turn > MATERIAL_CHANGE['rad'])
 
     @property
     def matters(self) -> bool:
@@ -315,13 +315,12 @@ def _effects(
     """Return the changes in the cups' effects on the package."""
     like = modes(before.cup, package, gravity)
     tilted = f'tool tilted by {np.degrees(TILT):.0f} deg'
-    kinds = [('shift of the lip at rest, hanging', 'm', MATTERS_SHIFT),
-             (f'shift of the lip at rest, {tilted}', 'm', MATTERS_SHIFT),
-             (f'turn of the lip at rest, {tilted}', 'rad', MATTERS_TURN)]
+    kinds = [('shift of the lip at rest, hanging', 'm'),
+             (f'shift of the lip at rest, {tilted}', 'm'),
+             (f'turn of the lip at rest, {tilted}', 'rad')]
     for ordinal, mode in zip(ORDINALS, like, strict=True):
         name = f'{ordinal} mode ({mode.direction})'
-        kinds += [(f'frequency of the {name}', 'Hz', MATTERS_FREQUENCY),
-                  (f'damping ratio of the {name}', '', MATTERS_DAMPING)]
+        kinds += [(f'frequency of the {name}', 'Hz'), (f'damping ratio of the {name}', '')]
 
     def values(cup: Cup) -> Array:
         """Return the effects of a cup."""
@@ -333,9 +332,10 @@ def _effects(
     sides = [numbers for fit in (before, after)
              for numbers in (values(fit.cup).tolist(), _errors_of(values, fit).tolist())]
     changes = []
-    for (name, unit, limit), old, old_std, new, new_std in zip(kinds, *sides, strict=True):
-        size = abs(new - old) if unit in ('m', 'rad') else abs(new - old) / abs(old)
-        changes.append(Change(name, unit, old, new, old_std, new_std, matters=size > limit))
+    for (name, unit), old, old_std, new, new_std in zip(kinds, *sides, strict=True):
+        size = abs(new - old) / (1.0 if unit in ('m', 'rad') else abs(old))
+        changes.append(
+            Change(name, unit, old, new, old_std, new_std, size > MATERIAL_CHANGE[unit]))
     return tuple(changes)
 
 

@@ -45,10 +45,10 @@ from bellows_ros.core.recording.recording import (
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
-SHOWN = 4
+MAX_LISTED = 4
 """Most parameters named in a sentence."""
 
-LARGEST_CONDITION = 1e6
+MAX_CONDITION = 1e6
 """Ratio of singular values beyond which a combination of parameters is not identifiable."""
 
 NO_EFFECT = 1e-8
@@ -60,13 +60,13 @@ QR_ROWS = 512
 CLUSTERS_PER_PARAMETER = 2
 """Clusters per parameter required for the correlations of the estimates."""
 
-ENOUGH_CLUSTERS = 10
+MIN_CLUSTERS = 10
 """Clusters required for the variances of the estimates."""
 
-SMALLEST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 """Share of the information on a direction that other clusters need for a residual to count."""
 
-LEAST_SIGNAL = 0.1
+MIN_SIGNAL_SHARE = 0.1
 """Share of the information that must be signal for noise to be removed from a direction."""
 
 TOO_SHORT = (
@@ -122,7 +122,7 @@ def solution(R: Array, structure: Structure) -> Solution:
     largest = np.array([sizes[kinds == kind].max() for kind in kinds])
     unit = np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
     U, singular, Vt = np.linalg.svd(R[:-1, :-1] / unit)
-    known = singular > singular[0] / LARGEST_CONDITION
+    known = singular > singular[0] / MAX_CONDITION
     inverse = (Vt[known].T / singular[known]) @ U[:, known].T / unit[:, None]
     return Solution(
         inverse @ R[:-1, -1],
@@ -166,7 +166,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     whitening, (x, inverse, identifiable, _, condition), noise = weighted(parts)
     if not identifiable.any():
         raise UndeterminedError(
-            f'{", ".join(structure.labels[:SHOWN])} and all others are not identifiable from '
+            f'{", ".join(structure.labels[:MAX_LISTED])} and all others are not identifiable from '
             'these recordings: nothing moves. Excite all six directions.'
         )
     bias = noise_rms = None
@@ -244,7 +244,7 @@ def _uncertainty(
         for part in clusters:
             own = Z[part].reshape(-1, size)
             share, V = np.linalg.eigh(np.eye(size) - own.T @ own)
-            root = V / np.sqrt(np.maximum(share, SMALLEST_SHARE))
+            root = V / np.sqrt(np.maximum(share, MIN_SHARE))
             scores.append(root @ (V.T @ (own.T @ r[part].ravel())))
     u = np.array(scores)
     if gain is not inverse:
@@ -253,7 +253,7 @@ def _uncertainty(
     if len(u) >= CLUSTERS_PER_PARAMETER * size:
         return covariance, squares
     variances = np.diag(covariance)
-    if len(u) < ENOUGH_CLUSTERS:
+    if len(u) < MIN_CLUSTERS:
         degrees = 6 * CLUSTER_WINDOWS * (len(u) - 1) - size
         meat = np.tensordot(6.0 * whitened / max(degrees, 1), products, axes=1)
         variances = np.maximum(
@@ -277,7 +277,7 @@ def noise_bias(
     added = np.einsum('ij,ipjq->pq', whitening.T @ whitening, noise)
     share, V = np.linalg.eigh(inverse.T @ added[:-1, :-1] @ inverse)
     slope = inverse.T @ (added[:-1] @ np.append(x, -1.0))
-    noisy = share > 1.0 - LEAST_SIGNAL
+    noisy = share > 1.0 - MIN_SIGNAL_SHARE
     parts = (inverse @ V) ** 2
     separable = parts[:, noisy].sum(axis=1) <= IN_NULL_SPACE * parts.sum(axis=1)
     compensated = inverse @ (V[:, ~noisy] / (1.0 - share[~noisy])) @ V[:, ~noisy].T

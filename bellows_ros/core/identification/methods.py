@@ -26,17 +26,17 @@ Progress = Callable[[str, float], None]
 TYPICAL_STEPS = 12
 """Typical number of steps of a fit by simulation."""
 
-LEAST_NOISE = Noise(1e-5, 5e-5)
+MIN_NOISE = Noise(1e-5, 5e-5)
 """Noise (m, rad) below which its bias is negligible."""
 
-SURE, UNLOADED = 0.25, 'K rz'
+MAX_DAMPING_STD, UNLOADED = 0.25, 'K rz'
 """
 Standard error of the best known damping, in its size, with which a cup counts as moved.
 
 Or of the stiffness that no weight loads, where tool or package moves: at rest it is of noise.
 """
 
-AT_REST = 0.5
+MIN_REST_SHARE = 0.5
 """Part of the time that recordings of standstills stand still, at least."""
 
 MISFIT = 2.0
@@ -97,7 +97,7 @@ def fit(
             'never identifiable together, nor com and cup.length along z with poses of the '
             'centre of mass), or record a richer motion.')
     std = dict(zip(found.labels, np.sqrt(np.diag(found.covariance)), strict=True))
-    largest = SURE if found.method == 'output_error' else math.inf
+    largest = MAX_DAMPING_STD if found.method == 'output_error' else math.inf
     explained = (found.robust_chi2 or 0.0) <= MISFIT**2 and not any(
         own.certain for own in found.causes)  # else errors are of the misfit
     if found.converged and explained and not any(
@@ -137,7 +137,7 @@ def _rest(recordings: Sequence[Recording | Reduced]) -> bool:
         total += float(np.ptp(own.measured_package.stamps_ns)) / NS_PER_S
         with suppress(BellowsError):  # no standstill
             still += sum(each.duration for each in standstills_of(own)[0])
-    return still >= AT_REST * total
+    return still >= MIN_REST_SHARE * total
 
 
 def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
@@ -145,7 +145,7 @@ def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
     names = [
         own.name for own in recordings if isinstance(own, Recording) and any(
             noise.correlation > 0.0 and noise.size > least
-            for body in own.ar1_noise for noise, least in zip(body, LEAST_NOISE, strict=True))]
+            for body in own.ar1_noise for noise, least in zip(body, MIN_NOISE, strict=True))]
     if names:
         yield (
             f'The noise of {", ".join(names)} is correlated in time: motion capture smoothing? '

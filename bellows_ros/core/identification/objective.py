@@ -35,37 +35,37 @@ import numpy as np
 RATE_HZ = 60.0
 """Samples per second in use, approximately."""
 
-MEAN_OVER = 0.08
+AVERAGING_TIME = 0.08
 """Time (s) over which equations are averaged."""
 
-MEANS = 300
+MAX_AVERAGES = 300
 """Averages needed for a decision; longer recordings are thinned out."""
 
-STRETCHES, MOST_SECONDS = 12, 60.0
+STRETCHES, MAX_SECONDS = 12, 60.0
 """Stretches of long recordings that are used, evenly spread, and how long all are together, s."""
 
-FLOOR = 0.01
+MODEL_ERROR = 0.01
 """Fraction of the wrench that no model of rubber explains."""
 
 DRAWS = 2
 """Number of noise draws."""
 
-CLUSTER = 8
+CLUSTER_AVERAGES = 8
 """Correlated averages per cluster, for standard errors."""
 
-LARGEST_CUP = 3.0
+MAX_CUP_FACTOR = 3.0
 """Multiple of the thesis' K and P up to which they enter the first weights."""
 
-SMOOTHING = 6
+FILTER_ORDER = 6
 """Order of the filter of accelerations by default."""
 
 SLIPS = (0.06, 0.4)
 """Fractions of the largest displacement at which the sliders of the friction model slip."""
 
-LEAST_SIGNAL = 0.05
+MIN_SIGNAL_SHARE = 0.05
 """Smallest share of the information on a direction that is taken to be signal."""
 
-SMALLEST = 1e-7
+MIN_SINGULAR_VALUE = 1e-7
 """Singular values below this fraction of the largest count as zero."""
 
 
@@ -108,11 +108,11 @@ def ensemble_of(
         settings, samples = recording.settings, samples_of(recording)
         rate = 1e9 / float(np.median(np.diff(samples.package.stamps_ns)))
         some = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
-        some = _stretches(some, MOST_SECONDS / len(recordings))
+        some = _stretches(some, MAX_SECONDS / len(recordings))
         if draw is not None:
             some = _noisier(recording, some, draw)
         bins = _bins(some.package.stamps_ns)
-        every = -(-len(np.unique(bins)) * len(recordings) // MEANS)
+        every = -(-len(np.unique(bins)) * len(recordings) // MAX_AVERAGES)
         body = replace(some.package, valid=some.package.valid & (bins % every == 0))
         return Given(replace(some, package=body), length, structure,
                      settings.package_frame == 'lip', settings.align_at_rest)
@@ -159,7 +159,7 @@ def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> 
 
 def _bins(stamps_ns: Stamps) -> Stamps:
     """Return which mean each stamp belongs to, whatever the first one is."""
-    return stamps_ns // int(MEAN_OVER * NS_PER_S)
+    return stamps_ns // int(AVERAGING_TIME * NS_PER_S)
 
 
 def equations(given: Given) -> Array:
@@ -217,7 +217,7 @@ def _dragged(given: Given) -> Array:
     # Seen through a filter, as accelerations are.
     rate_hz = NS_PER_S / float(np.median(np.diff(own.tool.stamps_ns)))
     half_window = max(round(0.5 * own.window * rate_hz), 1)
-    W = weights(half_window, min(SMOOTHING, 2 * half_window), rate_hz)[:1]
+    W = weights(half_window, min(FILTER_ORDER, 2 * half_window), rate_hz)[:1]
     ends = np.pad(dragged, ((0, 0), (half_window, half_window), (0, 0)), mode='edge')
     index = np.arange(half_window, half_window + len(way))
     return np.concatenate([filtered(z, W, index) for z in ends])
@@ -252,7 +252,7 @@ class Objective:
         first = cls(1.0 / np.sqrt(spread))
         x = first.solved(ensemble).x
         if not sound:
-            most = LARGEST_CUP * structure.parameters(
+            most = MAX_CUP_FACTOR * structure.parameters(
                 np.diag(THESIS_STIFFNESS), np.diag(THESIS_DAMPING))
             x = np.clip(x[:len(most)], -most, most)
         noise = np.zeros(6)
@@ -260,15 +260,15 @@ class Objective:
             added = np.concatenate(
                 [equations(n) - own for n, own in zip(draw, parts, strict=True)])
             noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noisier)
-        return cls(1.0 / np.sqrt(noise + FLOOR**2 * spread))
+        return cls(1.0 / np.sqrt(noise + MODEL_ERROR**2 * spread))
 
     def rows(self, given: Sequence[Given]) -> StackedEquations:
         """Return the weighted equations of recordings."""
         A, b, clusters, count = [], [], [], 0
         for own in given:
             rows = equations(own) * self.weight[None, :, None]
-            clusters += [slice(count + 6 * i, count + 6 * min(i + CLUSTER, len(rows)))
-                         for i in range(0, len(rows), CLUSTER)]
+            clusters += [slice(count + 6 * i, count + 6 * min(i + CLUSTER_AVERAGES, len(rows)))
+                         for i in range(0, len(rows), CLUSTER_AVERAGES)]
             count += 6 * len(rows)
             A.append(rows[:, :, :-1].reshape(-1, rows.shape[2] - 1))
             b.append(rows[:, :, -1].ravel())
@@ -287,10 +287,10 @@ class Objective:
             added = np.column_stack([there.A, there.b]) / scale - full
             noise += added.T @ added / len(ensemble.noisier)
         U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
-        known = s > SMALLEST * s[0]
+        known = s > MIN_SINGULAR_VALUE * s[0]
         root = Vt[known].T / s[known]
         share, V = np.linalg.eigh(root.T @ noise[:-1, :-1] @ root)
-        root = root @ V / np.sqrt(np.maximum(1.0 - share, LEAST_SIGNAL))
+        root = root @ V / np.sqrt(np.maximum(1.0 - share, MIN_SIGNAL_SHARE))
         slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
         left = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
         x = root @ slope / scale[:-1] * scale[-1]
@@ -315,10 +315,11 @@ class Solved(NamedTuple):
     @property
     def covariance(self) -> Array:
         """Covariance (p, p) of x, that of what is not identifiable finite: 0 times it is 0."""
-        return np.nan_to_num(covariance_of(self, self.rows.A, self.inverse), posinf=NOT_KNOWN)
+        return np.nan_to_num(
+            covariance_of(self, self.rows.A, self.inverse), posinf=UNIDENTIFIABLE_VARIANCE)
 
 
-NOT_KNOWN = 1e200
+UNIDENTIFIABLE_VARIANCE = 1e200
 """Variance of what is not identifiable."""
 
 SINGULAR = 1e-10

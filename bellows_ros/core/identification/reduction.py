@@ -45,7 +45,7 @@ import numpy as np
 MAX_STORED = 50_000
 """Samples of the longest recording whose motion of the lip is stored for reuse."""
 
-FOLLOWED = 0.013
+MAX_ATTENUATION = 0.013
 """Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
 
 RESOLUTION = 0.05
@@ -202,8 +202,8 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
         np.nan_to_num(bands), np.array([mass, mass]))
 
 
-def left(weights: Array, rate_hz: float, frequency: Array) -> Array:
-    """Return the transmission (F,) of a filter for velocities at frequencies (F,) in Hz."""
+def transmission(weights: Array, rate_hz: float, frequency: Array) -> Array:
+    """Return what a filter lets pass (F,) for velocities at frequencies (F,) in Hz."""
     half_window = weights.shape[1] // 2
     time = np.arange(-half_window, half_window + 1) / rate_hz
     omega = 2.0 * np.pi * np.maximum(frequency, RESOLUTION)
@@ -213,7 +213,7 @@ def left(weights: Array, rate_hz: float, frequency: Array) -> Array:
 def pass_band(weights: Array, rate_hz: float) -> float:
     """Return the frequency (Hz) up to which a filter with weights (3, 2n+1) follows."""
     frequency = np.arange(RESOLUTION, 0.5 * rate_hz, RESOLUTION)
-    beyond = left(weights, rate_hz, frequency) < 1.0 - FOLLOWED
+    beyond = transmission(weights, rate_hz, frequency) < 1.0 - MAX_ATTENUATION
     return float(frequency[np.argmax(beyond)]) if beyond.any() else 0.5 * rate_hz
 
 
@@ -239,7 +239,7 @@ class PassBand(NamedTuple):
         In an axis where noise is larger, the spectrum beyond the pass band shows it.
         """
         twist, rate_hz = samples.twist_spectrum, uniform_rate_hz(samples.package.stamps_ns)
-        part = left(noise.package_weights, rate_hz, twist.frequency)
+        part = transmission(noise.package_weights, rate_hz, twist.frequency)
         white = (part * twist.frequency) ** 2
         end = pass_band(noise.package_weights, rate_hz)
         beyond = (twist.frequency > 2.0 * end) & (white > NO_FLOOR * white.max())

@@ -68,10 +68,10 @@ wrong mass makes multiples outside this range."""
 MISFIT = 0.01
 """p-value of the polynomial's residuals below which a misfit is reported."""
 
-FEWEST_PICKS = 3
+MIN_REPEATED_PICKS = 3
 """Picks beyond the first of each mass that tell the scatter from pick to pick."""
 
-WANTED_LENGTH_ERROR = 1e-4
+MAX_LENGTH_STD = 1e-4
 """Largest acceptable standard error of the nominal length, m."""
 
 GOOD_WITHIN = 0.05
@@ -146,7 +146,7 @@ class NominalLength:
         elif masses < CUBIC + 2:
             yield (f'With {masses} different masses, a straight line is fitted to length against '
                    f'load; {CUBIC + 2} or more show where the cup stops being linear.')
-        if WANTED_LENGTH_ERROR < self.length_std < np.inf:
+        if MAX_LENGTH_STD < self.length_std < np.inf:
             yield (f'The nominal length is uncertain by {self.length_std * 1e3:.2f} mm. Add '
                    f'masses lighter than {self.loads.min():.3g} N, or hold each for longer.')
 
@@ -228,7 +228,7 @@ def _pick_scatter(measured: Array, groups: Places) -> float:
     _, lengths, errors = measured.T
     means = np.array([lengths[groups == group].mean() for group in groups])
     freedom = len(lengths) - len(set(groups.tolist()))
-    if freedom < FEWEST_PICKS:
+    if freedom < MIN_REPEATED_PICKS:
         return float('nan')
     variance = float(np.sum((lengths - means)**2)) / freedom - float(np.mean(errors**2))
     return float(np.sqrt(max(variance, 0.0)))
@@ -384,19 +384,19 @@ def _state(body: Trajectory) -> State:
     return state_row(body.position[0], lie.rotation_to_quaternion(body.rotation[0]))
 
 
-NEWTON_STEPS, LARGEST_MOVE = 6, 0.05
+NEWTON_STEPS, MAX_NEWTON_STEP = 6, 0.05
 """Newton steps to an equilibrium near a measured pose, and the longest one (m, rad)."""
 
 NO_EFFECT = 1e-3
 """A change of an entry by its own size that moves poses by fewer standard errors has no effect."""
 
-SMALLEST_ERROR = (1e-7, 1e-6)
+MIN_POSE_STD = (1e-7, 1e-6)
 """Smallest standard error of a mean pose (m, rad): rounding, and the error of the model."""
 
 ROUNDS = 4
 """Rounds of whitening with the latest K and reweighting by the residuals."""
 
-LARGEST_CHI2 = 4.0
+MAX_CHI2 = 4.0
 """Chi^2 per degree of freedom above which standstills contradict the motions or each other."""
 
 DISAGREEMENT = (
@@ -432,7 +432,7 @@ def static_equations(
     parts = [_equations(still, cup_length, structure, gravity, stiffness) for still in standstills]
     A, b, by_length = (np.concatenate(part) for part in zip(*parts, strict=True))
     errors = np.array([still.error for still in standstills])
-    error = np.repeat(np.maximum(errors, SMALLEST_ERROR), 3, axis=1).ravel()
+    error = np.repeat(np.maximum(errors, MIN_POSE_STD), 3, axis=1).ravel()
     A, b, by_length = A / error[:, None], b / error, by_length / error
     large = structure.sizes(stiffness, stiffness)[:structure.size]
     A[:, np.linalg.norm(A, axis=0) * large < NO_EFFECT] = 0.0
@@ -504,7 +504,7 @@ def joined_with_standstills(
         fit, parameters=z[:-1], covariance=covariance, standstills=StandstillPart(
             len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
             length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1]))),
-        notes=(*fit.notes, *([DISAGREEMENT.format(chi2)] if chi2 > LARGEST_CHI2 else [])))
+        notes=(*fit.notes, *([DISAGREEMENT.format(chi2)] if chi2 > MAX_CHI2 else [])))
 
 
 def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) -> Array:
@@ -526,7 +526,7 @@ def _equations(
     for _ in range(NEWTON_STEPS):
         step = -np.linalg.solve(linearise(model, tool, body).body_pose,
                                 np.concatenate(body_acceleration(model, tool, body)))
-        step *= min(1.0, LARGEST_MOVE / max(float(np.abs(step).max()), 1e-12))
+        step *= min(1.0, MAX_NEWTON_STEP / max(float(np.abs(step).max()), 1e-12))
         body = displaced(body, tuple(step[:3].tolist()), tuple(step[3:].tolist()))
     changes: Array = np.empty((6, 43))  # by the entries of K and P, and by the length
     parameter_jacobian(model, tool, body, 0, 43, changes)

@@ -29,7 +29,7 @@ from scipy.linalg import block_diag
 FOLDS = 5
 """Folds of each recording; each is held out once."""
 
-SHORTEST_SEGMENT = 1.0
+MIN_SEGMENT_TIME = 1.0
 """Shortest simulated segment, s."""
 
 DIVERGED: Array = np.array([[np.inf, np.inf], [0.0, 0.0]])
@@ -238,7 +238,7 @@ def _segments(samples: Samples) -> Iterator[Samples]:
         is_measured = samples.package.valid[first:last]
         if is_measured.any():
             segment = samples.select(slice(first + int(np.argmax(is_measured)), last))
-            if segment.tool.seconds[-1] >= SHORTEST_SEGMENT:
+            if segment.tool.seconds[-1] >= MIN_SEGMENT_TIME:
                 yield segment
 
 

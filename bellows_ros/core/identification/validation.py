@@ -44,7 +44,7 @@ NOISE_FACTOR = 3.0
 NOISE_RUNS = 2
 """Simulations with added tool noise that give the error due to noise."""
 
-LONGEST_BRIDGE_S = 0.08
+MAX_BRIDGE_TIME = 0.08
 """Gaps of the tool longer than this (s) are bridged with a warning."""
 
 REST_S = 0.3
@@ -56,13 +56,13 @@ SEED = 0
 MAX_INNOVATIONS = 3_000
 """Samples whose innovations are tested; each takes 27 kB of memory."""
 
-LEAST_CORRELATION = 0.01
+MIN_CORRELATION = 0.01
 """Correlation from sample to sample below which noise counts as white."""
 
 MOTION_ROUNDS = 2
 """Rounds in which the path of the tool comes near to the likeliest."""
 
-LEAST_NOISE = 1e-7
+MIN_NOISE = 1e-7
 """Noise (m, rad) below which rounding dominates the innovations."""
 
 
@@ -123,7 +123,7 @@ class Validation(residuals.Comparison):
         rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(SEED)
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
         sizes, correlations = np.transpose(self.recording.ar1_noise[0])
-        correlations = np.where(correlations > LEAST_CORRELATION, correlations, 0.0)
+        correlations = np.where(correlations > MIN_CORRELATION, correlations, 0.0)
         for _ in range(NOISE_RUNS):
             noisy = with_filtered_noise(tool, sizes, correlations, W, 1.0 / rate_hz, rng)
             moved = simulate(
@@ -155,7 +155,7 @@ class Validation(residuals.Comparison):
     @cached_property
     def one_step(self) -> OneStep | None:
         """The innovations of each measured pose; None without noise, or without a long segment."""
-        if np.min(self.recording.measured_noise) < LEAST_NOISE:
+        if np.min(self.recording.measured_noise) < MIN_NOISE:
             return None
         try:
             parts = measured_segments(self.recording)
@@ -261,7 +261,7 @@ def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
         start=start, warnings=tuple(
             f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
             'bridges this gap by interpolation, and its error is larger for a while afterwards.'
-            for since, duration in gaps.tolist() if duration > LONGEST_BRIDGE_S))
+            for since, duration in gaps.tolist() if duration > MAX_BRIDGE_TIME))
 
 
 def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, Array]:

@@ -1,7 +1,7 @@
 """How well a cup explains a recording: a long one is seen in stretches."""
 
 from bellows_ros.core.identification.hypotheses import diagnose
-from bellows_ros.core.identification.objective import ensemble_of, MOST_SECONDS, STRETCHES
+from bellows_ros.core.identification.objective import ensemble_of, MAX_SECONDS, STRETCHES
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.variations import time_offset
 from bellows_ros.core.model.structure import STRUCTURES
@@ -27,7 +27,7 @@ def test_no_more_of_a_long_recording_is_seen(long):
     stamps = seen.samples.tool.stamps_ns
     steps = 1e-9 * np.diff(stamps)
     assert np.count_nonzero(steps > 10.0) == STRETCHES - 1
-    assert steps[steps < 1.0].sum() == pytest.approx(MOST_SECONDS, rel=0.01)
+    assert steps[steps < 1.0].sum() == pytest.approx(MAX_SECONDS, rel=0.01)
     assert steps.sum() > 270.0
     assert [len(draw[0].samples.tool) for draw in ensemble.noisier] == 2 * [len(stamps)]
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 import re
 
-from bellows_ros.core.identification.reduction import FOLLOWED, left, pass_band
+from bellows_ros.core.identification.reduction import MAX_ATTENUATION, pass_band, transmission
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
@@ -28,15 +28,15 @@ def test_what_is_left_is_what_the_filter_leaves(frequency):
     position = np.outer(np.sin(omega * time), [0.01, 0.0, 0.0])
     filtered = savgol(Trajectory(stamps_ns, position, np.tile(np.eye(3), (720, 1, 1))), 30, 6)
     true = 0.01 * omega * np.cos(omega * filtered.stamps_ns / NS_PER_S)
-    (part,) = left(weights(30, 6, RATE_HZ), RATE_HZ, np.array([frequency]))
+    (part,) = transmission(weights(30, 6, RATE_HZ), RATE_HZ, np.array([frequency]))
     assert_allclose(filtered.twist[:, 0], part * true, atol=1e-6 * 0.01 * omega)
 
 
 def test_the_automatic_filter_follows_up_to_six_hertz():
     end = pass_band(weights(AUTOMATIC, 6, RATE_HZ), RATE_HZ)
     assert_allclose(end, 6.0, atol=0.05)
-    (part,) = left(weights(AUTOMATIC, 6, RATE_HZ), RATE_HZ, np.array([end]))
-    assert_allclose(part, 1.0 - FOLLOWED, atol=1e-3)  # 0.05 Hz, in which the end is looked for
+    (part,) = transmission(weights(AUTOMATIC, 6, RATE_HZ), RATE_HZ, np.array([end]))
+    assert_allclose(part, 1.0 - MAX_ATTENUATION, atol=1e-3)  # steps of 0.05 Hz
     assert_allclose(pass_band(weights(AUTOMATIC // 2, 6, RATE_HZ), RATE_HZ), 2 * end, rtol=0.02)
     assert pass_band(weights(3, 6, RATE_HZ), RATE_HZ) > 50.0
 
