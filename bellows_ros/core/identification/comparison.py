@@ -21,8 +21,8 @@ from bellows_ros.core.identification.result import (
 )
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, static_equilibrium
-from bellows_ros.core.model.kernels import State
-from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.kernels import ORIGIN
+from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import common_structure, Structure, structure_named
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
@@ -250,8 +250,8 @@ def modes(cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ())
     Modes whose frequencies coincide have no shapes of their own: they get those in which damping
     does not couple them.
     """
-    model, tool = model_tuple(cup, package, gravity), _tool_at_rest(0.0)
-    jacobian = linearise(model, tool, static_equilibrium(model, tool))
+    model = model_tuple(cup, package, gravity)
+    jacobian = linearise(model, ORIGIN, static_equilibrium(model, ORIGIN))
     mass = block_diag(package.mass * np.eye(3), package.inertia)
     root = np.linalg.cholesky(mass)
     inverse = np.linalg.inv(root)
@@ -339,15 +339,9 @@ def _effects(
     return tuple(changes)
 
 
-def _tool_at_rest(angle: float) -> State:
-    """Return the state of a tool that is tilted about x (rad)."""
-    zero = (0.0, 0.0, 0.0)
-    return zero, (float(np.sin(0.5 * angle)), 0.0, 0.0, float(np.cos(0.5 * angle))), zero, zero
-
-
 def _rest(cup: Cup, package: Package, gravity: float, angle: float) -> tuple[float, float]:
     """Return the displacement (m) and rotation (rad) of the lip at rest from its nominal pose."""
-    tool = _tool_at_rest(angle)
+    tool = state_row(np.zeros(3), (np.sin(0.5 * angle), 0.0, 0.0, np.cos(0.5 * angle)))
     body = static_equilibrium(model_tuple(cup, package, gravity), tool)
     R_world_tool, R = quaternion_to_rotation(np.array([tool[1], body[1]]))
     o_E_S = R_world_tool.T @ (np.array(body[0]) - R @ package.com)

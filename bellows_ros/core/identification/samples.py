@@ -215,12 +215,7 @@ class Samples:
         """What the internal strains follow from (N, 2, 9); see `strain_history`."""
         if self.history is not None:
             return self.history
-        index = np.flatnonzero(self.valid)
-        o, R, _ = lip_relative(
-            self.tool.select(index), self.package.select(index), self.payload.com)
-        every = np.full((len(self.tool), 6), np.nan)
-        every[index] = np.hstack([o, log_so3(R)])
-        every = interpolated(every)
+        every = self._interpolated(replace(self, relaxation=(0.0, 0.0)).lip.displacement(0.0))
         return strain_history(
             every[:, :3], exp_so3(every[:, 3:]), uniform_rate_hz(self.package.stamps_ns))
 
@@ -235,11 +230,13 @@ class Samples:
 
     def spectrum_of(self, values: Array) -> Spectrum:
         """Return the spectrum of numbers (N, 6) at the valid samples; others are interpolated."""
-        every = values
-        if len(values) < len(self.tool):
-            every = np.full((len(self.tool), 6), np.nan)
-            every[self.lip.index] = values
-        return spectrum(interpolated(every), uniform_rate_hz(self.package.stamps_ns))
+        return spectrum(self._interpolated(values), uniform_rate_hz(self.package.stamps_ns))
+
+    def _interpolated(self, values: Array) -> Array:
+        """Return numbers (N, 6) at all samples from those at the valid ones."""
+        every = np.full((len(self.tool), 6), np.nan)
+        every[self.valid] = values
+        return interpolated(every)
 
     def select(self, index: slice | Mask | Stamps) -> 'Samples':
         """Return the samples that a slice, a mask or increasing indices pick."""

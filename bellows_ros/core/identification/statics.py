@@ -429,11 +429,10 @@ def static_equations(
         A guess of K, by which errors of poses become errors of wrenches.
 
     """
-    parts = [_equations(still, cup_length, structure, gravity, stiffness) for still in standstills]
-    A, b, by_length = (np.concatenate(part) for part in zip(*parts, strict=True))
-    errors = np.array([still.error for still in standstills])
-    error = np.repeat(np.maximum(errors, MIN_POSE_STD), 3, axis=1).ravel()
-    A, b, by_length = A / error[:, None], b / error, by_length / error
+    rows = np.concatenate([
+        _equations(still, cup_length, structure, gravity, stiffness) /
+        np.repeat(np.maximum(still.error, MIN_POSE_STD), 3)[:, None] for still in standstills])
+    A, b, by_length = rows[:, :-2], rows[:, -2], rows[:, -1]
     large = structure.sizes(stiffness, stiffness)[:structure.size]
     A[:, np.linalg.norm(A, axis=0) * large < NO_EFFECT] = 0.0
     return A, b, by_length
@@ -517,8 +516,8 @@ def _guess(structure: Structure, x: Array, covariance: Array, typical: Array) ->
 
 def _equations(
     still: Standstill, cup_length: float, structure: Structure, gravity: float, stiffness: Array
-) -> tuple[Array, Array, Array]:
-    """Return A (6, n) and b (6,) in coordinates of the lip, and the effect of the length (6,)."""
+) -> Array:
+    """Return [A, b, g] (6, n + 2) in coordinates of the lip, g being the effect of the length."""
     x = structure.parameters(stiffness, stiffness)
     cup = gripper_of(Cup(structure.matrices(x)[0], np.zeros((6, 6)), cup_length), structure.places)
     model = model_tuple(cup, still.payload, gravity)
@@ -538,4 +537,5 @@ def _equations(
              - still.package.position[0] + R @ still.payload.com)
     changes = np.vstack([R.T @ R_rest @ of_lip[:3], lie.dexp_inverse(-turn) @ of_lip[3:]])
     A = changes[:, :21] @ structure.upper[:21, :structure.size]
-    return A, A @ x[:structure.size] - np.concatenate([R.T @ shift, turn]), changes[:, 42]
+    b = A @ x[:structure.size] - np.concatenate([R.T @ shift, turn])
+    return np.column_stack([A, b, changes[:, 42]])

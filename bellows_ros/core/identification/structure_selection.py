@@ -11,14 +11,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.causes import DOUBTED
 from bellows_ros.core.identification.hypotheses import Diagnosis
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.reduction import noise_products, Statistics, statistics
 from bellows_ros.core.identification.samples import Samples, SEED
 from bellows_ros.core.model.cup_package import Cup, gripper_of
-from bellows_ros.core.model.simulation import simulate, state_row
+from bellows_ros.core.model.simulation import simulate, state_row, tool_rows
 from bellows_ros.core.model.structure import Structure, STRUCTURES
 from bellows_ros.core.recording.recording import FilterNoise
 from bellows_ros.core.signals.residuals import compare
@@ -215,17 +214,14 @@ def _simulated_errors(cup: Cup, segments: Sequence[Samples]) -> Array:
     """
     squares, sizes = np.zeros(6), np.zeros(6)
     for segment in segments:
-        package = segment.package
-        assert package.twist is not None
-        start = state_row(
-            package.position[0], rotation_to_quaternion(package.rotation[0]), package.twist[0])
+        start = state_row(*np.split(tool_rows(segment.package.select(slice(1)))[0], [3, 7]))
         try:
             moved = simulate(cup, segment.payload, segment.tool, start, segment.gravity)
         except UnstableError:
             return DIVERGED
         if float(np.abs(moved.position).max()) > MAX_DISTANCE:
             return DIVERGED
-        scores = compare(moved, segment.tool, package).scores
+        scores = compare(moved, segment.tool, segment.package).scores
         squares += scores.samples * scores.rms**2
         sizes += scores.samples * scores.motion**2
     return np.asarray(np.array([squares, sizes]).reshape(2, 2, 3).sum(axis=2))

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.identification.search import (
     measured_segments,
     MeasuredSegment,
@@ -314,9 +313,8 @@ def _start(model: ModelTuple, tool: Trajectory, recording: Recording) -> tuple[S
         package = recording.package
         usable = package.valid & (package.stamps_ns >= tool.stamps_ns[0])
         first = int(np.argmax(usable))
-        if package.twist is not None and usable[first]:
-            return state_row(
-                package.position[first], rotation_to_quaternion(package.rotation[first]),
-                package.twist[first]), int(package.stamps_ns[first]), 'measured'
+        if usable[first]:
+            (row,) = tool_rows(package.select(slice(first, first + 1)))
+            return state_row(*np.split(row, [3, 7])), int(package.stamps_ns[first]), 'measured'
     state = rest(model, tool_rows(tool.select(slice(0, 1)))[0])
     return state, int(tool.stamps_ns[0]), 'equilibrium'
