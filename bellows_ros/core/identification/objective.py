@@ -69,14 +69,6 @@ MIN_SINGULAR_VALUE = 1e-7
 """Singular values below this fraction of the largest count as zero."""
 
 
-class StackedEquations(NamedTuple):
-    """Whitened equations A x = b of all recordings (N, p), (N,), and those of their noise."""
-
-    A: Array
-    b: Array
-    clusters: list[slice]
-
-
 @dataclass(frozen=True, eq=False)
 class Ensemble:
     """
@@ -262,29 +254,20 @@ class Objective:
             noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noisier)
         return cls(1.0 / np.sqrt(noise + MODEL_ERROR**2 * spread))
 
-    def rows(self, given: Sequence[Given]) -> StackedEquations:
-        """Return the weighted equations of recordings."""
-        A, b, clusters, count = [], [], [], 0
-        for own in given:
-            rows = equations(own) * self.weight[None, :, None]
-            clusters += [slice(count + 6 * i, count + 6 * min(i + CLUSTER_AVERAGES, len(rows)))
-                         for i in range(0, len(rows), CLUSTER_AVERAGES)]
-            count += 6 * len(rows)
-            A.append(rows[:, :, :-1].reshape(-1, rows.shape[2] - 1))
-            b.append(rows[:, :, -1].ravel())
-        return StackedEquations(np.concatenate(A), np.concatenate(b), clusters)
+    def rows(self, given: Sequence[Given]) -> Array:
+        """Return the weighted rows [A b] (N, p + 1) of recordings."""
+        rows = np.concatenate([equations(own) for own in given]) * self.weight[:, None]
+        return rows.reshape(-1, rows.shape[2])
 
     def solved(self, ensemble: Ensemble) -> 'Solved':
         """Return the compensated least-squares solution, and its residual."""
         rows = self.rows(ensemble.given)
-        full = np.column_stack([rows.A, rows.b])
-        scale = np.linalg.norm(full, axis=0)
+        scale = np.linalg.norm(rows, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
-        full = full / scale
+        full = rows / scale
         noise = np.zeros((full.shape[1],) * 2)
         for draw in ensemble.noisier:
-            there = self.rows(draw)
-            added = np.column_stack([there.A, there.b]) / scale - full
+            added = self.rows(draw) / scale - full
             noise += added.T @ added / len(ensemble.noisier)
         U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
         known = s > MIN_SINGULAR_VALUE * s[0]
@@ -294,29 +277,33 @@ class Objective:
         slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
         left = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
         x = root @ slope / scale[:-1] * scale[-1]
-        count, root = len(full), root / scale[:-1, None]
-        return Solved(rows, x, left * scale[-1] ** 2 / count, count, U[:, known], root @ root.T)
+        root = root / scale[:-1, None]
+        return Solved(rows, x, left * scale[-1] ** 2 / len(rows), U[:, known], root @ root.T)
 
 
 class Solved(NamedTuple):
     """
-    The rows, the cup x (p,), mean squared residual beyond noise, its count, a basis of A.
+    The rows [A b], the cup x (p,), mean squared residual beyond noise, a basis of A.
 
     And the inverse (p, p) of the information on x that is of motion, not of noise.
     """
 
-    rows: StackedEquations
+    rows: Array
     x: Array
     excess: float
-    residuals: int
     basis: Array
     inverse: Array
+
+    @property
+    def residuals(self) -> int:
+        """How many there are."""
+        return len(self.rows)
 
     @property
     def covariance(self) -> Array:
         """Covariance (p, p) of x, that of what is not identifiable finite: 0 times it is 0."""
         return np.nan_to_num(
-            covariance_of(self, self.rows.A, self.inverse), posinf=UNIDENTIFIABLE_VARIANCE)
+            covariance_of(self, self.rows[:, :-1], self.inverse), posinf=UNIDENTIFIABLE_VARIANCE)
 
 
 UNIDENTIFIABLE_VARIANCE = 1e200
@@ -334,8 +321,9 @@ def covariance_of(here: Solved, D: Array, of_motion: Array | None = None) -> Arr
     """
     unknown = np.isinf(np.diag(result.covariance_of(D.T @ D)))
     inverse = _pseudo_inverse(D) if of_motion is None else of_motion
-    left = here.rows.A @ here.x - here.rows.b
-    scores = np.array([D[part].T @ left[part] for part in here.rows.clusters])
+    scores = np.add.reduceat(
+        D * (here.rows @ np.append(here.x, -1.0))[:, None],
+        range(0, len(D), 6 * CLUSTER_AVERAGES))
     return result.without(inverse @ scores.T @ scores @ inverse, unknown)
 
 
@@ -385,18 +373,15 @@ def refine(
         gradient, D = _derivatives(at, theta, here, steps)
         step = -_pseudo_inverse(D) @ gradient
         step *= min(1.0, float(np.min(own.furthest * steps / np.maximum(np.abs(step), 1e-300))))
-        best, taken = here, step
+        best, taken = here, np.zeros_like(step)
         for shorter in np.outer(0.5 ** np.arange(HALVINGS), step):
             further = at(theta + shorter)
             if further.excess < best.excess:
                 best, taken = further, shorter
             elif best is not here:
                 break
-        if best is here:
-            return Refined(theta, covariance_of(here, D), here)
-        theta, here, step = theta + taken, best, taken
-        covariance = covariance_of(here, D)
-        if np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
+        theta, here, covariance = theta + taken, best, covariance_of(best, D)
+        if np.all(np.abs(taken) <= CONVERGED * np.sqrt(np.diag(covariance))):
             break
     return Refined(theta, covariance, here)
 
@@ -419,7 +404,6 @@ def _derivatives(
         after, before = at(theta + change), at(theta - change)
         gradient[i] = 0.25 * here.residuals * (after.excess - before.excess) / step
         columns.append(
-            ((after.rows.A - before.rows.A) @ here.x - after.rows.b + before.rows.b)
-            / (2.0 * step))
+            (after.rows - before.rows) @ np.append(here.x, -1.0) / (2.0 * step))
     D = np.column_stack(columns)
     return gradient, D - here.basis @ (here.basis.T @ D)  # what the cup explains as well
