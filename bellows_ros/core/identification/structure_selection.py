@@ -201,7 +201,7 @@ def _over_motion(sums: Array) -> Array:
     errors, sizes = sums[:, 0], sums[:, 1].mean(axis=0)
     moving = sizes > 0.0
     if not moving.any():
-        return np.full(len(sums), np.inf if np.isinf(errors).any() else np.nan)
+        return np.full(len(sums), np.inf)
     return np.asarray(np.sqrt(np.mean(errors[:, moving] / sizes[moving], axis=1)))
 
 

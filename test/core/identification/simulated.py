@@ -55,25 +55,16 @@ def standstills(rotation_vectors, hold=2.0):
     return Waypoints(Pose(np.zeros(3), np.eye(3)), hold, segments)
 
 
-@functools.cache
-def truth_of(motion, cup_and_held, rate_hz):
-    """Return the true motions of tool and package."""
-    tool = motion.at_rate(rate_hz, 0)
-    return tool, simulate(*cup_and_held.both, tool, gravity=GRAVITY)
+TRUTHS = {}
 
 
-class Pair:
-    """A cup and a package as one key: the same object is the same pair."""
-
-    known = {}
-
-    def __init__(self, cup, payload):
-        self.both = cup, payload
-
-    @classmethod
-    def of(cls, cup, payload):
-        """Return the pair of these very objects, which it keeps alive."""
-        return cls.known.setdefault((id(cup), id(payload)), cls(cup, payload))
+def truth_of(motion, cup, payload, rate_hz):
+    """Return the true motions of tool and package, computed once for the same objects."""
+    key = motion, id(cup), id(payload), rate_hz
+    if key not in TRUTHS:
+        tool = motion.at_rate(rate_hz, 0)
+        TRUTHS[key] = tool, simulate(cup, payload, tool, gravity=GRAVITY), cup, payload
+    return TRUTHS[key][:2]
 
 
 def record(
@@ -85,7 +76,7 @@ def record(
 
     The noise is white, or keeps a part of itself from pose to pose.
     """
-    truth, moved = truth_of(motion, Pair.of(cup, payload), rate_hz)
+    truth, moved = truth_of(motion, cup, payload, rate_hz)
     draw = np.random.default_rng((seed, 2))
 
     def drawn():

@@ -18,6 +18,7 @@ from benchmarks.rubber import CUP, GRAVITY, multisine, PLATE
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from scipy.signal import lfilter
 
 RUBBER = replace(CUP, stiffness=1.2 * CUP.stiffness, damping=5.0 * CUP.damping,
                  relaxation=(0.15, 0.10))
@@ -31,9 +32,8 @@ def record(cup, seed, seconds=20.0, hold=6.0, noise=(5e-5, 2.5e-4), kept=0.0):
     rng = np.random.default_rng(seed)
     tool = driven(multisine(seed, seconds - hold - 2.0, hold), seconds, 180.0)
     body = simulate(cup, PLATE, tool, gravity=GRAVITY)
-    e = np.zeros((len(tool), 6))
-    for k, white in enumerate(rng.standard_normal((len(tool), 6))):
-        e[k] = kept * e[k - 1] + np.sqrt(1.0 - kept**2) * white
+    white = rng.standard_normal((len(tool), 6))
+    e = np.sqrt(1.0 - kept**2) * lfilter([1.0], [1.0, -kept], white, axis=0)
     return prepare(
         PoseStream('tool', 'world', tool.stamps_ns, tool.position, tool.rotation),
         PoseStream('package', 'world', tool.stamps_ns, body.position + noise[0] * e[:, :3],
