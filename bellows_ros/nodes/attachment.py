@@ -1,9 +1,6 @@
 """Attaching and detaching the package: two services, and a vacuum signal if there is one."""
 
-from collections.abc import Mapping
 from functools import partial
-import math
-import time
 from typing import Any
 
 from sensor_msgs.msg import FluidPressure
@@ -24,10 +21,8 @@ class Attachment:
 
     Parameters
     ----------
-    node : PredictorNode
-        Serves, subscribes, attaches and detaches.
-    values : mapping
-        Parameters by name.
+    pipeline : Pipeline
+        Attaches and detaches.
 
     Attributes
     ----------
@@ -40,29 +35,27 @@ class Attachment:
 
     """
 
-    def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
+    def __init__(self, pipeline: Any) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
-        self._node = node
+        self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
         self.vacuum = Vacuum(values)
-        self._kind = signal = values['vacuum.signal']
-        self.held = values['package.attached'] and signal == 'none'
+        self._kind = values['vacuum.signal']
+        self.held = values['package.attached'] and self._kind == 'none'
         for service, held, words in (
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
             node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
         self._last_reading: bool | None = None  # by the vacuum signal, the last time
         self._refused = {'nan': 0, 'negative': 0, 'no_such_cup': 0}
-        self.signal: SensorInput | None = None
-        if signal != 'none':
-            self.signal = SensorInput(node, *{
-                'bool': (Bool, 'vacuum/held', self._on_held),
-                'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[signal])
+        self.signal = None if self._kind == 'none' else SensorInput(node, *{
+            'bool': (Bool, 'vacuum/held', self._on_held),
+            'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
 
     def _answer(
         self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """Carry out a service request."""
-        response.success = self._node.attach(held, 'service')
+        response.success = self._pipeline.attach(held, 'service')
         response.message = words if response.success else 'The node is not active.'
         if response.success:
             self.held = held
@@ -71,25 +64,28 @@ class Attachment:
     def _on_held(self, message: Bool) -> None:
         """Follow a vacuum switch."""
         assert self.signal
-        self.signal.arrivals.add(time.monotonic_ns(), math.nan)  # without a stamp
-        self._node.on_vacuum(message.data, ALL)
+        self.signal.note()
+        self._pipeline.observing.on_vacuum(message.data, ALL)
         self._follow(message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
-        """Follow the pressure in the cup."""
+        """Follow the pressure in the cup, and go on without cups of a gripper that lose it."""
         assert self.signal
-        self.signal.note(time.monotonic_ns(), stamp_to_ns(message.header.stamp))
+        self.signal.note(stamp_to_ns(message.header.stamp))
         vacuum, opened = self.vacuum, self.vacuum.open_cups
         readings = vacuum.update(message.fluid_pressure, message.header.frame_id)
         if isinstance(readings, str):
             self._refused[readings] += 1
             return
-        for held, cup in readings:
-            self._node.on_vacuum(held, cup)
+        for reading in readings:
+            self._pipeline.observing.on_vacuum(*reading)
         if vacuum.pressure is not None:
-            self._node.diagnostics.load.set_pressure(vacuum.pressure)
+            self._pipeline.load.set_pressure(vacuum.pressure)
         if vacuum.open_cups != opened:
-            self._node.on_open_cups()
+            cups = ', '.join(map(str, vacuum.open_cups))
+            self._pipeline.node.get_logger().warning(
+                f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
+            self._pipeline.use_values()
         self._follow(vacuum.held)
 
     def _follow(self, held: bool) -> None:
@@ -97,7 +93,7 @@ class Attachment:
         changed, self._last_reading = held != self._last_reading, held
         if changed and held != self.held:
             self.held = held
-            self._node.attach(held, 'vacuum')
+            self._pipeline.attach(held, 'vacuum')
 
     def status(self, name: str) -> Status | None:
         """Return the diagnostics line on the vacuum signal, if there is to be one."""

@@ -4,6 +4,7 @@ Convert ROS messages to the core's tuples, and predictions to ROS messages.
 Stamps are integer nanoseconds; a round trip through them changes nothing.
 """
 
+from collections.abc import Callable
 from operator import attrgetter
 from typing import Any
 
@@ -57,6 +58,16 @@ def quaternion_xyzw(message: Any) -> Quaternion:
     return message.x, message.y, message.z, message.w
 
 
+def read_pose(
+    message: Any, parts: Callable[[Any], tuple[Any, Any]]
+) -> tuple[int, str, Vector, Quaternion]:
+    """Return stamp (ns), frame, position and quaternion of a message, by its `TOOL_POSES`."""
+    position, orientation = parts(message)
+    header = message.header
+    return (stamp_to_ns(header.stamp), header.frame_id, vector(position),
+            quaternion_xyzw(orientation))
+
+
 def write_vector(message: Any, values: Vector) -> None:
     """Write a tuple into a Point or Vector3."""
     message.x, message.y, message.z = values
@@ -79,10 +90,26 @@ def write_place(pose: geometry.Pose, position: Vector, xyzw: Quaternion) -> None
     write_quaternion(pose.orientation, xyzw)
 
 
+def write_place_stamped(
+    message: geometry.PoseStamped, stamp_ns: int, frame_id: str, position: Vector, xyzw: Quaternion
+) -> None:
+    """Write position and orientation with their header."""
+    write_header(message, stamp_ns, frame_id)
+    write_place(message.pose, position, xyzw)
+
+
 def write_pose(message: geometry.PoseStamped, frame_id: str, prediction: Prediction) -> None:
     """Write the package's pose in the frame of the tool's poses."""
-    write_header(message, prediction.stamp_ns, frame_id)
-    write_place(message.pose, prediction.position, prediction.quaternion_xyzw)
+    write_place_stamped(message, prediction.stamp_ns, frame_id, *prediction[1:3])
+
+
+def write_tf(message: Any, frame_id: str, child_frame_id: str, prediction: Prediction) -> None:
+    """Write the package's pose into the one transform of a TFMessage."""
+    (stamped,) = message.transforms
+    write_header(stamped, prediction.stamp_ns, frame_id)
+    stamped.child_frame_id = child_frame_id
+    write_vector(stamped.transform.translation, prediction.position)
+    write_quaternion(stamped.transform.rotation, prediction.quaternion_xyzw)
 
 
 def write_twist(message: geometry.TwistStamped, frame_id: str, prediction: Prediction) -> None:
@@ -97,6 +124,14 @@ def write_wrench(message: geometry.WrenchStamped, frame_id: str, prediction: Pre
     write_header(message, prediction.stamp_ns, frame_id)
     write_vector(message.wrench.force, prediction.force)
     write_vector(message.wrench.torque, prediction.moment)
+
+
+def write_safety(
+    message: geometry.Vector3Stamped, stamp_ns: int, frame_id: str, factors: Vector
+) -> None:
+    """Write the safety factors against peeling and slipping, and the smaller one."""
+    write_header(message, stamp_ns, frame_id)
+    write_vector(message.vector, factors)
 
 
 def write_odometry(

@@ -18,6 +18,7 @@ import traceback
 from typing import Any
 
 import numpy as np
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind
@@ -44,12 +45,15 @@ class GuardedNode(Node):
     ----------
     failures : collections.Counter
         How often which place in the code failed, and `NEGATIVE_TIME` came.
+    workers : list of Worker
+        Those that work beside it.
 
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Create the node; rclpy creates its first subscriptions here."""
         self.failures: Counter[str] = Counter()
+        self.workers: list[Worker] = []
         super().__init__(*arguments, **options)
 
     def note_failure(self, error: Exception, place: str = '') -> None:
@@ -87,13 +91,18 @@ class GuardedNode(Node):
         Thread(target=self.guarded(work), daemon=True).start()
 
     def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any, **options: Any
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any,
+        on_publishers: Callable[[int], None] | None = None, **options: Any
     ) -> Any:
         """
         Subscribe with a callback that may fail, and QoS that can be overridden.
 
-        rclpy subscribes to the clock here, too.
+        Another may take the number of matching publishers when it changes. rclpy subscribes to the
+        clock here, too.
         """
+        if on_publishers:
+            options['event_callbacks'] = SubscriptionEventCallbacks(
+                matched=self.guarded(lambda matched: on_publishers(matched.current_count)))
         if msg_type is Clock:
             callback = partial(self._set_time, callback)
         else:
@@ -136,7 +145,7 @@ class Worker:
     Parameters
     ----------
     node : GuardedNode
-        Notes what fails.
+        Notes what fails, and closes its workers.
     name : str
         Of the thread.
 
@@ -155,6 +164,7 @@ class Worker:
         self._is_closed = False
         self._changed = Condition()
         self.stop: Mask = np.zeros(1, np.bool_)
+        node.workers.append(self)
         Thread(target=self._work, name=name, daemon=True).start()
 
     @property

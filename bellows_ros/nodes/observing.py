@@ -1,15 +1,13 @@
 """Measured poses of the package: received, passed to the predictor, counted."""
 
 from collections import Counter
-from collections.abc import Mapping
 import gc
-import time
 from typing import Any
 
 from geometry_msgs.msg import InertiaStamped
 import numpy as np
 
-from .conversions import quaternion_xyzw, stamp_to_ns, TOOL_POSES, vector, write_payload
+from .conversions import read_pose, TOOL_POSES, write_payload
 from .outputs import Topic
 from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
@@ -29,10 +27,8 @@ class Observing:
 
     Parameters
     ----------
-    node : PredictorNode
-        Subscribes, and starts afresh where a measured pose fails.
-    kind : str
-        Of `TOOL_POSES`.
+    pipeline : Pipeline
+        Takes the poses, and goes on without cups that are lost.
 
     Attributes
     ----------
@@ -41,21 +37,23 @@ class Observing:
 
     """
 
-    def __init__(self, node: Any, kind: str) -> None:
+    def __init__(self, pipeline: Any) -> None:
         """Subscribe; nothing changes before the first message."""
+        self._pipeline, node = pipeline, pipeline.node
+        self._live: LivePredictor = pipeline.live
+        kind = pipeline.values['measured.type']
         self._with_covariance = kind != 'pose'
-        message_type, self._pose_of = TOOL_POSES[kind]
-        self._node, self._is_warm, self._reported = node, False, 0
+        message_type, self._parts = TOOL_POSES[kind]
+        self._is_warm, self._reported = False, 0
         self.lost_cups: set[int] = set()
         self._measured_in = SensorInput(
             node, message_type, 'package/measured', self._on_measured, self._on_publishers)
         self._estimated = Topic(node, InertiaStamped, 'package/estimated')
 
-    def set_values(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
-        """Use another predictor and other values; the estimate starts again, alarms stay."""
-        self._live, self._values = live, values
+    def use_values(self) -> None:
+        """Use other values; the estimate starts again, alarms stay."""
         if before := self._observer:
-            live.package.observe(observer := Observer(values))
+            self._live.package.observe(observer := Observer(self._pipeline.values))
             observer.alarms = before.alarms
 
     @property
@@ -74,43 +72,44 @@ class Observing:
     def warm_up(self, model: ModelTuple) -> None:
         """Compile for a model what corrects it, if a camera may come."""
         if self._is_warm:
-            warm_up_observer(self._values, model)
+            warm_up_observer(self._pipeline.values, model)
 
     def _on_measured(self, message: Any) -> None:
         """Correct the prediction."""
-        live, header, arrival_ns = self._live, message.header, time.monotonic_ns()
+        live, node = self._live, self._pipeline.node
         if live.arrival_ns is None:
             return
         if (observer := live.package.observer) is None:
-            live.package.observe(observer := Observer(self._values))
-        stamp_ns = stamp_to_ns(header.stamp)
-        self._measured_in.note(arrival_ns, stamp_ns)
-        position, orientation = self._pose_of(message)
+            live.package.observe(observer := Observer(self._pipeline.values))
+        stamp_ns, frame_id, *pose = read_pose(message, self._parts)
+        self._measured_in.note(stamp_ns)
         covariance = np.reshape(message.pose.covariance, (6, 6)) if self._with_covariance else None
-        self._node.advance(
-            live.on_measured, stamp_ns, header.frame_id, vector(position),
-            quaternion_xyzw(orientation), covariance)
-        if header.frame_id != live.frame_id and not observer.sensor.has_own_world:
-            self._node.get_logger().warning(
-                f"package/measured is in frame '{short(header.frame_id)}', the tool in "
+        self._pipeline.advance(live.on_measured, stamp_ns, frame_id, *pose, covariance)
+        if frame_id != live.frame_id and not observer.sensor.has_own_world:
+            node.get_logger().warning(
+                f"package/measured is in frame '{short(frame_id)}', the tool in "
                 f"'{short(live.frame_id)}', so its poses are not used. Set "
                 'recording.package_world to the pose of the first frame in the second, as '
                 'estimated by bellows identify.',
                 throttle_duration_sec=10.0)
         self.log_alarms()
-        payload = self._observer and self._observer.payload
-        if payload and self._estimated.subscribed:
-            self._estimated.send(write_payload, self._values['frames.lip'], payload)
+        if payload := self._observer and self._observer.payload:
+            self._estimated.send(write_payload, self._pipeline.values['frames.lip'], payload)
+
+    def on_vacuum(self, held: bool, cup: int) -> None:
+        """Join the vacuum, or that of one cup, with what a camera sees."""
+        self._live.on_vacuum(held, cup)
+        self.log_alarms()
 
     def log_alarms(self) -> None:
         """Log the alarms since the last call, and go on without the cups that are lost."""
         alarms = self._observer.alarms if self._observer else []
         fresh, self._reported = alarms[self._reported:], len(alarms)
         for alarm in fresh:
-            self._node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
+            self._pipeline.node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
         if lost := {alarm.cup for alarm in fresh if alarm.cup >= 0}:
             self.lost_cups |= lost
-            self._node.use_values()
+            self._pipeline.use_values()
 
     @property
     def alarm(self) -> Alarm | None:

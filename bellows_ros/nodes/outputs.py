@@ -67,7 +67,7 @@ class Topic:
     ----------
     message : kind
         The one that `send` fills in; it is serialised at once, and used again.
-    wanted : bool
+    subscribed : bool
         Whether somebody listens.
     is_ready : bool
         Whether all is compiled.
@@ -89,9 +89,10 @@ class Topic:
         self.name = str(self._publisher.topic_name)
 
     def send(self, write: Callable[..., None], *content: Any) -> None:
-        """Fill in the message by a function, and publish it."""
-        write(self.message, *content)
-        self.publish(self.message)
+        """Fill in the message by a function, and publish it, if somebody listens."""
+        if self.subscribed:
+            write(self.message, *content)
+            self.publish(self.message)
 
     def publish(self, message: Any) -> None:
         """Send a message; a failure is noted, and keeps no other topic from being sent."""
@@ -101,16 +102,18 @@ class Topic:
             self._node.note_failure(error, self.name)
 
     def _on_matched(self, matched: Any) -> None:
-        """Note whether somebody listens."""
+        """Note whether somebody listens, and prepare the messages for the first time."""
         self.subscribed = matched.current_count > 0
-        if self.subscribed and self._prepare:
-            self._node.in_background(partial(self._make_ready, self._prepare))
-            self._prepare = None
+        prepare = self._prepare
+        if not (self.subscribed and prepare):
+            return
+        self._prepare = None
 
-    def _make_ready(self, prepare: Callable[[], None]) -> None:
-        """Prepare the messages."""
-        prepare()
-        self.is_ready = True
+        def make_ready() -> None:
+            prepare()
+            self.is_ready = True
+
+        self._node.in_background(make_ready)
 
 
 class Outputs:
@@ -119,10 +122,8 @@ class Outputs:
 
     Parameters
     ----------
-    node : rclpy.lifecycle.LifecycleNode
-        Makes the publishers.
-    values : mapping
-        Parameters by name.
+    pipeline : Pipeline
+        Has the node, the live prediction, and the parameters.
 
     Attributes
     ----------
@@ -133,8 +134,9 @@ class Outputs:
 
     """
 
-    def __init__(self, node: Any, values: Mapping[str, Any]) -> None:
+    def __init__(self, pipeline: Any) -> None:
         """Advertise all topics."""
+        self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
         self.pose = Topic(node, geometry.PoseStamped, 'package/pose')
         self._twist = Topic(node, geometry.TwistStamped, 'package/twist')
         self._odometry = Topic(
@@ -161,16 +163,16 @@ class Outputs:
         self._extrapolated_ns = -1
         self._is_late = self._is_due = False
 
-    def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
+    def use_values(self) -> None:
         """Go on with another cup or package; compile all that is shown of a prediction."""
-        self._values = values
+        model, values = self._pipeline.live.model, self._pipeline.values
         self.uncertainty = Uncertainty(model, values)
-        self._picture = Picture(values)
         deflection(model, STILL)
         deflection_rotation(STILL)
         Picture(values).of('', model, STILL)
+        self._picture = Picture(values)
 
-    def publish(self, prediction: Prediction, frame_id: str) -> None:
+    def publish(self, prediction: Prediction) -> None:
         """
         Send the pose of a prediction.
 
@@ -181,55 +183,44 @@ class Outputs:
         self._is_late = 0 <= self._extrapolated_ns - stamp_ns < MAX_LATENESS_NS
         if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
-        self._is_due = not (self._is_late if self._values['coast.poses'] else prediction.coasting)
+        self._is_due = not (
+            self._is_late if self._pipeline.values['coast.poses'] else prediction.coasting)
         if self._is_due:
-            self.pose.send(conversions.write_pose, frame_id, prediction)
+            conversions.write_pose(self.pose.message, self._pipeline.live.frame_id, prediction)
+            self.pose.publish(self.pose.message)
 
     def publish_more(
-        self, prediction: Prediction, model: ModelTuple, frame_id: str,
-        factors: tuple[float, float] | None,
+        self, prediction: Prediction, factors: tuple[float, float] | None
     ) -> None:
         """Send all else of the prediction that was published last, and its safety factors."""
-        values = self._values
+        values = self._pipeline.values
         if self._is_due:
-            if self._twist.subscribed:
-                self._twist.send(conversions.write_twist, values['frames.package'], prediction)
-            if self._wrench.subscribed:
-                self._wrench.send(conversions.write_wrench, values['frames.lip'], prediction)
-            if factors and self._safety.subscribed:
-                message = self._safety.message
-                peel, slip = (min(factor, MAX_FACTOR) for factor in factors)
-                conversions.write_header(message, prediction.stamp_ns, values['frames.lip'])
-                conversions.write_vector(message.vector, (peel, slip, min(peel, slip)))
-                self._safety.publish(message)
+            self._twist.send(conversions.write_twist, values['frames.package'], prediction)
+            self._wrench.send(conversions.write_wrench, values['frames.lip'], prediction)
+            if factors:
+                self._safety.send(
+                    conversions.write_safety, prediction.stamp_ns, values['frames.lip'],
+                    tuple(min(factor, MAX_FACTOR) for factor in (*factors, min(factors))))
         if not self._is_late:
-            self._publish_continuing(prediction, model, frame_id)
+            self._publish_continuing(prediction)
 
-    def _publish_continuing(
-        self, prediction: Prediction, model: ModelTuple, frame_id: str
-    ) -> None:
+    def _publish_continuing(self, prediction: Prediction) -> None:
         """Publish the outputs that continue while the tool is extrapolated."""
-        stamp_ns, values = prediction.stamp_ns, self._values
+        live, values, stamp_ns = self._pipeline.live, self._pipeline.values, prediction.stamp_ns
+        frame_id, package = live.frame_id, values['frames.package']
         if self._odometry.subscribed:
             known = self._odometry.is_ready and not prediction.flies
             root = self.uncertainty.root(prediction) if known else UNKNOWN_ROOT
             self._odometry.send(
-                conversions.write_odometry, frame_id, values['frames.package'], prediction, root)
+                conversions.write_odometry, frame_id, package, prediction, root)
         if self._deflection.subscribed and not prediction.flies:
-            lip = self._deflection.message
-            conversions.write_header(lip, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX)
-            conversions.write_place(
-                lip.pose, deflection(model, prediction)[0], deflection_rotation(prediction))
-            self._deflection.publish(lip)
+            self._deflection.send(
+                conversions.write_place_stamped, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX,
+                deflection(live.model, prediction)[0], deflection_rotation(prediction))
         if self._markers.subscribed and self._picture.is_due(stamp_ns):
-            self._markers.publish(self._picture.of(frame_id, model, prediction))
-        if self._tf and self._tf.subscribed:
-            (package,) = self._tf.message.transforms
-            conversions.write_header(package, stamp_ns, frame_id)
-            package.child_frame_id = values['frames.package']
-            conversions.write_vector(package.transform.translation, prediction.position)
-            conversions.write_quaternion(package.transform.rotation, prediction.quaternion_xyzw)
-            self._tf.publish(self._tf.message)
+            self._markers.publish(self._picture.of(frame_id, live.model, prediction))
+        if self._tf:
+            self._tf.send(conversions.write_tf, frame_id, package, prediction)
 
     def note_unsafe(self) -> None:
         """Note a safety factor that is too small."""

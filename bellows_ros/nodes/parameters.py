@@ -290,6 +290,8 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
     ----------
     finished : rclpy.task.Future
         Ends the process when it is done.
+    is_active : bool
+        Whether it publishes.
 
     Raises
     ------
@@ -307,7 +309,8 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         self._change_state_unchecked = self.guarded(service.callback, ChangeState.Response)
         service.callback = self._change_state
         self.finished: Future = Future()
-        self._failure, self._active = '', False
+        self._before: set[Any] | None = None  # what exists while it is not configured
+        self._failure, self.is_active = '', False
 
     def configure(self) -> None:
         """Make everything that needs the parameters, or raise the obstacle."""
@@ -327,7 +330,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure, or log why not and leave nothing behind."""
-        self._before = {*self.publishers, *self.subscriptions, *self.services}
+        self._before = {*self.publishers, *self.subscriptions, *self.services, *self.timers}
         try:
             self.configure()
         except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
@@ -341,46 +344,54 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let publishers publish, and callbacks work."""
         result = super().on_activate(state)
-        self._active = True
+        self.is_active = True
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall silent."""
-        self._active = False
+        self.is_active = False
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything that was made."""
-        self.clean_up()
+        self.release_resources()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall silent for good."""
-        if self._active:
+        if self.is_active:
             self.on_deactivate(state)
-        self.clean_up()
+        self.release_resources()
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything, so that the node can be configured again."""
         self.get_logger().error('A transition failed; the node is unconfigured now.')
-        self._active = False
-        self.clean_up()
-        return TransitionCallbackReturn.SUCCESS
-
-    def clean_up(self) -> None:
-        """Release what `configure` has made."""
-        raise NotImplementedError
+        self.is_active = False
+        self.release_resources()
+        return SUCCESS
 
     def release_resources(self) -> None:
-        """Destroy the topics and services that were made to be configured."""
+        """End the threads, and destroy what was made to be configured."""
+        for worker in self.workers:
+            worker.close()
+        self.workers.clear()
+        if self._before is None:
+            return
         made: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
             (self.publishers, self.destroy_lifecycle_publisher),
             (self.subscriptions, self.destroy_subscription),
-            (self.services, self.destroy_service))
+            (self.services, self.destroy_service), (self.timers, self.destroy_timer))
         for entities, destroy in made:
             for entity in set(entities) - self._before:
                 destroy(entity)
+        self._before = None
+
+    def close(self) -> None:
+        """Release everything, and leave the graph."""
+        self.is_active = False
+        self.release_resources()
+        self.destroy_node()
 
     def _change_state(
         self, request: ChangeState.Request, response: ChangeState.Response

@@ -1,8 +1,8 @@
 """Topics of plans of the tool and of joints: prediction before and during the motion; steering."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 import gc
 import math
 import sys
@@ -13,7 +13,6 @@ from bellows_ros.core.model.equilibrium import largest_step
 from builtin_interfaces.msg import Duration
 from nav_msgs.msg import Odometry, Path
 import numpy as np
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
@@ -27,8 +26,8 @@ from ..core.live.health import Level, number, Status
 from ..core.live.plan_tracker import MAX_WAIT, PlanTracker, thin_out
 from ..core.live.samples import STILL
 from ..core.live.uncertainty import UNKNOWN_ROOT
-from ..core.model.grip import Grip, grip_of, safety_sentence
-from ..core.model.simulation import tool_rows, ToolRows
+from ..core.model.grip import grip_of, safety_sentence
+from ..core.model.simulation import ToolRows
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.limits import NO_LIMITS, stretched
 from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation
@@ -60,217 +59,195 @@ DELIVERY_TIME = 4e-4
 MAX_STEERED_DURATION = 60.0
 """Longest motion (s) that is steered live; its splines hold the interpreter."""
 
-PLAN, STEERING = 'plan', 'steering'
-"""Kinds of work of which only the newest is wanted."""
 
-
-class Planning:
+class Answers:
     """
-    Subscribers and publishers for plans.
+    Answers to messages, of which only the newest counts, made beside the live prediction.
 
-    Answers are made in a thread beside the live prediction: the kernels let go of the interpreter,
-    and the rest gives it back soon.
+    The kernels let go of the interpreter, and the rest gives it back soon.
 
     Parameters
     ----------
     node : PredictorNode
-        Publishes, subscribes and logs.
-    now : callable
-        The newest prediction, of a package that is held or flies, or None.
-    grip : callable
-        Returns that of the package which is held, as `grip_of` does.
+        Subscribes.
+    what : str
+        What is answered.
+    warm_up : callable
+        Compiles what answers, in the thread, once a possible publisher appears.
+    refuse : callable
+        Takes what is refused, and the BellowsError that says why.
 
     Attributes
     ----------
-    worker, steerer : Worker
-        Make the answers; no plan waits for the steering of a motion.
+    worker : Worker
+        Makes the answers.
+    is_warm : bool
+        Whether there was a possible publisher.
 
     """
 
     def __init__(
-        self, node: Any, now: Callable[[], Prediction | None], grip: Callable[[], Grip | None]
+        self, node: Any, what: str, warm_up: Callable[[], None],
+        refuse: Callable[[str, BellowsError], None],
     ) -> None:
-        """Advertise and subscribe; messages with many points are handled as bytes."""
-        self._node, self._now, self.grip = node, now, grip
-        self._plan_out = Topic(node, MultiDOFJointTrajectory, 'package/plan')
-        self._path_out = Topic(node, Path, 'package/plan_path')
-        self._steered = Topic(node, MultiDOFJointTrajectory, 'tool_arm/steered')
-        self._at = Topic(node, Odometry, 'package/predicted_at')
-        self._warmed_up = set[str]()
-        self.worker, self.steerer = Worker(node, 'plans'), Worker(node, 'steering')
-        self._joints = JointPlanning(node, self)
-        plan = partial(self.worker.submit, PLAN, self._on_plan)
-        answer = partial(self.steerer.submit, STEERING, self._on_steer)
+        """Start the thread."""
+        self._node, self._what, self._warm_up, self._refuse = node, what, warm_up, refuse
+        self.worker, self.is_warm = Worker(node, what), False
         sys.setswitchinterval(SWITCH_INTERVAL)
-        for kind, topic, callback, work, raw in (
-                (MultiDOFJointTrajectory, 'tool_arm/plan', partial(plan, self._read), PLAN, True),
-                (MultiDOFJointTrajectory, 'tool_arm/steer', partial(answer, self._steer),
-                 STEERING, True),
-                (Header, 'package/predict_at', self._on_request, PLAN, False)):
-            node.create_subscription(
-                kind, topic, callback, QoSProfile(depth=10), raw=raw,
-                event_callbacks=SubscriptionEventCallbacks(
-                    matched=node.guarded(partial(self._on_publishers, work))))
-        for name, callback in (('plan', partial(plan, self._joints.read)),
-                               ('steer', partial(answer, self._joints.steer))):
-            node.create_subscription(JointTrajectory, f'tool_arm/{name}_joints', callback, 10)
-        self.cancel()
 
-    @property
-    def held(self) -> Prediction | None:
-        """The newest prediction of a held package."""
-        now = self._now()
-        return None if now is None or now.flies else now
+    def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe; messages with many points are handled as bytes."""
+        self._node.create_subscription(
+            kind, topic, callback, QoSProfile(depth=10), on_publishers=self._on_publishers,
+            raw=kind is MultiDOFJointTrajectory)
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether something is being answered."""
-        return self.worker.is_busy or self.steerer.is_busy
+    def submit(self, work: Callable[..., None], *content: Any) -> None:
+        """Answer by some work, instead of what was to be answered before."""
+        self.worker.submit(self._what, self._attempt, work, *content)
 
-    def close(self) -> None:
-        """End the answers for good."""
-        self.worker.close()
-        self.steerer.close()
+    def _attempt(self, work: Callable[..., None], *content: Any) -> None:
+        """Do some work; refuse what cannot be answered, unless nobody waits for it any more."""
+        try:
+            work(*content)
+        except BellowsError as error:
+            if not self.worker.stop[0]:
+                self._refuse(self._what, error)
 
-    def cancel(self) -> None:
-        """Drop the plan and all answers."""
-        self.worker.cancel()
-        self.steerer.cancel()
+    def _on_publishers(self, count: int) -> None:
+        """Compile once a possible publisher appears."""
+        if count and not self.is_warm:
+            self.is_warm = True
+            self.worker.submit('warm up', self._warm_up)
+
+
+class Planning:
+    """
+    Prediction of plans, before they are driven and while they are, and of single moments.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Has the node, the live prediction, and the parameters.
+
+    Attributes
+    ----------
+    plans, steering : Answers
+        No plan waits for the steering of a motion.
+    reader : PlanReader
+
+    """
+
+    def __init__(self, pipeline: Any) -> None:
+        """Advertise and subscribe."""
+        self._pipeline, self._node = pipeline, pipeline.node
+        self._live: LivePredictor = pipeline.live
+        self._plan_out = Topic(self._node, MultiDOFJointTrajectory, 'package/plan')
+        self._path_out = Topic(self._node, Path, 'package/plan_path')
+        self._at = Topic(self._node, Odometry, 'package/predicted_at')
+        self.plans = plans = Answers(self._node, 'plan', self._warm_up, self._refuse)
+        self.reader = reader = PlanReader(pipeline)
+        for kind, topic, read in (
+                (MultiDOFJointTrajectory, 'tool_arm/plan', reader.of_tool),
+                (JointTrajectory, 'tool_arm/plan_joints', reader.of_joints)):
+            plans.subscribe(kind, topic, partial(plans.submit, self._on_plan, read))
+        plans.subscribe(Header, 'package/predict_at', self._on_request)
+        self.steering = Steering(pipeline, reader, self._refuse).answers
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the plan."""
         self._tracker: PlanTracker | None = None
         self._outcome: PlanPrediction | Status | None = None
         self._predicted_ns = 0
 
-    def set_model(self, live: LivePredictor, values: Mapping[str, Any]) -> None:
+    def use_values(self) -> None:
         """Go on with other values."""
-        self._live, self.values = live, values
-        self._coarse = COARSE * largest_step(live.model)
-        self._period_ns = round(0.9e9 / values['plan.rate'])  # poses come at their rate
-
-    def _on_publishers(self, work: str, matched: Any) -> None:
-        """Compile what answers a topic once a possible publisher appears."""
-        if matched.current_count and work not in self._warmed_up:
-            self._warmed_up.add(work)
-            if work == STEERING:
-                self.steerer.submit('warm up', self._warm_up_steering)
-            else:
-                self.worker.submit('warm up', self._warm_up)
+        self._coarse = COARSE * largest_step(self._live.model)
+        # poses come at their rate
+        self._period_ns = round(0.9e9 / self._pipeline.values['plan.rate'])
 
     def _warm_up(self) -> None:
         """Compile the answers to a plan and to a request, by making one of each."""
         model, tracker = self._live.model, PlanTracker(_standstill(), 0)
         tracker.follow(STILL)
-        PlanSimulation(model, grip_of(self.values), tracker.rest(STILL), tail=0.1).predict()
+        PlanSimulation(
+            model, grip_of(self._pipeline.values), tracker.rest(STILL), tail=0.1).predict()
         thin_out(np.zeros(1, np.int64), np.zeros((1, 13)), 1.0, True)
         assert self._live.flight is not None  # set with the values
         with suppress(BellowsError):  # of a package that has landed
             self._live.flight.later(model, STILL, 0.1)
         gc.freeze()  # the collector need not look through what numba has made
 
-    def _warm_up_steering(self) -> None:
-        """Compile the answer to a motion to be steered, by answering one."""
-        steer(self._live.model, _standstill().trajectory(), self.values['steer.method'])
-        gc.freeze()
-
     def rest(self, now: Prediction) -> ToolRows | None:
         """Return the tool from a prediction on, by its plan, or None where it drives none."""
         tracker = self._tracker
         return tracker.rest(now) if tracker is not None and tracker.is_driven(now) else None
 
-    # --------------------------------------------------------------- messages
-
-    def _read(self, data: bytes) -> tuple[PlanMessage, ToolRows]:
-        """Return a plan as received, and the tool by it."""
-        message = plan_messages.decode_multi_dof(data)
-        self.require_frame(message.frame_id)
-        plan, tip = rows_of(
-            message.times_ns, message.poses, message.twists, message.accelerations,
-            self.values['tool_twist.frame']), tip_of(self.values)
-        if tip is None or message.names[:1] == (self.values['frames.package'],):
-            return message, plan
-        return message, _rows(at_tip(plan.trajectory(), tip))
-
-    def require_frame(self, frame_id: str) -> None:
-        """Refuse a plan in another frame than that of the tool's poses."""
-        plan_messages.require_frame(frame_id, self.values)
-        frame = self._live.frame_id
-        if frame and frame_id not in ('', frame):
-            raise BellowsError(
-                f"The plan is in frame '{frame_id}'; expected '{frame}', the frame of "
-                "the tool's poses. Transform the plan.")
-
-    def _on_plan(
-        self, read: Callable[[Any], tuple[PlanMessage | JointPlan, ToolRows]], message: Any
-    ) -> None:
-        """Predict a plan of the tool, and follow it from now on."""
-        try:
-            plan, tool = read(message)
-            stamp_ns = plan.stamp_ns
-            tracker = PlanTracker(tool, stamp_ns)
-            now, grip = self.held, grip_of(self.values)
-            rest, body = tracker.plan, None
-            if now is not None:
-                wait = (stamp_ns - now.stamp_ns) / NS_PER_S
-                if wait > MAX_PLAN_LEAD:
-                    raise BellowsError(
-                        f'It begins {wait:.6g} s after the newest pose of the tool; expected at '
-                        f'most {MAX_PLAN_LEAD:g} s. Stamp plans and poses with one clock, or '
-                        'give the plan the stamp 0.')
-                tracker.follow(now)
-                grip = self.grip()
-                if wait <= MAX_WAIT and not tracker.deviated:
-                    rest = tracker.rest(now, self._coarse)  # points as far apart as steps
-                    body, stamp_ns = now.body, now.stamp_ns
-            self._tracker = tracker
-            run = PlanSimulation(
-                self._live.model, grip, rest, body, TAIL, self._coarse, self.worker.stop)
-            self._answer(run, stamp_ns)
-        except BellowsError as error:
-            self.refuse('plan', error)
-            return
-        if (status := self.status) and status.level > Level.OK:
-            self._node.get_logger().warning(f'Plan: {status.message}')
-
-    def refuse(self, what: str, error: BellowsError) -> None:
+    def _refuse(self, what: str, error: BellowsError) -> None:
         """Log why a message is refused; the prediction goes on."""
-        if (self.worker if what == 'plan' else self.steerer).stop[0]:
-            return  # nobody waits for it any more
-        self._tracker = self._tracker if what != 'plan' else None
+        self._tracker = None if what == 'plan' else self._tracker
         self._outcome = Status('plan', Level.WARN, f'The last {what} was refused. {error}', {})
         self._node.get_logger().warning(f'A {what} was refused. {error}')
 
+    def _on_plan(
+        self, read: Callable[[Any], tuple[PlanMessage | JointPlan, Trajectory | ToolRows, Any]],
+        message: Any,
+    ) -> None:
+        """Predict a plan of the tool, and follow it from now on."""
+        plan, tool, _ = read(message)
+        stamp_ns = plan.stamp_ns
+        tracker = PlanTracker(tool, stamp_ns)
+        now, grip = self._pipeline.held, grip_of(self._pipeline.values)
+        rest, body = tracker.plan, None
+        if now is not None:
+            wait = (stamp_ns - now.stamp_ns) / NS_PER_S
+            if wait > MAX_PLAN_LEAD:
+                raise BellowsError(
+                    f'It begins {wait:.6g} s after the newest pose of the tool; expected at '
+                    f'most {MAX_PLAN_LEAD:g} s. Stamp plans and poses with one clock, or '
+                    'give the plan the stamp 0.')
+            tracker.follow(now)
+            grip = self._pipeline.load.grip
+            if wait <= MAX_WAIT and not tracker.deviated:
+                rest = tracker.rest(now, self._coarse)  # points as far apart as steps
+                body, stamp_ns = now.body, now.stamp_ns
+        self._tracker = tracker
+        self._publish(PlanSimulation(
+            self._live.model, grip, rest, body, TAIL, self._coarse, self.plans.worker.stop),
+            stamp_ns)
+        if (status := self.status) and status.level > Level.OK:
+            self._node.get_logger().warning(f'Plan: {status.message}')
+
     def follow(self) -> None:
         """Find the tool on its plan; predict the rest of it as often as asked for."""
-        tracker, now = self._tracker, self.held
+        tracker, now = self._tracker, self._pipeline.held
         if tracker is None or now is None or now.coasting:
             return
         tracker.follow(now)
         if tracker.done:
             self._tracker = None
-        elif (tracker.progress > 0.0 and tracker.is_driven(now) and not self.worker.is_busy
+        elif (tracker.progress > 0.0 and tracker.is_driven(now) and not self.plans.worker.is_busy
                 and time.monotonic_ns() - self._predicted_ns >= self._period_ns):
             self._predicted_ns = time.monotonic_ns()
-            self.worker.submit(PLAN, self._predict_rest, tracker, now)
+            self.plans.submit(self._predict_rest, tracker, now)
 
     def _predict_rest(self, tracker: PlanTracker, now: Prediction) -> None:
         """Predict the rest of a plan from a live state, once that has been delivered."""
         time.sleep(DELIVERY_TIME)
-        try:
-            self._answer(PlanSimulation(
-                self._live.model, self.grip(), tracker.rest(now), now.body, 0.0, self._coarse,
-                self.worker.stop), now.stamp_ns)
-        except BellowsError as error:
-            self.refuse('plan', error)
+        self._publish(PlanSimulation(
+            self._live.model, self._pipeline.load.grip, tracker.rest(now), now.body, 0.0,
+            self._coarse, self.plans.worker.stop), now.stamp_ns)
 
-    def _answer(self, run: PlanSimulation, stamp_ns: int) -> None:
+    def _publish(self, run: PlanSimulation, stamp_ns: int) -> None:
         """Publish the package along a plan, then its summary."""
-        frame, states = self._live.frame_id, run.states()
+        frame, states, values = self._live.frame_id, run.states(), self._pipeline.values
         times = run.tool.stamps_ns - run.tool.stamps_ns[0]
-        count = thin_out(times, states, self.values['plan.points_rate'],
-                         self.values['tool_twist.frame'] == 'world')
+        count = thin_out(
+            times, states, values['plan.points_rate'], values['tool_twist.frame'] == 'world')
         times, states = times[:count], states[:count]
         if self._plan_out.subscribed:
-            self._plan_out.publish(plan_messages.encode_multi_dof(plan_messages.PlanMessage(
-                stamp_ns, frame, (self.values['frames.package'],), times, states[:, :7],
+            self._plan_out.publish(plan_messages.encode_multi_dof(PlanMessage(
+                stamp_ns, frame, (values['frames.package'],), times, states[:, :7],
                 states[:, 7:])))
         if self._path_out.subscribed:
             self._path_out.publish(
@@ -280,42 +257,39 @@ class Planning:
     @property
     def status(self) -> Status | None:
         """The line of the diagnostics on the plan, once there was one."""
-        found, words = self._outcome, []
-        if found is None or isinstance(found, Status):
-            return found
-        if found.grip:
-            words.append(safety_sentence(
-                *found.smallest_safety, 0.0, self.values['safety.least']))
-        outside = found.outside(self.values)
-        if outside:
-            words.append(f'Outside the validity range: {"; ".join(outside)}.')
-        words.append(found.flips)
-        said = ' '.join(word for word in words if word)
-        lost = found.grip is not None and found.smallest_safety[0] < 1.0
-        level = Level.ERROR if lost else Level.WARN if said else Level.OK
-        seconds = float(found.tool.seconds[-1])
-        values = {'left (s)': number(seconds)} | {
-            name: number(value) for name, value in found.figures().items()}
-        return Status('plan', level, said or 'The plan is within all known limits.', values)
+        outcome, values = self._outcome, self._pipeline.values
+        if outcome is None or isinstance(outcome, Status):
+            return outcome
+        safety, outside = outcome.smallest_safety, outcome.outside(values)
+        message = ' '.join(filter(None, (
+            safety_sentence(*safety, 0.0, values['safety.least']) if outcome.grip else '',
+            f'Outside the validity range: {"; ".join(outside)}.' if outside else '',
+            outcome.flips)))
+        released = outcome.grip is not None and safety[0] < 1.0
+        level = Level.ERROR if released else Level.WARN if message else Level.OK
+        return Status('plan', level, message or 'The plan is within all known limits.', {
+            'left (s)': number(float(outcome.tool.seconds[-1])),
+            **{name: number(value) for name, value in outcome.figures().items()}})
 
     def _on_request(self, request: Header) -> None:
         """Answer a request for the package at a stamp beside the live prediction."""
-        if self.worker.pending(int) < MAX_PENDING_REQUESTS:
-            self.worker.submit(stamp_to_ns(request.stamp), self._predict_at, request)
+        worker = self.plans.worker
+        if worker.pending(int) < MAX_PENDING_REQUESTS:
+            worker.submit(stamp_to_ns(request.stamp), self._predict_at, stamp_to_ns(request.stamp))
             return
         self._node.get_logger().warning(
             'Requests on package/predict_at arrive faster than they can be answered, and some are '
             'skipped. Send fewer.', throttle_duration_sec=1.0)
 
-    def _predict_at(self, request: Header) -> None:
-        """Publish the package at a stamp, with the tool moving as planned or steadily."""
-        live, now = self._live, self._now()
+    def _predict_at(self, stamp_ns: int) -> None:
+        """Publish the package at a stamp (ns), with the tool moving as planned or steadily."""
+        live, now = self._live, self._pipeline.latest
         try:
             if now is None:
                 raise BellowsError(
                     'There is no prediction to start from; expected poses of the tool, and an '
                     'attached package.')
-            duration = (stamp_to_ns(request.stamp) - now.stamp_ns) / NS_PER_S
+            duration = (stamp_ns - now.stamp_ns) / NS_PER_S
             if not 0.0 < duration <= MAX_REQUEST_LEAD:
                 raise BellowsError(
                     f'Its stamp is {duration:.6g} s after the newest pose of the tool; expected '
@@ -326,41 +300,8 @@ class Planning:
             self._node.get_logger().warning(
                 f'A request on package/predict_at was refused. {error}', throttle_duration_sec=1.0)
             return
-        later = Prediction(stamp_to_ns(request.stamp), *body[:4], ZERO, ZERO)
-        self._at.send(write_odometry, self._live.frame_id, self.values['frames.package'], later,
-                      UNKNOWN_ROOT)
-
-    def steered(self, wanted: Trajectory, of_package: bool = False) -> Trajectory:
-        """Return a motion of the tool without swing; refuse to work on it for long."""
-        if wanted.seconds[-1] > MAX_STEERED_DURATION:
-            raise BellowsError(
-                f'It takes {wanted.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
-                'Split the motion, or use bellows steer.')
-        tool = steer(self._live.model, wanted, self.values['steer.method'], of_package).tool
-        if self.steerer.stop[0]:
-            raise BellowsError('The steering was stopped before its end.')
-        return tool
-
-    def _on_steer(self, answer: Callable[[Any], None], message: Any) -> None:
-        """Answer a motion with one that leaves the package without swing."""
-        try:
-            answer(message)
-        except BellowsError as error:
-            self.refuse('motion to be steered', error)
-
-    def _steer(self, data: bytes) -> None:
-        """Publish a motion of the tool or the package, steered."""
-        message, plan = self._read(data)
-        of_package = message.names[:1] == (self.values['frames.package'],)
-        tool = self.steered(plan.trajectory(), of_package)
-        self._steered.publish(plan_messages.encode_multi_dof(plan_messages.plan_message(
-            from_tip(tool, tip_of(self.values)), message.stamp_ns, message.frame_id, 'tool',
-            self.values['tool_twist.frame'])))
-
-
-def _rows(tool: Trajectory) -> ToolRows:
-    """Return the rows of a motion of the tool."""
-    return ToolRows(tool.stamps_ns, tool_rows(tool))
+        self._at.send(write_odometry, live.frame_id, self._pipeline.values['frames.package'],
+                      Prediction(stamp_ns, *body[:4], ZERO, ZERO), UNKNOWN_ROOT)
 
 
 def _standstill() -> ToolRows:
@@ -369,53 +310,137 @@ def _standstill() -> ToolRows:
                    np.zeros((9, 6)))
 
 
-class JointPlanning:
+class PlanReader:
     """
-    Subscribers and publishers for plans of the joints of the arm on robot_description.
+    Reads plans of the tool, and of the joints of the arm on robot_description.
 
     Parameters
     ----------
-    node : PredictorNode
-        Publishes, subscribes and logs.
-    planning : Planning
-        Answers plans of the tool.
+    pipeline : Pipeline
+        Has the node, the frame of the tool's poses, and the parameters.
 
     """
 
-    def __init__(self, node: Any, planning: Planning) -> None:
-        """Advertise and subscribe."""
-        self._planning = planning
-        self._urdf = ''
-        self._steered = Topic(node, JointTrajectory, 'tool_arm/steered_joints')
+    def __init__(self, pipeline: Any) -> None:
+        """Subscribe to the arm, which is read when a plan needs it."""
+        self._pipeline, self._urdf = pipeline, ''
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(String, 'robot_description', self._on_description, latched)
+        pipeline.node.create_subscription(
+            String, 'robot_description', self._on_description, latched)
 
     def _on_description(self, message: String) -> None:
-        """Keep the arm, which is read when a plan needs it."""
+        """Store the arm."""
         self._urdf = message.data
 
-    def _read(self, message: JointTrajectory) -> tuple[JointPlan, Trajectory, Joints]:
-        """Return a plan as received, the motion of the tool, and its joints."""
-        values = self._planning.values
+    def of_tool(self, data: bytes) -> tuple[PlanMessage, Trajectory | ToolRows, bool]:
+        """Return a plan, the motion of E or of the package by it, and whether it is the latter."""
+        values = self._pipeline.values
+        message = plan_messages.decode_multi_dof(data)
+        self._require_frame(message.frame_id)
+        of_package = message.names[:1] == (values['frames.package'],)
+        plan, tip = rows_of(
+            message.times_ns, message.poses, message.twists, message.accelerations,
+            values['tool_twist.frame']), tip_of(values)
+        if tip is None or of_package:
+            return message, plan, of_package
+        return message, at_tip(plan.trajectory(), tip), False
+
+    def of_joints(self, message: JointTrajectory) -> tuple[JointPlan, Trajectory, Joints]:
+        """Return a plan, the motion of E by it, and its joints."""
+        values = self._pipeline.values
         if not (self._urdf and values['tool_link']):
             what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
             raise BellowsError(
                 f'It is one of joints, but {what}; expected both. Publish the URDF of the arm, '
                 'and set tool_link to the link at the tool tip.')
         arm: Arm = read_arm(self._urdf, values['tool_link']).with_tip(tip_of(values))
-        self._planning.require_frame(arm.root)
+        self._require_frame(arm.root)
         plan = plan_messages.joint_plan(message)
         return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
 
-    def read(self, message: JointTrajectory) -> tuple[JointPlan, ToolRows]:
-        """Return a plan as received, and the tool by it."""
-        plan, tool, _ = self._read(message)
-        return plan, _rows(tool)
+    def _require_frame(self, frame_id: str) -> None:
+        """Refuse a plan in another frame than that of the tool's poses."""
+        plan_messages.require_frame(frame_id, self._pipeline.values)
+        frame = self._pipeline.live.frame_id
+        if frame and frame_id not in ('', frame):
+            raise BellowsError(
+                f"The plan is in frame '{frame_id}'; expected '{frame}', the frame of "
+                "the tool's poses. Transform the plan.")
 
-    def steer(self, message: JointTrajectory) -> None:
-        """Publish a motion, steered, in the same joints."""
-        _, tool, joints = self._read(message)
-        path = steered_joints(joints, tool, self._planning.steered)
+
+class Steering:
+    """
+    Motions that leave the package without swing.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Has the node, the model, and the parameters.
+    reader : PlanReader
+        Reads the motions.
+    refuse : callable
+        As `Answers` takes it.
+
+    Attributes
+    ----------
+    answers : Answers
+
+    """
+
+    def __init__(
+        self, pipeline: Any, reader: PlanReader, refuse: Callable[[str, BellowsError], None]
+    ) -> None:
+        """Advertise and subscribe."""
+        self._pipeline, self._reader = pipeline, reader
+        self._tool = Topic(pipeline.node, MultiDOFJointTrajectory, 'tool_arm/steered')
+        self._joints = Topic(pipeline.node, JointTrajectory, 'tool_arm/steered_joints')
+        self.answers = Answers(pipeline.node, 'motion to be steered', self._warm_up, refuse)
+        for kind, topic, work in (
+                (MultiDOFJointTrajectory, 'tool_arm/steer', self._steer_tool),
+                (JointTrajectory, 'tool_arm/steer_joints', self._steer_joints)):
+            self.answers.subscribe(kind, topic, partial(self.answers.submit, work))
+
+    def _warm_up(self) -> None:
+        """Compile the answer to a motion to be steered, by answering one."""
+        self._steered(_standstill().trajectory())
+        gc.freeze()
+
+    def _steered(self, wanted: Trajectory, of_package: bool = False) -> Trajectory:
+        """Return a motion of the tool without swing; refuse to work on it for long."""
+        if wanted.seconds[-1] > MAX_STEERED_DURATION:
+            raise BellowsError(
+                f'It takes {wanted.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
+                'Split the motion, or use bellows steer.')
+        tool = steer(self._pipeline.live.model, wanted, self._pipeline.values['steer.method'],
+                     of_package).tool
+        if self.answers.worker.stop[0]:
+            raise BellowsError('The steering was stopped before its end.')
+        return tool
+
+    def _steer_tool(self, data: bytes) -> None:
+        """Publish a motion of the tool or the package, steered."""
+        message, plan, of_package = self._reader.of_tool(data)
+        values = self._pipeline.values
+        tool = self._steered(
+            plan.trajectory() if isinstance(plan, ToolRows) else plan, of_package)
+        self._tool.publish(plan_messages.encode_multi_dof(plan_messages.plan_message(
+            from_tip(tool, tip_of(values)), message.stamp_ns, message.frame_id, 'tool',
+            values['tool_twist.frame'])))
+
+    def _steer_joints(self, message: JointTrajectory) -> None:
+        """Publish a motion, steered, in the same joints; slower where their speeds need that."""
+        _, planned, joints = self._reader.of_joints(message)
+
+        @cache
+        def steered(scale: float) -> tuple[Trajectory, JointPath]:
+            tool = self._steered(timed(planned, scale))
+            return tool, joints.along(tool, planned)
+
+        def motion(scale: float) -> tuple[Trajectory, float, tuple[float, str]]:
+            tool, path = steered(scale)
+            return tool, math.inf, joint_excess(joints.arm, path, math.inf)
+
+        scale, _ = stretched(NO_LIMITS, motion)
         answer = JointTrajectory(header=message.header, joint_names=joints.arm.moving)
         answer.points = [
             JointTrajectoryPoint(
@@ -423,20 +448,5 @@ class JointPlanning:
                 time_from_start=Duration(**dict(zip(
                     ('sec', 'nanosec'), divmod(round(seconds * NS_PER_S), NS_PER_S),
                     strict=True))))
-            for seconds, q, v, a in zip(*path, strict=True)]
-        self._steered.publish(answer)
-
-
-def steered_joints(
-    joints: Joints, planned: Trajectory, steer_tool: Callable[[Trajectory], Trajectory]
-) -> JointPath:
-    """Return the joints of a steered motion, slowed down where their speeds need that."""
-    found: list[JointPath] = []
-
-    def motion(scale: float) -> tuple[Trajectory, float, tuple[float, str]]:
-        tool = steer_tool(timed(planned, scale))
-        found.append(joints.along(tool, planned))
-        return tool, math.inf, joint_excess(joints.arm, found[-1], math.inf)
-
-    scale, limit = stretched(NO_LIMITS, motion)
-    return joints.along(steer_tool(timed(planned, scale)), planned) if limit else found[-1]
+            for seconds, q, v, a in zip(*steered(scale)[1], strict=True)]
+        self._joints.publish(answer)

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 import importlib.util
+import math
 import time
 from typing import Any
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from .conversions import quaternion_xyzw, stamp_to_ns, vector
@@ -48,32 +48,31 @@ class SensorInput:
         self._node, self._type = node, f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
         self.arrivals = Arrivals()
         self._refused: Mapping[str, int] = {}
-        events = None
-        if on_publishers:
-            events = SubscriptionEventCallbacks(matched=node.guarded(
-                lambda matched: on_publishers(matched.current_count)))
         self._subscription = node.create_subscription(
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
-            event_callbacks=events)
+            on_publishers=on_publishers)
 
     @property
     def topic(self) -> str:
         """Full name of the topic."""
         return str(self._subscription.topic_name)
 
-    def note(self, arrival_ns: int, stamp_ns: int) -> None:
+    def note(self, stamp_ns: int | None = None) -> int:
         """
-        Note a message and its age.
+        Note a message, and its age if it has a stamp; return its arrival (ns), monotonic.
 
         The node's clock takes 2.5 us to ask, the system's 0.04: it is the same one unless time is
         simulated, which is looked up once a report.
         """
+        arrival_ns = time.monotonic_ns()
         if self.arrivals.is_empty:
             self._clock = self._node.get_clock()
             self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
-        self.arrivals.add(arrival_ns, (now_ns - stamp_ns) * 1e-9)
+        self.arrivals.add(
+            arrival_ns, math.nan if stamp_ns is None else (now_ns - stamp_ns) * 1e-9)
+        return arrival_ns
 
     def seen(self, refused: Mapping[str, int]) -> InputReport:
         """Return the statistics since the last call, with the refused messages so far."""

@@ -1,6 +1,5 @@
 """Topics of the toss: predicted landing, time of release, and the valve."""
 
-from collections.abc import Callable, Mapping
 import time
 from typing import Any
 
@@ -12,7 +11,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from .conversions import write_header, write_place, write_stamp
 from .guarding import Worker
 from .outputs import marker, NAMESPACE, point, show, Topic
-from .planning import Planning
 from ..core.geometry.arrays import Array
 from ..core.live import Prediction
 from ..core.live.flight import Flight, Landing, PATH_POINTS
@@ -31,12 +29,8 @@ class Tossing:
 
     Parameters
     ----------
-    node : PredictorNode
-        Publishes and subscribes.
-    on_valve : callable
-        Takes whether the valve is on.
-    planning : Planning
-        Knows the tool's motion after a prediction.
+    pipeline : Pipeline
+        Switches the valve, and knows the tool's motion after a prediction.
 
     Attributes
     ----------
@@ -45,49 +39,46 @@ class Tossing:
 
     """
 
-    def __init__(self, node: Any, on_valve: Callable[[bool], None], planning: Planning) -> None:
+    def __init__(self, pipeline: Any) -> None:
         """Advertise, and listen to the valve."""
-        self._planning = planning
+        self._pipeline, node = pipeline, pipeline.node
         self._worker = Worker(node, 'release')  # no plan waits behind a search
         self._landing = Topic(node, PoseWithCovarianceStamped, 'package/landing')
         self._at = Topic(node, Header, 'release/at')
         self._markers = Topic(node, MarkerArray, 'package/landing_markers')
-        node.create_subscription(Bool, 'vacuum/valve', lambda m: on_valve(m.data), 10)
+        node.create_subscription(
+            Bool, 'vacuum/valve', lambda message: pipeline.switch_valve(message.data), 10)
         self._landing_ns = self._valve_time_ns = 0
 
-    def cancel(self) -> None:
-        """Drop a running search."""
-        self._worker.cancel()
-
-    def close(self) -> None:
-        """End the searches for good."""
-        self._worker.close()
-
-    def set_model(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
+    def use_values(self) -> None:
         """Use other values; compile what a landing needs."""
-        self.flight = Flight(values, self._planning.rest, self._planning.grip)
-        self._period_ns = round(0.9e9 / values['landing.rate'])  # ticks are not exact
-        self.flight.warm_up(model)
+        pipeline = self._pipeline
+        self.flight = Flight(
+            pipeline.values, pipeline.planning.rest, lambda: pipeline.load.grip)
+        # ticks are not exact
+        self._period_ns = round(0.9e9 / pipeline.values['landing.rate'])
+        self.flight.warm_up(pipeline.live.model)
 
-    def publish(
-        self, model: ModelTuple, prediction: Prediction, frame_id: str,
-        covariance: Callable[[Prediction], Array],
-    ) -> None:
+    def publish(self, held: Prediction) -> None:
         """Publish the landing, and when to release, at their rates."""
+        if not self.flight.has_size or self.flight.state:
+            return
+        model, frame_id = self._pipeline.live.model, self._pipeline.live.frame_id
         now_ns = time.monotonic_ns()
         wanted = self._landing.subscribed or self._markers.subscribed
         if wanted and now_ns - self._landing_ns >= self._period_ns:
             self._landing_ns = now_ns
-            landing = self.flight.landing(model, prediction, covariance)
+            landing = self.flight.landing(
+                model, held, self._pipeline.outputs.uncertainty.covariance)
             if landing is not None:
-                self._landing.send(_write, landing, prediction.stamp_ns, frame_id)
+                self._landing.send(_write, landing, held.stamp_ns, frame_id)
                 if self._markers.subscribed:
                     path = flight_path(model, landing.toss, PATH_POINTS)
-                    self._markers.publish(_markers(landing, path, prediction.stamp_ns, frame_id))
+                    self._markers.publish(_markers(landing, path, held.stamp_ns, frame_id))
         if (self._at.subscribed and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
                 and not self._worker.is_busy):
             self._valve_time_ns = now_ns
-            self._worker.submit('aim', self._publish_valve_time, model, prediction, frame_id)
+            self._worker.submit('aim', self._publish_valve_time, model, held, frame_id)
 
     def _publish_valve_time(
         self, model: ModelTuple, prediction: Prediction, frame_id: str

@@ -153,7 +153,7 @@ class Partner(Peer):
 
     def wait_for_inputs(self, poses):
         """Spin until the predictor has taken so many poses, refused ones too."""
-        live = self.predictor._live
+        live = self.predictor.pipeline.live
         assert self.ros.spin_until(lambda: live.poses_in >= poses), f'{live.poses_in} of {poses}'
 
 
@@ -161,7 +161,7 @@ def topics_of(predictor):
     """Return what knows whether somebody listens, of each topic about the package."""
     from bellows_ros.nodes.outputs import Topic
 
-    return [part for name, part in vars(predictor._outputs).items()
+    return [part for name, part in vars(predictor.pipeline.outputs).items()
             if isinstance(part, Topic) and name not in ('_state', '_ok')]
 
 

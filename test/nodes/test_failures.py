@@ -37,7 +37,7 @@ def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
         make_partner, listener, capfd):
     """Lose the message in which it failed, and nothing else."""
     partner = make_partner(with_twists=False)
-    live = partner.predictor._live
+    live = partner.predictor.pipeline.live
     for k in range(30):
         if k in (10, 20):
             break_once(live, 'on_pose')
@@ -47,7 +47,7 @@ def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
     assert listener.sees('prediction', ERROR, '2 callbacks failed')
     assert listener.value('prediction', 'fresh starts: failure') == '2'
     log = capfd.readouterr().err
-    assert log.count('A callback failed at predictor_node.py:') == 1
+    assert log.count('A callback failed at pipeline.py:') == 1
     assert 'ZeroDivisionError: ?[31mbroken' in log and 'x' * 100 not in log
 
 
@@ -58,7 +58,7 @@ def test_a_timer_or_service_that_fails_goes_on(name, make_partner):
     predictor = partner.predictor
     partner.send_pose(START)
     partner.wait_for_poses(1)
-    break_once(predictor._live, name)
+    break_once(predictor.pipeline.live, name)
     for answered in (name != 'flush', True):
         assert partner.call('predictor/reset', Trigger).success is answered
     assert partner.ros.spin_until(lambda: sum(predictor.failures.values()) == 1)
@@ -81,7 +81,7 @@ def test_a_negative_time_is_left_out(make_predictor, peer, capfd):
         tell(-count)
         peer.wait(lambda count=count: predictor.failures['negative time on /clock'] == count)
     assert predictor.get_clock().now().nanoseconds == 100 * 10**9
-    assert predictor._live.restarts['failure'] == 0
+    assert predictor.pipeline.live.restarts['failure'] == 0
     assert capfd.readouterr().err.count('A negative time on /clock was ignored: -1 s') == 1
     tell(101)
     peer.wait(lambda: predictor.get_clock().now().nanoseconds == 101 * 10**9)
@@ -98,7 +98,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
     predictor = partner.predictor
     for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
         monkeypatch.setattr(diagnostics, name, 0.0)
-    monkeypatch.setattr(predictor.diagnostics.load, 'reset', lambda: (
+    monkeypatch.setattr(predictor.pipeline.load, 'reset', lambda: (
         Safety(0.5, 'peel'), None, 0.0))
     for number, level in enumerate(ALL_PAIRS):
         for name in ('prediction', 'input', 'twist', 'load'):
@@ -108,10 +108,10 @@ def test_every_pair_of_severities_is_reported_and_logged(
                     name, diagnostics.health.Level(level), f'{name} {number} is {level}', {}))
         partner.send_pose(START + number * MS)
         partner.wait_for_poses(number + 1)
-        predictor._live.restarts['gap'] += 1  # a start is logged at once
+        predictor.pipeline.live.restarts['gap'] += 1  # a start is logged at once
         for line in ('prediction', 'tool pose', 'tool twist', 'load'):
             assert listener.sees(line, bytes([level]), f'{line} {number} is')
-    assert not predictor.failures and not predictor._live.restarts['failure']
+    assert not predictor.failures and not predictor.pipeline.live.restarts['failure']
     log = capfd.readouterr().err
     for line, word in (('prediction', 'ERROR'), ('load', 'ERROR'), ('tool pose', 'WARN')):
         assert any(f'[{word}]' in text and f'{line} 4 is 2' in text for text in log.splitlines())
@@ -119,9 +119,9 @@ def test_every_pair_of_severities_is_reported_and_logged(
 
 
 @pytest.mark.parametrize(('part', 'name'), [
-    ('diagnostics', 'report'), ('diagnostics.load', 'watch_force'),
-    ('_outputs', 'publish_more'), ('_outputs', 'publish_state'), ('_planning', 'follow'),
-    ('_tossing', 'publish')])
+    ('diagnostics', 'report'), ('pipeline.load', 'watch_force'),
+    ('pipeline.outputs', 'publish_more'), ('pipeline.outputs', 'publish_state'),
+    ('pipeline.planning', 'follow'), ('pipeline.tossing', 'publish')])
 def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
         part, name, make_partner, listener):
     """Publish the pose of each sample, in the motion that it has."""
@@ -143,7 +143,7 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
     assert partner.ros.spin_until(lambda: predictor.failures)
     found = [(p.pose.position.x, p.pose.position.z) for p in partner.poses]
     assert found == [(p.position[0], p.position[2]) for p in expected]
-    assert not predictor._live.restarts['failure']
+    assert not predictor.pipeline.live.restarts['failure']
 
 
 @pytest.mark.parametrize('broken', ['_twist', '_state'])
@@ -155,7 +155,7 @@ def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, make_partner,
     def fail(*arguments):
         raise ZeroDivisionError('broken')
 
-    topic = getattr(predictor._outputs, broken)
+    topic = getattr(predictor.pipeline.outputs, broken)
     topic._publisher.publish = fail
     partner.send_pose(START)
     assert partner.ros.spin_until(lambda: partner.wrenches)
@@ -170,12 +170,13 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(make_par
     predictor, done = partner.predictor, []
     partner.send_pose(START)
     partner.wait_for_poses(1)
-    worker = predictor._planning.worker
+    worker = predictor.pipeline.planning.plans.worker
     worker.submit('bad', lambda: [][0])
     worker.submit('good', done.append, True)
     assert partner.ros.spin_until(lambda: done)
     assert sum(predictor.failures.values()) == 1
-    assert predictor._latest is not None and not predictor._live.restarts['failure']
+    pipeline = predictor.pipeline
+    assert pipeline.latest is not None and not pipeline.live.restarts['failure']
 
 
 def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, capfd):
@@ -183,11 +184,12 @@ def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, c
     monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.0)
     predictor = make_predictor()
     for _ in range(2):
-        predictor._report_health()
+        predictor.diagnostics.report()
     for k in range(3):
-        predictor._process_pose(START + k * MS, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 3.0))
+        predictor.pipeline.process_pose(
+            START + k * MS, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 3.0))
     for _ in range(2):
-        predictor._report_health()
+        predictor.diagnostics.report()
     log = capfd.readouterr().err
     assert log.count('Nobody publishes /tool_arm/pose') == 1
     assert log.count('quaternion not of unit length') == 1
@@ -211,6 +213,6 @@ def test_an_envelope_without_a_mass_is_watched(name, live, make_partner):
     if live:
         (result,) = predictor.set_parameters([Parameter(name, value=given[name])])
         assert result.successful
-    load = predictor.diagnostics.load
+    load = predictor.pipeline.load
     assert partner.ros.spin_until(lambda: load.envelope_known and load._distance is not None)
     assert not predictor.failures

@@ -53,7 +53,7 @@ def send_burst(partner):
 
 def is_lost(partner):
     """Tell whether the pause since the last pose is longer than is bridged."""
-    return bool(partner.predictor._live.phase(time.monotonic_ns()) == 'lost')
+    return bool(partner.predictor.pipeline.live.phase(time.monotonic_ns()) == 'lost')
 
 
 def test_nobody_silent_and_good(make_partner, listener):
@@ -172,7 +172,7 @@ def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
     odometry = partner.hears(Odometry, 'package/odometry')
     states = partner.hears(String, 'package/state', decode=lambda message: message.data)
     partner.connect()
-    live = partner.predictor._live
+    live = partner.predictor.pipeline.live
     for _ in range(BURSTS):
         states.clear()
         odometry.clear()
@@ -256,16 +256,16 @@ def test_simulated_time_that_goes_back_starts_afresh(make_partner, capfd):
         writer.publish(Clock(clock=Time(sec=second)))
     assert partner.ros.spin_until(
         lambda: partner.predictor.get_clock().now().nanoseconds == 101 * 10**9)
-    before = partner.predictor._live.restarts['clock_jump']
+    before = partner.predictor.pipeline.live.restarts['clock_jump']
     for k in range(5):
         partner.send_pose(101 * 10**9 + k * 2 * MS)
     partner.wait_for_poses(5)
     writer.publish(Clock(clock=Time(sec=50)))
     assert partner.ros.spin_until(
-        lambda: partner.predictor._live.restarts['clock_jump'] > before)
+        lambda: partner.predictor.pipeline.live.restarts['clock_jump'] > before)
     partner.send_pose(50 * 10**9)
     partner.wait_for_poses(6)
-    partner.predictor._report_health()
+    partner.predictor.diagnostics.report()
     assert 'the clock of the simulation was set' in capfd.readouterr().err
 
 

@@ -74,7 +74,7 @@ def send(count):
         partner.wait_for_poses(sent)
 
 def pause():
-    partner.wait(lambda: predictor._outputs._last_state == 'lost')
+    partner.wait(lambda: predictor.pipeline.outputs._last_state == 'lost')
 
 def signatures():
     kernels = {}
@@ -85,7 +85,7 @@ def signatures():
     return kernels
 
 def held():
-    partner.wait(lambda: predictor.diagnostics.compute.count == 0)
+    partner.wait(lambda: predictor.pipeline.compute.count == 0)
     for got in (*heard, *answered):  # no message that came counts
         got[:] = [None] * len(got)
     gc.collect()
@@ -93,14 +93,14 @@ def held():
         [tracemalloc.Filter(True, os.path.dirname(bellows_ros.__file__) + '/*')])
     return sum(trace.size for trace in taken.traces)
 
-partner.wait(lambda: predictor._live.pairing.expect and all(
+partner.wait(lambda: predictor.pipeline.live.pairing.expect and all(
     topic.subscribed for topic in topics_of(predictor)))
-predictor._report_health()
+predictor.diagnostics.report()
 modules, compiled = set(sys.modules), signatures()
 send(300)
 pause()
 send(100)
-predictor._report_health()
+predictor.diagnostics.report()
 new_modules = sorted(set(sys.modules) - modules)
 newly_compiled = sorted(key for key, n in signatures().items() if compiled.get(key) != n)
 
@@ -115,9 +115,10 @@ plans, answers, landings = answered = [partner.hears(kind, topic) for kind, topi
     (MultiDOFJointTrajectory, 'package/plan'), (Odometry, 'package/predicted_at'),
     (PoseWithCovarianceStamped, 'package/landing'))]
 partner.connect(predictor)
-planning = predictor._planning
-partner.wait(lambda: planning._plan_out.subscribed and predictor._tossing._landing.subscribed
-             and planning._warmed_up and not planning.is_busy)
+pipeline = predictor.pipeline
+planning = pipeline.planning
+partner.wait(lambda: planning._plan_out.subscribed and pipeline.tossing._landing.subscribed
+             and planning.plans.is_warm and not planning.plans.worker.is_busy)
 send(1)
 plan_out.publish(MultiDOFJointTrajectory(joint_names=['tool'], points=[
     MultiDOFJointTrajectoryPoint(
@@ -129,12 +130,12 @@ measured = pose_at(START + sent * STEP_NS + 100_000_000)
 request_out.publish(Header(stamp=measured.header.stamp))
 partner.wait(lambda: answers)
 measured_out.publish(measured)
-partner.wait(lambda: predictor._live.package.observer)
+partner.wait(lambda: predictor.pipeline.live.package.observer)
 def landing():
     send(1)
     return landings
 partner.wait(landing)
-predictor._live.package.observer = None
+predictor.pipeline.live.package.observer = None
 tracemalloc.start()
 send(200)
 before = held()
@@ -144,7 +145,7 @@ print(json.dumps({
     'compiled': jit.COMPILED, 'kernels': sum(compiled.values()), 'modules': new_modules,
     'sent': sent, 'answered': list(map(len, answered)), 'failures': predictor.failures,
     'newly compiled': newly_compiled, 'grown': after - before, 'heard': list(map(len, heard)),
-    'twists estimated': predictor._live.twists_estimated, 'coasted': predictor._live.coasted,
+    'twists estimated': pipeline.live.twists_estimated, 'coasted': pipeline.live.coasted,
 }))
 """
 

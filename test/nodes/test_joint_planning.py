@@ -40,8 +40,8 @@ class JointPlanner:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         partner.writes(String, 'robot_description', latched).publish(String(data=urdf))
         partner.connect()
-        planning = partner.predictor._planning
-        self.wait(lambda: planning._joints._urdf and planning._plan_out.subscribed)
+        planning = partner.predictor.pipeline.planning
+        self.wait(lambda: planning.reader._urdf and planning._plan_out.subscribed)
 
 
 def message(position=POSITION, names=ARM.moving):
@@ -114,7 +114,7 @@ def test_joints_lead_to_a_flange_with_the_tip_beside_it(make_partner):
     ({'position': np.full((81, 6), np.nan)}, 'nan')])
 def test_a_bad_plan_of_joints_is_refused(planner, change, named):
     planner.plan_out.publish(message(**change))
-    planning = planner.partner.predictor._planning
+    planning = planner.partner.predictor.pipeline.planning
     planner.wait(lambda: planning.status)
     assert planning.status.level == 1 and named in planning.status.message.lower()
     assert not planner.plans

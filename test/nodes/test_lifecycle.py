@@ -87,7 +87,7 @@ def test_every_transition(make_predictor, manager):
         manager.send()
         assert not manager.trigger('/predictor/reset').success
         assert not manager.trigger('/package/detach').success
-        assert manager.heard == [] and node._live.poses_in == 0
+        assert manager.heard == [] and node.pipeline.live.poses_in == 0
         assert manager.change(Transition.TRANSITION_ACTIVATE)
         assert manager.hears_all()
         assert manager.change('deactivate')
@@ -163,7 +163,7 @@ def test_configuring_checks_what_has_been_set_since(make_predictor, manager):
     node = make_predictor({**PACKAGE, 'autostart': False})
     assert node.set_parameters([Parameter('package.mass', value=1.0)])[0].successful
     assert manager.change(Transition.TRANSITION_CONFIGURE)
-    assert node._live.model[1][0] == 1.0
+    assert node.pipeline.live.model[1][0] == 1.0
 
 
 def test_package_comes_and_goes(make_predictor, manager):
@@ -173,9 +173,9 @@ def test_package_comes_and_goes(make_predictor, manager):
     assert manager.trigger('/package/detach').success
     assert manager.ros.spin_until(lambda: manager.states[-1] == 'detached')
     manager.take_what_is_under_way()
-    before = node._live.poses_in
+    before = node.pipeline.live.poses_in
     manager.send(20)
-    assert manager.ros.spin_until(lambda: node._live.poses_in == before + 20)
+    assert manager.ros.spin_until(lambda: node.pipeline.live.poses_in == before + 20)
     answer = manager.trigger('/package/attach')
     assert answer.success and set(manager.heard) <= {'package/markers'}  # that takes them away
     assert manager.hears_all()
@@ -189,11 +189,11 @@ def test_vacuum_attaches_and_detaches(signal, make_predictor, manager):
     kind, topic = (Bool, 'vacuum/held') if signal == 'bool' else (FluidPressure, 'vacuum/pressure')
     writer = manager.writes(kind, topic)
     manager.connect()
-    assert node._live.attached is False
+    assert node.pipeline.live.attached is False
     for held in (True, False, True):
         writer.publish(Bool(data=held) if signal == 'bool' else FluidPressure(
             fluid_pressure=30e3 if held else 101e3))
-        assert manager.ros.spin_until(lambda held=held: node._live.attached is held)
+        assert manager.ros.spin_until(lambda held=held: node.pipeline.live.attached is held)
     assert manager.hears_all()
 
 
@@ -206,9 +206,9 @@ def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, mana
         **PACKAGE, 'vacuum.signal': 'bool', 'autostart': False,
         f'{of_switch}.reliability': 'reliable', f'{of_switch}.durability': 'transient_local'})
     assert manager.change(Transition.TRANSITION_CONFIGURE)
-    assert manager.ros.spin_until(lambda: node._attachment.held)
+    assert manager.ros.spin_until(lambda: node.pipeline.attachment.held)
     assert manager.change(Transition.TRANSITION_ACTIVATE)
-    assert node._live.attached
+    assert node.pipeline.live.attached
     assert manager.hears_all()
 
 
@@ -219,9 +219,9 @@ def test_named_cups(make_predictor):
     node = make_predictor({
         **PACKAGE, 'cups.soft.stiffness': soft, 'cups.hard.stiffness': hard.tolist(),
         'cup.name': 'soft'})
-    assert node._live.model[0][2][0][0] == soft[0]
+    assert node.pipeline.live.model[0][2][0][0] == soft[0]
     result = node.set_parameters([Parameter('cup.name', value='hard')])[0]
-    assert result.successful and node._live.model[0][2][0][0] == 2 * soft[0]
+    assert result.successful and node.pipeline.live.model[0][2][0][0] == 2 * soft[0]
     for name, value, words in (
             ('cup.name', 'hart', "Did you mean 'hard'"),
             ('cup.stiffness', soft, "has no effect while cup.name is 'hard'"),

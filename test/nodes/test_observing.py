@@ -42,8 +42,9 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     payloads = partner.hears(InertiaStamped, 'package/estimated')
     reports = partner.hears(DiagnosticArray, '/diagnostics')
     partner.connect()
-    assert partner.ros.spin_until(lambda: partner.predictor._observing._estimated.subscribed)
-    live = partner.predictor._live
+    pipeline = partner.predictor.pipeline
+    assert partner.ros.spin_until(lambda: pipeline.observing._estimated.subscribed)
+    live = pipeline.live
     start_ns, swing = time.time_ns(), swinging()
 
     def see(stamp_ns, body, frame_id='world', variance=1e-08):
@@ -105,7 +106,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
 def test_counts_begin_again_with_the_observer(make_partner):
     """Count no messages below zero after a parameter is set, and none as faults in flight."""
     partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
-    predictor, observing = partner.predictor, partner.predictor._observing
+    predictor, observing = partner.predictor, partner.predictor.pipeline.observing
     start_ns = time.time_ns()
     partner.send_pose(start_ns)
     partner.wait_for_poses(1)
@@ -120,7 +121,7 @@ def test_counts_begin_again_with_the_observer(make_partner):
     assert result.successful
     assert report(2).message.startswith('2 of 2 messages refused')
     assert report(0).level == Level.ERROR
-    predictor._live.switch_valve(False, start_ns)
+    predictor.pipeline.live.switch_valve(False, start_ns)
     assert report(0).level == report(1).level == Level.WARN
 
 
@@ -128,7 +129,7 @@ def test_counts_begin_again_with_the_observer(make_partner):
 def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves):
     """Raise one alarm at once, before the camera sees anything; at rest it is a release."""
     partner = make_partner({**PACKAGE, 'vacuum.signal': 'pressure'})
-    predictor, live = partner.predictor, partner.predictor._live
+    predictor, live = partner.predictor, partner.predictor.pipeline.live
     vacuum = partner.writes(FluidPressure, 'vacuum/pressure')
     partner.connect()
     vacuum.publish(FluidPressure(fluid_pressure=40e3))
@@ -141,13 +142,13 @@ def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves)
     held = partner.poses[-1]
     message = stamped(PoseStamped(), start_ns + 49 * 4_000_000)
     message.pose = held.pose
-    predictor._observing._on_measured(message)
+    predictor.pipeline.observing._on_measured(message)
     for _ in range(3):
         vacuum.publish(FluidPressure(fluid_pressure=100e3))
     assert partner.ros.spin_until(lambda: not live.attached)
-    predictor._observing._on_measured(message)
+    predictor.pipeline.observing._on_measured(message)
     assert [alarm.cause for alarm in live.package.observer.alarms] == ['lost'] * moves
-    assert predictor._outputs._last_state == ('alarm: lost' if moves else 'detached')
+    assert predictor.pipeline.outputs._last_state == ('alarm: lost' if moves else 'detached')
     said = capfd.readouterr().err
     assert said.count('Alarm, lost: The package is lost') == moves
     assert said.count('Second likeliest: leak, odds 1000 to 1') == moves

@@ -9,7 +9,7 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.table import parameters_of
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
-from bellows_ros.nodes import predictor_node
+from bellows_ros.nodes import pipeline
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -53,7 +53,7 @@ def cup(node):
 
 def used(node):
     """Return the blocks of K and P that the prediction is made with."""
-    blocks: tuple[Any, Any] = node._live.model[0][2:]
+    blocks: tuple[Any, Any] = node.pipeline.live.model[0][2:]
     return blocks
 
 
@@ -81,7 +81,7 @@ def test_package_changes_live_and_whole_numbers_will_do(make_predictor, caller):
     node = make_predictor()
     assert caller.set_parameters(package__mass=3, package__com=[0, 0, -1]) == [(True, '')] * 2
     assert node.get_parameter('package.mass').value == 3.0
-    assert node._live.model[1][:2] == (3.0, (0.0, 0.0, -1.0))
+    assert node.pipeline.live.model[1][:2] == (3.0, (0.0, 0.0, -1.0))
 
 
 def test_what_does_not_belong_together_is_set_one_by_one(make_predictor, caller):
@@ -143,11 +143,11 @@ def test_a_cup_of_a_gripper_is_opened_and_closed_live(make_predictor, caller):
 def test_what_is_set_to_what_it_is_has_no_effect(make_predictor, caller):
     """Load what was dumped without anything being made anew."""
     node = make_predictor()
-    before, model = node.values, node._live.model
+    before, model = node.values, node.pipeline.live.model
     dumped = {name.replace('.', '__'): node.get_parameter(name).value
               for name in before if node.has_parameter(name)}
     assert caller.set_parameters(**dumped) == [(True, '')] * len(dumped)
-    assert node.values is before and node._live.model is model
+    assert node.values is before and node.pipeline.live.model is model
 
 
 @pytest.mark.parametrize(('name', 'value', 'reason'), [
@@ -259,8 +259,9 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     partner = make_partner({**VALUES, 'package.size': [0.1] * 3, 'landing.height': -1.0})
     node, tried = partner.predictor, 0
     assert node.set_parameters([Parameter('landing.aim', value=True)])[0].successful
-    topics = [*vars(node._outputs).values(), *vars(node._tossing).values(),
-              *vars(node._planning).values()]
+    pipeline, planning = node.pipeline, node.pipeline.planning.plans
+    topics = [*vars(pipeline.outputs).values(), *vars(pipeline.tossing).values(),
+              *vars(pipeline.planning).values()]
     for topic in topics:
         if hasattr(topic, 'subscribed'):
             topic.subscribed = True
@@ -277,19 +278,18 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
                 assert result.reason and node.values == kept, parameter.name
                 assert node.get_parameter(parameter.name).value == shown
                 continue
-            partner.wait(lambda: not node._is_compiling)
+            partner.wait(lambda: not node.pipeline._is_compiling)
             begun = time.process_time()
             for k in range(1, 12):
-                node._process_pose(tried * 10**9 + k * 4_000_000, 'world',
-                                   (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-            node._planning._on_plan(node._planning._read, plan)
-            if node._latest is not None:
-                node._tossing._landing_ns = 0
-                node._tossing.publish(node._live.model, node._latest, 'world',
-                                      node._outputs.uncertainty.covariance)
-                node._tossing.flight.time_to_target(node._live.model, node._latest)
-            node._tick()
-            node._report_health()
+                pipeline.process_pose(tried * 10**9 + k * 4_000_000, 'world',
+                                      (1e-5 * k * k, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+            planning._attempt(pipeline.planning._on_plan, pipeline.planning.reader.of_tool, plan)
+            if pipeline.latest is not None:
+                pipeline.tossing._landing_ns = 0
+                pipeline.tossing.publish(pipeline.latest)
+                pipeline.tossing.flight.time_to_target(pipeline.live.model, pipeline.latest)
+            pipeline._tick()
+            node.diagnostics.report()
             assert not node.failures, (parameter.name, value)
             assert time.process_time() - begun < 10.0, (parameter.name, value)
         assert node.set_parameters([before])[0].successful, parameter.name
@@ -299,13 +299,13 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
 def test_a_set_that_fails_changes_nothing(make_predictor, monkeypatch):
     """Go back to what was, though it fails where the values are used."""
     node = make_predictor()
-    sound, kept = node._outputs.set_model, node.values
+    sound, kept = node.pipeline.outputs.use_values, node.values
 
     def fail_once(*arguments):
-        monkeypatch.setattr(node._outputs, 'set_model', sound)
+        monkeypatch.setattr(node.pipeline.outputs, 'use_values', sound)
         raise OverflowError('too large')
 
-    monkeypatch.setattr(node._outputs, 'set_model', fail_once)
+    monkeypatch.setattr(node.pipeline.outputs, 'use_values', fail_once)
     result = node._set([Parameter('cup.stiffness', value=K)])
     assert not result.successful and 'too large' in result.reason
     assert node.values == kept and list(kept['cup.stiffness']) == cup(node)[0]
@@ -317,12 +317,12 @@ def test_prediction_goes_on_while_a_cup_of_another_kind_compiles(make_partner, m
     compiled = Event()
     partner = make_partner(with_twists=False)
     node = partner.predictor
-    monkeypatch.setattr(predictor_node, 'warm_up', lambda *model: compiled.wait(30.0))
+    monkeypatch.setattr(pipeline, 'warm_up', lambda *model: compiled.wait(30.0))
     (result,) = node.set_parameters([Parameter('cup.relaxation', value=[0.1, 0.1])])
     assert result.successful
     partner.send_pose(START)
     partner.wait_for_poses(1)
-    assert len(node._live.model[0]) == 4
+    assert len(node.pipeline.live.model[0]) == 4
     compiled.set()
-    partner.wait(lambda: len(node._live.model[0]) == 6)
+    partner.wait(lambda: len(node.pipeline.live.model[0]) == 6)
     assert not node.failures

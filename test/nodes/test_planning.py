@@ -61,9 +61,9 @@ class Planner:
             partner.writes(plan, f'tool_arm/{name}') for name in ('plan', 'steer'))
         self.request_out = partner.writes(Header, 'package/predict_at')
         partner.connect()
-        planning = partner.predictor._planning
+        planning = partner.predictor.pipeline.planning
         self.wait(lambda: (
-            len(planning._warmed_up) == 2 and not planning.is_busy
+            planning.plans.is_warm and planning.steering.is_warm and self.is_idle()
             and planning._plan_out.subscribed and planning._path_out.subscribed))
 
     def send(self, plan):
@@ -76,9 +76,13 @@ class Planner:
         self.partner.send_pose(stamp_ns, o[0], lie.rotation_to_quaternion(R)[0])
         self.partner.send_twist(stamp_ns, speed * v[0, :3], speed * v[0, 3:])
 
+    def is_idle(self):
+        """Tell whether nothing is being answered."""
+        return not any(worker.is_busy for worker in self.partner.predictor.workers)
+
     def status(self):
         """Return what is said of a plan, once it is."""
-        planning = self.partner.predictor._planning
+        planning = self.partner.predictor.pipeline.planning
         self.wait(lambda: planning.status)
         return planning.status
 
@@ -138,7 +142,7 @@ def test_the_rest_is_anchored_to_a_tool_that_is_late_or_slow(planner, speed, lat
             stamp = plan.stamp_ns + round(int(plan.times_ns[k]) / step_ns) * step_ns
             if stamp in poses:
                 assert abs(poses[stamp].x - plan.poses[k, 0]) < 6e-3
-    assert planner.partner.predictor._planning._tracker is None  # it has arrived
+    assert planner.partner.predictor.pipeline.planning._tracker is None  # it has arrived
 
 
 def test_a_request_is_answered(planner):
@@ -229,7 +233,7 @@ def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, changes, word
         planner.plan_out.publish(b'\0\1\0\0' + bytes(range(60)))
     else:
         planner.send(message(**changes))
-    planning = planner.partner.predictor._planning
+    planning = planner.partner.predictor.pipeline.planning
     planner.wait(lambda: planning.status is not None)
     assert planning.status.level == 1 and not planner.plans
     assert words in planning.status.message or changes is None
@@ -246,13 +250,13 @@ def test_a_plan_of_another_clock_ends_nothing(planner):
     predictor.set_parameters([Parameter('package.size', value=[0.1, 0.1, 0.1]),
                               Parameter('landing.height', value=-1.0),
                               Parameter('landing.aim', value=True)])
-    planning, flight = predictor._planning, predictor._tossing.flight
+    planning, flight = predictor.pipeline.planning, predictor.pipeline.tossing.flight
     planner.send(message(stamp_ns=START + 300_000_000 * 10**9))  # before any pose
     planner.wait(lambda: planner.plans)
     planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
     for ahead_ns in (300_000_000 * 10**9, 86_400 * 10**9, 60 * 10**9, 2 * 10**9):
-        now, before = predictor._latest, len(planner.plans)
+        now, before = predictor.pipeline.latest, len(planner.plans)
         assert flight.landing(MODEL, now, lambda _: np.zeros((12, 12))) is not None
         flight.time_to_target(MODEL, now)
         assert_allclose(flight.later(MODEL, now, 0.5)[0], now.position, atol=1e-3)
@@ -267,32 +271,32 @@ def test_a_plan_of_another_clock_ends_nothing(planner):
 def test_a_newer_plan_replaces_one_that_takes_long(planner):
     """Stop what is not wanted any more: for a newer plan, for the end of the active state."""
     predictor = planner.partner.predictor
-    planning = predictor._planning
+    planning = predictor.pipeline.planning
     planner.send(message())
-    planner.wait(lambda: planner.plans and not planning.is_busy)
+    planner.wait(lambda: planner.plans and planner.is_idle())
     planning._coarse = 1e-4  # 10 minutes of a plan take seconds then, or hours without numba
     times = np.arange(0, 600 * 10**9 + 1, 10 * MS)
     long = message(times_ns=times, poses=np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (len(times), 1)),
                    twists=np.zeros((len(times), 6)))
     for _ in range(3):
         planner.send(long)
-        planner.wait(lambda: planning.worker._running == 'plan')
+        planner.wait(lambda: planning.plans.worker._running == 'plan')
     planner.plans.clear()
     planner.send(message())
     begun = time.monotonic()
     planner.wait(lambda: planner.plans)
     assert time.monotonic() - begun < 2.0 and len(planner.plans[0].times_ns) == 101
     planner.send(long)
-    planner.wait(lambda: planning.worker._running == 'plan')
+    planner.wait(lambda: planning.plans.worker._running == 'plan')
     begun = time.monotonic()
     predictor.trigger_deactivate()
-    assert time.monotonic() - begun < 1.0 and not planning.is_busy
+    assert time.monotonic() - begun < 1.0 and planner.is_idle()
     assert planning.status is None and not predictor.failures
 
 
 def test_what_takes_too_many_steps_is_refused(planner):
     """Say how many, before any memory is taken."""
-    planning = planner.partner.predictor._planning
+    planning = planner.partner.predictor.pipeline.planning
     planning._coarse = 1e-9
     planner.send(message())
     planner.wait(lambda: planning.status)
@@ -301,7 +305,7 @@ def test_what_takes_too_many_steps_is_refused(planner):
 
 def test_a_motion_that_takes_too_long_is_not_steered_live(planner):
     """Name the longest, and go on."""
-    planning = planner.partner.predictor._planning
+    planning = planner.partner.predictor.pipeline.planning
     still = message(times_ns=np.array([0, 61 * 10**9]), poses=np.eye(1, 7, 6).repeat(2, 0),
                     twists=np.zeros((2, 6)))
     planner.steer_out.publish(encode_multi_dof(still))

@@ -85,16 +85,16 @@ def test_pose_does_not_wait_long_for_a_lost_twist(make_partner):
     partner.send_pose(START)
     partner.wait_for_poses(1)
 
-    assert partner.predictor._live.twists_estimated == 1
+    assert partner.predictor.pipeline.live.twists_estimated == 1
 
 
 def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     """Notice that nobody sends twists any more."""
     partner = make_partner()
-    assert partner.ros.spin_until(lambda: partner.predictor._live.pairing.expect)
+    assert partner.ros.spin_until(lambda: partner.predictor.pipeline.live.pairing.expect)
     partner.node.destroy_publisher(partner.twist_writer)
 
-    assert partner.ros.spin_until(lambda: not partner.predictor._live.pairing.expect)
+    assert partner.ros.spin_until(lambda: not partner.predictor.pipeline.live.pairing.expect)
 
 
 @pytest.mark.parametrize(('reason', 'bad'), [
@@ -113,7 +113,7 @@ def test_bad_poses_are_counted_and_change_nothing(reason, bad, make_partner):
     partner.wait_for_poses(19)
     partner.wait_for_inputs(20)
 
-    live = partner.predictor._live
+    live = partner.predictor.pipeline.live
     assert {name: count for name, count in live.refused.items() if count} == {reason: 1}
     expected = [START + step * MS for step in range(20) if step != 10]
     assert list(map(stamp_ns, partner.poses)) == expected
@@ -195,7 +195,7 @@ def test_cup_too_soft_for_the_package_is_said_once(make_partner, capfd):
     for step in range(10):
         partner.send_pose(START + step * MS)
         partner.wait_for_inputs(step + 1)
-        partner.predictor._report_health()
+        partner.predictor.diagnostics.report()
 
     assert partner.poses == []
     assert capfd.readouterr().err.count('the cup cannot hold the package') == 1

@@ -75,7 +75,7 @@ class Cell(Partner):
         self.states = self.hears(String, 'package/state', latched, lambda message: message.data)
         self.diagnostics = self.hears(DiagnosticArray, '/diagnostics')
         self.connect()
-        outputs, live = self.predictor._outputs, self.predictor._live
+        outputs, live = self.predictor.pipeline.outputs, self.predictor.pipeline.live
         self.wait(lambda: outputs._odometry.subscribed and live.pairing.expect)
         self._last_ns = START
 
@@ -93,7 +93,7 @@ class Cell(Partner):
 
     def is_lost(self):
         """Tell whether the pause since the last pose is longer than is bridged."""
-        return bool(self.predictor._live.phase(time.monotonic_ns()) == 'lost')
+        return bool(self.predictor.pipeline.live.phase(time.monotonic_ns()) == 'lost')
 
 
 @pytest.fixture
@@ -110,14 +110,15 @@ def test_everything_works(cell):
         if cell.is_ahead():
             break
     assert cell.is_ahead()
-    assert cell.predictor._live.twists_estimated == 0
+    assert cell.predictor.pipeline.live.twists_estimated == 0
     assert cell.ros.spin_until(lambda: cell.states[-1] == 'lost')
     assert cell.ros.spin_until(lambda: bool(cell.diagnostics))
     client = AsyncParameterClient(cell.node, 'predictor')
     assert cell.ros.spin_until(client.services_are_ready)
     future = client.set_parameters([Parameter('package.mass', value=1.5)])
     assert cell.ros.spin_until(future.done)
-    assert future.result().results[0].successful and cell.predictor._live.model[1][0] == 1.5
+    assert future.result().results[0].successful
+    assert cell.predictor.pipeline.live.model[1][0] == 1.5
     assert cell.call('/predictor/reset', Trigger).success
     cell.go_on(10)
     for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
@@ -149,7 +150,8 @@ def test_collector_strikes_between_callbacks_only(cell, monkeypatch):
     finally:
         gc.callbacks.remove(note)
         gc.set_threshold(*usual)
-    assert not [names for names in struck if any('PredictorNode' in name for name in names)]
+    assert not [names for names in struck if any(
+        ours in name for name in names for ours in ('PredictorNode', 'Pipeline'))]
     assert all('spin' in names for names in struck)
 
 

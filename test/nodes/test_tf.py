@@ -43,7 +43,7 @@ def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
                            with_twists=False)
     got = partner.hears(tf2_msgs.TFMessage, '/tf')
     partner.connect()
-    assert partner.ros.spin_until(lambda: partner.predictor._outputs._tf.subscribed)
+    assert partner.ros.spin_until(lambda: partner.predictor.pipeline.outputs._tf.subscribed)
     for k in range(20):  # the tool starts to move, so that no two poses are alike
         partner.send_pose(START + k * MS, (0.001 * k * k * 1e-3, 0.0, 0.5))
     partner.wait_for_poses(20)

@@ -31,7 +31,7 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
     valve = partner.writes(Bool, 'vacuum/valve')
     asking = partner.writes(Header, 'package/predict_at')
     partner.connect()
-    tossing, outputs = partner.predictor._tossing, partner.predictor._outputs
+    tossing, outputs = partner.predictor.pipeline.tossing, partner.predictor.pipeline.outputs
     assert partner.ros.spin_until(lambda: (
         tossing._landing.subscribed and tossing._at.subscribed and outputs._deflection.subscribed))
     start_ns, sent = time.time_ns(), 0
@@ -85,7 +85,7 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
         return 'A request on package/predict_at was refused. The package has landed' in log
 
     assert until(refused) and len(heard['later']) == 1
-    assert partner.predictor._planning.held is None  # nor does the cup any longer
+    assert partner.predictor.pipeline.held is None  # nor does the cup any longer
     assert heard['lip'] and max(abs(lip.pose.position.z) for lip in heard['lip']) < 0.02
     assert 'released' in [message.data for message in heard['state']]
     heights = [message.pose.position.z for message in partner.poses]
@@ -102,7 +102,7 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
 def test_no_plan_waits_behind_a_search(make_partner):
     """Answer a plan while the time of release is sought."""
     planner = Planner(make_partner(TOSSED))
-    partner, tossing = planner.partner, planner.partner.predictor._tossing
+    partner, tossing = planner.partner, planner.partner.predictor.pipeline.tossing
     partner.hears(Header, 'release/at')
     planner.wait(lambda: tossing._at.subscribed)
     begun, end = Event(), Event()
@@ -125,7 +125,7 @@ def test_the_vacuum_that_is_heard_counts(make_partner):
     """For a plan and for a landing, but not once the valve is switched: then the model has it."""
     planner = Planner(make_partner({
         **TOSSED, 'cup.lip_radius': 0.03, 'vacuum.signal': 'pressure', 'vacuum.holding': 90e3}))
-    partner, flight = planner.partner, planner.partner.predictor._tossing.flight
+    partner, flight = planner.partner, planner.partner.predictor.pipeline.tossing.flight
     gauge = partner.writes(FluidPressure, 'vacuum/pressure')
     partner.connect()
     factors = []
@@ -137,13 +137,13 @@ def test_the_vacuum_that_is_heard_counts(make_partner):
         partner.send(1_000_000_000 + count * PERIOD_NS)
         partner.wait_for_poses(count + 1)
         planner.plans.clear()
-        partner.predictor._planning._outcome = None
+        partner.predictor.pipeline.planning._outcome = None
         planner.send(message())
         factors.append(float(planner.status().values['smallest_safety_factor']))
     assert factors[0] == pytest.approx(2.0 * factors[1], rel=1e-2)
-    partner.predictor._live.switch_valve(False, 1_000_000_000)
+    partner.predictor.pipeline.live.switch_valve(False, 1_000_000_000)
     gauge.publish(FluidPressure(fluid_pressure=100_000.0))
-    load = partner.predictor.diagnostics.load
+    load = partner.predictor.pipeline.load
     planner.wait(lambda: load.pressure == 100_000.0)
     assert flight.grip[0] == pytest.approx(30e3 * np.pi * 0.03 ** 2)
 
@@ -158,4 +158,4 @@ def test_without_a_size_the_valve_is_warned_of(make_partner):
     valve.publish(Bool(data=False))
     partner.send(1_004_000_000)
     partner.wait_for_poses(2)
-    assert partner.predictor._live.flight.state == ''
+    assert partner.predictor.pipeline.live.flight.state == ''
