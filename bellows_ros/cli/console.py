@@ -168,7 +168,7 @@ class Progress:
     """One line with the current stage, a bar, and the time left."""
 
     def __init__(
-        self, stream: TextIO, shown: bool, require_no_signal: Callable[[], None] = lambda: None
+        self, stream: TextIO, shown: bool, require_no_signal: Callable[[], None]
     ) -> None:
         """Start the clock."""
         self._stream, self._require_no_signal = stream, require_no_signal
@@ -246,14 +246,12 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
     On a terminal that is too narrow, columns follow in blocks, each with the first one again.
     """
     room = shutil.get_terminal_size((0, 0)).columns - INDENTED
-    columns = []
-    for number, cells in enumerate(zip(*rows, strict=True)):
-        width = max(map(len, cells))
-        columns.append([
-            cell.rjust(width) if right and number else cell.ljust(width) for cell in cells])
+    columns = [
+        [f'{cell:{">" if right and number else "<"}{max(map(len, cells))}}' for cell in cells]
+        for number, cells in enumerate(zip(*rows, strict=True))]
     blocks = [columns[:1]]
     for column in columns[1:]:
-        used = sum(len(own[0]) + GUTTER for own in blocks[-1])
+        used = sum(len(each[0]) + GUTTER for each in blocks[-1])
         if len(blocks[-1]) > 1 and 0 < room < used + len(column[0]):
             blocks.append(columns[:1])
         blocks[-1].append(column)

@@ -36,7 +36,6 @@ def require_absent(output: str, force: bool) -> None:
 def write_result(target: str, content: Any) -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
-
         write_json(target, content)
 
 
@@ -153,7 +152,7 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
         or lies in what is read, or what is no text is for stdout.
 
     """
-    files = [name for name in outputs if name and name != STDOUT]
+    files = [name for name in outputs if name not in ('', STDOUT)]
     to_stdout = [name for name in outputs if name == STDOUT]
     if any(isinstance(name, Binary) for name in to_stdout):
         raise BellowsError(
@@ -163,9 +162,6 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
         raise BellowsError(
             f"{len(to_stdout)} outputs are '{STDOUT}', stdout, which has room for one. Give the "
             'others names.')
-    if not files:
-        return
-
     read, targets = list(inputs), []
     for name in files:
         require_no_input(name, read)

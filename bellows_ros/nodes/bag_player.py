@@ -19,8 +19,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_folder import Batch, Channel, Message
-from bellows_ros.files.messages import decode, LAYOUTS
+from bellows_ros.files.bag_folder import Channel, Message
 from bellows_ros.workflows.recordings import Progress, silent
 from geometry_msgs.msg import PoseStamped
 import numpy as np
@@ -29,14 +28,16 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-QUEUE = 1000
-"""Queue size, for subscriptions that are briefly slow."""
+from .conversions import read_pose, TOOL_POSES
 
-LISTENER_TIMEOUT = 5.0
-"""How long (s) to wait for a subscriber."""
+QUEUE = 10_000
+"""Length of the queues: nothing is lost while a process is busy."""
+
+TIMEOUT = 5.0
+"""Longest wait (s) for a subscriber, for an answer, or for the last predictions."""
 
 POLL_PERIOD = 0.05
 """Longest wait (s) for a callback before a condition is checked again."""
@@ -98,13 +99,12 @@ def play(
     """
     first_ns = messages[0].log_time_ns
     with player_node('bellows_player') as (node, executor):
-        qos = QoSProfile(depth=QUEUE)
-        publishers = {topic: publisher(node, topic, names[topic.name], qos)
+        publishers = {topic: publisher(node, topic, names[topic.name])
                       for topic in dict.fromkeys(m.topic for m in messages)}
         progress('waiting for a subscriber', 0.0)
         has_subscriber = spin_until(
             executor, lambda: any(p.get_subscription_count() for p in publishers.values()),
-            LISTENER_TIMEOUT)
+            TIMEOUT)
         begin_ns = time.time_ns() + round(LEAD_TIME * NS_PER_S)
 
         def send(message: Message) -> None:
@@ -116,7 +116,7 @@ def play(
 
         latest = send_all(executor, messages, send, progress, rate)
         for each in publishers.values():  # let what is on its way arrive before the topics vanish
-            each.wait_for_all_acked(Duration(seconds=LISTENER_TIMEOUT))
+            each.wait_for_all_acked(Duration(seconds=TIMEOUT))
     return Played(
         Counter(names[message.topic.name] for message in messages),
         (messages[-1].log_time_ns - first_ns) / NS_PER_S / rate, latest, has_subscriber)
@@ -199,35 +199,28 @@ def spin_until(
     return is_done
 
 
-def publisher(node: Node, topic: Channel, name: str, qos: QoSProfile) -> Any:
+def publisher(node: Node, topic: Channel, name: str) -> Any:
     """Return a publisher of a recorded topic's messages under some name; it takes their bytes."""
     package, _, kind = topic.type_name.partition('/msg/')
     return node.create_publisher(
-        getattr(importlib.import_module(f'{package}.msg'), kind), name, qos)
+        getattr(importlib.import_module(f'{package}.msg'), kind), name, QUEUE)
 
 
 def stamped(data: bytes, new_ns: Callable[[int], int]) -> bytes:
     """Return a CDR message that begins with its header, with the stamp that a function makes."""
     layout = '<iI' if data[1] & 1 else '>iI'
     seconds, nanoseconds = struct.unpack(layout, data[STAMP])
-    new = divmod(new_ns(seconds * 10**9 + nanoseconds), 10**9)
+    new = divmod(new_ns(seconds * NS_PER_S + nanoseconds), NS_PER_S)
     return data[:STAMP.start] + struct.pack(layout, *new) + data[STAMP.stop:]
 
 
-LONG_QUEUE = 10_000
-"""Length of the queues: nothing is lost while this process is busy."""
-
 DISCOVERY_TIMEOUT = 90.0
 """Longest wait (s) for the predictor to start; without a cache it compiles first."""
-
-ANSWER_TIMEOUT = 5.0
-"""Longest wait (s) for an answer, or for the last predictions."""
 
 PROBE_LEAD_NS = 3_600_000_000_000
 """Probes are stamped an hour before the recording, so that they can be recognised."""
 
 POSES, TWISTS = 'tool_arm/pose', 'tool_arm/twist'
-POSE_TYPE = 'geometry_msgs/msg/PoseStamped'
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,10 +251,6 @@ def converse(
     """
     Wait for the predictor, play at recorded speed, and wait for its last answer.
 
-    The first answer to a probe shows that messages go all the way. Twists are announced before
-    poses, and announcements arrive in order: then the predictor has heard of both. The reset
-    makes it forget the probes.
-
     Parameters
     ----------
     messages : sequence of Message
@@ -281,17 +270,6 @@ def converse(
     """
     sent_ns: dict[bytes, int] = {}
     answers: dict[bytes, tuple[int, bytes]] = {}  # arrival (ns) and message, by stamp
-    first = {names[message.topic.name]: message for message in reversed(messages)}
-    probe_stamps = count(messages[0].log_time_ns - PROBE_LEAD_NS, round(POLL_PERIOD * 1e9))
-
-    def wait(
-        timeout: float, failure: str, done: Callable[[], bool],
-        meanwhile: Callable[[], None] = require_alive,
-    ) -> None:
-        if not spin_until(executor, done, timeout, meanwhile):
-            raise BellowsError(
-                f'The predictor {failure} ({timeout:g} s waited). See its log, and whether '
-                'DDS may use the loopback interface of this machine.')
 
     def send(message: Message) -> None:
         name = names[message.topic.name]
@@ -302,34 +280,58 @@ def converse(
     def receive(data: bytes) -> None:
         answers.setdefault(data[STAMP], (time.monotonic_ns(), data))
 
+    with player_node('demo_player') as (node, executor):
+        node.create_subscription(PoseStamped, 'package/pose', receive, QUEUE, raw=True)
+        first = {names[message.topic.name]: message for message in reversed(messages)}
+        publishers = {name: publisher(node, first[name].topic, name)
+                      for name in (TWISTS, POSES) if name in first}
+        _connect(node, executor, publishers, first, lambda: bool(answers), require_alive)
+        send_all(executor, messages, send, progress)
+        spin_until(executor, lambda: sent_ns.keys() <= answers.keys(), TIMEOUT)
+    answered = [(*answers[stamp], sent) for stamp, sent in sent_ns.items() if stamp in answers]
+    if not answered:
+        raise BellowsError('The predictor did not answer. See its log.')
+    arrived_ns, data, poses_ns = zip(*answered, strict=True)
+    stamps_ns, _, position, xyzw = zip(*(
+        read_pose(deserialize_message(each, PoseStamped), TOOL_POSES['pose'][1])
+        for each in data), strict=True)
+    return Exchange(
+        Counter(names[message.topic.name] for message in messages), Trajectory(
+            np.array(stamps_ns), np.array(position), quaternion_to_rotation(np.array(xyzw))),
+        1e-9 * np.subtract(arrived_ns, poses_ns))
+
+
+def _connect(
+    node: Node, executor: SingleThreadedExecutor, publishers: Mapping[str, Any],
+    first: Mapping[str, Message], is_answered: Callable[[], bool],
+    require_alive: Callable[[], None],
+) -> None:
+    """
+    Wait until the predictor answers messages of some topics, and reset it.
+
+    The first answer to a probe shows that messages go all the way. Twists are announced before
+    poses, and announcements arrive in order: then the predictor has heard of both. The reset
+    makes it forget the probes.
+    """
+    probe_stamps = count(first[POSES].log_time_ns - PROBE_LEAD_NS, round(POLL_PERIOD * NS_PER_S))
+
+    def wait(
+        timeout: float, failure: str, done: Callable[[], bool],
+        meanwhile: Callable[[], None] = require_alive,
+    ) -> None:
+        if not spin_until(executor, done, timeout, meanwhile):
+            raise BellowsError(
+                f'The predictor {failure} ({timeout:g} s waited). See its log, and whether '
+                'DDS may use the loopback interface of this machine.')
+
     def probe() -> None:
         require_alive()
         stamp_ns = next(probe_stamps)
         for name, message in first.items():
             publishers[name].publish(stamped(message.data, lambda _: stamp_ns))
 
-    with player_node('demo_player') as (node, executor):
-        qos = QoSProfile(depth=LONG_QUEUE)
-        node.create_subscription(PoseStamped, 'package/pose', receive, qos, raw=True)
-        publishers = {name: publisher(node, first[name].topic, name, qos)
-                      for name in (TWISTS, POSES) if name in first}
-        reset = node.create_client(Trigger, 'predictor/reset')
-        wait(DISCOVERY_TIMEOUT, 'does not appear', lambda: reset.service_is_ready() and all(
-            each.get_subscription_count() for each in publishers.values()))
-        wait(ANSWER_TIMEOUT, 'does not answer', lambda: bool(answers), probe)
-        future = reset.call_async(Trigger.Request())
-        wait(ANSWER_TIMEOUT, 'does not answer its reset', future.done)
-        send_all(executor, messages, send, progress)
-        spin_until(executor, lambda: sent_ns.keys() <= answers.keys(), ANSWER_TIMEOUT)
-    predictions = [(*answers[stamp], sent) for stamp, sent in sent_ns.items() if stamp in answers]
-    if not predictions:
-        raise BellowsError('The predictor did not answer. See its log.')
-    arrived_ns, data, poses_ns = zip(*predictions, strict=True)
-    decoded = decode(
-        Batch.of(Channel('package/pose', POSE_TYPE, 'cdr'), arrived_ns, data),
-        LAYOUTS[POSE_TYPE], slice(0, 7))
-    return Exchange(
-        Counter(names[message.topic.name] for message in messages),
-        Trajectory(decoded.stamps_ns, decoded.values[:, :3],
-                   quaternion_to_rotation(decoded.values[:, 3:])),
-        1e-9 * np.subtract(arrived_ns, poses_ns))
+    reset = node.create_client(Trigger, 'predictor/reset')
+    wait(DISCOVERY_TIMEOUT, 'does not appear', lambda: reset.service_is_ready() and all(
+        each.get_subscription_count() for each in publishers.values()))
+    wait(TIMEOUT, 'does not answer', is_answered, probe)
+    wait(TIMEOUT, 'does not answer its reset', reset.call_async(Trigger.Request()).done)

@@ -96,8 +96,27 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
         from .. import __version__
         print(f'{name} {__version__}')
         return 0
-    # Only recorded: an exception could be raised anywhere, also in a callback from C. While the
-    # node is created, and maybe compiled, it has nothing to close.
+    try:
+        if before_ros:
+            raise BellowsError(
+                f"Unknown argument '{short(before_ros[0])}'. Parameters and remappings follow "
+                f'--ros-args, for example: {name} --ros-args --params-file FILE. See '
+                f'{name} --help.')
+        require_ros()
+        _run_node([name, *arguments], node or NODES[name])
+    except BellowsError as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def _run_node(argv: Sequence[str], node: str) -> None:
+    """
+    Create a node and spin it until it has finished; end the process if it is asked to end.
+
+    Signals are only recorded: an exception could be raised anywhere, also in a callback from C.
+    While the node is created, and maybe compiled, it has nothing to close.
+    """
     received: list[int] = []
     created: list[Any] = []
 
@@ -108,32 +127,22 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
 
     handlers = {number: signal.signal(number, record) for number in STOP_SIGNALS}
     try:
-        if before_ros:
-            raise BellowsError(
-                f"Unknown argument '{short(before_ros[0])}'. Parameters and remappings follow "
-                f'--ros-args, for example: {name} --ros-args --params-file FILE. See '
-                f'{name} --help.')
-        require_ros()
-        make_node = resolve_name(node or NODES[name])
+        make_node = resolve_name(node)
         from rclpy.utilities import try_shutdown
 
         from .guarding import spin
 
         try:
-            _initialise([name, *arguments])
+            _initialise(argv)
             created.append(make_node())
             spin(created[0], lambda: bool(received))
         finally:
             try_shutdown()
         if received:
             _exit_at_once()
-    except BellowsError as error:
-        print(f'{name}: {error}', file=sys.stderr)
-        return error.exit_code
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    return 0
 
 
 def _exit_at_once() -> NoReturn:
@@ -163,7 +172,7 @@ def origin_of(name: str, arguments: Sequence[str]) -> str:
     return origin
 
 
-def _initialise(argv: list[str]) -> None:
+def _initialise(argv: Sequence[str]) -> None:
     """Start ROS; say plainly what is wrong with its arguments."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -178,7 +187,7 @@ def _initialise(argv: list[str]) -> None:
                 f"Parameter file '{short(file)}' is too large: {size} bytes, at most "
                 f'{MAX_FILE_BYTES}. It may be a recording or a result.')
     try:
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl
         why = str(error).partition(', at /')[0].rstrip('.').removeprefix(
             'failed to initialize rcl: ')

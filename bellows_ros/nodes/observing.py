@@ -8,8 +8,8 @@ from geometry_msgs.msg import InertiaStamped
 import numpy as np
 
 from .conversions import read_pose, TOOL_POSES, write_payload
+from .inputs import SensorInput
 from .outputs import Topic
-from .tool_inputs import SensorInput
 from ..core.live import LivePredictor
 from ..core.live.health import input_status, Level, Status
 from ..core.model.kernels import ModelTuple
@@ -123,19 +123,16 @@ class Observing:
         observer = self._observer
         if observer is None:
             return None
-        counts = observer.counts
+        counts, payload = observer.counts, observer.payload
+        more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
+        if payload:
+            more['mass (kg)'] = f'{payload.mass:.4g} ± {payload.mass_std:.2g}'
+            for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
+                more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
+        more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
         status = input_status(
             name, self._measured_in.seen({verdict: counts[verdict] for verdict in VERDICTS}))
-        more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
-        payload = observer.payload
-        if payload:
-            more |= {
-                'mass (kg)': f'{payload.mass:.4g} ± {payload.mass_std:.2g}',
-                **{f'com {axis} (mm)': f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
-                   for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True)}}
-        more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
-        status = status._replace(values={
-            **status.values, **{key: str(value) for key, value in more.items()}})
+        status.values.update({key: str(value) for key, value in more.items()})
         if self.alarm:
             return status._replace(level=Level.ERROR, message=self.alarm.message)
         flight = self._live.flight

@@ -14,12 +14,13 @@ from geometry_msgs import msg as geometry
 from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Bool, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from . import conversions
+from .guarding import LATCHED
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import Prediction
 from ..core.live.load import deflection, deflection_rotation, equivalent_box, lip_position
@@ -146,9 +147,8 @@ class Outputs:
         self._safety = Topic(node, geometry.Vector3Stamped, 'cup/safety_factor')
         self._deflection = Topic(node, geometry.PoseStamped, 'cup/deflection')
         self._markers = Topic(node, MarkerArray, 'package/markers')
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._state = Topic(node, String, 'package/state', latched)
-        self._ok = Topic(node, Bool, 'package/ok', latched)
+        self._state = Topic(node, String, 'package/state', LATCHED)
+        self._ok = Topic(node, Bool, 'package/ok', LATCHED)
         self._tf: Topic | None = None
         if values['frames.tf'] and importlib.util.find_spec('tf2_msgs') is None:
             node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')

@@ -12,13 +12,12 @@ from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from .attachment import Attachment
 from .conversions import read_pose, stamp_to_ns, TOOL_POSES, vector
+from .inputs import Attachment, SensorInput, TransformInput
 from .observing import Observing
 from .outputs import Outputs
 from .parameters import Values
 from .planning import Planning
-from .tool_inputs import SensorInput, TransformInput
 from .tossing import Tossing
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
@@ -36,8 +35,8 @@ TICK = 0.02
 PAUSE_NS = 40_000_000
 """A tick this late (ns) after the last shows that the process paused: messages are waiting."""
 
-IDLE_TICKS = 2
-"""After this many ticks without a pose, none waits for its twist any longer."""
+MAX_TWIST_WAIT_NS = 40_000_000
+"""This long (ns) after the newest pose none waits for its twist any longer."""
 
 LOAD_TICKS = 3
 """Ticks between two comparisons of the cup's deflection with its validity range."""
@@ -78,7 +77,7 @@ class Pipeline:
         self.values: Values = with_chosen_cup(node.values)
         self.compute, self.reported = Window(), Counter[str]()
         self._twists_exist = False
-        self._idle_ticks = self._ticks = self._ticked_ns = 0
+        self._ticks = self._ticked_ns = 0
         self._was_late = self._is_compiling = False
         self._arrival_at_last_tick: int | None = None
         values = self.values
@@ -231,13 +230,12 @@ class Pipeline:
             return
         self._ticks += 1
         live = self.live
-        idle = live.arrival_ns == self._arrival_at_last_tick
-        self._idle_ticks = self._idle_ticks + 1 if idle else 0
-        self._arrival_at_last_tick = live.arrival_ns
-        if live.pairing.waiting and self._idle_ticks >= IDLE_TICKS:
+        if live.pairing.waiting and (
+                self._ticked_ns - (live.arrival_ns or 0) >= MAX_TWIST_WAIT_NS):
             self.publish(live.flush)
-        if idle:
+        if live.arrival_ns == self._arrival_at_last_tick:
             self.publish(live.coast, self._ticked_ns)
+        self._arrival_at_last_tick = live.arrival_ns
         self.publish_state()
         if held := self.held:
             if self._ticks % LOAD_TICKS == 0:

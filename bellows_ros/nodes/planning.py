@@ -13,12 +13,11 @@ from bellows_ros.core.model.equilibrium import largest_step
 from builtin_interfaces.msg import Duration
 from nav_msgs.msg import Odometry, Path
 import numpy as np
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
 from .conversions import stamp_to_ns, write_odometry
-from .guarding import Worker
+from .guarding import LATCHED, Worker
 from .outputs import Topic
 from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
@@ -98,7 +97,7 @@ class Answers:
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe; messages with many points are handled as bytes."""
         self._node.create_subscription(
-            kind, topic, callback, QoSProfile(depth=10), on_publishers=self._on_publishers,
+            kind, topic, callback, 10, on_publishers=self._on_publishers,
             raw=kind is MultiDOFJointTrajectory)
 
     def submit(self, work: Callable[..., None], *content: Any) -> None:
@@ -324,9 +323,8 @@ class PlanReader:
     def __init__(self, pipeline: Any) -> None:
         """Subscribe to the arm, which is read when a plan needs it."""
         self._pipeline, self._urdf = pipeline, ''
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         pipeline.node.create_subscription(
-            String, 'robot_description', self._on_description, latched)
+            String, 'robot_description', self._on_description, LATCHED)
 
     def _on_description(self, message: String) -> None:
         """Store the arm."""

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.cli.app import add_arguments, command_parser, COMMANDS
+from bellows_ros.cli.app import add_arguments, COMMANDS
 from bellows_ros.cli.arguments import Output
 import pytest
 
@@ -53,17 +53,6 @@ for line in {lines!r}:
         [sys.executable, '-c', code], env=user_environment, capture_output=True, text=True)
     for line in lines:
         assert f'exit 0 {line} []\n' in done.stdout, done.stdout + done.stderr
-
-
-READ_RECORDINGS = ('convert', 'excite', 'identify', 'info', 'plan', 'play', 'plot', 'replay',
-                   'static', 'steer', 'structures', 'toss')
-
-
-@pytest.mark.parametrize('name', READ_RECORDINGS)
-def test_every_command_that_reads_recordings_takes_a_part(name):
-    """Have --from and --to."""
-    options = command_parser(name).format_help()
-    assert '--from S' in options and '--to S' in options
 
 
 def test_version(bellows):

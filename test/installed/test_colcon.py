@@ -41,17 +41,6 @@ def test_ament_index_knows_the_package(installed):
     assert Path(found.stdout.strip()) == installed.prefix / 'share' / 'bellows_ros', found.stderr
 
 
-@pytest.mark.parametrize('name', ['predictor', 'identifier'])
-def test_installed_executable_helps(installed, name):
-    """Explain itself and end well."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    done = installed.run(installed.executable(name), '--help')
-
-    assert done.returncode == 0, done.stderr
-    assert name in done.stdout
-    assert 'Traceback' not in done.stderr
-
-
 def test_executables_are_where_ros_looks_and_not_on_the_path(installed):
     """Install into lib/bellows_ros, as setup.cfg says, and nothing into bin."""
     names = {path.name for path in (installed.prefix / 'lib' / 'bellows_ros').iterdir()}

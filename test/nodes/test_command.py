@@ -66,17 +66,8 @@ def test_help_needs_no_ros_and_missing_ros_is_said_plainly(name, root, user_envi
     assert 'Traceback' not in done.stderr
 
 
-def test_what_is_not_set_ends_with_2(root, user_environment):
-    """Print what is missing and no traceback, the last moments of the process included."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    done = run(
-        user_environment, root, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args')
-    assert done.returncode == 2, done.stderr
-    assert 'Not set, and without a default: package.mass' in done.stderr
-    assert 'Traceback' not in done.stderr
-
-
 @pytest.mark.parametrize(('arguments', 'words'), [
+    (['--ros-args'], 'Not set, and without a default: package.mass'),
     (['--ros-args', *GIVEN, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
     (['--ros-args', *GIVEN, '-p', 'cup.stiffness:=[1.0, 2]'], 'as 2.0, not 2.'),
     (['--ros-args', *GIVEN, '-p', 'cup.length:=long'], 'cup.length must be a number'),
