@@ -85,7 +85,7 @@ class Diagnostics:
         of_twists = {k: n for k, n in live.refused.items() if k.startswith(OF_TWISTS)}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
-        poses, twists = pipeline.pose_in.seen(of_poses), pipeline.twist_in.seen(of_twists)
+        poses, twists = pipeline.pose_in.report(of_poses), pipeline.twist_in.seen(of_twists)
         lines += [
             health.input_status('tool pose', poses),
             health.twist_status('tool twist', twists, new['poses'], new['alone'])]

@@ -83,7 +83,7 @@ class SensorInput:
             arrival_ns, math.nan if stamp_ns is None else (now_ns - stamp_ns) * 1e-9)
         return arrival_ns
 
-    def seen(self, refused: Mapping[str, int]) -> InputReport:
+    def report(self, refused: Mapping[str, int]) -> InputReport:
         """Return the statistics since the last call, with the refused messages so far."""
         before, self._refused = self._refused, dict(refused)
         if any(count < before.get(reason, 0) for reason, count in refused.items()):
@@ -161,9 +161,9 @@ class TransformInput(SensorInput):
                 stamp_to_ns(header.stamp), vector(transform.translation),
                 quaternion_xyzw(transform.rotation)), static)
 
-    def seen(self, refused: Mapping[str, int]) -> InputReport:
+    def report(self, refused: Mapping[str, int]) -> InputReport:
         """Return the arrivals since the last call, with the poses that lacked a transform."""
-        return super().seen({**refused, 'no_transform': self._chain.dropped})
+        return super().report({**refused, 'no_transform': self._chain.dropped})
 
     def _mismatch(self, publishers: int) -> Mismatch | None:
         """Return why there is no pose although there is a publisher."""
@@ -258,4 +258,4 @@ class Attachment:
         if self.signal is None:
             return None
         latched = self._kind == 'bool'
-        return vacuum_status(name, self.signal.seen(self._refused), self.held, latched)
+        return vacuum_status(name, self.signal.report(self._refused), self.held, latched)

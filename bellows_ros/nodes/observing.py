@@ -131,7 +131,7 @@ class Observing:
                 more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
         more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
         status = input_status(
-            name, self._measured_in.seen({verdict: counts[verdict] for verdict in VERDICTS}))
+            name, self._measured_in.report({verdict: counts[verdict] for verdict in VERDICTS}))
         status.values.update({key: str(value) for key, value in more.items()})
         if self.alarm:
             return status._replace(level=Level.ERROR, message=self.alarm.message)

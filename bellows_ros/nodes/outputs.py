@@ -209,10 +209,10 @@ class Outputs:
         live, values, stamp_ns = self._pipeline.live, self._pipeline.values, prediction.stamp_ns
         frame_id, package = live.frame_id, values['frames.package']
         if self._odometry.subscribed:
-            known = self._odometry.is_ready and not prediction.flies
-            root = self.uncertainty.root(prediction) if known else UNKNOWN_ROOT
+            has_covariance = self._odometry.is_ready and not prediction.flies
             self._odometry.send(
-                conversions.write_odometry, frame_id, package, prediction, root)
+                conversions.write_odometry, frame_id, package, prediction,
+                self.uncertainty.root(prediction) if has_covariance else UNKNOWN_ROOT)
         if self._deflection.subscribed and not prediction.flies:
             self._deflection.send(
                 conversions.write_place_stamped, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX,

@@ -34,13 +34,8 @@ ATOMIC_PREFIXES = ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.')
 
 def ros_parameter(name: str, value: object) -> Parameter:
     """Return a value of the table as a ROS parameter."""
-    value = list(value) if isinstance(value, tuple) else value
-    return Parameter(name, _type_of(table.lookup(name)), value)
-
-
-def _type_of(parameter: table.Parameter) -> Parameter.Type:
-    """Return the type that ROS has for a parameter of the table."""
-    return Parameter.Type[parameter.kind.upper()]
+    return Parameter(name, Parameter.Type[table.lookup(name).kind.upper()],
+                     list(value) if isinstance(value, tuple) else value)
 
 
 def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.ParameterDescriptor:
@@ -120,8 +115,6 @@ class TableNode(GuardedNode):
             self.destroy_node()
             raise
         self._parameter_service = AtomicParameterService(self)
-        self.add_pre_set_parameters_callback(
-            lambda parameters: [_as_double(parameter) for parameter in parameters])
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._keep)
 
@@ -147,14 +140,12 @@ class TableNode(GuardedNode):
 
     def declare_from_table(self, name: str, value: table.Value) -> None:
         """Declare a parameter of the table with a value that has been checked."""
-        parameter = table.lookup(name)
-        initial: Any = list(value) if isinstance(value, tuple) else value
-        if initial == []:  # which has no type
-            initial = _type_of(parameter)
-        described = descriptor(parameter, self._read_only)
-        self.declare_parameter(name, initial, described, ignore_override=True)
+        parameter, typed = table.lookup(name), ros_parameter(name, value)
+        self.declare_parameter(
+            name, typed.type_ if value == () else typed.value,  # an empty list has no type
+            descriptor(parameter, self._read_only), ignore_override=True)
         if value == () and parameter.kind == 'double_array':
-            super().set_parameters_atomically([ros_parameter(name, [])])
+            super().set_parameters_atomically([typed])
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all or none of some parameters, and say why not."""
@@ -166,13 +157,10 @@ class TableNode(GuardedNode):
         previous = self.values
         before = [self.get_parameter(p.name) for p in changing if self.has_parameter(p.name)]
         try:
-            for parameter in changing:  # before rclpy, which says less
-                if not parameter.name:
-                    raise BellowsError(
-                        'A parameter without a name cannot be set. '
-                        "'ros2 param list' shows the names.")
-                if _is_ours(parameter):
-                    validate(parameter.name, _as_double(parameter).value)
+            if not all(p.name for p in changing):
+                raise BellowsError(
+                    "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
+            self._checked(changing)  # before rclpy, which says less
             return self.set_parameters_atomically(changing)
         except ParameterNotDeclaredException:
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]

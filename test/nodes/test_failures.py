@@ -61,7 +61,7 @@ def test_a_timer_or_service_that_fails_goes_on(name, make_partner):
     break_once(predictor.pipeline.live, name)
     for answered in (name != 'flush', True):
         assert partner.call('predictor/reset', Trigger).success is answered
-    assert partner.ros.spin_until(lambda: sum(predictor.failures.values()) == 1)
+    partner.wait(lambda: sum(predictor.failures.values()) == 1)
     partner.send_pose(START + MS)
     partner.wait_for_poses(2)
 
@@ -140,7 +140,7 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
         partner.send_pose(START + 2 * k * MS, position)
         expected += alone.on_pose(START + 2 * k * MS, 'world', position, (0.0, 0.0, 0.0, 1.0))
         partner.wait_for_poses(k + 1)
-    assert partner.ros.spin_until(lambda: predictor.failures)
+    partner.wait(lambda: predictor.failures)
     found = [(p.pose.position.x, p.pose.position.z) for p in partner.poses]
     assert found == [(p.position[0], p.position[2]) for p in expected]
     assert not predictor.pipeline.live.restarts['failure']
@@ -158,7 +158,7 @@ def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, make_partner,
     topic = getattr(predictor.pipeline.outputs, broken)
     topic._publisher.publish = fail
     partner.send_pose(START)
-    assert partner.ros.spin_until(lambda: partner.wrenches)
+    partner.wait(lambda: partner.wrenches)
     assert predictor.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
     assert set(predictor.failures) == {topic.name}
     assert f'A callback failed at {topic.name}' in capfd.readouterr().err
@@ -173,7 +173,7 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(make_par
     worker = predictor.pipeline.planning.plans.worker
     worker.submit('bad', lambda: [][0])
     worker.submit('good', done.append, True)
-    assert partner.ros.spin_until(lambda: done)
+    partner.wait(lambda: done)
     assert sum(predictor.failures.values()) == 1
     pipeline = predictor.pipeline
     assert pipeline.latest is not None and not pipeline.live.restarts['failure']
@@ -214,5 +214,5 @@ def test_an_envelope_without_a_mass_is_watched(name, live, make_partner):
         (result,) = predictor.set_parameters([Parameter(name, value=given[name])])
         assert result.successful
     load = predictor.pipeline.load
-    assert partner.ros.spin_until(lambda: load.envelope_known and load._distance is not None)
+    partner.wait(lambda: load.envelope_known and load._distance is not None)
     assert not predictor.failures

@@ -57,21 +57,21 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(make_partner, capfd):
 
     for cup in range(3):
         breathe(cup, 60e3)
-    assert partner.ros.spin_until(lambda: node.pipeline.attachment.held)
+    partner.wait(lambda: node.pipeline.attachment.held)
     hang([-1])
     assert abs(rest([2])[1][0]) > 0.01  # far from where it hung
     breathe(2, 5e3)
-    assert partner.ros.spin_until(lambda: node.pipeline.attachment.vacuum.open_cups == (2,))
+    partner.wait(lambda: node.pipeline.attachment.vacuum.open_cups == (2,))
     assert 'Without vacuum: cups 2' in capfd.readouterr().err
     hang([2])
     breathe(7, 60e3)
-    assert partner.ros.spin_until(lambda: node.pipeline.attachment._refused['no_such_cup'] == 1)
+    partner.wait(lambda: node.pipeline.attachment._refused['no_such_cup'] == 1)
     breathe(2, 60e3)
-    assert partner.ros.spin_until(lambda: node.pipeline.attachment.vacuum.open_cups == ())
+    partner.wait(lambda: node.pipeline.attachment.vacuum.open_cups == ())
     hang([-1])
     for cup in range(3):
         breathe(cup, 0.0)
-    assert partner.ros.spin_until(lambda: node.pipeline.live.attached is False)
+    partner.wait(lambda: node.pipeline.live.attached is False)
 
 
 def test_cup_that_a_camera_finds_lost_is_left_out(make_partner, capfd):

@@ -153,7 +153,7 @@ def test_safety_factor_is_published_and_follows_the_vacuum(make_partner, listene
 
     breathe(60e3)
     with sending(partner):
-        assert partner.ros.spin_until(lambda: len(heard) > 20)
+        partner.wait(lambda: len(heard) > 20)
         last = heard[-1].vector
         assert np.isclose(last.x, 60.0 / weight, rtol=1e-3)
         assert np.isclose(last.y, 60.0 / weight, rtol=1e-3) and last.z == min(last.x, last.y)
@@ -177,14 +177,13 @@ def test_pause_is_bridged_by_odometry_and_then_nothing_comes(make_partner):
         states.clear()
         odometry.clear()
         before, last_ns = live.coasted, send_burst(partner)
-        assert partner.ros.spin_until(lambda: 'lost' in states)
+        partner.wait(lambda: 'lost' in states)
         if states[-2:] == ['coasting', 'lost'] and states.count('coasting') == 1:
             break
 
     assert states[-2:] == ['coasting', 'lost']
     assert len(partner.poses) == live.predictions
-    assert partner.ros.spin_until(
-        lambda: sum(stamp_ns(m) > last_ns for m in odometry) == live.coasted - before)
+    partner.wait(lambda: sum(stamp_ns(m) > last_ns for m in odometry) == live.coasted - before)
     beyond = [m for m in odometry if stamp_ns(m) > last_ns]
     assert 1 <= len(beyond) <= 40
     assert stamp_ns(beyond[-1]) - last_ns <= 300 * MS
@@ -202,7 +201,7 @@ def test_stamps_of_odometry_never_go_back(make_partner):
     for _ in range(BURSTS):
         last_ns = send_burst(partner)
         enough_ns = last_ns + 20 * MS
-        assert partner.ros.spin_until(
+        partner.wait(
             lambda enough_ns=enough_ns: max(odometry, default=0) > enough_ns or is_lost(partner))
         if odometry and odometry[-1] > enough_ns:
             break
@@ -211,7 +210,7 @@ def test_stamps_of_odometry_never_go_back(make_partner):
     for k in range(190):  # what was under way; the last ones are newer
         partner.send_pose(last_ns + (2 + 4 * k) * MS)
     partner.wait_for_poses(answered + 190)
-    assert partner.ros.spin_until(lambda: odometry[-1] >= last_ns + 758 * MS)
+    partner.wait(lambda: odometry[-1] >= last_ns + 758 * MS)
     assert odometry == sorted(odometry) and len(set(odometry)) == len(odometry)
     assert last_ns + 2 * MS not in odometry
 
@@ -226,12 +225,10 @@ def test_all_outputs_agree(make_partner):
         ('markers', MarkerArray, 'package/markers'),
         ('safety', Vector3Stamped, 'cup/safety_factor'))}
     partner.connect()
-    assert partner.ros.spin_until(lambda: all(
-        topic.subscribed for topic in topics_of(partner.predictor)))
+    partner.wait(lambda: all(topic.subscribed for topic in topics_of(partner.predictor)))
     for k in range(5):
         partner.send_pose(START + k * 50 * MS)
-    assert partner.ros.spin_until(
-        lambda: len(got['odometry']) == len(got['deflection']) == 5 and got['markers'])
+    partner.wait(lambda: len(got['odometry']) == len(got['deflection']) == 5 and got['markers'])
 
     pose, odometry = partner.poses[-1].pose, got['odometry'][-1]
     assert odometry.pose.pose == pose
@@ -254,15 +251,13 @@ def test_simulated_time_that_goes_back_starts_afresh(make_partner, capfd):
     partner.connect()
     for second in (100, 101):
         writer.publish(Clock(clock=Time(sec=second)))
-    assert partner.ros.spin_until(
-        lambda: partner.predictor.get_clock().now().nanoseconds == 101 * 10**9)
+    partner.wait(lambda: partner.predictor.get_clock().now().nanoseconds == 101 * 10**9)
     before = partner.predictor.pipeline.live.restarts['clock_jump']
     for k in range(5):
         partner.send_pose(101 * 10**9 + k * 2 * MS)
     partner.wait_for_poses(5)
     writer.publish(Clock(clock=Time(sec=50)))
-    assert partner.ros.spin_until(
-        lambda: partner.predictor.pipeline.live.restarts['clock_jump'] > before)
+    partner.wait(lambda: partner.predictor.pipeline.live.restarts['clock_jump'] > before)
     partner.send_pose(50 * 10**9)
     partner.wait_for_poses(6)
     partner.predictor.diagnostics.report()
@@ -277,14 +272,14 @@ def test_ok_is_true_only_while_the_package_is_held_within_limits(make_partner):
     heard = partner.hears(
         Bool, 'package/ok', QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         decode=lambda message: message.data)
-    assert partner.ros.spin_until(lambda: heard == [False])
+    partner.wait(lambda: heard == [False])
     step = 2 * MS
     for k in range(5):
         partner.send(START + k * step)
-    assert partner.ros.spin_until(lambda: heard == [False, True])
+    partner.wait(lambda: heard == [False, True])
     height, speed = 0.0, 0.0
     for k in range(5, 60):  # upwards at 100 m/s^2
         speed += 100.0 * step * 1e-9
         height += speed * step * 1e-9
         partner.send(START + k * step, (0.0, 0.0, height), (0.0, 0.0, speed))
-    assert partner.ros.spin_until(lambda: heard == [False, True, False])
+    partner.wait(lambda: heard == [False, True, False])

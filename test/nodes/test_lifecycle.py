@@ -83,7 +83,7 @@ def test_every_transition(make_predictor, manager):
     for _ in range(2):
         assert manager.change(Transition.TRANSITION_CONFIGURE)
         assert manager.state() == 'inactive'
-        assert manager.ros.spin_until(manager.is_connected)
+        manager.wait(manager.is_connected)
         manager.send()
         assert not manager.trigger('/predictor/reset').success
         assert not manager.trigger('/package/detach').success
@@ -91,12 +91,12 @@ def test_every_transition(make_predictor, manager):
         assert manager.change(Transition.TRANSITION_ACTIVATE)
         assert manager.hears_all()
         assert manager.change('deactivate')
-        assert manager.ros.spin_until(lambda: manager.states[-1:] == ['inactive'])
+        manager.wait(lambda: manager.states[-1:] == ['inactive'])
         manager.take_what_is_under_way()
         manager.send()
         assert manager.change(Transition.TRANSITION_CLEANUP)
         assert manager.state() == 'unconfigured' and manager.heard == []
-        assert manager.ros.spin_until(lambda: active_count() == threads)
+        manager.wait(lambda: active_count() == threads)
     assert manager.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
     assert manager.state() == 'finalized'
 
@@ -142,7 +142,7 @@ def test_shutdown_while_active(make_predictor, manager):
     assert manager.hears_all()
     assert manager.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert manager.state() == 'finalized'
-    assert manager.ros.spin_until(lambda: not manager.node.count_publishers('/package/pose'))
+    manager.wait(lambda: not manager.node.count_publishers('/package/pose'))
 
 
 def test_a_node_that_is_closed_leaves_the_graph(make_predictor, manager):
@@ -152,10 +152,10 @@ def test_a_node_that_is_closed_leaves_the_graph(make_predictor, manager):
     def names():
         return set(manager.node.get_node_names())
 
-    assert manager.ros.spin_until(lambda: 'predictor' in names())
+    manager.wait(lambda: 'predictor' in names())
     manager.ros.executor.remove_node(node)
     node.close()
-    assert manager.ros.spin_until(lambda: 'predictor' not in names())
+    manager.wait(lambda: 'predictor' not in names())
 
 
 def test_configuring_checks_what_has_been_set_since(make_predictor, manager):
@@ -171,15 +171,15 @@ def test_package_comes_and_goes(make_predictor, manager):
     node = make_predictor()
     assert manager.hears_all()
     assert manager.trigger('/package/detach').success
-    assert manager.ros.spin_until(lambda: manager.states[-1] == 'detached')
+    manager.wait(lambda: manager.states[-1] == 'detached')
     manager.take_what_is_under_way()
     before = node.pipeline.live.poses_in
     manager.send(20)
-    assert manager.ros.spin_until(lambda: node.pipeline.live.poses_in == before + 20)
+    manager.wait(lambda: node.pipeline.live.poses_in == before + 20)
     answer = manager.trigger('/package/attach')
     assert answer.success and set(manager.heard) <= {'package/markers'}  # that takes them away
     assert manager.hears_all()
-    assert manager.ros.spin_until(lambda: manager.states[-1] != 'detached')
+    manager.wait(lambda: manager.states[-1] != 'detached')
 
 
 @pytest.mark.parametrize('signal', ['bool', 'pressure'])
@@ -193,7 +193,7 @@ def test_vacuum_attaches_and_detaches(signal, make_predictor, manager):
     for held in (True, False, True):
         writer.publish(Bool(data=held) if signal == 'bool' else FluidPressure(
             fluid_pressure=30e3 if held else 101e3))
-        assert manager.ros.spin_until(lambda held=held: node.pipeline.live.attached is held)
+        manager.wait(lambda held=held: node.pipeline.live.attached is held)
     assert manager.hears_all()
 
 
@@ -206,7 +206,7 @@ def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, mana
         **PACKAGE, 'vacuum.signal': 'bool', 'autostart': False,
         f'{of_switch}.reliability': 'reliable', f'{of_switch}.durability': 'transient_local'})
     assert manager.change(Transition.TRANSITION_CONFIGURE)
-    assert manager.ros.spin_until(lambda: node.pipeline.attachment.held)
+    manager.wait(lambda: node.pipeline.attachment.held)
     assert manager.change(Transition.TRANSITION_ACTIVATE)
     assert node.pipeline.live.attached
     assert manager.hears_all()

@@ -43,7 +43,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     reports = partner.hears(DiagnosticArray, '/diagnostics')
     partner.connect()
     pipeline = partner.predictor.pipeline
-    assert partner.ros.spin_until(lambda: pipeline.observing._estimated.subscribed)
+    partner.wait(lambda: pipeline.observing._estimated.subscribed)
     live = pipeline.live
     start_ns, swing = time.time_ns(), swinging()
 
@@ -69,7 +69,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
         if k % 8 == 0:
             see(start_ns + k * 4_000_000, swing[k])
             seen[0] += 1
-            assert partner.ros.spin_until(
+            partner.wait(
                 lambda: (observer := live.package.observer)
                 and sum(observer.counts.values()) >= seen[0])
     found = [message.pose.position.x for message in partner.poses]
@@ -79,7 +79,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     assert max(abs(a - b) for a, b in zip(found[60:], true[60:], strict=True)) < 1e-4
     counts = live.package.observer.counts
     assert counts['used'] >= 13
-    assert partner.ros.spin_until(lambda: len(payloads) > 10)
+    partner.wait(lambda: len(payloads) > 10)
     payload = payloads[-1]
     assert payload.header.frame_id == 'cup_lip'
     assert abs(payload.inertia.m - PACKAGE['package.mass']) < 0.1
@@ -87,7 +87,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     now_ns = start_ns + 119 * 4_000_000
     used = counts['used']
     see(now_ns - 3_500_000, swing[-1], variance=0.0)  # not known: measured.noise counts
-    assert partner.ros.spin_until(lambda: counts['used'] == used + 1)
+    partner.wait(lambda: counts['used'] == used + 1)
     see(now_ns - 2_000_000, swing[-1], 'camera')
     see(now_ns + 5_000_000_000, swing[-1])
     see(now_ns - 2_000_000, ((float('nan'), 0.0, 0.0), swing[-1][1]))
@@ -96,9 +96,9 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     expected = {'frame_id': 0 if apart else 1, 'future_stamp': 1, 'nan': 1, 'out_of_reach': 1}
     if kind != 'pose':
         expected['covariance'] = 1
-    assert partner.ros.spin_until(
+    partner.wait(
         lambda: all(counts[name] == count for name, count in expected.items())), counts
-    assert partner.ros.spin_until(lambda: any(
+    partner.wait(lambda: any(
         'measured package' in line.name and 'refused' in line.message
         for report in reports for line in report.status))
 
@@ -133,7 +133,7 @@ def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves)
     vacuum = partner.writes(FluidPressure, 'vacuum/pressure')
     partner.connect()
     vacuum.publish(FluidPressure(fluid_pressure=40e3))
-    assert partner.ros.spin_until(lambda: live.attached)
+    partner.wait(lambda: live.attached)
     start_ns, speed = time.time_ns(), 0.3 * moves
     for k in range(1, 50):
         partner.send(
@@ -145,7 +145,7 @@ def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves)
     predictor.pipeline.observing._on_measured(message)
     for _ in range(3):
         vacuum.publish(FluidPressure(fluid_pressure=100e3))
-    assert partner.ros.spin_until(lambda: not live.attached)
+    partner.wait(lambda: not live.attached)
     predictor.pipeline.observing._on_measured(message)
     assert [alarm.cause for alarm in live.package.observer.alarms] == ['lost'] * moves
     assert predictor.pipeline.outputs._last_state == ('alarm: lost' if moves else 'detached')

@@ -106,17 +106,17 @@ def test_everything_works(cell):
     """Predict, coast, fall silent, report, change parameters, change state, and end."""
     for _ in range(50):  # until this machine has not paused for longer than is bridged
         cell.go_on(100)
-        assert cell.ros.spin_until(lambda: cell.is_ahead() or cell.is_lost())
+        cell.wait(lambda: cell.is_ahead() or cell.is_lost())
         if cell.is_ahead():
             break
     assert cell.is_ahead()
     assert cell.predictor.pipeline.live.twists_estimated == 0
-    assert cell.ros.spin_until(lambda: cell.states[-1] == 'lost')
-    assert cell.ros.spin_until(lambda: bool(cell.diagnostics))
+    cell.wait(lambda: cell.states[-1] == 'lost')
+    cell.wait(lambda: bool(cell.diagnostics))
     client = AsyncParameterClient(cell.node, 'predictor')
-    assert cell.ros.spin_until(client.services_are_ready)
+    cell.wait(client.services_are_ready)
     future = client.set_parameters([Parameter('package.mass', value=1.5)])
-    assert cell.ros.spin_until(future.done)
+    cell.wait(future.done)
     assert future.result().results[0].successful
     assert cell.predictor.pipeline.live.model[1][0] == 1.5
     assert cell.call('/predictor/reset', Trigger).success
@@ -125,7 +125,7 @@ def test_everything_works(cell):
         request = ChangeState.Request(transition=Transition(id=transition))
         assert cell.call('/predictor/change_state', ChangeState, request).success
     cell.thread.stop()
-    assert cell.ros.spin_until(lambda: 'predictor' not in cell.node.get_node_names())
+    cell.wait(lambda: 'predictor' not in cell.node.get_node_names())
 
 
 def test_collector_strikes_between_callbacks_only(cell, monkeypatch):
@@ -145,7 +145,7 @@ def test_collector_strikes_between_callbacks_only(cell, monkeypatch):
     gc.callbacks.append(note)
     try:
         cell.go_on(100)
-        assert cell.ros.spin_until(lambda: bool(struck))  # the one that is meant
+        cell.wait(lambda: bool(struck))  # the one that is meant
         cell.go_on(100)
     finally:
         gc.callbacks.remove(note)

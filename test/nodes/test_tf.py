@@ -43,11 +43,11 @@ def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
                            with_twists=False)
     got = partner.hears(tf2_msgs.TFMessage, '/tf')
     partner.connect()
-    assert partner.ros.spin_until(lambda: partner.predictor.pipeline.outputs._tf.subscribed)
+    partner.wait(lambda: partner.predictor.pipeline.outputs._tf.subscribed)
     for k in range(20):  # the tool starts to move, so that no two poses are alike
         partner.send_pose(START + k * MS, (0.001 * k * k * 1e-3, 0.0, 0.5))
     partner.wait_for_poses(20)
-    assert partner.ros.spin_until(lambda: len(got) == 20)
+    partner.wait(lambda: len(got) == 20)
 
     assert {len(message.transforms) for message in got} == {1}
     for message, pose in zip(got, partner.poses, strict=True):

@@ -32,7 +32,7 @@ def test_lands_where_it_said_it_would(make_partner, capfd):
     asking = partner.writes(Header, 'package/predict_at')
     partner.connect()
     tossing, outputs = partner.predictor.pipeline.tossing, partner.predictor.pipeline.outputs
-    assert partner.ros.spin_until(lambda: (
+    partner.wait(lambda: (
         tossing._landing.subscribed and tossing._at.subscribed and outputs._deflection.subscribed))
     start_ns, sent = time.time_ns(), 0
 
