@@ -10,6 +10,7 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from .pipeline import Pipeline
 from ..core.geometry.tuples import rotation_matrix
 from ..core.live import health
 from ..core.live.load import Load
@@ -61,7 +62,8 @@ class Diagnostics:
 
     def _lines(self) -> list[health.Status]:
         """Return all lines."""
-        state, pipeline = self._node.lifecycle_state, self._node.pipeline
+        state: str = self._node.lifecycle_state
+        pipeline: Pipeline | None = self._node.pipeline
         if pipeline is None:
             self._due.clear()
             return [health.prediction_status('prediction', health.PredictionReport(
@@ -85,7 +87,7 @@ class Diagnostics:
         of_twists = {k: n for k, n in live.refused.items() if k.startswith(OF_TWISTS)}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
-        poses, twists = pipeline.pose_in.report(of_poses), pipeline.twist_in.seen(of_twists)
+        poses, twists = pipeline.pose_in.report(of_poses), pipeline.twist_in.report(of_twists)
         lines += [
             health.input_status('tool pose', poses),
             health.twist_status('tool twist', twists, new['poses'], new['alone'])]
