@@ -198,7 +198,7 @@ def run_plan_command(
     arguments, console
         Of the command.
     work : callable
-        From parameters by name and a progress to a `workflows.result.CommandResult`.
+        From parameters by name and a progress to a `workflows.CommandResult`.
     print_result : callable
         Prints the result.
     write : callable

@@ -11,10 +11,10 @@ from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
 from bellows_ros.plots.recording import prediction_figure
+from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.excite import DesignedMotion
 from bellows_ros.workflows.plan import Curves, PlanReport
 from bellows_ros.workflows.replay import Margins, Replay
-from bellows_ros.workflows.result import CommandResult
 from bellows_ros.workflows.steer import SteerReport
 from bellows_ros.workflows.toss import TossResult
 import numpy as np

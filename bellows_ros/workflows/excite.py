@@ -29,9 +29,9 @@ from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_me
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
+from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.recordings import Progress, silent
-from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 POINT_RATE, UR_RATE = 1000.0, 125.0

@@ -43,8 +43,8 @@ from bellows_ros.files.parameter_files import with_chosen_cup
 from bellows_ros.files.plan_messages import JointPlan
 from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import read_trajectory
+from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import inside
-from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'

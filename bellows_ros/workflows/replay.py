@@ -26,10 +26,10 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File
 from bellows_ros.files.results import provenance, with_units
+from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.observe import live_predictor, Observed, observed
 from bellows_ros.workflows.plan import curves, NO_GRIP
 from bellows_ros.workflows.recordings import load, Progress, silent
-from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 SAID_BY_VALUES = 'mass', 'inertia'

@@ -18,8 +18,8 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.results import with_units
+from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import MotionSource, NO_GRIP, plan_with_cup, Source, standing
-from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 TAIL = 2.0

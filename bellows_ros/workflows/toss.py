@@ -17,9 +17,8 @@ from bellows_ros.core.toss.release import HeldMotion, RELEASE_NAMES, release_of,
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import UNIT_OF, with_units
-from bellows_ros.workflows import plan
+from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import Progress, silent
-from bellows_ros.workflows.result import CommandResult
 import numpy as np
 
 MILLI = 1e3
