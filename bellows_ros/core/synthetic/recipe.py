@@ -27,7 +27,6 @@ from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion, motion_from, sample_stamps
-from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
 from bellows_ros.core.toss.landing import changed
 from bellows_ros.core.toss.release import HeldMotion, Law, MAX_WAIT, Release, toss
 from bellows_ros.errors import BellowsError
@@ -507,15 +506,12 @@ def tossed(
         try:
             _require_rest(remaining)
             hanging = HeldMotion(model, grip, remaining, until=switched + MAX_WAIT)
+            drawn = changed(release, changes[k]) if k < len(times) else release
             t = seconds[part] - start
-            at = np.searchsorted(hanging.times, t - 1e-9)
-            rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]
+            rows[part] = hanging.along(drawn, switched, t)[1]
             if k == len(times):
                 break
-            drawn = changed(release, changes[k])
             thrown = toss(hanging, drawn, switched)
-            hanging = hanging.released(drawn, switched)
-            rows[part] = hanging.states[np.minimum(at, len(hanging.times) - 1)]
             if thrown.landing_time > t[-1] and last < count:
                 raise BellowsError(
                     f'The package lands {thrown.landing_time - switched:.3g} s after the valve is '
@@ -525,11 +521,6 @@ def tossed(
             raise BellowsError(f'Package {k + 1}, held from {start:.3g} s on: {error}') from None
         held[part] = t <= thrown.release_time
         tracked[part] = t <= thrown.landing_time
-        body, now = thrown.release, thrown.release_time
-        for j in np.flatnonzero(tracked[part] & ~held[part]):
-            body = flight(model[1], model[2], body, float(t[j] - now), ROTATION_PER_STEP)
-            now = float(t[j])
-            write_row(rows[first + j], body)
         write_row(resting := np.zeros(13), (*thrown.landing[:2], (0.0,) * 3, (0.0,) * 3))
         rows[part][t > thrown.landing_time] = resting
         tosses.append(Thrown(

@@ -28,11 +28,26 @@ Box = tuple[Vector, Vector]
 """Half the sides (m) along x, y, z of B, and the centre in B."""
 
 
+Bracket = tuple[float, float, float, float, float]
+"""Two ends with a root in between, the values there (the first above 0, the second not), and
+which end was replaced last: -1 the second, 1 the first."""
+
+
 @kernel
-def secant_root(low: float, high: float, above: float, below: float, margin: float) -> float:
-    """Return where a value vanishes between two ends, by the secant, off both by a margin."""
+def secant_root(bracket: Bracket, margin: float) -> float:
+    """Return where the secant vanishes between two ends, off both by a margin."""
+    low, high, above, below, _ = bracket
     s = low + (high - low) * above / (above - below)
     return min(max(s, low + margin), high - margin)
+
+
+@kernel
+def narrowed(bracket: Bracket, s: float, value: float) -> Bracket:
+    """Return a bracket with an end replaced by a value at s in between (Illinois)."""
+    low, high, above, below, side = bracket
+    if value <= 0.0:
+        return low, s, above * 0.5 if side < 0.0 else above, value, -1.0
+    return s, high, value, below * 0.5 if side > 0.0 else below, 1.0
 
 
 @kernel
@@ -121,23 +136,20 @@ def land(
     package: PackageTuple, gravity: Vector, box: Box, height: float, body: State
 ) -> tuple[float, State]:
     """Return after which time (s) the first corner is at a height, and the state; -1 if never."""
-    t, up, h = 0.0, upward(gravity), flight_step(body, COARSE_ROTATION_PER_STEP)
-    low, high, landed = 0.0, math.inf, body  # the step in which it lands is narrowed (Illinois)
-    above, below, side = lowest(box, up, body) - height, 0.0, 0
+    t, up = 0.0, upward(gravity)
+    above = lowest(box, up, body) - height
     while t < MAX_FLIGHT_TIME:
+        h = flight_step(body, COARSE_ROTATION_PER_STEP)
         after = free_flight_step(package, gravity, body, h)
         clearance = lowest(box, up, after) - height
         if clearance <= 0.0:
-            high, below, landed = h, clearance, after
-            above, side = above * 0.5 if side < 0 else above, -1
-        elif high < math.inf:
-            low, above = h, clearance
-            below, side = below * 0.5 if side > 0 else below, 1
-        else:
-            t, body, above = t + h, after, clearance
-            h = flight_step(body, COARSE_ROTATION_PER_STEP)
-            continue
-        if high - low <= INSTANT_TOLERANCE:
-            return t + high, landed
-        h = secant_root(low, high, above, below, 0.5 * INSTANT_TOLERANCE)
+            bracket, landed = (0.0, h, above, clearance, -1.0), after
+            while bracket[1] - bracket[0] > INSTANT_TOLERANCE:
+                s = secant_root(bracket, 0.5 * INSTANT_TOLERANCE)
+                after = free_flight_step(package, gravity, body, s)
+                clearance = lowest(box, up, after) - height
+                bracket = narrowed(bracket, s, clearance)
+                landed = after if clearance <= 0.0 else landed
+            return t + bracket[1], landed
+        t, body, above = t + h, after, clearance
     return -1.0, body

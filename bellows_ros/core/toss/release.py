@@ -19,7 +19,6 @@ gravity.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 import math
 from typing import Any, NamedTuple
 
@@ -205,6 +204,18 @@ def _within(
 
 
 @kernel
+def _margin_within(
+    model: ModelTuple, grip: Grip, law: Law, start: float, switched: float, segment: ToolSegment,
+    body: State, low: float, high: float,
+) -> tuple[float, State]:
+    """Return the `suction_margin` and the package as `_within`; the segment begins at start."""
+    tool, carried = _within(model, law, start - switched, segment, body, low, high)
+    late = start + high * segment[0] - switched
+    return suction_margin(
+        grip, law, late, load_at(model, grip, law, late, tool, carried)), carried
+
+
+@kernel
 def find_release(
     model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State,
     rows: Any, seconds: Any, switched: float, until: float, max_step: float,
@@ -225,31 +236,26 @@ def find_release(
         part = min(1.0, (until - start) / duration)
         n = equilibrium.substeps_for(part * duration, max_step)
         for i in range(n):
-            before, last, is_past, below, side = part * i / n, part * (i + 1.0) / n, False, 0.0, 0
-            low, high, body_released = max(before, (switched - start) / duration), last, body
-            s = last if above > 0.0 or low >= last else low
-            while True:  # until it lets go: the step in which it does is narrowed (Illinois)
-                since_valve = start + s * duration - switched
-                tool_s, carried = _within(model, law, start - switched, segment, body, before, s)
-                load = load_at(model, grip, law, since_valve, tool_s, carried)
-                margin = suction_margin(grip, law, since_valve, load) if s >= low else math.inf
-                if margin <= 0.0:
-                    high, below, body_released, is_past = s, margin, carried, True
-                    above, side = above * 0.5 if side < 0 else above, -1
-                elif is_past:
-                    low, above = s, margin
-                    below, side = below * 0.5 if side > 0 else below, 1
-                elif s == last:
-                    above = margin if s >= low else -1.0
-                    break
-                else:
-                    above, s = margin, last
-                    continue
-                if (high - low) * duration <= free_flight.INSTANT_TOLERANCE:
-                    return start + high * duration, body_released
-                s = free_flight.secant_root(
-                    low, high, above, below, 0.5 * free_flight.INSTANT_TOLERANCE / duration)
-            body = carried
+            before, last = part * i / n, part * (i + 1.0) / n
+            low = max(before, (switched - start) / duration)
+            if above <= 0.0 and low < last:
+                above, carried = _margin_within(
+                    model, grip, law, start, switched, segment, body, before, low)
+                if above <= 0.0:
+                    return start + low * duration, carried
+            below, carried = _margin_within(
+                model, grip, law, start, switched, segment, body, before, last)
+            if low <= last and below <= 0.0:  # it lets go in this step
+                bracket, released = (low, last, above, below, -1.0), carried
+                while (bracket[1] - bracket[0]) * duration > free_flight.INSTANT_TOLERANCE:
+                    s = free_flight.secant_root(
+                        bracket, 0.5 * free_flight.INSTANT_TOLERANCE / duration)
+                    margin, carried = _margin_within(
+                        model, grip, law, start, switched, segment, body, before, s)
+                    bracket = free_flight.narrowed(bracket, s, margin)
+                    released = carried if margin <= 0.0 else released
+                return start + bracket[1] * duration, released
+            above, body = below if low <= last else -1.0, carried
         tool, start = after, end
     return -1.0, body
 
@@ -495,16 +501,6 @@ class HeldMotion:
     def _step_at(self, time: float) -> int:
         """Return the number of the last integration step that begins at a time (s) or before."""
         return max(0, int(np.searchsorted(self.times, time, 'right')) - 1)
-
-    def released(self, release: Release, switched: float) -> HeldMotion:
-        """Return the same with the states that the valve, switched at a time (s), leads to."""
-        other = copy(self)
-        other.states, first = self.states.copy(), self._step_at(switched)
-        times, tools, states = self._inputs
-        write_toss(
-            self.model, self.grip, release.law, body_row(states[first], self.start),
-            tools[first:], times[first:], switched, self._longest, other.states[first:])
-        return other
 
     def along(self, release: Release, switched: float, seconds: Array) -> tuple[Array, Array]:
         """

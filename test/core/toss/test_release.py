@@ -77,9 +77,9 @@ def test_without_an_opening_the_law_is_that_of_a_cup_that_keeps_its_length(held)
     """Whatever closes the bellows or damps them, bit for bit; and before the delay anyway."""
     same = RELEASE._replace(law=(*RELEASE.law[:4], 60.0, 0.0, 30.0, 0.0))
     assert toss(held, same, 0.5) == toss(held, RELEASE, 0.5)
-    late = held.released(RELEASE._replace(law=(0.2, *OPENS[1:])), 0.5)
+    _, late = held.along(RELEASE._replace(law=(0.2, *OPENS[1:])), 0.5, held.times)
     before = held.times < 0.7
-    np.testing.assert_allclose(late.states[before], held.states[before], atol=1e-12)
+    np.testing.assert_allclose(late[before], held.states[before], atol=1e-12)
 
 
 def test_without_a_grip_it_is_let_go_after_the_delay():
