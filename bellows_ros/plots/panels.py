@@ -15,8 +15,6 @@ LEFT = 0.095  # of the panels, in parts of the width
 BELOW_HEAD = {'left': LEFT, 'right': 0.985, 'top': 0.87, 'bottom': 0.075}
 """Edges of the panels of a figure of `SIZE`."""
 
-HEAD, FOOT = 0.9, 0.52  # inches above and below the panels
-
 TITLE, NOTE = 0.31, 0.52  # inches from the top
 MILLI = 1e3
 
@@ -51,13 +49,6 @@ def six(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
         panel.yaxis.set_label_coords(-0.145, 0.5)
         panel.tick_params(length=2.5, width=0.6)
     return panels
-
-
-def single_panel(figure: Any) -> Any:
-    """Return the one panel of a figure, below the head."""
-    height = figure.get_figheight()
-    return figure.subplots(gridspec_kw={
-        'left': LEFT, 'right': 0.985, 'top': 1.0 - HEAD / height, 'bottom': FOOT / height})
 
 
 class Line(NamedTuple):
@@ -111,6 +102,19 @@ def six_lines(
             panel.margins(x=0.0)
             label_abscissa(panel, axis, abscissa)
     return figure
+
+
+def draw_series(
+    panel: Any, x: Array, values: Array, colours: Sequence[str], names: Sequence[str] = '',
+    std: Array | None = None, width: float = 1.2,
+) -> None:
+    """Draw a line for each column of values (N, M), with bands of two standard deviations."""
+    for i, (value, colour) in enumerate(zip(values.T, colours, strict=False)):
+        if std is not None:
+            reach = 2.0 * std[:, i]
+            panel.fill_between(x, value - reach, value + reach, color=colour, alpha=0.25,
+                               linewidth=0.0)
+        panel.plot(x, value, color=colour, linewidth=width, label=names[i] if names else None)
 
 
 def name_panel(panel: Any, title: str) -> None:

@@ -1,6 +1,6 @@
 """Pictures of plans: predicted, steered, tossed, designed; and of the safety factor over time."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 import math
 from typing import Any
 
@@ -19,12 +19,14 @@ from bellows_ros.workflows.steer import SteerReport
 from bellows_ros.workflows.toss import TossResult
 import numpy as np
 
-from .panels import BELOW_HEAD, box_corners, BOX_EDGES, MILLI, name_panel, picture, single_panel
+from .panels import BELOW_HEAD, box_corners, BOX_EDGES, draw_series, MILLI, name_panel, picture
 from .style import Theme
 
 WIDE = (9.4, 4.2)  # inches
-SIGMAS = 2.0
-"""Half width of the bands, standard deviations."""
+WIDE_PANEL = {'top': 1.0 - 0.9 / WIDE[1], 'bottom': 0.52 / WIDE[1]}
+BANDS = 'bands: two standard deviations'
+ABOVE_PANEL = {'loc': 'lower right', 'bbox_to_anchor': (1.0, 1.0), 'ncols': 3}
+"""Place of a legend."""
 
 MAX_SHOWN_FACTOR = 4.0
 """Safety factors are drawn up to this multiple of the required one."""
@@ -33,7 +35,7 @@ DEGREES = 180.0 / math.pi
 STYLES = ('-', '--', ':')
 
 
-def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
+def plan_figure(report: PlanReport, theme: str = 'light') -> Any:
     """
     Draw tool and package along a plan, with bands of two standard deviations.
 
@@ -41,8 +43,6 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
     ----------
     report : PlanReport
         What is drawn.
-    note : str
-        Which plan and cup.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -54,29 +54,28 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
     curves = report.curves
     values, std = curves.values, curves.std
     offset = values[:, :3] - curves.tool
-    note = f'{note}; bands: two standard deviations'
+    note = f'{report.source.path}; {BANDS}'
     with picture('What the plan does to the package', note, theme) as (figure, colours):
-        panels = figure.subplots(
+        grid = figure.subplots(
             3, 2, sharex=True, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.2})
-        _draw_path(panels[0, 0], curves, colours)
+        path, safety, *others = panels = grid.ravel()
+        _draw_path(path, curves, colours)
         if report.prediction.grip:
-            _draw_margins(panels[0, 1], Margins(
+            _draw_margins(safety, Margins(
                 curves.seconds, values[:, 4:6], std[:, 4:6],
                 report.prediction.smallest_safety, report.least), colours)
         else:
-            panels[0, 1].text(
-                0.5, 0.5, 'not known: set cup.lip_radius and vacuum.holding', ha='center',
-                transform=panels[0, 1].transAxes, color=colours.quiet)
-        for panel, shown, sigma, names in (
-            (panels[1, 0], MILLI * (offset - offset[0]), MILLI * std[:, :3], 'xyz'),
-            (panels[2, 0], DEGREES * values[:, 3:4], DEGREES * std[:, 3:4], ['bending']),
-            (panels[1, 1], values[:, 6:9], std[:, 6:9], 'xyz'),
-            (panels[2, 1], values[:, 9:], std[:, 9:], 'xyz'),
+            safety.text(0.5, 0.5, 'not known: set cup.lip_radius and vacuum.holding', ha='center',
+                        transform=safety.transAxes, color=colours.quiet)
+        for panel, shown, sigma in (
+            (others[0], MILLI * (offset - offset[0]), MILLI * std[:, :3]),
+            (others[2], DEGREES * values[:, 3:4], DEGREES * std[:, 3:4]),
+            (others[1], values[:, 6:9], std[:, 6:9]), (others[3], values[:, 9:], std[:, 9:]),
         ):
-            _draw_bands(panel, curves.seconds, shown, sigma, names, colours)
-            if len(names) > 1:
+            draw_series(panel, curves.seconds, shown, colours.three, 'xyz', sigma)
+            if shown.shape[1] > 1:
                 _legend(panel)
-        for panel, name in zip(panels.ravel(), (
+        for panel, name in zip(panels, (
                 'position (m)', 'safety factor',
                 'package seen from the tool tip (mm)', 'force at the lip (N)',
                 'bending of the cup (degrees)', 'moment at the lip (N m)'), strict=True):
@@ -84,26 +83,14 @@ def plan_figure(report: PlanReport, note: str, theme: str = 'light') -> Any:
             panel.axvline(
                 report.source.duration, color=colours.quiet, linewidth=0.8, linestyle=':')
             panel.set_xlim(0.0, curves.seconds[-1])
-        for panel in panels[2]:
+        for panel in panels[-2:]:
             panel.set_xlabel('time (s); dotted: end of the plan')
     return figure
 
 
-def _draw_bands(
-    panel: Any, seconds: Array, values: Array, std: Array, names: Sequence[str], colours: Theme
-) -> None:
-    """Draw a line with its band for each column."""
-    for value, reach, name, colour in zip(
-            values.T, SIGMAS * std.T, names, colours.three, strict=False):
-        panel.fill_between(seconds, value - reach, value + reach, color=colour, alpha=0.25,
-                           linewidth=0.0)
-        panel.plot(seconds, value, color=colour, linewidth=1.2, label=name)
-
-
 def _legend(panel: Any) -> None:
     """Draw the legend above the panel, where no curve is."""
-    panel.legend(fontsize=8, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 1.0),
-                 handlelength=1.4, borderaxespad=0.2, columnspacing=1.2)
+    panel.legend(**ABOVE_PANEL, fontsize=8, handlelength=1.4, borderaxespad=0.2, columnspacing=1.2)
 
 
 def _draw_path(panel: Any, curves: Curves, colours: Theme) -> None:
@@ -135,9 +122,9 @@ def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    note = f'{note}; bands: two standard deviations'
+    note = f'{note}; {BANDS}'
     with picture('How firmly the grip holds', note, theme, WIDE) as (figure, colours):
-        panel = single_panel(figure)
+        panel = figure.subplots(gridspec_kw={**BELOW_HEAD, **WIDE_PANEL})
         _draw_margins(panel, margins, colours)
         panel.set_xlim(margins.seconds[0], margins.seconds[-1])
         panel.set_xlabel('time (s)')
@@ -147,7 +134,7 @@ def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
 
 def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
     """Draw the safety factors, the smallest, the required one, and where the cup lets go."""
-    _draw_bands(panel, margins.seconds, margins.factors, margins.std, MODES, colours)
+    draw_series(panel, margins.seconds, margins.factors, colours.three, MODES, margins.std)
     factor, mode, time = margins.smallest
     panel.plot([time], [factor], 'o', markersize=4.0, color=colours.text,
                label=f'{factor:.3g} ({mode}, {time:.3g} s)')
@@ -161,19 +148,14 @@ def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
     panel.set_ylim(0.0, max(MAX_SHOWN_FACTOR * margins.least, 1.5 * factor))
 
 
-PARTS = (('shift', MILLI, 'mm'), ('turn', DEGREES, 'degrees'))
-
-
-def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
+def excite_figure(result: DesignedMotion, theme: str = 'light') -> Any:
     """
     Draw a motion, its spectrum, and how much of each limit it uses.
 
     Parameters
     ----------
-    design : bellows_ros.core.excitation.motion_design.Design
-        The motion.
-    note : str
-        For which cup and arm.
+    result : DesignedMotion
+        What is drawn.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -182,31 +164,32 @@ def excite_figure(design: Any, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    motion = design.motion
+    motion, ratios = result.design.motion, result.design.ratios
     t = np.arange(0.0, motion.duration, 0.01)
     u: Array = motion.displacement(t)[0]
     lines = np.abs(motion.coefficients)
     hertz = np.arange(1, len(lines) + 1) / motion.period
-    with picture('Motion for identifying stiffness and damping', note, theme) as (figure, colours):
+    title = 'Motion for identifying stiffness and damping'
+    with picture(title, f'{motion.duration:g} s', theme) as (figure, colours):
         grid = figure.add_gridspec(3, 2, **BELOW_HEAD, hspace=0.6, wspace=0.2)
-        for line, (kind, factor, unit) in enumerate(PARTS):
+        for line, (kind, factor, unit) in enumerate(
+                (('shift', MILLI, 'mm'), ('turn', DEGREES, 'degrees'))):
             of_time, of_frequency = (figure.add_subplot(grid[line, i]) for i in (0, 1))
-            for axis, colour in enumerate(colours.three, 3 * line):
-                of_time.plot(t, factor * u[:, axis], color=colour, linewidth=0.7)
-                of_frequency.semilogy(hertz, factor * lines[:, axis], color=colour,
-                                      linewidth=0.8, label=AXES[axis])
+            axes = slice(3 * line, 3 * line + 3)
+            draw_series(of_time, t, factor * u[:, axes], colours.three, width=0.7)
+            draw_series(of_frequency, hertz, factor * lines[:, axes], colours.three, AXES[axes],
+                        width=0.8)
+            of_frequency.set_yscale('log')
             name_panel(of_time, f'{kind} of the tool ({unit})')
             name_panel(of_frequency, f'amplitude ({unit})')
-            of_frequency.legend(fontsize=8, ncols=3, loc='lower right', bbox_to_anchor=(1.0, 1.0),
-                                borderaxespad=0.2)
+            of_frequency.legend(**ABOVE_PANEL, fontsize=8, borderaxespad=0.2)
             of_time.set_xlabel('time (s)')
             of_frequency.set_xlabel('frequency (Hz)')
         panel = figure.add_subplot(grid[2, :])
-        names = list(design.ratios)
-        panel.bar(range(len(names)), [100.0 * design.ratios[name] for name in names],
+        panel.bar(range(len(ratios)), [100.0 * ratio for ratio in ratios.values()],
                   color=colours.measured, width=0.6)
         panel.axhline(100.0, color=colours.text, linewidth=0.8, linestyle='--')
-        panel.set_xticks(range(len(names)), [name.replace(' ', '\n') for name in names],
+        panel.set_xticks(range(len(ratios)), [name.replace(' ', '\n') for name in ratios],
                          fontsize=7)
         name_panel(panel, 'largest part of each limit (%)')
     return figure
@@ -216,16 +199,14 @@ TIME_AFTER_END = 1.0
 """Time (s) shown after the end of the last motion."""
 
 
-def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') -> Any:
+def steer_figure(report: SteerReport, theme: str = 'light') -> Any:
     """
     Draw the tilt of the package, and the path length and tilt of the tool, of several motions.
 
     Parameters
     ----------
-    motions : mapping of str to workflows.steer.SteeredMotion
-        By name; the first is the one that is recommended.
-    note : str
-        Which plan and cup.
+    report : SteerReport
+        What is drawn.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
 
@@ -234,27 +215,28 @@ def steer_figure(motions: Mapping[str, Any], note: str, theme: str = 'light') ->
     matplotlib.figure.Figure
 
     """
-    note = f'{note}; dotted: the motion of the tool ends'
+    motions = report.motions
+    note = f'{report.source.path}; dotted: the motion of the tool ends'
     with picture('The same way, with and without swing', note, theme) as (figure, colours):
         panels = figure.subplots(3, 1, sharex=True, gridspec_kw={
             **BELOW_HEAD, 'hspace': 0.28, 'height_ratios': [2.0, 1.0, 1.0]})
         lines = (colours.predicted, colours.measured, colours.error)
         for (name, motion), colour in zip(motions.items(), lines, strict=False):
-            tool, end = motion.tool, float(motion.tool.seconds[-1])
+            tool = motion.tool
             distance = np.linalg.norm(tool.position - tool.position[0], axis=1)
             z = np.clip(tool.rotation[:, :, 2] @ tool.rotation[0, :, 2], -1.0, 1.0)
-            curves = (np.degrees(motion.tilt), distance, np.degrees(np.arccos(z)))
-            for panel, values in zip(panels, curves, strict=True):
-                seconds = motion.along.seconds if values is curves[0] else tool.seconds
+            for panel, seconds, values in zip(
+                    panels, (motion.along.seconds, tool.seconds, tool.seconds),
+                    (np.degrees(motion.tilt), distance, np.degrees(np.arccos(z))), strict=True):
                 panel.plot(seconds, values, color=colour, linewidth=1.4, label=name)
-                panel.axvline(end, color=colour, linewidth=0.8, linestyle=':')
+                panel.axvline(tool.seconds[-1], color=colour, linewidth=0.8, linestyle=':')
         for panel, title in zip(panels, (
                 'tilt of the package from where it is wanted (degrees)',
                 'way of the tool (m)', 'tilt of the tool (degrees)'), strict=True):
             name_panel(panel, title)
         longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
         panels[0].set_xlim(0.0, longest + TIME_AFTER_END)
-        panels[0].legend(fontsize=9, loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=3)
+        panels[0].legend(**ABOVE_PANEL, fontsize=9)
         panels[-1].set_xlabel('time (s)')
     return figure
 
@@ -263,18 +245,18 @@ SIZE = (11.0, 7.2)
 GHOSTS, PATH_POINTS = 6, 60
 
 
-def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
+def toss_figure(result: TossResult, theme: str = 'light', title: str = '') -> Any:
     """
     Draw a toss.
 
     Parameters
     ----------
-    result : workflows.toss.TossResult
+    result : TossResult
         What is drawn.
-    title : str
-        Over the picture.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
+    title : str
+        Over the picture; which plan, when left out.
 
     Returns
     -------
@@ -282,7 +264,7 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
 
     """
     toss, motion = result.toss, result.case.held
-    tool, path = motion.tool, flight_path(motion.model, toss, PATH_POINTS)
+    tool, path = result.source.tool, flight_path(motion.model, toss, PATH_POINTS)
     held = motion.states[motion.times <= toss.release_time]
     valve = held[np.searchsorted(motion.times[:len(held)], result.case.switched) - 1]
     spread = 1e3 * np.sqrt(np.diag(result.covariance))
@@ -290,6 +272,7 @@ def toss_figure(result: Any, title: str, theme: str = 'light') -> Any:
     note = (f'valve {result.case.switched:.3f} s, lets go {toss.release_time:.3f} s, lands '
             f'{toss.landing_time:.3f} s at x {x:.3f} m, y {y:.3f} m ± {spread[0]:.1f}, '
             f'{spread[1]:.1f} mm')
+    title = title or f'Toss of {result.source.path}'
     with picture(title, note, theme, SIZE) as (figure, colours):
         reach = np.vstack([tool.position, path[:, :3]])
         spans = np.ptp(reach, axis=0) + 0.3
@@ -341,7 +324,7 @@ def _draw_ghosts(panel: Any, path: Array, box: Any, i: int, j: int, colours: The
                        linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
 
 
-def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:
+def _draw_landing(above: Any, close: Any, result: TossResult, colours: Theme) -> None:
     """Draw ellipse, drawn landings and target from above, and the ellipse once more closely."""
     centre = np.array(result.toss.landing[0][:2])
     ring = ellipse(result.covariance, 121)
@@ -361,15 +344,16 @@ def _draw_landing(above: Any, close: Any, result: Any, colours: Any) -> None:
     close.set_ylabel('y from the prediction (mm)')
 
 
-FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
-    PlanReport: lambda result, theme: plan_figure(result, result.source.path, theme),
-    SteerReport: lambda result, theme: steer_figure(result.motions, result.source.path, theme),
-    TossResult: lambda result, theme: toss_figure(result, f'Toss of {result.source.path}', theme),
-    DesignedMotion: lambda result, theme: excite_figure(
-        result.design, f'{result.design.motion.duration:g} s', theme),
-    Replay: lambda result, theme: prediction_figure(
+def replay_figure(result: Replay, theme: str = 'light') -> Any:
+    """Draw a replay as `prediction_figure` does."""
+    return prediction_figure(
         result.recording.since_start(result.validation.stamps_ns), result.validation,
-        'Measured and simulated', f'{result.bag}, relative to the tool', theme)}
+        'Measured and simulated', f'{result.bag}, relative to the tool', theme)
+
+
+FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
+    PlanReport: plan_figure, SteerReport: steer_figure, TossResult: toss_figure,
+    DesignedMotion: excite_figure, Replay: replay_figure}
 
 
 def figure_of(result: CommandResult, theme: str = 'light') -> Any:

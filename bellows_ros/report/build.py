@@ -18,7 +18,7 @@ from bellows_ros.files import File
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import provenance
 from bellows_ros.plots import recording as pictures
-from bellows_ros.plots.plan import margin_figure
+from bellows_ros.plots.plan import margin_figure, replay_figure
 from bellows_ros.plots.style import inline_svg, Theme, THEMES
 from bellows_ros.workflows.identification import Identification
 from bellows_ros.workflows.plot import Spectra
@@ -186,12 +186,10 @@ def _motion(title: str, replayed: Replay) -> Section:
 
 def _figures(replayed: Replay) -> Iterator[Any]:
     """Yield the figures of a recording that was simulated freely."""
-    validation, bag, recording = replayed.validation, replayed.bag, replayed.recording
+    validation, bag = replayed.validation, replayed.bag
     if replayed.margin:
         yield margin_figure(replayed.margins, bag)
-    yield pictures.prediction_figure(
-        recording.since_start(validation.stamps_ns), validation, 'Measured and simulated',
-        f'{bag}, relative to the tool')
+    yield replay_figure(replayed)
     yield pictures.spectra_figure(
         Spectra(validation.motion.frequency, np.sqrt(validation.motion.density),
                 np.sqrt(validation.spectrum.density)),

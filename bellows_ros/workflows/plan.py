@@ -23,17 +23,10 @@ from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanPrediction, PlanSim
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import in_world, levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
+from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import on_grid, timing
 from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.trajectory import (
-    at_tip,
-    from_tip,
-    NS_PER_S,
-    PoseStream,
-    tip_of,
-    Trajectory,
-    TwistStream,
-)
+from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, tip_of, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, plan_messages, plans
@@ -484,7 +477,7 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
     if rates is None:
         name = f"Poses '{poses.name}'"
         motion, rates, axes = _measured(
-            motion, twists if isinstance(twists, TwistStream) else None, values)
+            motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
     tool = plan_of(
         motion.stamps_ns, motion.position, rotation_to_quaternion(motion.rotation), rates,
         twist_frame=axes, name=name)
@@ -493,7 +486,7 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
 
 
 def _measured(
-    poses: Trajectory, twists: TwistStream | None, values: Mapping[str, Any]
+    poses: Trajectory, twists: trajectory.TwistStream | None, values: Mapping[str, Any]
 ) -> tuple[Trajectory, Array, str]:
     """Return measured poses with recorded twists, or with those of the filter, and their axes."""
     if twists is not None:
@@ -543,7 +536,7 @@ def write_prediction(
     """
     frame, axes = source.frame_id or 'world', source.values['tool_twist.frame']
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
-    tip = from_tip(tool, tip_of(source.values))
+    tip = trajectory.from_tip(tool, tip_of(source.values))
     plan = plan_messages.plan_message(tip, 0, frame, 'tool', axes)
     package = plan_messages.plan_message(ToolRows(stamps, states).trajectory(), start, frame,
                                          source.values['frames.package'], axes)

@@ -17,12 +17,8 @@ from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equ
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import (
-    BodyNoise,
-    Noise,
-    TOOL_HALF_WINDOW,
-    TOOL_ORDER,
-)
+from bellows_ros.core.recording import recording
+from bellows_ros.core.recording.recording import BodyNoise, Noise
 from bellows_ros.core.signals.savgol import weights
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
@@ -138,8 +134,8 @@ def _linear(
     if tracking is None:
         return package, package, rest
     period = tracking.package_period
-    value, slope, _ = weights(TOOL_HALF_WINDOW, TOOL_ORDER, 1.0 / period)
-    lags: Any = np.arange(-TOOL_HALF_WINDOW, TOOL_HALF_WINDOW + 1) * period
+    value, slope, _ = weights(recording.TOOL_HALF_WINDOW, recording.TOOL_ORDER, 1.0 / period)
+    lags: Any = np.arange(-recording.TOOL_HALF_WINDOW, recording.TOOL_HALF_WINDOW + 1) * period
     wave = np.exp(s[:, :, 0] * lags)
     driven = np.linalg.solve(
         dynamics, (wave @ value)[:, None, None] * J.tool_pose

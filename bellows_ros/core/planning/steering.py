@@ -22,14 +22,9 @@ from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import resting_on_tool, symmetric_matrix, system_matrix
 from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
+from bellows_ros.core.planning import plan as planning
 from bellows_ros.core.planning.limits import TooFastError
-from bellows_ros.core.planning.plan import (
-    PEAK_MOMENT_BENDING,
-    PlanPrediction,
-    PlanSimulation,
-    rest_after,
-    SETTLED,
-)
+from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -62,7 +57,7 @@ MAX_ARRIVAL = 12.0
 FADE = 0.02
 """After it the motion fades out over this time (s), without a step of twist or acceleration."""
 
-SWINGING = SETTLED
+SWINGING = planning.SETTLED
 """Modes that the plan leaves swinging by more than this (rad) are shaped ..."""
 MERGE_WITHIN = 0.05
 """... and modes whose frequencies differ by less than this fraction are shaped as one."""
@@ -267,7 +262,7 @@ def inverse(
         Trajectory(stamps, rows[:, :3], lie.quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
         for rows in (out[index], package[index]))
     if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
-            PEAK_MOMENT_BENDING):
+            planning.PEAK_MOMENT_BENDING):
         raise _too_far()
     return tool, package, smoothed
 
@@ -511,7 +506,7 @@ def hanging(model: ModelTuple, tool: Trajectory) -> Trajectory:
     T_E = lie.transform(tool.rotation[[0, -1]], tool.position[[0, -1]])
     first, last = simulation.tool_rows(tool)[[0, -1]]
     start = simulation.rest(model, first)
-    rests = start, rest_after(model, first, start, last)
+    rests = start, planning.rest_after(model, first, start, last)
     T_B = lie.transform(lie.quaternion_to_rotation(np.array([state[1] for state in rests])),
                         np.array([state[0] for state in rests]))
     T_E_B = lie.inverse_transform(T_E) @ T_B

@@ -17,18 +17,8 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import perturbed
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.structure import places_of
-from bellows_ros.core.toss.release import (
-    changed_law,
-    Factor,
-    HeldMotion,
-    landing_error,
-    Law,
-    LAW_STEP,
-    Release,
-    RELEASE_NAMES,
-    Toss,
-    toss,
-)
+from bellows_ros.core.toss import release as toss_release
+from bellows_ros.core.toss.release import HeldMotion, Law, Release, RELEASE_NAMES, Toss, toss
 from bellows_ros.errors import NoLandingError, NoReleaseError, UnstableError
 import numpy as np
 
@@ -88,12 +78,13 @@ class TossProblem(NamedTuple):
 
     def error(self, found: Toss, nominal: Toss) -> Array:
         """Return by how much a landing differs from a nominal one (6,), m and rad."""
-        return np.concatenate(landing_error(found.landing, nominal.landing, self.held.model[2]))
+        return np.concatenate(toss_release.landing_error(
+            found.landing, nominal.landing, self.held.model[2]))
 
 
 def changed(release: Release, by: Array) -> Release:
     """Return a release whose law is changed by (8,); see `changed_law`."""
-    return release._replace(law=changed_law(release.law, 1.0, as_law(by)))
+    return release._replace(law=toss_release.changed_law(release.law, 1.0, as_law(by)))
 
 
 def as_law(numbers: Array) -> Law:
@@ -118,7 +109,7 @@ def release_factor(values: Mapping[str, Any]) -> Array:
         C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
 
 
-def factor_columns(values: Mapping[str, Any]) -> Factor:
+def factor_columns(values: Mapping[str, Any]) -> toss_release.Factor:
     """Return the columns of `release_factor` as the kernels take them."""
     columns: Any = tuple(map(as_law, release_factor(values).T))
     return columns  # type: ignore[no-any-return]
@@ -144,10 +135,10 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     of_law = np.linalg.norm(factor, axis=1)
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
     for k in uncertain:
-        step = LAW_STEP * of_law[k] * np.eye(8)[k]
+        step = toss_release.LAW_STEP * of_law[k] * np.eye(8)[k]
         up, down = (case.error(toss(case.held, changed(case.release, by), case.switched), nominal)
                     for by in (step, -step))
-        rows.append((up - down)[None] / (2.0 * LAW_STEP))
+        rows.append((up - down)[None] / (2.0 * toss_release.LAW_STEP))
     correlation = np.eye(count + len(uncertain))
     correlation[count:, count:] = (factor @ factor.T / np.outer(
         of_law, of_law).clip(1e-300))[np.ix_(uncertain, uncertain)]
