@@ -19,8 +19,8 @@ from bellows_ros.workflows.steer import SteerReport
 from bellows_ros.workflows.toss import TossResult
 import numpy as np
 
-from .panels import BELOW_HEAD, box_corners, BOX_EDGES, draw_series, MILLI, name_panel, picture
-from .style import Theme
+from .animation import box_corners, BOX_EDGES
+from .style import BELOW_HEAD, draw_series, MILLI, name_panel, picture, Theme
 
 WIDE = (9.4, 4.2)  # inches
 WIDE_PANEL = {'top': 1.0 - 0.9 / WIDE[1], 'bottom': 0.52 / WIDE[1]}

@@ -9,8 +9,7 @@ from bellows_ros.core.signals.residuals import AXES, Comparison, MILLI_UNITS, Sp
 from bellows_ros.workflows.plot import Loads, MeasuredMotion, Spectra
 import numpy as np
 
-from . import panels
-from .style import THEMES
+from . import style
 
 
 def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
@@ -35,16 +34,16 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
 
     def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Any:
         turned = log_so3(rotation @ rotation[start].T)
-        moved = panels.broken(np.hstack([position - position[start], turned]), motion.valid)
-        return panels.Line(name, colour, width, motion.seconds, panels.MILLI * moved)
+        moved = style.broken(np.hstack([position - position[start], turned]), motion.valid)
+        return style.Line(name, colour, width, motion.seconds, style.MILLI * moved)
 
-    figure = panels.six_lines('Motion in the world, from the start', note, theme, (
+    figure = style.six_lines('Motion in the world, from the start', note, theme, (
         line('tool', 'measured', 3.0, motion.tool_position, motion.tool_rotation),
         line('package', 'predicted', 0.9, motion.package_position, motion.package_rotation),
     ), 'time (s)')
     unusable = motion.seconds[~motion.valid]  # marked at the foot of each panel
     for panel in figure.axes:
-        panel.plot(unusable, np.zeros_like(unusable), '|', color=THEMES[theme].error,
+        panel.plot(unusable, np.zeros_like(unusable), '|', color=style.THEMES[theme].error,
                    markersize=7.0, transform=panel.get_xaxis_transform(), clip_on=False)
         panel.set_xlim(motion.seconds[0], motion.seconds[-1])
     return figure
@@ -73,14 +72,14 @@ def spectra_figure(
 
     """
     hertz = spectra.frequency_hz[1:]
-    lines = [panels.Line('measured', 'measured', 2.2, hertz, panels.MILLI * spectra.measured[1:])]
+    lines = [style.Line('measured', 'measured', 2.2, hertz, style.MILLI * spectra.measured[1:])]
     if spectra.error is not None:
-        lines.append(panels.Line(
-            'predicted minus measured', 'error', 1.1, hertz, panels.MILLI * spectra.error[1:]))
+        lines.append(style.Line(
+            'predicted minus measured', 'error', 1.1, hertz, style.MILLI * spectra.error[1:]))
     if one_step:
-        lines.append(panels.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
-                                 panels.MILLI * np.sqrt(one_step.density[1:])))
-    return panels.six_lines(
+        lines.append(style.Line('one-step error', 'predicted', 0.9, one_step.frequency[1:],
+                                style.MILLI * np.sqrt(one_step.density[1:])))
+    return style.six_lines(
         'Spectra of the package', f'{note}; relative to the tool', theme, lines, 'frequency (Hz)',
         [f'{unit}/√Hz' for unit in MILLI_UNITS], log=True)
 
@@ -104,13 +103,13 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
 
     """
     usable = np.flatnonzero(motion.valid)
-    with panels.picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
+    with style.picture('Paths of tool tip and package', note, theme, (8.4, 8.0)) as (
             figure, colours):
-        panels.legend(figure, (('tool tip E', colours.measured, 3.0),
-                               ('package B', colours.predicted, 1.2)))
+        style.legend(figure, (('tool tip E', colours.measured, 3.0),
+                              ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
-        tool = panels.broken(motion.tool_position, motion.valid)
-        package = panels.broken(motion.package_position, motion.valid)
+        tool = style.broken(motion.tool_position, motion.valid)
+        package = style.broken(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4)
         space.plot(*package.T, color=colours.predicted, linewidth=1.0)
         for i in usable[:: max(1, len(usable) // 40)]:  # some forty
@@ -148,12 +147,12 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     usable = np.flatnonzero(loads.valid)
     shown = usable[:: max(1, len(usable) // MAX_POINTS)]
     title = 'Load on the cup against its deflection'
-    with panels.picture(title, note, theme) as (figure, colours):
-        panels.legend(figure, (('needed by the motion', colours.measured, 4.0),
-                               ('stiffness of the cup', colours.predicted, 1.4)))
-        for axis, panel in enumerate(panels.six(figure, UNITS)):
+    with style.picture(title, note, theme) as (figure, colours):
+        style.legend(figure, (('needed by the motion', colours.measured, 4.0),
+                              ('stiffness of the cup', colours.predicted, 1.4)))
+        for axis, panel in enumerate(style.six(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
-            kind, scale, unit = (('force', panels.MILLI, 'mm') if axis < 3
+            kind, scale, unit = (('force', style.MILLI, 'mm') if axis < 3
                                  else ('moment', np.rad2deg(1.0), 'degrees'))
             panel.plot(scale * x, y, '.', color=colours.measured, markersize=2.8, alpha=0.8,
                        markeredgewidth=0.0)
@@ -183,18 +182,18 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    load, residual = (panels.broken(x, loads.valid) for x in (loads.load, loads.residual))
+    load, residual = (style.broken(x, loads.valid) for x in (loads.load, loads.residual))
     title = 'Load on the cup, and the unexplained part'
-    with panels.picture(title, note, theme) as (figure, colours):
-        panels.legend(figure, (('needed by the motion', colours.measured, 2.4),
-                               ('unexplained', colours.error, 1.0)))
+    with style.picture(title, note, theme) as (figure, colours):
+        style.legend(figure, (('needed by the motion', colours.measured, 2.4),
+                              ('unexplained', colours.error, 1.0)))
         rms = np.sqrt(np.nanmean(residual**2, axis=0))
         parts = 100.0 * rms / np.maximum(np.nanstd(load, axis=0), 1e-12)
-        panels.six_pairs(
-            figure, colours, [panels.Line('', 'measured', 1.8, loads.seconds, load)], residual,
+        style.six_pairs(
+            figure, colours, [style.Line('', 'measured', 1.8, loads.seconds, load)], residual,
             [f'unexplained RMS {value:.2g} {unit}, {part:.2g} % of the load'
              for value, unit, part in zip(rms, UNITS, parts, strict=True)], UNITS, '{}',
-            -0.155, **panels.BELOW_HEAD, hspace=0.24, wspace=0.26)
+            -0.155, **style.BELOW_HEAD, hspace=0.24, wspace=0.26)
     return figure
 
 
@@ -228,8 +227,8 @@ def prediction_figure(
     matplotlib.figure.Figure
 
     """
-    with panels.picture(title, note, theme, SIZE) as (figure, colours):
-        panels.legend(figure, (
+    with style.picture(title, note, theme, SIZE) as (figure, colours):
+        style.legend(figure, (
             ('measured', colours.measured, 4.0), ('predicted', colours.predicted, 1.0),
             ('predicted minus measured', colours.error, 1.0)))
         scores = comparison.scores
@@ -237,14 +236,14 @@ def prediction_figure(
             f'error RMS {two_figures(rms)} {unit}, largest {two_figures(largest)} {unit}, '
             f'{two_figures(100.0 * nrmse) + " %" if np.isfinite(nrmse) else "-"} of the motion'
             for rms, largest, nrmse, unit in zip(
-                panels.MILLI * scores.rms, panels.MILLI * scores.largest, scores.nrmse,
+                style.MILLI * scores.rms, style.MILLI * scores.largest, scores.nrmse,
                 MILLI_UNITS, strict=True)]
         times, measured, predicted = (with_gaps(seconds, values) for values in (
-            seconds, panels.MILLI * comparison.measured, panels.MILLI * comparison.predicted))
-        columns = panels.six_pairs(
-            figure, colours, (panels.Line('', 'measured', 3.6, times, measured),
-                              panels.Line('', 'predicted', 0.9, times, predicted)),
-            predicted - measured, titles, MILLI_UNITS, 'error\n({})', left=panels.LEFT,
+            seconds, style.MILLI * comparison.measured, style.MILLI * comparison.predicted))
+        columns = style.six_pairs(
+            figure, colours, (style.Line('', 'measured', 3.6, times, measured),
+                              style.Line('', 'predicted', 0.9, times, predicted)),
+            predicted - measured, titles, MILLI_UNITS, 'error\n({})', left=style.LEFT,
             right=0.985, top=0.855, bottom=0.065, hspace=0.2, wspace=0.19)
         for upper, _ in columns:
             low, high = upper.get_ylim()
@@ -276,10 +275,10 @@ def errors_figure(estimates: Mapping[str, Comparison], note: str, theme: str = '
     """
     start_ns = min(estimate.stamps_ns[0] for estimate in estimates.values())
     styles = (('predicted', 1.2), ('quiet', 0.9), ('error', 0.9))
-    return panels.six_lines('Predicted minus measured', note, theme, [
-        panels.Line(name, *style, (estimate.stamps_ns - start_ns) * 1e-9,
-                    panels.MILLI * estimate.error)
-        for (name, estimate), style in zip(estimates.items(), styles, strict=False)],
+    return style.six_lines('Predicted minus measured', note, theme, [
+        style.Line(name, *drawn, (estimate.stamps_ns - start_ns) * 1e-9,
+                   style.MILLI * estimate.error)
+        for (name, estimate), drawn in zip(estimates.items(), styles, strict=False)],
         'time (s)')
 
 
@@ -303,10 +302,10 @@ def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
     """
     lags = np.arange(1.0, test.lags + 1.0)
     band = np.full((test.lags, 6), 1.96 / np.sqrt(test.samples))
-    return panels.six_lines('Autocorrelation of the errors', note, theme, (
-        panels.Line('95 % of white noise', 'quiet', 0.9, lags, band),
-        panels.Line('', 'quiet', 0.9, lags, -band),
-        panels.Line('autocorrelation', 'error', 1.2, lags, test.autocorrelation),
+    return style.six_lines('Autocorrelation of the errors', note, theme, (
+        style.Line('95 % of white noise', 'quiet', 0.9, lags, band),
+        style.Line('', 'quiet', 0.9, lags, -band),
+        style.Line('autocorrelation', 'error', 1.2, lags, test.autocorrelation),
     ), 'lag (samples)', ('1',) * 6)
 
 

@@ -25,8 +25,8 @@ from bellows_ros.files.atomic import temporary_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
 
-from .panels import bellows_rings, MILLI, RINGS, SIDES
-from .style import THEMES
+from .animation import bellows_rings, RINGS, SIDES
+from .style import MILLI, THEMES
 
 NO_RERUN = (
     f'The viewer Rerun is not installed. Install it: {install("view")}. Or use '

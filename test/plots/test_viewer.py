@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.signals.residuals import AXES
-from bellows_ros.plots.panels import bellows_rings
+from bellows_ros.plots.animation import bellows_rings
 from bellows_ros.plots.viewer import write_view
 import numpy as np
 import pytest
