@@ -73,10 +73,15 @@ def figures(path, **options):
 
 
 @pytest.fixture(scope='module')
-def truth(tmp_path_factory):
-    """Give the figures of the move as a MultiDOFJointTrajectory."""
-    folder = tmp_path_factory.mktemp('truth')
-    return figures(bag_of(folder / 'bag', MULTI_DOF, encode_multi_dof(message())))
+def bag(tmp_path_factory):
+    """Give a recording of the move as a MultiDOFJointTrajectory."""
+    return bag_of(tmp_path_factory.mktemp('move') / 'bag', MULTI_DOF, encode_multi_dof(message()))
+
+
+@pytest.fixture(scope='module')
+def truth(bag):
+    """Give the figures of the move."""
+    return figures(bag)
 
 
 def test_text_and_yaml_are_the_same_plan(truth, tmp_path):
@@ -116,8 +121,7 @@ def joints(rate_hz=100):
     s = (times / times[-1])[:, None]
     step, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s)**2 / 0.6
     way = np.array([0.4, 0.2, -0.2])
-    start = np.array([0.0, 0.0, 0.0])
-    return times, start + step * way, rate * way
+    return times, step * way, rate * way
 
 
 def joint_message(names=('turn', 'slide', 'spin')):
@@ -234,9 +238,8 @@ def test_a_part_of_a_plan_is_taken(tmp_path):
         read_plan(plan_bag, {**values, 'recording.start': 0.1, 'recording.end': 0.103})
 
 
-def test_fastest_and_curves(tmp_path):
-    source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
-    report = plan(source, VALUES, seek_fastest=True)
+def test_fastest_and_curves(bag, tmp_path):
+    report = plan(bag, VALUES, seek_fastest=True)
     found = report.as_json()
     assert 0.1 < found['fastest_scale'] < 5.0 and found['fastest_scale_std'] > 0.0
     shape = (len(report.curves.seconds), 12)
@@ -245,7 +248,7 @@ def test_fastest_and_curves(tmp_path):
     assert_allclose(1 / report.prediction.loads[:, 0].max(),
                     report.curves.values[:len(report.prediction.loads), 4].min())
     with pytest.raises(BellowsError, match=r'cup\.lip_radius.*vacuum\.holding'):
-        plan(source, {**VALUES, 'cup.lip_radius': 0.0}, seek_fastest=True)
+        plan(bag, {**VALUES, 'cup.lip_radius': 0.0}, seek_fastest=True)
     half = message(**{name: getattr(message(), name)[:80]
                       for name in ('times_ns', 'poses', 'twists')})
     thrown = bag_of(tmp_path / 'half', MULTI_DOF, encode_multi_dof(half))
@@ -255,27 +258,25 @@ def test_fastest_and_curves(tmp_path):
     assert said['swing_left'] is None and 'ends in motion' in ' '.join(said['warnings'])
 
 
-def test_what_lets_go_and_what_is_not_known_is_said(tmp_path):
-    source = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
-    weak = figures(source, values={'vacuum.holding': 2e4})
+def test_what_lets_go_and_what_is_not_known_is_said(bag):
+    weak = figures(bag, values={'vacuum.holding': 2e4})
     assert 'the cup lets go' in weak['warnings'][0]
-    low = figures(source, values={'safety.least': 20.0})
+    low = figures(bag, values={'safety.least': 20.0})
     assert 'below safety.least, 20' in low['warnings'][0]
-    unknown = figures(source, values={'vacuum.holding': 0.0})
+    unknown = figures(bag, values={'vacuum.holding': 0.0})
     assert 'set cup.lip_radius' in unknown['warnings'][0]
     assert unknown['smallest_safety_mode'] is None
-    soft = figures(source, values={
+    soft = figures(bag, values={
         'cup.stiffness': np.diag([5400.0, 5400.0, 9200.0, 0.3, 0.3, 1.35]).ravel().tolist()})
     assert np.degrees(soft['peak_bending']) > 45.0 and 'may flip' in ' '.join(soft['warnings'])
     assert 'may flip' not in ' '.join(unknown['warnings'])
     seen = {'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
             'envelope.rates': [0.1] * 6, 'envelope.mass': [1.8, 1.8]}
-    outside = figures(source, values=seen)['outside_validity']
+    outside = figures(bag, values=seen)['outside_validity']
     assert any('bending about' in phrase for phrase in outside)
 
 
-def test_a_bad_plan_is_refused(tmp_path):
-    bag = bag_of(tmp_path / 'frame', MULTI_DOF, encode_multi_dof(message()))
+def test_a_bad_plan_is_refused(bag, tmp_path):
     with pytest.raises(BellowsError, match="is in frame 'base'; expected plan.frame, 'world'"):
         figures(bag, values={'plan.frame': 'world'})
     poses = message().poses.copy()
@@ -395,17 +396,12 @@ def test_a_plan_in_a_frame_that_transforms_tilt_is_refused(tmp_path):
         figures(tmp_path / 'camera')
 
 
-def test_the_settling_time_has_a_deviation_where_it_may_be_longer_than_is_watched(tmp_path):
-    """With half of the damping it is not over after 30 s."""
-    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
+def test_the_settling_time_has_a_deviation_where_it_may_be_longer_than_is_watched(bag):
+    """With half of the damping it is not over after 30 s; where it is not known, there is none."""
     weak = 0.04 * CUP.damping.ravel()
     found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': weak})
     assert 20.0 < found['settled_after'] < 30.0
     assert 5.0 < found['settled_after_std'] < 30.0
-
-
-def test_a_settling_time_that_is_not_known_has_no_deviation(tmp_path):
-    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message()))
     weak = 0.01 * CUP.damping.ravel()
     found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': 0.1 * weak})
     assert found['settled_after'] is None and found['settled_after_std'] is None
