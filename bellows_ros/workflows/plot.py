@@ -23,8 +23,6 @@ from bellows_ros.workflows.replay import Live, Margins, predicted_live, validate
 import numpy as np
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
-NOT_SAMPLES = {'smallest', 'least', 'stiffness', 'motion', 'live', 'cup_length', 'com', 'box',
-               'scores', 'counts', 'real_time_factor', 'took'}
 TRACKED = {'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
            'package.com': (0.0, 0.0, 0.0)}
 """Puts B at the tracked point; a picture of motion needs no mass."""
@@ -307,10 +305,13 @@ def within(shown: Timed, first: float, last: float) -> Timed:
 
 
 def _picked(group: Group, index: Stamps | Mask) -> Group:
-    """Return a group of arrays at some samples; `NOT_SAMPLES` are kept whole."""
+    """Return a group of arrays at some samples; what is not by sample stays whole."""
+    arrays: dict[str, Any] = {
+        field.name: value for field in fields(group)
+        if isinstance(value := getattr(group, field.name), np.ndarray)}
+    count = max(map(len, arrays.values()))
     return replace(group, **{
-        field.name: getattr(group, field.name)[index]
-        for field in fields(group) if field.name not in NOT_SAMPLES})
+        name: value[index] for name, value in arrays.items() if len(value) == count})
 
 
 def data_json(shown: MeasuredMotion | Spectra | Loads | Margins | Replayed) -> dict[str, Any]:

@@ -265,7 +265,7 @@ class Flight:
                 adapted(model, prediction.tool, prediction.body),
                 *_after_now(self._future(prediction)), self._ahead, longest,
                 *((k, k + 1) if self._count else (0, len(release.DIFFERENCE_STEPS))),
-                self._of_state, self._by, self._covariance)
+                (self._of_state, self._by, self._covariance))
         except (BellowsError, ArithmeticError, ValueError):
             is_sound = False
         self._count = self._count + 1 if is_sound else 0

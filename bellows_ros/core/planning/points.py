@@ -96,8 +96,8 @@ def rows_of(
         rows[:, 7:] = body_twists(q, curve(t, 1))[1]
     elif len(poses) >= MIN_FITTED_POINTS:
         _require_fitting(np.sqrt(fit / (3 * len(durations))), name)
-    plan = ToolRows(stamps_ns, rows)
-    if np.diff(stamps_ns).max() <= MAX_GAP_NS:
+    plan, fine_ns = ToolRows(stamps_ns, rows), _without_gaps(stamps_ns)
+    if len(fine_ns) == len(stamps_ns):
         return plan
     if acceleration is not None:
         R, (linear, angular) = lie.quaternion_to_rotation(poses[:, 3:]), np.hsplit(acceleration, 2)
@@ -106,8 +106,7 @@ def rows_of(
         else:  # d/dt R v = R (dv/dt + w x v)
             linear = lie.apply(R, linear + np.cross(rows[:, 10:], rows[:, 7:10]))
         acceleration = np.hstack([linear, angular])
-    fine = refined(plan.trajectory(), acceleration)
-    return ToolRows(fine.stamps_ns, tool_rows(fine))
+    return ToolRows(fine_ns, tool_rows(_refined(plan.trajectory(), fine_ns, acceleration)))
 
 
 def plan_of_joints(
@@ -201,16 +200,13 @@ def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
     return rotation, np.hstack([lie.apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
 
 
-def refined(plan: Trajectory, acceleration: Array | None = None) -> Trajectory:
+def _refined(plan: Trajectory, stamps: Stamps, acceleration: Array | None) -> Trajectory:
     """
-    Return a plan with points inserted where gaps exceed `MAX_GAP_NS`.
+    Return a plan at its stamps and others in between, ns.
 
     With accelerations (N, 6), of the tool tip in world axes and of rotation in its own, positions
     and quaternions of the points put in lie on quintic polynomials, otherwise poses on cubic ones.
     """
-    stamps = _without_gaps(plan.stamps_ns)
-    if len(stamps) == len(plan):
-        return plan
     if acceleration is None:
         return resample(plan, stamps)
     path, rate = _path(plan)
@@ -496,7 +492,7 @@ class Joints:
         every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
         rows = np.arange(0, len(tool), every)
         rows[-1] = len(tool) - 1  # at rest, where the plan ends at rest
-        points = tool.select(np.isin(np.arange(len(tool)), rows))
+        points = tool.select(rows)
         part = points.seconds / points.seconds[-1]
         since, until = (int(stamp - self.stamps_ns[0]) for stamp in planned.stamps_ns[[0, -1]])
         near = CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)

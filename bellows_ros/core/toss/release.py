@@ -372,16 +372,17 @@ def write_covariance(of_state: Array, by: Array, covariance: Array) -> bool:
 def toss_with_covariance(
     model: ModelTuple, grip: Grip, release: Release, factor: Factor, tool: State, body: State,
     rows: Any, seconds: Any, until: float, max_step: float, first: int, last: int,
-    of_state: Array, by: Array, covariance: Array,
+    covariances: tuple[Array, Array, Array],
 ) -> tuple[bool, tuple[float, State, float, State]]:
     """
     Write the covariance (6, 6) of a landing; return if it is known, and `toss_along` from 0.
 
-    It is that of the `landing_error`: with its derivatives `by` (6, 20) from the covariance
-    `of_state` (12, 12) of the package's shift, turn and twist, in its own axes, and from the law
-    of release, changed by each column of the factor of its covariance. The derivatives from the
+    The arrays are the covariance (12, 12) of the package's shift, turn and twist, in its own axes,
+    the derivatives (6, 20) of the `landing_error` by these and by the law of release, changed by
+    each column of the factor of its covariance, and that of the landing. The derivatives from the
     first to before the last are renewed.
     """
+    of_state, by, covariance = covariances
     nominal = -1.0, body, -1.0, body
     for i in range(first - 1, last):
         j = i if i >= first else -1  # the first is the toss itself
