@@ -37,7 +37,7 @@ import numpy as np
 POINT_RATE, UR_RATE = 1000.0, 125.0
 """Points per second in recordings and CSV, and in a URScript program, Hz."""
 
-SHORTEST, LONGEST = motion_design.REST + 3.0 * motion_design.RAMP, 120.0
+MIN_DURATION, MAX_DURATION = motion_design.REST + 3.0 * motion_design.RAMP, 120.0
 """Range of durations, s."""
 
 STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_validation'
@@ -170,11 +170,11 @@ def excite(
 
     """
     for valid, words in (
-        (SHORTEST <= duration <= LONGEST,
-         f'The motion is {duration:g} s long; expected {SHORTEST:g} to {LONGEST:g} s, with '
-         f'{motion_design.REST:g} s of rest and ramps of {motion_design.RAMP:g} s.'),
-        (0.0 <= hold <= LONGEST, f'The hold is {hold:g} s long; expected 0 (none) to '
-         f'{LONGEST:g} s, 5 to 10 s for rubber.'),
+        (MIN_DURATION <= duration <= MAX_DURATION,
+         f'The motion is {duration:g} s long; expected {MIN_DURATION:g} to {MAX_DURATION:g} s, '
+         f'with {motion_design.REST:g} s of rest and ramps of {motion_design.RAMP:g} s.'),
+        (0.0 <= hold <= MAX_DURATION, f'The hold is {hold:g} s long; expected 0 (none) to '
+         f'{MAX_DURATION:g} s, 5 to 10 s for rubber.'),
         (seed >= 0, f'The seed is {seed}; expected an integer from 0 on.'),
     ):
         if not valid:

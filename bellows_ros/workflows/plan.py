@@ -19,7 +19,7 @@ from bellows_ros.core.model.simulation import stands, ToolRows
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.limits import Fastest, fastest
-from bellows_ros.core.planning.plan import LONGEST_TAIL, PlanPrediction, PlanSimulation
+from bellows_ros.core.planning.plan import MAX_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
 from bellows_ros.core.recording.alignment import in_world, levelling, world_rotation
 from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
@@ -54,10 +54,10 @@ TIME_ROUNDING = 1.001
 AFTER, STANDING_STEP = 1.5, 0.005
 """Time (s) shown after the end, and the spacing of its points."""
 
-LARGEST_TILT = 0.02
+MAX_TILT = 0.02
 """A frame tilts where gravity turns by more than this in it (rad)."""
 
-LARGEST_FACTOR = 1000.0
+MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
 NO_GRIP = ('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
@@ -282,7 +282,7 @@ def plan(
 
     def figures(changed: ModelTuple) -> Array:
         numbers = run.with_model(changed).predict().figures()
-        numbers['settled_after'] = min(numbers['settled_after'], LONGEST_TAIL)  # it jumps there
+        numbers['settled_after'] = min(numbers['settled_after'], MAX_TAIL)  # it jumps there
         return np.array(list(numbers.values()))
 
     deviations = _deviations(values, model, figures).tolist()
@@ -325,7 +325,7 @@ def curves(
     def compute(changed: ModelTuple) -> Array:
         prediction = run.with_model(changed).predict()
         angle = bending(tool.rotation, quaternion_to_rotation(prediction.states[:, 3:7]))
-        factors = 1.0 / np.maximum(prediction.loads, 1.0 / LARGEST_FACTOR)
+        factors = 1.0 / np.maximum(prediction.loads, 1.0 / MAX_DRAWN_FACTOR)
         return np.hstack([prediction.states[:, :3], angle[:, None], factors, prediction.wrench])
 
     return Curves(tool.seconds, tool.position, compute(model), _deviations(values, model, compute))
@@ -400,9 +400,9 @@ def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> 
     if read:
         notes = ([f"'{file}' has {len(read)} plans; using the first, on {read[0][0]}."]
                  if len(read) > 1 else [])
-        found = replace(_checked(read[0][1], values, urdf, file), notes=tuple(notes))
-        _require_level(file, found.frame_id, values['gravity.direction'])
-        return found
+        source = replace(_checked(read[0][1], values, urdf, file), notes=tuple(notes))
+        _require_level(file, source.frame_id, values['gravity.direction'])
+        return source
     return _recorded(file, values, urdf, topic)
 
 
@@ -414,7 +414,7 @@ def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> Non
     R, root = plans.rotations_in_root(links, frame_id, f"'{file}'")
     down = np.asarray(direction) / np.linalg.norm(direction)
     tilt = float(np.max(np.linalg.norm(R @ down - down, axis=1)))
-    if tilt > LARGEST_TILT:
+    if tilt > MAX_TILT:
         raise BellowsError(
             f"The plan is in frame '{short(frame_id)}', which transforms in the recording tilt by "
             f"{math.degrees(tilt):.3g} degrees from '{short(root)}'; expected one in which "
@@ -542,10 +542,10 @@ def write_prediction(
                                          source.values['frames.package'], axes)
     joints = []
     if source.joints is not None:
-        found = source.joints.along(tool, source.tool)
+        motion = source.joints.along(tool, source.tool)
         joints.append(('/tool_arm/plan_joints', plans.JOINTS, plans.encode_joints(JointPlan(
             frame, 0, source.joints.arm.moving,
-            np.round(found.seconds * NS_PER_S).astype(np.int64), *found[1:]))))
+            np.round(motion.seconds * NS_PER_S).astype(np.int64), *motion[1:]))))
     write_bag(path, [
         *(Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
             *joints,

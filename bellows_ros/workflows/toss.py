@@ -243,12 +243,12 @@ def toss_plan(
             'plan in a world with z up.')
     progress('following the plan')
     held = HeldMotion(source.model, source.grip, source.tool)
-    asked = found = None
+    asked = aim = None
     if target is not None:
         asked = None if switched is None else toss(held, release, switched)
         wanted = None if target_rotation is None else quaternion_to_rotation(target_rotation)
-        found = landing.aim(held, release, target, wanted)
-        switched = found.switched
+        aim = landing.aim(held, release, target, wanted)
+        switched = aim.switched
     assert switched is not None
     nominal = toss(held, release, switched)
     case = landing.TossProblem(source.values, held, release, switched)
@@ -257,4 +257,4 @@ def toss_plan(
     if monte_carlo:
         progress(f'drawing {monte_carlo} tosses')
     drawn = landing.draw(case, nominal, monte_carlo) if monte_carlo else None
-    return TossResult(source, case, nominal, parts, found, asked, target, drawn)
+    return TossResult(source, case, nominal, parts, aim, asked, target, drawn)

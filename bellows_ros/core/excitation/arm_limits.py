@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 CHECK_RATE, JOINT_RATE = 1000.0, 250.0
 """Rates (Hz) at which limits are checked, and at which joint positions are computed for that."""
 
-BENDING, TORSION, HIGHEST_FREQUENCY = math.radians(20.0), math.radians(30.0), 12.0
+BENDING, TORSION, MAX_FREQUENCY = math.radians(20.0), math.radians(30.0), 12.0
 """Defaults for real cups (rad; beyond 45 degrees the model's moment falls) and real arms (Hz)."""
 
 
@@ -87,19 +87,20 @@ class ArmLimits:
         eye, start = np.eye(6), self.start.position
         headroom = np.concatenate(
             [np.minimum(self.upper - start, start - self.lower), self.turn]).tolist()
-        found = [Bound('workspace' if i < 3 else 'rotation', 0, eye[i:i + 1], headroom[i])
-                 for i in range(6)]
+        bounds = [Bound('workspace' if i < 3 else 'rotation', 0, eye[i:i + 1], headroom[i])
+                  for i in range(6)]
         for i, (name, limit) in enumerate(self.rates.items()):
             part = slice(3) if i < 3 else slice(3, 6)
-            found.append(Bound(name.replace('_', ' '), 1 + i % 3, eye[part], limit))
+            bounds.append(Bound(name.replace('_', ' '), 1 + i % 3, eye[part], limit))
         if self.arm is not None:
             rows = np.linalg.pinv(self.arm.jacobian(self.joints[None])[0], rcond=1e-3) @ self.axes
             for joint, row, at in zip(self.arm.moving_joints, rows, self.joints, strict=True):
                 ends = min(joint.upper - at, at - joint.lower)
-                found += [Bound(f'{joint.name} {what}', order, row[None], float(limit))
-                          for what, order, limit in (('range', 0, ends), ('speed', 1, joint.speed))
-                          if math.isfinite(limit)]
-        return found
+                bounds += [
+                    Bound(f'{joint.name} {what}', order, row[None], float(limit))
+                    for what, order, limit in (('range', 0, ends), ('speed', 1, joint.speed))
+                    if math.isfinite(limit)]
+        return bounds
 
     def ratios(self, motion: Motion) -> dict[str, float]:
         """Return the largest part of each limit that a motion takes, at `CHECK_RATE`."""
@@ -108,22 +109,21 @@ class ArmLimits:
         shift, turn = o - self.start.position, log_so3(self.start.rotation.T @ R)
         headroom = np.where(shift > 0.0, self.upper - self.start.position,
                             self.start.position - self.lower)
-        found = {'workspace': np.abs(shift / headroom).max(),
-                 'rotation': np.abs(turn / self.turn).max()}
+        ratios = {'workspace': np.abs(shift / headroom).max(),
+                  'rotation': np.abs(turn / self.turn).max()}
         for name, peak in largest_rates(R, np.asarray(tool.twist), 1.0 / CHECK_RATE).items():
-            found[name.replace('_', ' ')] = peak / self.rates[name]
+            ratios[name.replace('_', ' ')] = peak / self.rates[name]
         if self.arm is not None:
             coarse = slice(None, None, round(CHECK_RATE / JOINT_RATE))
             joints = self.arm.positions(transform(R[coarse], o[coarse]), self.joints)
             spline = CubicSpline(tool.seconds[coarse], joints)
             q, speed = spline(tool.seconds), spline(tool.seconds, 1)
-            for i, joint in enumerate(self.arm.moving_joints):
-                offset = q[:, i] - self.joints[i]
-                ends = np.where(offset > 0.0, joint.upper, -joint.lower)
-                ends = ends - np.where(offset > 0.0, self.joints[i], -self.joints[i])
-                found[f'{joint.name} range'] = np.abs(offset / ends).max()
-                found[f'{joint.name} speed'] = np.abs(speed[:, i]).max() / joint.speed
-        return {name: float(ratio) for name, ratio in found.items()}
+            for joint, at, position, rate in zip(
+                    self.arm.moving_joints, self.joints, q.T, speed.T, strict=True):
+                headroom = np.where(position > at, joint.upper - at, at - joint.lower)
+                ratios[f'{joint.name} range'] = np.abs((position - at) / headroom).max()
+                ratios[f'{joint.name} speed'] = np.abs(rate).max() / joint.speed
+        return {name: float(ratio) for name, ratio in ratios.items()}
 
 
 def limits_from(
@@ -170,13 +170,13 @@ def limits_from(
             'workspace', f"The start {start.position.tolist()} m is not inside of 'workspace' or "
             f"'excitation' ({lower.tolist()} to {upper.tolist()} m), or 'workspace.rotation' is "
             'not above 0. Move the start or widen the box.')
-    found = ArmLimits(
+    limits = ArmLimits(
         start, lower, upper, turn, read_rates(settings),
         settings.number('bending', BENDING, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('torsion', TORSION, 'rad', above=0.0, maximum=0.5 * math.pi),
         settings.number('safety_factor', safety, minimum=0.0),
-        settings.number('highest_frequency', HIGHEST_FREQUENCY, 'Hz', above=0.0, maximum=50.0),
+        settings.number('highest_frequency', MAX_FREQUENCY, 'Hz', above=0.0, maximum=50.0),
         arm, joints)
     tracking = settings.block('tracking')
     settings.done(ignored=('tracking', 'joint_acceleration'))
-    return found, tracking
+    return limits, tracking

@@ -163,10 +163,10 @@ class Checks(NamedTuple):
     def loads(self, motion: Motion) -> Array:
         """Return the largest parts (M, 4) of limits `LOADS` with M models; (M, 2) without grip."""
         tool, limits = motion.at_rate(CHECK_RATE), self.limits
-        found = [PlanSimulation(model, self.grip, tool).predict() for model in self.models]
+        predictions = [PlanSimulation(model, self.grip, tool).predict() for model in self.models]
         return np.array([
             [each.peaks[2, 0] / limits.bending, np.abs(each.deflection[5]).max() / limits.torsion,
-             *(limits.safety * each.peaks[:2, 0] if self.grip else ())] for each in found])
+             *(limits.safety * each.peaks[:2, 0] if self.grip else ())] for each in predictions])
 
 
 class MotionObjective:
@@ -186,14 +186,14 @@ class MotionObjective:
         W = window(np.arange(self.points) * period / self.points, period)
         self._envelope = {
             (n, m): math.comb(n, m) * W[n - m] for n in range(4) for m in range(n + 1)}
-        found = responses_at(omega)
-        self._models = len(found)
+        responses = responses_at(omega)
+        self._models = len(responses)
         self._poses = rate_hz * period
-        changes = np.array([r.changes for r in found]) @ limits.axes
+        changes = np.array([r.changes for r in responses]) @ limits.axes
         self._changes = changes.transpose(2, 0, 1, 3, 4).reshape(wide, -1, 6)
-        self._constant = self._poses * np.array([r.constant for r in found])
+        self._constant = self._poses * np.array([r.constant for r in responses])
         rows = [load_rows(r, model, limits, grip, omega)
-                for r, model in zip(found, models, strict=True)]
+                for r, model in zip(responses, models, strict=True)]
         self._loads = np.concatenate(rows) @ limits.axes
         self._bounds, self.allowed = limits.bounds(), np.ones(len(self._loads))
         self._names = [b.name for b in self._bounds] + [*LOADS[:len(rows[0])]] * self._models
@@ -401,7 +401,7 @@ def cups_near(cup: Cup) -> list[Cup]:
 
 
 def load_rows(
-    found: Response, model: ModelTuple, limits: ArmLimits, grip: Grip | None, omega: Array
+    response: Response, model: ModelTuple, limits: ArmLimits, grip: Grip | None, omega: Array
 ) -> Array:
     """
     Return what makes the `LOADS`, in parts of their limits, of lines of the tool: (4, F, 4, 6).
@@ -413,9 +413,9 @@ def load_rows(
     inert = np.block([
         [mass * np.eye(3), np.zeros((3, 3))], [mass * c, np.reshape(inertia, (3, 3))]])
     turned = mass * np.vstack([-g, -c @ g])
-    wrench = -omega[:, None, None]**2 * (inert @ found.package)  # at S, beyond that at rest
-    wrench += turned @ found.package[:, 3:]
-    turn = (found.package - np.eye(6))[:, 3:]
+    wrench = -omega[:, None, None]**2 * (inert @ response.package)  # at S, beyond that at rest
+    wrench += turned @ response.package[:, 3:]
+    turn = (response.package - np.eye(6))[:, 3:]
     rows = np.zeros((4 if grip else 2, len(omega), 4, 6), dtype=complex)
     rows[0, :, :2], rows[1, :, 0] = turn[:, :2] / limits.bending, turn[:, 2] / limits.torsion
     if grip is None:

@@ -28,7 +28,7 @@ import numpy as np
 
 SETTLED = math.radians(0.5)
 """The package has settled when its rotation from rest stays below this (rad) ..."""
-SETTLING_TIME, LONGEST_TAIL = 2.0, 30.0
+SETTLING_TIME, MAX_TAIL = 2.0, 30.0
 """... for this time (s); the wait ends at the latest this long (s) after the end."""
 
 OVERTURNED = 1.5
@@ -87,7 +87,7 @@ class PlanPrediction:
         Largest value of each of `PEAKS` and when it is reached, s since the plan's first point; of
         the loads also whose they are, as a row of the grip.
     settled_after : float
-        s after the last point; infinite where longer than `LONGEST_TAIL`.
+        s after the last point; infinite where longer than `MAX_TAIL`.
     deflection : array (6, 2)
         Smallest and largest shift (m) and rotation vector (rad) of the lip in the tool.
     rates : array (6,)
@@ -173,7 +173,7 @@ class PlanSimulation:
 
     def __init__(
         self, model: ModelTuple, grip: Grip | None, tool: Trajectory | simulation.ToolRows,
-        start: State | None = None, tail: float = LONGEST_TAIL, longest: float = 0.0,
+        start: State | None = None, tail: float = MAX_TAIL, longest: float = 0.0,
         stop: Mask = NEVER,
     ) -> None:
         """Take the plan, and find where the package rests."""

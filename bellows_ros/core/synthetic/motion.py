@@ -24,11 +24,11 @@ HOLD_MOVE = 1.0
 KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
 AXES = ('x', 'y', 'z')
 
-LONGEST = 3600.0
+MAX_DURATION = 3600.0
 """Longest motion, s."""
-LARGEST_FREQUENCY = 100.0
+MAX_FREQUENCY = 100.0
 """Highest frequency of a motion, Hz, beyond any robot."""
-SHORTEST_MOVE = 0.01
+MIN_MOVE = 0.01
 """Shortest move to a waypoint, s."""
 _UNIT_WITHIN = 1e-3  # of a start or waypoint quaternion written with few digits
 
@@ -325,14 +325,14 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     """
     kind = settings.choice('kind', KINDS)
     start = pose_from(settings.block('start'))
-    rest = settings.number('rest_duration', 2.0, 's', minimum=0.0, maximum=LONGEST)
+    rest = settings.number('rest_duration', 2.0, 's', minimum=0.0, maximum=MAX_DURATION)
     motion = (
         _oscillation(settings, kind, start, rest, phases)
         if kind in ('multi_sine', 'chirp')
         else Waypoints(start, rest, _segments(settings.block(kind), kind)))
-    if motion.duration > LONGEST:
+    if motion.duration > MAX_DURATION:
         raise BellowsError(
-            f'The motion takes {motion.duration:g} s; at most {LONGEST:g} s are possible. '
+            f'The motion takes {motion.duration:g} s; at most {MAX_DURATION:g} s are possible. '
             'Split it into several recordings.')
     return motion
 
@@ -358,8 +358,8 @@ def _oscillation(
     settings: Settings, kind: str, start: Pose, rest: float, phases: Generator
 ) -> Oscillation:
     """Return a multi-sine or a chirp."""
-    duration = settings.number('duration', unit='s', above=rest, maximum=LONGEST)
-    ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, maximum=LONGEST)
+    duration = settings.number('duration', unit='s', above=rest, maximum=MAX_DURATION)
+    ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, maximum=MAX_DURATION)
     block = settings.block(kind)
     axis, amplitude, frequency = _sines(block) if kind == 'multi_sine' else _sweeps(block)
     block.done()
@@ -387,7 +387,7 @@ def _sines(settings: Settings) -> tuple[Stamps, Array, Array]:
             lines, default = block.block(axis), () if axis not in block else None
             amplitude = lines.numbers('amplitude', unit, default=default)
             frequency = lines.numbers(
-                'frequency', 'Hz', minimum=0.0, maximum=LARGEST_FREQUENCY, default=default)
+                'frequency', 'Hz', minimum=0.0, maximum=MAX_FREQUENCY, default=default)
             if len(amplitude) != len(frequency):
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
@@ -404,7 +404,7 @@ def _sweeps(settings: Settings) -> tuple[Stamps, Array, Array]:
         settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
         settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])
     ends = [
-        settings.number(name, unit='Hz', minimum=0.0, maximum=LARGEST_FREQUENCY)
+        settings.number(name, unit='Hz', minimum=0.0, maximum=MAX_FREQUENCY)
         for name in ('from', 'to')]
     axes = np.flatnonzero(amplitude)
     return axes, amplitude[axes], np.tile(ends, (len(axes), 1))
@@ -420,5 +420,5 @@ def _segments(settings: Settings, kind: str) -> tuple[MoveAndHold, ...]:
 
 def _times(settings: Settings) -> tuple[float, float]:
     """Return the durations of a move and of the hold after it, s."""
-    move = settings.number('move', unit='s', minimum=SHORTEST_MOVE, maximum=LONGEST)
-    return move, settings.number('hold', 0.0, 's', minimum=0.0, maximum=LONGEST)
+    move = settings.number('move', unit='s', minimum=MIN_MOVE, maximum=MAX_DURATION)
+    return move, settings.number('hold', 0.0, 's', minimum=0.0, maximum=MAX_DURATION)

@@ -76,10 +76,10 @@ class TossProblem(NamedTuple):
         held = HeldMotion(model, self.held.grip, self.held.tool, until=until)
         return toss(held, release, self.switched)
 
-    def error(self, found: Toss, nominal: Toss) -> Array:
+    def error(self, thrown: Toss, nominal: Toss) -> Array:
         """Return by how much a landing differs from a nominal one (6,), m and rad."""
         return np.concatenate(toss_release.landing_error(
-            found.landing, nominal.landing, self.held.model[2]))
+            thrown.landing, nominal.landing, self.held.model[2]))
 
 
 def changed(release: Release, by: Array) -> Release:
@@ -171,11 +171,11 @@ def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCa
             case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = changed(case.release, factor @ rng.standard_normal(8))
         try:
-            found = case.with_numbers(model, release, until)
+            thrown = case.with_numbers(model, release, until)
         except (NoLandingError, UnstableError):
             failed += 1
         else:
-            rows.append(case.error(found, nominal))
+            rows.append(case.error(thrown, nominal))
     return MonteCarlo(np.array(rows).reshape(-1, 6), failed)
 
 
@@ -238,13 +238,13 @@ def aim(
 
     def miss(switched: float) -> Array:
         try:
-            found = toss(held, release, switched)
+            thrown = toss(held, release, switched)
         except (NoLandingError, UnstableError):
             return np.full(5, np.nan)
         turn = np.zeros(3)
         if rotation is not None:
-            turn = log_so3(rotation.T @ quaternion_to_rotation(np.array(found.landing[1])))
-        return np.concatenate([np.subtract(found.landing[0][:2], target), reach * turn])
+            turn = log_so3(rotation.T @ quaternion_to_rotation(np.array(thrown.landing[1])))
+        return np.concatenate([np.subtract(thrown.landing[0][:2], target), reach * turn])
 
     def cost(switched: float) -> float:
         size = float(np.linalg.norm(miss(switched)))

@@ -55,7 +55,7 @@ parts, within so many times that."""
 WINDOW, ORDER = 1.0 / 60.0, 3
 """Half the time (s) over which a polynomial gives velocities, and its order."""
 
-LEAST_NOISE, VELOCITY_SCALE = (1e-4, 5e-4), 40.0
+MIN_NOISE, VELOCITY_SCALE = (1e-4, 5e-4), 40.0
 """Errors (m, rad) that count as one, at least, and of velocities over those of positions, 1/s."""
 
 SCATTER = {0: 2.5e-3, 2: 0.01}
@@ -85,7 +85,7 @@ TYPICAL_LAW: Law = (0.015, LINEAR_TAU, 0.0, 22.0, 19.0, 0.02, 25.0, 2.4)
 """The law of a cup that opens, for numbers that are neither given nor identifiable: about that of
 the drops that docs/toss.md shows."""
 
-MAX_RELATIVE_ERROR, SMALL = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
+MAX_RELATIVE_ERROR, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
 """A number is identifiable if its standard error is less than this part of it, or of one that is
 small; one that is given without a standard deviation is known to this part."""
 
@@ -96,8 +96,8 @@ derivatives by the state of a drop, which hardly change, are renewed."""
 MAX_NUISANCE = 30.0
 """Largest numbers of a drop, in their sizes."""
 
-LOWEST = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
-HIGHEST = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
+LAW_MIN = np.array([0.0, 1e-4, -10.0, 0.0, 0.1, 1e-3, 0.1, 0.0])
+LAW_MAX = np.array([1.0, 1.0, 10.0, 1e3, 1e4, 1.0, 1e4, 1e3])
 """Least and largest numbers of a law; that of `opening` only where the cup opens."""
 
 SCALES = np.array([1e-3, 1e-2, 1e-2, 1.0, 1.0, 1e-3, 1.0, 0.1])
@@ -279,7 +279,7 @@ def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
     return {
         **dict(zip(RELEASE_NAMES, fit.law, strict=True)),
         **{f'{name}_std': x for name, x in zip(
-            RELEASE_NAMES, np.minimum(std, HIGHEST).tolist(), strict=True)},
+            RELEASE_NAMES, np.minimum(std, LAW_MAX).tolist(), strict=True)},
         'release.correlation': tuple(correlation.ravel().tolist()),
         'release.mass_range': (min(masses), max(masses))}
 
@@ -349,10 +349,10 @@ def _identifiable(
     opens = fit.law[5] > 0.0
     default = np.array(TYPICAL_LAW if opens and not given[5] > 0.0 else given)
     std = np.where(np.array(given_std) > 0.0, given_std,
-                   MAX_RELATIVE_ERROR * np.where(default > 0.0, default, SMALL))
+                   MAX_RELATIVE_ERROR * np.where(default > 0.0, default, ABSOLUTE_SCALES))
     held = np.zeros(8)
     while True:
-        relative = fit.std / np.maximum(np.abs(fit.law), SMALL)
+        relative = fit.std / np.maximum(np.abs(fit.law), ABSOLUTE_SCALES)
         wide = [k for k in fit.free if relative[k] >= MAX_RELATIVE_ERROR]
         if not wide:
             return fit
@@ -445,7 +445,7 @@ def _fitted(
                 H + damping * np.diag(np.diag(H) + 1e-12), gradients.sum(axis=0))
             trial = law.copy()
             trial[chosen] = np.clip(
-                law[chosen] + step * SCALES[chosen], LOWEST[chosen], HIGHEST[chosen])
+                law[chosen] + step * SCALES[chosen], LAW_MIN[chosen], LAW_MAX[chosen])
             lower = sum(one.trial(trial, step) for one in problem)
             damping *= 4.0 if lower >= cost else 1.0
         if lower >= cost:
@@ -532,7 +532,7 @@ class _DropFit:
     def __init__(self, drop: Drop, free: tuple[int, ...]) -> None:
         """Begin with nuisance parameters of zero."""
         self.drop, self.free = drop, free
-        noise = np.maximum(drop.noise, LEAST_NOISE)
+        noise = np.maximum(drop.noise, MIN_NOISE)
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
         self._scattered = [k for k in free if k in SCATTER]
         self._scatter = np.array([SCATTER[k] for k in self._scattered])
@@ -613,7 +613,7 @@ class _DropFit:
         n = half_window(drop._step)
         up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
         after = int(np.searchsorted(drop.package.seconds[:-1], max(released, 0.0)))
-        noise = np.repeat(np.maximum(drop.noise, 0.1 * np.array(LEAST_NOISE)), 3)[:, None]
+        noise = np.repeat(np.maximum(drop.noise, 0.1 * np.array(MIN_NOISE)), 3)[:, None]
         return Explained(
             drop.mass, released - drop.valve if released >= 0.0 else math.nan,
             float(self.law_offset[0]), _rms(up @ errors[:3]), _rms(up @ errors[3:6, n:-n]),
@@ -641,16 +641,16 @@ def drops_of(
         When the valve was switched off, ns.
 
     """
-    found, left_out = list[Drop](), list[str]()
+    drops, left_out = list[Drop](), list[str]()
     for number, valve_ns in enumerate(valves_ns):
         later_ns = valve_ns + round((MAX_FALL_DELAY + AFTER) * NS_PER_S)
         until_ns = min([later_ns, *valves_ns[number + 1:number + 2]])
         try:
-            found.append(_drop(recording, model, grip or NO_GRIP, valve_ns, until_ns))
+            drops.append(_drop(recording, model, grip or NO_GRIP, valve_ns, until_ns))
         except UndeterminedError as error:
             seconds = (valve_ns - recording.start_ns) / NS_PER_S
             left_out.append(f'the valve at {seconds:.2f} s: {error}')
-    return found, left_out
+    return drops, left_out
 
 
 def _drop(
