@@ -204,18 +204,6 @@ def _within(
 
 
 @kernel
-def _margin_within(
-    model: ModelTuple, grip: Grip, law: Law, start: float, switched: float, segment: ToolSegment,
-    body: State, low: float, high: float,
-) -> tuple[float, State]:
-    """Return the `suction_margin` and the package as `_within`; the segment begins at start."""
-    tool, carried = _within(model, law, start - switched, segment, body, low, high)
-    late = start + high * segment[0] - switched
-    return suction_margin(
-        grip, law, late, load_at(model, grip, law, late, tool, carried)), carried
-
-
-@kernel
 def find_release(
     model: ModelTuple, grip: Grip, law: Law, start: float, tool: State, body: State,
     rows: Any, seconds: Any, switched: float, until: float, max_step: float,
@@ -238,24 +226,28 @@ def find_release(
         for i in range(n):
             before, last = part * i / n, part * (i + 1.0) / n
             low = max(before, (switched - start) / duration)
-            if above <= 0.0 and low < last:
-                above, carried = _margin_within(
-                    model, grip, law, start, switched, segment, body, before, low)
-                if above <= 0.0:
-                    return start + low * duration, carried
-            below, carried = _margin_within(
-                model, grip, law, start, switched, segment, body, before, last)
-            if low <= last and below <= 0.0:  # it lets go in this step
-                bracket, released = (low, last, above, below, -1.0), carried
-                while (bracket[1] - bracket[0]) * duration > free_flight.INSTANT_TOLERANCE:
-                    s = free_flight.secant_root(
-                        bracket, 0.5 * free_flight.INSTANT_TOLERANCE / duration)
-                    margin, carried = _margin_within(
-                        model, grip, law, start, switched, segment, body, before, s)
+            bracket, released = (low, last, above, 0.0, 0.0), body  # without a root yet
+            s = low if above <= 0.0 and low < last else last
+            while True:
+                late = start + s * duration - switched
+                tool_s, carried = _within(model, law, start - switched, segment, body, before, s)
+                margin = suction_margin(
+                    grip, law, late, load_at(model, grip, law, late, tool_s, carried))
+                if bracket[4] != 0.0:
                     bracket = free_flight.narrowed(bracket, s, margin)
-                    released = carried if margin <= 0.0 else released
-                return start + bracket[1] * duration, released
-            above, body = below if low <= last else -1.0, carried
+                elif margin <= 0.0 and s >= low:
+                    bracket = low, s, bracket[2], margin, -1.0
+                elif s < last:
+                    bracket, s = (low, last, margin, 0.0, 0.0), last
+                    continue
+                else:
+                    break
+                released = carried if margin <= 0.0 else released
+                if (bracket[1] - bracket[0]) * duration <= free_flight.INSTANT_TOLERANCE:
+                    return start + bracket[1] * duration, released
+                s = free_flight.secant_root(
+                    bracket, 0.5 * free_flight.INSTANT_TOLERANCE / duration)
+            above, body = margin if low <= last else -1.0, carried
         tool, start = after, end
     return -1.0, body
 
