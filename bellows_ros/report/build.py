@@ -19,7 +19,7 @@ from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import provenance
 from bellows_ros.plots import recording as pictures
 from bellows_ros.plots.plan import margin_figure, replay_figure
-from bellows_ros.plots.style import inline_svg, Theme, THEMES
+from bellows_ros.plots.style import inline_svg, THEMES
 from bellows_ros.workflows.identification import Identification
 from bellows_ros.workflows.plot import Spectra
 from bellows_ros.workflows.recordings import values_of_each
@@ -86,22 +86,13 @@ def figure(drawn: Any) -> str:
     return f'<figure>{inline_svg(drawn)}</figure>'
 
 
-def folded(title: str, content: str) -> str:
-    """Return content that is shown when asked for."""
-    return f'<details><summary>{escape(title)}</summary>\n{content}\n</details>'
-
-
-def _variables(theme: Theme) -> str:
-    """Return a theme's colours as variables."""
-    return ''.join(f'--{name}:{colour};' for name, colour in asdict(theme).items())
-
-
 def _style() -> str:
     """Return the style, light and dark as the reader's system has it."""
-    return (
-        f':root{{{_variables(THEMES["light"])}--warn:#9a6700}}\n'
-        f'@media (prefers-color-scheme:dark){{:root{{{_variables(THEMES["dark"])}'
-        f'--warn:#e3b341}}}}\n\n{STYLE.read_text()}')
+    light, dark = (''.join(f'--{name}:{colour};' for name, colour in asdict(theme).items())
+                   for theme in THEMES.values())
+    return (f':root{{{light}--warn:#9a6700}}\n'
+            f'@media (prefers-color-scheme:dark){{:root{{{dark}--warn:#e3b341}}}}\n\n'
+            f'{STYLE.read_text()}')
 
 
 PAGE, STYLE = (Path(__file__).with_name(name) for name in ('page.html', 'style.css'))
@@ -209,8 +200,9 @@ def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
         ('', 'version or seed'),
         *((name, version or 'not there') for name, version in provenance['versions'].items()),
         ('seeds of made-up noise', f'{SEED} (validation), {EXCITATION_SEED} (excitation)')])
-    section.add(folded('All settings', table([
-        ('parameter', 'value'), *((name, _setting(value)) for name, value in settings.items())])))
+    content = table([
+        ('parameter', 'value'), *((name, _setting(value)) for name, value in settings.items())])
+    section.add(f'<details><summary>All settings</summary>\n{content}\n</details>')
     return section.html()
 
 

@@ -27,7 +27,7 @@ from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.resampling import on_grid, timing
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, tip_of, Trajectory
-from bellows_ros.core.synthetic.recipe import read_recipe
+from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, plan_messages, plans
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
@@ -41,9 +41,6 @@ from bellows_ros.workflows.recordings import inside
 import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
-START_NS = 1_700_000_000_000_000_000
-"""First stamp of a recording made from a plan without a date."""
-
 YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt', '.kitti', '.csv')
 MOTION_RATE = 500.0
 """Points per second taken from a motion of `bellows simulate`, Hz."""

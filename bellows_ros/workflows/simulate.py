@@ -31,12 +31,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, File
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.messages import BOOL, encode_bool
-from bellows_ros.workflows.plan import bending, read_plan
+from bellows_ros.workflows.plan import bending, POSE, read_plan, TWIST
 from bellows_ros.workflows.recordings import Progress, silent
 import numpy as np
-
-POSE = 'geometry_msgs/msg/PoseStamped'
-TWIST = 'geometry_msgs/msg/TwistStamped'
 
 SAMPLES_PER_PERIOD = 100.0
 """The tool is simulated with this many samples in the shortest period of its motion ..."""

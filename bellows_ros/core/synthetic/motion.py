@@ -242,12 +242,11 @@ class Waypoints(Motion):
     start: Pose
     rest_duration: float
     segments: tuple[MoveAndHold, ...]
-    duration: float = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Add up the duration."""
-        moving = sum(segment.move + segment.hold for segment in self.segments)
-        object.__setattr__(self, 'duration', self.rest_duration + moving)
+    @property
+    def duration(self) -> float:  # type: ignore[override]
+        """With the rest, s."""
+        return self.rest_duration + sum(each.move + each.hold for each in self.segments)
 
     def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """Return where the tool is and how it moves; at rest before the first segment."""

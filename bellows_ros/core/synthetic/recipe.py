@@ -303,6 +303,7 @@ TOPICS = {
     'valve': '/vacuum/valve'}
 FRAME_IDS = {'z_up': 'world', 'motive_y_up': 'motive'}
 START_NS = 1_700_000_000_000_000_000
+"""First stamp of a recording of a motion or plan without a date."""
 
 _PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'package', 'release')
 _TOPIC = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
