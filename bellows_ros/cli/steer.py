@@ -33,10 +33,6 @@ FILM_SPEED = 0.25
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
-    def film(report: SteerReport) -> None:
-
-        write_steering(arguments.plot, report, f'{arguments.plan}', FILM_SPEED)
-
     def write(report: SteerReport) -> None:
         motion = report.motions[report.method]
         write_prediction(
@@ -46,7 +42,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         arguments, console, lambda values, progress: steer_plan(
             arguments.plan, values, arguments.method, arguments.limits or '',
             str(arguments.urdf or ''), arguments.topic),
-        print_result, write, film)
+        print_result, write,
+        lambda report: write_steering(
+            arguments.plot, report, f'{arguments.plan}', FILM_SPEED))
 
 
 def print_result(report: SteerReport, console: Console) -> None:

@@ -86,7 +86,6 @@ def print_result(result: TossResult, console: Console) -> None:
         angle = f', {math.degrees(aim.angle):.1f} deg' if aim.angle else ''
         console.line(f'  target    {MILLI * aim.distance:.2f} mm{angle} away{gain}')
     if drawn := result.drawn:
-
         drawn_std = MILLI * np.sqrt(np.diag(drawn.covariance))
         inside = 100.0 * coverage(result.covariance, drawn.errors)
         console.line(
@@ -106,7 +105,6 @@ def _print_budget(result: TossResult, console: Console) -> None:
             "release.delay_std, release.tau_std, package.mass_std and package.com_std; 'bellows "
             "identify' writes cup.*_std.")
         return
-
     shifts = [MILLI * group.metres for group in groups]
     angles = [math.degrees(group.radians) for group in groups]
     rows = [('uncertain quantity', 'by', 'at landing', 'turned')]

@@ -247,8 +247,7 @@ def aim(
         return np.concatenate([np.subtract(thrown.landing[0][:2], target), reach * turn])
 
     def cost(switched: float) -> float:
-        size = float(np.linalg.norm(miss(switched)))
-        return size if math.isfinite(size) else 1e6
+        return float(np.nan_to_num(np.linalg.norm(miss(switched)), nan=1e6, posinf=1e6))
 
     lost_time = held.lost_before(held.duration)
     last = min(held.duration if lost_time is None else lost_time, until)
@@ -257,8 +256,8 @@ def aim(
     step = np.diff(ends, axis=0)
     squared = np.maximum(np.einsum('ni,ni->n', step, step), 1e-30)
     along = np.clip(-np.einsum('ni,ni->n', ends[:-1], step) / squared, 0.0, 1.0)
-    distances = np.linalg.norm(ends[:-1] + along[:, None] * step, axis=1)
-    distances = np.where(np.isfinite(distances), distances, np.inf)
+    distances = np.nan_to_num(
+        np.linalg.norm(ends[:-1] + along[:, None] * step, axis=1), nan=np.inf)
     tried = []
     for k in np.argsort(distances)[:candidates]:
         if distances[k] <= 1.5 * distances.min() + 1e-3:

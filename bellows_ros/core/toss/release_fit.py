@@ -350,7 +350,7 @@ def _identifiable(
     default = np.array(TYPICAL_LAW if opens and not given[5] > 0.0 else given)
     std = np.where(np.array(given_std) > 0.0, given_std,
                    MAX_RELATIVE_ERROR * np.where(default > 0.0, default, ABSOLUTE_SCALES))
-    held = np.zeros(8)
+    fixed_std = np.zeros(8)
     while True:
         relative = fit.std / np.maximum(np.abs(fit.law), ABSOLUTE_SCALES)
         wide = [k for k in fit.free if relative[k] >= MAX_RELATIVE_ERROR]
@@ -358,9 +358,9 @@ def _identifiable(
             return fit
         worst = max(wide, key=lambda k: float(relative[k]) if k else 0.0)
         law = np.array(fit.law)
-        law[worst], held[worst] = default[worst], std[worst]
+        law[worst], fixed_std[worst] = default[worst], std[worst]
         if worst:
-            fit = _fitted(drops, law, tuple(k for k in fit.free if k != worst), held)
+            fit = _fitted(drops, law, tuple(k for k in fit.free if k != worst), fixed_std)
         if not (worst and fit.explains):
             raise UndeterminedError(
                 f'The drops do not determine {RELEASE_NAMES[worst]}: they differ too much from '
@@ -431,9 +431,9 @@ def _openings(drops: Sequence[Drop], fall: float) -> list[Array]:
 
 
 def _fitted(
-    drops: Sequence[Drop], start: Array, free: tuple[int, ...], held: Array | None = None
+    drops: Sequence[Drop], start: Array, free: tuple[int, ...], fixed_std: Array | None = None
 ) -> ReleaseFit:
-    """Return the fit of some numbers of a law, from a start; others are known to `held` (8,)."""
+    """Return the fit of some numbers of a law, from a start; others have `fixed_std` (8,)."""
     problem = [_DropFit(drop, free) for drop in drops]
     law, chosen = start.copy(), list(free)
     damping, cost = 1e-2, math.inf
@@ -464,8 +464,8 @@ def _fitted(
         one.residuals(law, one.nuisance).size for one in problem) * inverse
     placed = SCALES[:, None] * np.eye(8)[:, chosen]
     covariance = placed @ covariance @ placed.T
-    if held is not None:
-        covariance += _of_held(problem, law, inverse, held)
+    if fixed_std is not None:
+        covariance += _of_fixed(problem, law, inverse, fixed_std)
     scatter = np.sqrt(np.maximum(
         np.var([one.law_offset for one in problem], axis=0, ddof=1)
         - np.mean([one.noise for one in problem], axis=0), 0.0))
@@ -480,17 +480,17 @@ def _reduced(problem: Sequence[_DropFit], law: Array) -> tuple[Array, Array]:
     return np.sum(matrices, axis=0), np.array(gradients)
 
 
-def _of_held(problem: Sequence[_DropFit], law: Array, inverse: Any, held: Array) -> Array:
-    """Return the covariance (8, 8) from numbers that are known to `held`, and move the others."""
-    free, known = problem[0].free, np.flatnonzero(held).tolist()
-    both = [_DropFit(one.drop, (*free, *known)) for one in problem]
+def _of_fixed(problem: Sequence[_DropFit], law: Array, inverse: Any, fixed_std: Array) -> Array:
+    """Return the covariance (8, 8) from fixed numbers of a std (8,), which move the others."""
+    free, fixed = problem[0].free, np.flatnonzero(fixed_std).tolist()
+    both = [_DropFit(one.drop, (*free, *fixed)) for one in problem]
     for each, one in zip(both, problem, strict=True):
         each.nuisance = one.nuisance
     H, _ = _reduced(both, law)
-    moves = np.zeros((8, len(known)))
+    moves = np.zeros((8, len(fixed)))
     moves[list(free)] = -inverse @ H[:len(free), len(free):]
-    moves[known] = np.eye(len(known))
-    moves *= SCALES[:, None] * (held / SCALES)[known]
+    moves[fixed] = np.eye(len(fixed))
+    moves *= SCALES[:, None] * (fixed_std / SCALES)[fixed]
     return np.asarray(moves @ moves.T)
 
 
