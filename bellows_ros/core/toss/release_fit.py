@@ -166,25 +166,22 @@ class Drop:
         position = self.package.position - states[:, :3]
         turn = lie.log_quaternion(lie.quaternion_product(
             lie.quaternion_conjugate(states[:, 3:7]), self._orientation))
-        n = half_window(self._step)
-        velocity = np.pad(_derivatives(position, self._step, 1), ((n, n), (0, 0)))
-        return np.vstack([position.T, velocity.T, turn.T])
+        return np.vstack([position.T, (self._slopes @ position).T, turn.T])
 
     @cached_property
     def _orientation(self) -> Array:
         return lie.rotation_to_quaternion(self.package.rotation)
 
     @cached_property
-    def _step(self) -> float:
-        """The time between poses, s."""
-        return float(np.median(np.diff(self.package.seconds)))
-
-
-def _derivatives(position: Array, step: float, order: int) -> Array:
-    """Return those (M, 3) of local polynomials in positions (N, 3), within the ends."""
-    n = half_window(step)
-    windows = np.lib.stride_tricks.sliding_window_view(position, 2 * n + 1, axis=0)
-    return np.asarray(windows @ weights(n, ORDER, 1.0 / step)[order])
+    def _slopes(self) -> Array:
+        """From positions to velocities of the local polynomials, no further than to the ends."""
+        count = len(self.package)
+        out, step = np.zeros((count, count)), float(np.median(np.diff(self.package.seconds)))
+        n = half_window(step)
+        row = weights(n, ORDER, 1.0 / step)[1]
+        for k in range(n, count - n):
+            out[k, k - n:k + n + 1] = row
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,8 +404,9 @@ def free_fall_samples(position: Array, seconds: Array, gravity: Any) -> tuple[in
     step = float(np.median(np.diff(seconds)))
     n = half_window(step)
     if len(seconds) > 2 * n:
-        felt = np.pad(
-            np.linalg.norm(_derivatives(position, step, 2) - gravity, axis=1), n, 'edge')
+        row = weights(n, ORDER, 1.0 / step)[2]
+        windows = np.lib.stride_tricks.sliding_window_view(position, 2 * n + 1, axis=0)
+        felt = np.pad(np.linalg.norm(windows @ row - gravity, axis=1), n, 'edge')
         impact = np.flatnonzero(felt > IMPACT_ACCELERATION)
         free = felt[:max(impact[0] - n, 0) if len(impact) else None] < FREE_FALL_BELOW
         edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0)).reshape(-1, 2)
@@ -610,7 +608,7 @@ class _DropFit:
         drop = self.drop
         released, states = self._predicted(law, self.nuisance)
         errors = self.errors(law) * self.sizes
-        n = half_window(drop._step)
+        n = half_window(float(np.median(np.diff(drop.package.seconds))))
         up = np.array(drop.model[2]) / np.linalg.norm(drop.model[2])
         after = int(np.searchsorted(drop.package.seconds[:-1], max(released, 0.0)))
         noise = np.repeat(np.maximum(drop.noise, 0.1 * np.array(MIN_NOISE)), 3)[:, None]
