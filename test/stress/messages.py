@@ -135,7 +135,7 @@ def messages(rng, folder):
 
 def burst(partner, attacker, heard, number):
     """Send hostile messages, then good ones, and return what became of the hostile ones."""
-    live = partner.predictor._live
+    live = partner.predictor.pipeline.live
     before, sent = sum(live.refused.values()), attacker.poses
     for _ in range(BURST):
         attacker.send()

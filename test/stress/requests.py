@@ -126,7 +126,7 @@ class Requester:
 
     def send_poses(self, count):
         """Send poses of a tool that stands; return the last stamp."""
-        live = self.partner.predictor._live
+        live = self.partner.predictor.pipeline.live
         for _ in range(count):
             stamp_ns, before = time.time_ns(), live.poses_in
             self.partner.send_pose(stamp_ns, frame_id='base')
@@ -158,14 +158,15 @@ def attempt(requester, deactivate):
             raise Failed('deactivating took more than 5 s')
         predictor.trigger_activate()
     else:
-        refused = COUNTED if predictor._planning._outcome is None else CLEAN
-    requester.wait('the end of all work', lambda: not predictor._planning.is_busy)
+        refused = COUNTED if predictor.pipeline.planning._outcome is None else CLEAN
+    requester.wait('the end of all work', lambda: not any(
+        worker.is_busy for worker in predictor.workers))
 
     def predicts():
         requester.pressure.publish(FluidPressure(fluid_pressure=40e3))  # of best effort
         requester.valve.publish(Bool(data=True))
         requester.send_poses(1)
-        return predictor._planning.held is not None
+        return predictor.pipeline.held is not None
 
     requester.wait('a prediction', predicts)
     if not all(np.isfinite(x) for message in heard for x in numbers(message)):
