@@ -97,6 +97,30 @@ def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     partner.wait(lambda: not partner.predictor.pipeline.live.pairing.expect)
 
 
+@pytest.mark.parametrize(('reason', 'bad'), [
+    ('nan', {'xyzw': (math.nan, 0.0, 0.0, 1.0)}),
+    ('frame_id', {'frame_id': 'elsewhere'}),
+    ('backward_stamp', {'stamp_ns': START}),
+])
+def test_bad_poses_are_counted_and_change_nothing(reason, bad, make_partner):
+    """Go on as if the bad pose had not come."""
+    partner = make_partner(with_twists=False)
+    for step in range(10):
+        partner.send_pose(START + step * MS)
+    partner.send_pose(**{'stamp_ns': START + 10 * MS, **bad})
+    for step in range(11, 20):
+        partner.send_pose(START + step * MS)
+    partner.wait_for_poses(19)
+    partner.wait_for_inputs(20)
+
+    live = partner.predictor.pipeline.live
+    assert {name: count for name, count in live.refused.items() if count} == {reason: 1}
+    expected = [START + step * MS for step in range(20) if step != 10]
+    assert list(map(stamp_ns, partner.poses)) == expected
+    poses = numbers(partner.poses)
+    assert np.isfinite(poses).all()
+
+
 def test_reset_starts_from_rest(make_partner):
     """Forget the motion, the stamps and the frame."""
     partner = make_partner(with_twists=False)
