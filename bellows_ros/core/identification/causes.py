@@ -472,6 +472,14 @@ def _marker_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]
             'else fit.free: [package_marker].')
 
 
+def _world_drift_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the words of a camera, or its world, that moves slowly."""
+    shift, turn = (60.0 * float(np.linalg.norm(part)) for part in np.split(finding.theta, 2))
+    return (f'The world of the package drifts against that of the tool: by {1e3 * shift:.2g} mm '
+            f'and {np.rad2deg(turn):.2g} degrees per minute',
+            'Fasten the camera, and record when it has warmed up.')
+
+
 def _slip_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
     """Return the words of a package that slipped."""
     x, y, since = finding.theta
@@ -597,6 +605,8 @@ KNOWN_CAUSES: Mapping[str, KnownCause] = {
     'length': KnownCause('cup.length', _length_words, 'm'),
     'package_marker': KnownCause(
         'recording.align_at_rest', _marker_words, ['m', 'm', 'rad', 'rad', 'rad']),
+    'world_drift': KnownCause(
+        'the mounting of the camera', _world_drift_words, ['m/s'] * 3 + ['rad/s'] * 3),
     'slip': KnownCause('recording.start or recording.end', _slip_words, ['m', 'm', 's']),
     'gravity.direction': KnownCause('gravity.direction', _gravity_words, 'rad'),
     'recording.world': KnownCause('recording.world', _world_words),

@@ -25,6 +25,7 @@ from bellows_ros.core.identification.quantities import (
     anything,
     Free,
     KINDS,
+    middle_of,
     OF_CUP,
     payload_of,
     poses_of,
@@ -161,7 +162,7 @@ def as_found(own: Recording, found: Free, number: int) -> Recording:
         return own
     free = {name: rows[number if KINDS[name].each else 0] for name, rows in found.items()}
     moves, tracked = np.array(own.settings.moves_with_com, float), own.tracked_package
-    middle = tracked.position[tracked.valid].mean(axis=0)
+    middle = middle_of(tracked)
     delay = round(float(free['time_offset'][0]) * NS_PER_S) if 'time_offset' in free else 0
 
     def moved(poses: Trajectory) -> Trajectory:
@@ -187,7 +188,7 @@ MOST_CAUSES = 2
 """Causes that are looked for, one beside the other, by a search for each quantity tried."""
 
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
-              *OF_CUP)
+              'world_drift', *OF_CUP)
 
 
 def causes(

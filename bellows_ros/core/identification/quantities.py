@@ -15,7 +15,7 @@ from bellows_ros.core.geometry.lie import (
 )
 from bellows_ros.core.model.cup_package import Package, varied
 from bellows_ros.core.model.jacobians import COM, INERTIA, LENGTH, MASS
-from bellows_ros.core.signals.trajectory import Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
 
@@ -53,6 +53,7 @@ KINDS: Mapping[str, Kind] = {
     'mass': Kind(1e-2, 1, 0.1, False, 0.7),
     'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
     'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
+    'world_drift': Kind(1e-5, 6, 1e-4, True, 1e-3),
     'relaxation': Kind(1e-2, 2, 0.1, False, 1.0),
     'drift': Kind(1e-2, 6, 0.1, False, 1.0),
     'cubic': Kind(1e-2, 6, 0.1, False, 1.0),
@@ -63,9 +64,10 @@ By their names in fit.free.
 By how much the tool's stamps are behind the package's, s; the centre of mass beside the given one
 in axes of the lip, m; the length beside the given one, m; logarithms of the factors of the moments
 of inertia and of the mass; shift and turn of the package's world about the middle of the
-package's way, and of B in its own axes against the measured pose, m and rad; the strengths of
-relaxation beside those of the start; and parts by which the diagonal of K changes from beginning
-to end, and up to displacements of the size `LARGE_DISPLACEMENT`.
+package's way, and of B in its own axes against the measured pose, m and rad; by how much that
+world moves and turns per second, m/s and rad/s; the strengths of relaxation beside those of the
+start; and parts by which the diagonal of K changes from beginning to end, and up to displacements
+of the size `LARGE_DISPLACEMENT`.
 """
 
 OF_CUP = ('drift', 'cubic')
@@ -102,17 +104,17 @@ def poses_of(
     Return the poses of B, and its twists where they are known, for given free quantities.
 
     Moves (3,) is 1 for the components of the centre of mass that B moves with, else 0. The world
-    turns about a middle (3,), that of the poses where none is given.
+    turns about a middle, see `middle_of`, that of the poses where none is given.
     """
     if 'com' in free:
         package = of_fixed_frame(package, np.zeros(3), moves * free['com'])
-    if 'package_world' in free:
-        (way, turn), middle = np.split(free['package_world'], 2), (
-            _middle(package) if middle is None else middle)
-        R = exp_so3(turn)
+    for name in free.keys() & {'package_world', 'world_drift'}:
+        middle = middle_of(package) if middle is None else middle
+        time = _since(package, middle) if name == 'world_drift' else np.ones((len(package), 1))
+        R = exp_so3(time * free[name][3:])
         package = replace(
-            package, position=middle + way + apply(R, package.position - middle),
-            rotation=R @ package.rotation)
+            package, position=middle[:3] + time * free[name][:3] + apply(
+                R, package.position - middle[:3]), rotation=R @ package.rotation)
     if 'package_marker' in free:
         way, turn = np.split(free['package_marker'], 2)
         package = of_fixed_frame(package, turn, way)
@@ -129,9 +131,15 @@ def of_fixed_frame(body: Trajectory, turn: Array, way: Array) -> Trajectory:
         acceleration=None if body.acceleration is None else apply(X, body.acceleration))
 
 
-def _middle(package: Trajectory) -> Array:
-    """Return the mean of the positions in use (3,)."""
-    return np.asarray(package.position[package.valid].mean(axis=0))
+def middle_of(package: Trajectory) -> Array:
+    """Return the mean (3,) of the positions in use (m), and their first stamp (s)."""
+    used = package.select(package.valid)
+    return np.append(used.position.mean(axis=0), used.stamps_ns[0] / NS_PER_S)
+
+
+def _since(package: Trajectory, middle: Array) -> Array:
+    """Return times (N, 1) since the first stamp of `middle_of`, s."""
+    return np.asarray(package.stamps_ns / NS_PER_S - middle[3])[:, None]
 
 
 def model_columns(name: str, payload: Package, parameters: Array) -> Array:
@@ -158,11 +166,11 @@ def pose_changes(
         return np.broadcast_to(change, (len(package), 6, 3))
     if name == 'package_marker':
         return np.broadcast_to(np.eye(6), (len(package), 6, 6))
-    if name == 'package_world':
+    if name in ('package_world', 'world_drift'):
+        middle = middle_of(package) if middle is None else middle
         inverse = np.swapaxes(package.rotation, 1, 2)
         change = np.zeros((len(package), 6, 6))
         change[:, :3, :3] = change[:, 3:, 3:] = inverse
-        change[:, :3, 3:] = -inverse @ hat(
-            package.position - (_middle(package) if middle is None else middle))
-        return change
+        change[:, :3, 3:] = -inverse @ hat(package.position - middle[:3])
+        return change * _since(package, middle)[..., None] if name == 'world_drift' else change
     return None

@@ -102,7 +102,7 @@ def registered(
     measured = measured_segments(recording)
     search = Search([Segment(own) for own in measured], structure, start, anything(names))
     found = search.minimum()
-    middle, alignment = np.asarray(measured[0].middle), recording.alignment
+    middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
     if not found.converged and list(names) == ['time_offset']:
         return Registered(None, np.zeros(6), middle, alignment, None)
     if not found.converged:

@@ -165,8 +165,9 @@ class MeasuredSegment:
     moves_with_com : tuple of 3 bool
         Components of the centre of mass with which the poses of B move, as those of the lip are
         known.
-    middle : ndarray (3,), optional
-        Point about which the package's world may be turned; that of its poses where left out.
+    middle : ndarray (4,), optional
+        Point (m) about which the package's world may be turned, and time (s) since which it may
+        drift; see `quantities.middle_of`.
 
     """
 
@@ -195,7 +196,7 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
     noises = (noise._replace(std=np.maximum(noise.std, MIN_POSE_STD))
               for noise in recording.body_noise)
     context = (recording.payload, recording.settings.gravity, *noises, number,
-               recording.settings.moves_with_com, package.position[package.valid].mean(axis=0))
+               recording.settings.moves_with_com, quantities.middle_of(package))
     stamps = tool.stamps_ns[tool.valid]
     cuts = np.flatnonzero(np.diff(stamps) > MAX_GAP * NS_PER_S)
     motions = []

@@ -93,7 +93,7 @@ class Laboratory:
         self.frame = str(rng.choice(['com', 'lip']))
         self.said_frame, self.said_world, self.world = self.frame, 'z_up', np.eye(3)
         self.late, self.turn, self.scale, self.swapped = 0.0, {}, {}, False
-        self.apart, self.friction = np.zeros(6), 0.0
+        self.apart, self.wander, self.friction = np.zeros(6), np.zeros(3), 0.0
         self.slipped, self.level, self.low_pass_hz = np.zeros(3), np.eye(3), 0.0
         self.twist_unit, self.w_first, self.occluded, self.exchanged = 0.0, (), False, False
         self.motion = shake(duration=seconds, seed=int(rng.integers(1 << 30)))
@@ -157,6 +157,7 @@ class Laboratory:
             p = p + apply(R, part[:, None] * self.slipped)
             turn, middle = exp_so3(self.apart[3:]), p.mean(axis=0)
             p, R = middle + self.apart[:3] + apply(turn, p - middle), turn @ R
+            p = p + body.seconds[:, None] * self.wander
         R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
         p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
         if self.low_pass_hz:
@@ -249,6 +250,10 @@ def _far_worlds(own):
     own.apart = np.concatenate([own.rng.normal(size=3), turn])
 
 
+def _world_drift(own):
+    own.wander = _aside(own, own.rng.uniform(2e-3, 6e-3) / 60.0)
+
+
 def _drift(own):
     part = either(own.rng, 0.2, 0.4)
     own.vary(lambda when, deflection: 1.0 + part * (when - 0.5))
@@ -299,7 +304,8 @@ FAULTS = {
     'yaw': (_yaw, 'yaw'),
     'package frame': (_frame, 'recording.package_frame'),
     'two worlds': (_worlds, 'package_world'),
-    'drift': (_drift, 'drift'),
+    'drift': (_drift, 'drift K'),
+    'camera drifts': (_world_drift, 'world_drift'),
     'soft spring': (lambda own: own.soften(own.rng.uniform(0.3, 0.5)), 'cubic'),
     'friction': (_friction, 'friction'),
     'structure': (_oval, 'structure'),

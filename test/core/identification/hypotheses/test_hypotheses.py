@@ -168,6 +168,17 @@ def test_a_mass_that_wrenches_do_not_show_is_named_by_the_fit():
     assert verdict.refusals and verdict.diagnosis.findings[0].name == 'inertia'
 
 
+def test_a_camera_that_drifts_is_named_by_the_fit():
+    """By less than a millimetre, which a coupled cup would explain in part."""
+    laboratory = Laboratory(100, rate_hz=480.0, seconds=12.0)
+    FAULTS['camera drifts'][0](laboratory)
+    cause, = fit(laboratory.recordings(), parameters(laboratory)).fit.causes
+    assert cause.name == 'world_drift'
+    assert np.linalg.norm(cause.theta[:3] + laboratory.wander) < 0.2 * np.linalg.norm(
+        laboratory.wander)
+    assert 'mm and' in finding_sentence(cause, {})
+
+
 def test_a_mass_is_named_where_the_rubber_seemed_to_relax_without_it():
     laboratory = Laboratory(706, rate_hz=480.0, seconds=12.0)
     FAULTS['mass 10 %'][0](laboratory)
