@@ -159,15 +159,10 @@ def recorded(loss_factor: float, seed: int, path: Path, seconds: float) -> Recor
     return prepare(*streams, PrepareSettings(payload=PLATE, gravity=GRAVITY))
 
 
-def bending(tool: Trajectory, body: Trajectory) -> Array:
-    """Return the rotation vectors (N, 3) of the package in the tool."""
-    return log_so3(np.swapaxes(tool.rotation, 1, 2) @ body.rotation)
-
-
 def error(cup: Cup, loss_factor: float, path: Path, seconds: float) -> float:
     """Return the error of a predicted bending over its size, both RMS."""
     tool = driven(path, seconds)
-    true, found = (bending(tool, body) for body in (
+    true, found = (log_so3(np.swapaxes(tool.rotation, 1, 2) @ body.rotation) for body in (
         rubber_moves(loss_factor, tool), simulate(cup, PLATE, tool, gravity=GRAVITY)))
     return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 

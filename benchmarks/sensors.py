@@ -21,7 +21,6 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS, poses_of
 from bellows_ros.core.identification.search import (
-    BodyNoise,
     measured_segments,
     MeasuredSegment,
     Search,
@@ -32,7 +31,7 @@ from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording.preparation import prepare
-from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.recording.recording import BodyNoise, PrepareSettings
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory

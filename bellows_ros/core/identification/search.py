@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.geometry.lie import (
@@ -195,8 +195,9 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
     bodies = tool, package = recording.aligned_tool, recording.tracked_package
     noises = (noise._replace(std=np.maximum(noise.std, MIN_POSE_STD))
               for noise in recording.body_noise)
-    context = (recording.payload, recording.settings.gravity, *noises, number,
-               recording.settings.moves_with_com, quantities.middle_of(package))
+    context: tuple[Any, ...] = (
+        recording.payload, recording.settings.gravity, *noises, number,
+        recording.settings.moves_with_com, quantities.middle_of(package))
     stamps = tool.stamps_ns[tool.valid]
     cuts = np.flatnonzero(np.diff(stamps) > MAX_GAP * NS_PER_S)
     motions = []
