@@ -287,7 +287,9 @@ def verdict_of(
             for each in (diagnosis.findings, diagnosis.besides))
         diagnosis = diagnosis._replace(findings=findings, besides=besides)
         verdict = verdict._replace(diagnosis=diagnosis)
-    is_doubtful = not any(own.certain or own.datum for own in diagnosis.findings[:1])
+    drifts = [own.name for own in fit.causes] == ['world_drift']  # which a slip would not leave
+    is_doubtful = not any(own.certain or own.datum and not (drifts and own.name == 'slip')
+                          for own in diagnosis.findings[:1])
     if verdict.cause and not (is_doubtful and any(
             own.datum and own.likely for own in fit.causes[:1])):
         return verdict

@@ -129,8 +129,12 @@ class Finding(NamedTuple):
 
     @property
     def likely(self) -> bool:
-        """Whether it is worth a word: it explains most, whatever else does."""
-        return self.certain or self.left**2 < DISTINCT
+        """
+        Whether it is worth a word: it explains most, whatever else does.
+
+        A drift is found by its standard errors alone: between two poses it is hardly any.
+        """
+        return self.certain or self.left**2 < DISTINCT or self.name == 'world_drift'
 
 
 IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
@@ -473,10 +477,13 @@ def _marker_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]
 
 
 def _world_drift_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a camera, or its world, that moves slowly."""
-    shift, turn = (60.0 * float(np.linalg.norm(part)) for part in np.split(finding.theta, 2))
-    return (f'The world of the package drifts against that of the tool: by {1e3 * shift:.2g} mm '
-            f'and {np.rad2deg(turn):.2g} degrees per minute',
+    """Return the words of a camera, or its world, that moves slowly: of what is significant."""
+    rates, stds = (np.split(each, 2) for each in (finding.theta, finding.std))
+    sizes = ' and '.join(
+        f'{60.0 * factor * np.linalg.norm(rate):.2g} {unit}' for rate, std, factor, unit in zip(
+            rates, stds, (1e3, np.rad2deg(1.0)), ('mm', 'degrees'), strict=True)
+        if np.any(np.abs(rate) > SIGNIFICANT * std))
+    return (f'The world of the package drifts against that of the tool: by {sizes} per minute',
             'Fasten the camera, and record when it has warmed up.')
 
 
