@@ -42,18 +42,12 @@ def measured(sections: Sequence[str], short: bool = False) -> dict[str, Any]:
 def machine() -> dict[str, Any]:
     """Return what the figures were measured on and with."""
     installed = versions()
+    name = re.search(r'^model name\s*: (.*)$', Path('/proc/cpuinfo').read_text(), re.MULTILINE)
     return {
-        'processor': _processor(), 'cores': os.cpu_count(), 'load': os.getloadavg()[0],
-        'system': f'{platform.system()} {platform.machine()}', 'python': installed.pop('python'),
-        'bellows_ros': installed.pop('bellows_ros'), 'versions': installed,
-        'date': datetime.now(UTC).date().isoformat()}
-
-
-def _processor() -> str:
-    """Return the processor's name."""
-    lines = Path('/proc/cpuinfo').read_text().splitlines()
-    names = [line.partition(':')[2].strip() for line in lines if line.startswith('model name')]
-    return names[0] if names else platform.processor()
+        'processor': name[1] if name else platform.processor(), 'cores': os.cpu_count(),
+        'load': os.getloadavg()[0], 'system': f'{platform.system()} {platform.machine()}',
+        'python': installed.pop('python'), 'bellows_ros': installed.pop('bellows_ros'),
+        'versions': installed, 'date': datetime.now(UTC).date().isoformat()}
 
 
 def renewed(page: str, results: Mapping[str, Any]) -> str:

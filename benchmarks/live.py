@@ -23,14 +23,13 @@ END_TIMEOUT = 10.0
 
 BARE = 'bare'
 """A node that sends every pose back, spun as the commands of this package are."""
-PREDICTOR = 'predictor'
 
 PARAMETERS = (
     '-p', 'package.mass:=2.17', '-p', 'package.inertia:=[0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]',
     '-p', 'package.com:=[0.0, 0.0, -0.03]')
 NODES: Mapping[str, tuple[str, ...]] = {
     BARE: ('benchmarks.echo',),
-    PREDICTOR: ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS)}
+    'predictor': ('bellows_ros.nodes.command', 'predictor', '--ros-args', *PARAMETERS)}
 
 
 def run(short: bool) -> dict[str, Any]:

@@ -5,7 +5,6 @@ import math
 from time import process_time
 from typing import Any
 
-from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.steering import METHODS, steer
@@ -13,10 +12,9 @@ from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
 from .paths import driven, step
-from .step_case import CUP, PACKAGE
+from .step_case import CUP, MODEL, PACKAGE
 from .timing import interleaved, Work
 
-MODEL = model_tuple(CUP, PACKAGE, 9.81)
 GRIP = (60e3 * math.pi * 0.03 ** 2, 0.03, 0.5)
 DISTANCE, RATE = 0.4, 1000
 

@@ -15,12 +15,11 @@ from typing import Any
 
 from .offline import IDENTIFY, make_recording, PLAIN_LOOP, REPLAY
 from .startup import IMPORTS, READY
+from .tables import MEBI
 from .timing import in_process
 
 DURATION = 60.0
 """Of the recording, s."""
-
-MEBI = 2.0**20
 
 BOUNDS = {
     'least squares with verdict / rosbags reading': 6.0, 'bellows replay / rosbags reading': 10.0,

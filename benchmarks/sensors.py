@@ -50,7 +50,7 @@ MOTION = {
             axis: {'amplitude': [0.08, 0.04, 0.01], 'frequency': [0.5 + i / 40, 1.4, 2.9 - i / 7]}
             for i, axis in enumerate('xyz')}}}
 
-Pair = tuple[float, float]
+JUDGED = 0.2
 
 
 class Cell(NamedTuple):
@@ -63,9 +63,9 @@ class Cell(NamedTuple):
     """
 
     tool_hz: float
-    tool: Pair
+    tool: tuple[float, float]
     package_hz: float
-    package: Pair
+    package: tuple[float, float]
     memory: float = 0.0
     heavy_tails: bool = False
     uneven_axes: bool = False
@@ -73,8 +73,7 @@ class Cell(NamedTuple):
     apart: bool = False
 
 
-ROBOT: Pair = (2e-5, 5e-5)
-CAPTURE: Pair = (3e-4, 1e-3)
+ROBOT, CAPTURE = (2e-5, 5e-5), (3e-4, 1e-3)
 CAMERA = Cell(500.0, ROBOT, 30.0, (1e-3, 5e-3))
 MOCAP = Cell(360.0, CAPTURE, 360.0, CAPTURE)
 CELLS: dict[str, Cell] = {
@@ -97,10 +96,6 @@ APART = {'time_offset': (8e-3,), 'package_world': (4e-3, -3e-3, 5e-3, 0.01, -0.0
          'package_marker': (0.004, 0.003, -0.005, 0.02, 0.03, -0.02)}
 """What first guesses leave: clocks (s), world and marker (m, rad)."""
 
-UNEVEN = np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0])
-
-JUDGED = 0.2
-
 
 def sensed(
     poses: Trajectory, stamps: Stamps, rate: float, std: Array, cell: Cell,
@@ -122,7 +117,7 @@ def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list
     motion = motion_from(Settings({**MOTION, 'duration': duration + 0.5}), rng)
     tool = motion.at_rate(1000.0, 0)
     body = simulate(Cup.thesis(), PLATE, tool, gravity=GRAVITY)
-    axes = UNEVEN if cell.uneven_axes else np.ones(6)
+    axes = np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0]) if cell.uneven_axes else np.ones(6)
     (_, tool, tool_noise), (_, body, package_noise) = (
         sensed(poses, np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64), rate,
                np.repeat(size, 3) * axes, cell, rng, noise)

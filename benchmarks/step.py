@@ -11,7 +11,6 @@ from .step_case import MODEL, start
 from .timing import figures, in_process, interleaved, Work
 
 RATE = 360.0
-OURS = 'compiled' if COMPILED else 'interpreted'
 
 INTERPRETED = """
 import json, time
@@ -27,7 +26,8 @@ print(json.dumps((time.perf_counter() - start) / 199))
 def run(short: bool) -> dict[str, Any]:
     """Return seconds per step."""
     count = (500 if short else 20_000) if COMPILED else 100
-    steps = interleaved({OURS: our_steps(count)}, 3 if short else 15, units=count - 1)
+    steps = interleaved({'compiled' if COMPILED else 'interpreted': our_steps(count)},
+                        3 if short else 15, units=count - 1)
     if COMPILED:
         steps['interpreted'] = figures([
             in_process(INTERPRETED, environment={'NUMBA_DISABLE_JIT': '1'})

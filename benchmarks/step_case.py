@@ -12,13 +12,10 @@ PACKAGE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 MODEL = model_tuple(CUP, PACKAGE, STANDARD_GRAVITY)
 
 STILL = state_row((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-PUSH = np.array([2e-3, -1e-3, 1.5e-3])
-"""How far from rest the package starts, m."""
-TURN = np.array([0.06, -0.04, 0.10])
-"""... and how much turned, rad."""
 
 
 def start() -> State:
-    """Return the package's state at the beginning of the free motion, at rest."""
+    """Return the package's state 3 mm and 7 degrees from equilibrium, at rest."""
     position, *_ = static_equilibrium(MODEL, STILL)  # upright
-    return state_row(np.add(position, PUSH), rotation_to_quaternion(exp_so3(TURN)))
+    return state_row(np.add(position, [2e-3, -1e-3, 1.5e-3]),
+                     rotation_to_quaternion(exp_so3([0.06, -0.04, 0.10])))

@@ -14,14 +14,13 @@ from bellows_ros.errors import BellowsError
 
 Work = Callable[[], Any]
 
-Figures = dict[str, float]
 TIMEOUT = 600.0
 
 
 def interleaved(
     subjects: Mapping[str, Work], rounds: int, clock: Callable[[], float] = time.perf_counter,
     units: int = 1,
-) -> dict[str, Figures]:
+) -> dict[str, dict[str, float]]:
     """
     Time subjects in turn, several rounds, and return seconds per unit of each.
 
@@ -53,7 +52,7 @@ def interleaved(
     return {name: figures(values) for name, values in seconds.items()}
 
 
-def figures(values: Sequence[float]) -> Figures:
+def figures(values: Sequence[float]) -> dict[str, float]:
     """Return the median and the range of repeated measurements."""
     return {
         'median': statistics.median(values), 'lowest': min(values), 'highest': max(values),

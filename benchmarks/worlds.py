@@ -93,14 +93,14 @@ def recorded(seed: int, duration: float) -> tuple[Cup, PoseStream, PoseStream, M
                        true_tool, true_body, PLATE, GRAVITY, tool_noise, noise)
 
 
-def line(seed: int, duration: float) -> tuple[str, Array]:
+def line(seed: int) -> tuple[str, Array]:
     """
     Return the line of a recording, and errors (3, n) of what is identifiable.
 
     Those of K in standard errors and in the bound, and those of 1/K in the bound.
     """
     values, began = resolve(VALUES), time.process_time()
-    cup, tool, package, true = recorded(seed, duration)
+    cup, tool, package, true = recorded(seed, 26.0)
     about = f'| {seed} | {"yes" if seed % 2 else "no"} | {"50 ms" if seed % 4 > 1 else "none"} | '
     try:
         recording = prepare_streams(tool, package, None, prepare_settings(values), values)
@@ -131,14 +131,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--runs', type=int, default=40, help='recordings')
     parser.add_argument('--first', type=int, default=0, help='seed of the first')
-    parser.add_argument('--duration', type=float, default=26.0, help='of the motion, s')
     arguments = parser.parse_args()
     print('| recording | tilts | noise over | K x, z, rx, rz off by (standard errors) | over the '
           'bound | standard errors % | with what was given % | verdict | CPU s |\n'
           '|---|---|---|---|---|---|---|---|---|')
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.runs):
-        text, errors = line(seed, arguments.duration)
+        text, errors = line(seed)
         print(text, flush=True)
         rows.append(errors)
     z, *ratios = np.concatenate(rows, axis=1)

@@ -11,7 +11,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
 from benchmarks import offline, startup, step, timing
-from benchmarks.alarms import delays, least_delays, passages, THRESHOLD
+from benchmarks.alarms import delays, false_alarms, least_delays, passages, THRESHOLD
 from benchmarks.sensors import CELLS, JUDGED, trial
 from benchmarks.tables import markdown, tables
 from benchmarks.worlds import line
@@ -40,8 +40,14 @@ def test_short_form_measures_and_shows(section, root):
 @pytest.mark.stress
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
 def test_a_cup_is_found_where_the_first_guess_of_its_world_is_far_off():
-    text, (z, *_) = line(16, 26.0)
+    text, (z, *_) = line(16)
     assert 'accepted' in text and np.all(np.abs(z) < 4.0)
+
+
+def test_false_alarms_are_counted_with_the_error_of_the_state(monkeypatch):
+    monkeypatch.setattr('benchmarks.alarms.SECONDS', 10.0)
+    causes, squares = false_alarms('white', 2, False)
+    assert not causes and 4.0 < squares < 30.0
 
 
 SCRIPTS = [
