@@ -1,37 +1,31 @@
 """A throw in closed form, a cup, a box, and a second implementation of the whole toss."""
 
-from bellows_ros.core.geometry.lie import dexp, exp_so3, hat, transform
+from bellows_ros.core.geometry.lie import hat, transform
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from . import oracle
-from .plans import CUP, GRAVITY
+from .plans import CUP, GRAVITY, Move
 
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.004, -0.003, -0.03))
 HALF, CENTRE = np.array([0.11, 0.09, 0.06]), np.array([-0.004, 0.003, -0.03])
 GRIP = (90.0, 0.02, 0.5)
 DURATION = 1.0
+THROW = Move([1.2, 0.1, 0.25], [0.05, -0.5, 0.2], DURATION)
 
 
 def tool_at(t):
     """Return position, rotation and body twist of a throw: 2.3 m/s, up, turning about y and z."""
-    s = np.clip(t / DURATION, 0.0, 1.0)
-    blend = s**3 * (10 - 15 * s + 6 * s * s)
-    rate = 30 * s * s * (1 - s) ** 2 / DURATION
-    travel, turn = np.array([1.2, 0.1, 0.25]), np.array([0.05, -0.5, 0.2])
-    phi, phi_rate = turn * blend, turn * rate
-    R = exp_so3(phi)
-    o = np.array([0.0, 0.0, 0.9]) + travel * blend
-    return o, R, np.concatenate([R.T @ (travel * rate), dexp(-phi) @ phi_rate])
+    o, R, v = THROW.at(t)
+    return o + [0.0, 0.0, 0.9], R, v
 
 
 def plan(rate_hz=1000):
     """Return the throw sampled."""
     stamps = np.round(np.arange(int(DURATION * rate_hz) + 1) / rate_hz * 1e9).astype(np.int64)
-    parts = [tool_at(stamp * 1e-9) for stamp in stamps]
-    return Trajectory(stamps, *(np.array(part) for part in zip(*parts, strict=True)))
+    return Trajectory(stamps, *tool_at(stamps * 1e-9))
 
 
 def values():
@@ -50,12 +44,6 @@ def values():
         'release.tau': 0.02, 'release.tau_std': 5e-4,
         'release.impulse': 0.05, 'release.impulse_std': 0.01,
     }
-
-
-def lip_wrench(model_cup, package, pose, twist, t):
-    """Return the wrench at the lip, with matrices."""
-    o_E, R_E, v_E = tool_at(t)
-    return oracle.lip_wrench(model_cup, package, transform(R_E, o_E), v_E, pose, twist)
 
 
 def corners():
@@ -102,7 +90,9 @@ def integrate(start, switched, law, height, grip=GRIP):
         return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(v[3:])).ravel(), dv])
 
     def margin(t, y):
-        f = lip_wrench(cup_at(parts(y)[0], t), package, *parts(y), t)
+        T, v = parts(y)
+        o_E, R_E, v_E = tool_at(t)
+        f = oracle.lip_wrench(cup_at(T, t), package, transform(R_E, o_E), v_E, T, v)
         fallen = np.exp(-max(0.0, t - switched - delay) / tau)
         left = grip[0] * ((1.0 + blow_off) * fallen - blow_off + law[7])
         return left - f[2] - 2.0 * np.hypot(f[3], f[4]) / grip[1]

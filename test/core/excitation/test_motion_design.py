@@ -21,6 +21,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from .test_fisher import cup_of, expected, model_of, PACKAGE, STRUCTURE, TRACKING, TRUTH
+from .. import oracle
 from ...conftest import ROOT
 
 pytestmark = pytest.mark.skipif(
@@ -80,8 +81,7 @@ def require_within(found, limits, guess, grip=None):
     still = slice(0, 1900)
     assert np.ptp(o[still], axis=0).max() < 1e-12 and np.abs(o[-1] - o[0]).max() < 1e-9
     turned = np.einsum('nji,njk->nik', R[:-1], R[1:])
-    rate = 1e3 * 0.5 * np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2]
-                                 - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]], axis=1)
+    rate = 1e3 * 0.5 * oracle.vee(turned - np.swapaxes(turned, 1, 2))
     allowed = list(limits.rates.values())
     for moved, most in ((1e3 * np.diff(o, axis=0), allowed[:3]),
                         (np.einsum('nij,nj->ni', R[1:], rate), allowed[3:])):
@@ -229,7 +229,7 @@ def test_motion_moves_as_it_says():
     (o0, _, R0, _), (o1, _, R1, _) = motion.state(t - h), motion.state(t + h)
     assert_allclose((o1 - o0) / (2 * h), v, atol=1e-6)
     W = np.einsum('nji,njk->nik', R, R1 - R0) / (2 * h)
-    assert_allclose(W[:, [2, 0, 1], [1, 2, 0]], w, atol=1e-6)
+    assert_allclose(oracle.vee(W), w, atol=1e-6)
 
 
 def test_a_start_outside_of_the_workspace_is_refused():

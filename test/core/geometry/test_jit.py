@@ -194,12 +194,6 @@ def test_the_memory_of_the_compiler_is_returned_and_it_compiles_on():
     assert results == [5.0, 6.0]
 
 
-def blocked_caches(copy):
-    """Put files where the folders of the package's caches would be."""
-    for room in ('geometry', 'model'):
-        (copy / f'bellows_ros/core/{room}/__pycache__').write_text('in the way, for root too')
-
-
 @compiled
 def test_processes_that_start_at_once_share_the_cache(copy):
     first, second = [ended(p) for p in [started(copy), started(copy)]]
@@ -209,32 +203,15 @@ def test_processes_that_start_at_once_share_the_cache(copy):
 
 
 @compiled
-def test_package_that_cannot_be_written_is_cached_for_the_user(copy):
-    blocked_caches(copy)
-    user = copy / 'user'
-    home = {'XDG_CACHE_HOME': str(user), 'HOME': str(user)}
-    assert ended(started(copy, **home))[0] == [STRAIN, 0]
-    assert list(user.rglob('*.nbi'))
-    assert ended(started(copy, **home))[0] == [STRAIN, 1]
-
-
-@compiled
-def test_runs_where_nothing_can_be_written(copy):
-    blocked_caches(copy)
-    blocked = copy / 'no folder'
+def test_package_that_cannot_be_written_is_cached_for_the_user_or_not_at_all(copy):
+    for room in ('geometry', 'model'):
+        (copy / f'bellows_ros/core/{room}/__pycache__').write_text('in the way, for root too')
+    user, blocked = copy / 'user', copy / 'no folder'
     blocked.write_text('')
-    home = {'XDG_CACHE_HOME': str(blocked), 'HOME': str(blocked)}
-    assert ended(started(copy, **home))[0] == [STRAIN, 0]
-
-
-def damaged(path, number):
-    """Spoil a file in one of several ways."""
-    if number == 0:
-        path.write_bytes(b'')
-    elif number == 1:
-        path.write_bytes(path.read_bytes()[:60])
-    else:
-        path.write_bytes(b'\x93NUMPY' * 100)
+    for home, hits in ((user, 0), (user, 1), (blocked, 0)):
+        out = run(ONE_KERNEL, copy, XDG_CACHE_HOME=str(home), HOME=str(home))
+        assert out == [STRAIN, hits]
+    assert list(user.rglob('*.nbi'))
 
 
 @compiled
@@ -242,9 +219,9 @@ def test_damaged_cache_is_said_and_made_anew(copy):
     folder = copy / 'bellows_ros/core'
     ended(started(copy))
     files = sorted(folder.rglob('*.nbi'))
-    assert len(files) == 3  # with what it calls
-    for number, path in enumerate(files):
-        damaged(path, number)
+    spoilt = b'', files[1].read_bytes()[:60], b'\x93NUMPY' * 100
+    for path, content in zip(files, spoilt, strict=True):  # of the kernel and what it calls
+        path.write_bytes(content)
     out, err = ended(started(copy))
     assert out == [STRAIN, 0]
     assert f'Compiled code in {folder}/model/__pycache__ cannot be used' in err

@@ -186,15 +186,9 @@ def test_leading_axes_and_single_elements_are_alike():
     assert lie.log_so3(np.zeros((0, 3, 3))).shape == (0, 3)
 
 
-@pytest.mark.parametrize(
-    'function, argument',
-    [
-        (lie.exp_so3, np.zeros(4)),
-        (lie.log_so3, np.eye(4)),
-        (lie.adjoint, np.eye(3)),
-        (lie.hat, 1.0),
-    ],
-)
+@pytest.mark.parametrize('function, argument', [
+    (lie.exp_so3, np.zeros(4)), (lie.log_so3, np.eye(4)), (lie.adjoint, np.eye(3)),
+    (lie.hat, 1.0)])
 def test_wrong_shapes_are_named(function, argument):
     with pytest.raises(BellowsError, match='shape'):
         function(argument)

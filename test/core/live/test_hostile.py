@@ -11,10 +11,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from ..cases import PLATE
+
 START = 1_760_000_000_000_000_000
 MS = 1_000_000
 PERIOD = 2 * MS
-PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 HEAVY = Package(25.0, np.diag([1.0, 1.0, 1.0]), (0.02, 0.0, -0.2))
 SOFT = Cup(0.1 * Cup.thesis().stiffness, 0.1 * Cup.thesis().damping, 0.0481)
 UPRIGHT, ZERO = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
@@ -69,21 +70,18 @@ class Attack:
     def control(self, kind, leap):
         """Do what a user, a timer or a vacuum switch does."""
         live = self.live
-        if kind in ('attach', 'detach'):
-            return live.set_attached(kind == 'attach')
-        if kind == 'coast':
-            return live.coast(self.arrival + abs(leap) % 10**10)
-        if kind == 'flush':
-            return live.flush()
-        if kind == 'reset':
-            live.reset()
-        elif kind == 'model':
-            live.set_model(*((SOFT, HEAVY) if leap > PERIOD else (Cup.thesis(), PLATE)))
-        elif kind == 'expect':
+        ahead_ns = abs(leap) % 10**10
+        if kind == 'expect':
             live.pairing.expect = leap > 0
-        else:
-            self.arrival += abs(leap) % 10**10
-        return []
+        elif kind == 'wait':
+            self.arrival += ahead_ns
+        return {
+            'attach': lambda: live.set_attached(True), 'detach': lambda: live.set_attached(False),
+            'coast': lambda: live.coast(self.arrival + ahead_ns),
+            'flush': live.flush, 'reset': live.reset,
+            'model': lambda: live.set_model(
+                *((SOFT, HEAVY) if leap > PERIOD else (Cup.thesis(), PLATE))),
+        }.get(kind, list)() or []
 
 
 def check(live, predictions):

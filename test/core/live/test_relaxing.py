@@ -5,10 +5,9 @@ import math
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.simulation import simulate, state_row
+from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.plan import PlanSimulation
@@ -139,6 +138,3 @@ def test_a_toss_holds_until_its_release():
     assert held.states.shape[1] == direct.states.shape[1] == 13
     plain = toss(HeldMotion(PLAIN, GRIP, plan), release, 0.3)
     assert math.dist(thrown.landing[0], plain.landing[0]) > 1e-4
-    flight = Flight(resolve(values()))
-    flight.warm_up(MODEL)
-    assert state_row(*np.split(held.states[0], [3, 7]))[:2] == held.start[:2]

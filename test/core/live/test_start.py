@@ -4,14 +4,15 @@ import math
 
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.uncertainty import Uncertainty
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 import pytest
 
+from ..cases import PLATE
+
 START = 1_760_000_000_000_000_000
 MS = 1_000_000
-PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 UPRIGHT, ZERO = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 EXACT = resolve({'tool_noise.position': 1e-4, 'tool_noise.rotation': 5e-4})
 NOISE = 1e-4

@@ -6,7 +6,7 @@ The estimate is exact on quadratics, and of second order on smooth motions.
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.live.samples import PoseSample, TwistSample
-from bellows_ros.core.live.tool_twist import MAX_QUEUE, MAX_WAIT_NS, Pairing, PoseHistory
+from bellows_ros.core.live.tool_twist import MAX_QUEUE, Pairing, PoseHistory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -28,17 +28,17 @@ def twist(stamp_ns):
     return TwistSample(START + stamp_ns, (t, 2 * t, 0.0), (0.0, 0.0, -t))
 
 
-def run(pose_period, twist_period, duration=1000 * MS, offset=0, expect=True):
-    """Send both at their rates in the order of their stamps; return what goes on, and delays."""
+def run(pose_period, twist_period, offset=0):
+    """Send a second of both in the order of their stamps; return what goes on, and delays."""
     pairing = Pairing()
-    pairing.expect = expect
-    events = [(t, 0) for t in range(MS, duration, pose_period)]
-    events += [(t, 1) for t in range(MS + offset, duration, twist_period)]
+    pairing.expect = True
+    events = [(t, 0) for t in range(MS, 1000 * MS, pose_period)]
+    events += [(t, 1) for t in range(MS + offset, 1000 * MS, twist_period)]
     out = []
     for now, is_twist in sorted(events):
         (pairing.add_twist(twist(now)) if is_twist else pairing.add_pose(pose(now)))
         out += [(p, v, now - (p.stamp_ns - START)) for p, v in pairing.ready()]
-    return pairing, out
+    return out
 
 
 def check(out, pose_period):
@@ -55,7 +55,7 @@ def check(out, pose_period):
 @pytest.mark.parametrize('twist_period', [MS, 2 * MS, 4 * MS])
 @pytest.mark.parametrize('offset', [0, MS // 3])
 def test_twists_as_often_or_more_often_serve_every_pose(twist_period, offset):
-    _, out = run(4 * MS, twist_period, offset=offset)
+    out = run(4 * MS, twist_period, offset=offset)
     check(out, 4 * MS)
     without = sum(v is None for _, v, _ in out)
     assert without <= 1  # the first may have nothing before it
@@ -63,7 +63,7 @@ def test_twists_as_often_or_more_often_serve_every_pose(twist_period, offset):
 
 
 def test_seldom_twists_do_not_hold_up_the_poses():
-    pairing, out = run(2 * MS, 8 * MS, offset=MS // 3)
+    out = run(2 * MS, 8 * MS, offset=MS // 3)
     check(out, 2 * MS)
     delays = [delay for p, _, delay in out if p.stamp_ns - START > 20 * MS]
     assert max(delays) == 0
@@ -90,12 +90,10 @@ def test_one_twist_that_is_lost_or_from_the_future_blocks_nothing(ahead_ns):
 @pytest.mark.parametrize('step_ns', [1, 1000])
 def test_waiting_is_bounded_however_near_the_stamps(step_ns):
     pairing = Pairing()
-    pairing.expect = True
     for k in range(20_000):
         pairing.expect = True  # as if somebody insisted
         pairing.add_pose(pose(MS + k * step_ns))
         list(pairing.ready())
-        assert pairing.waiting <= max(MAX_QUEUE, MAX_WAIT_NS // step_ns)
         assert pairing.waiting <= MAX_QUEUE
 
 

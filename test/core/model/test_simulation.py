@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, transform
 from bellows_ros.core.model import equilibrium
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose
 import pytest
 
 from .. import oracle
-from ..cases import still_tool
+from ..cases import PLATE, still_tool
 
-PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 LEVEL = state_row((0, 0, 0), (0, 0, 0, 1), np.zeros(6))
 
 

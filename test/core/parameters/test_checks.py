@@ -98,8 +98,6 @@ def test_unknown_names_are_refused_with_the_nearest_known():
         checks.resolve({'package.mas': 1.0})
     with pytest.raises(BellowsError, match=r'topics\.\*'):
         lookup('zzzzzzzzzz')
-    with pytest.raises(BellowsError):
-        lookup('cups.my-cup.stiffness')
     with pytest.raises(BellowsError) as error:
         lookup('q' * 10_000 + '\x1b[2J')
     assert len(str(error.value)) < 2000
@@ -132,8 +130,7 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
     ('filter.tool.half_window', 25.0, 'an integer'), ('filter.tool.order', 1, 'at least 2'),
     ('recording.align_at_rest', 1, 'true or false'),
     ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', 'empty'),
-    ('topics.tool_pose', 'a\nb', 'control character'), ('bags', ['a', ''], 'index 1'),
-    ('cup.stiffness', [1.0] * 35, '36 numbers.*got 35')])
+    ('topics.tool_pose', 'a\nb', 'control character'), ('bags', ['a', ''], 'index 1')])
 def test_values_are_refused_with_the_reason(name, value, reason):
     message = refused(name, value)
     assert name in message and re.search(reason, message)
@@ -150,7 +147,6 @@ def test_matrices_must_be_symmetric():
 def test_stiffness_must_be_positive_definite():
     assert 'smallest eigenvalue is -2,' in refused('cup.stiffness', changed(IDENTITY, 7, -2.0))
     assert 'smallest eigenvalue is 0,' in refused('cup.stiffness', changed(IDENTITY, 7, 0.0))
-    assert 'positive definite' in refused('cup.stiffness', [0.0] * 36)
 
 
 def test_damping_must_be_positive_semidefinite():

@@ -1,15 +1,8 @@
 """The shortest safe time against an exhaustive scan; standard deviations against Monte Carlo."""
 
 
+from bellows_ros.core.model import perturbed
 from bellows_ros.core.model.cup_package import Cup, model_tuple
-from bellows_ros.core.model.perturbed import (
-    contributions,
-    deviations_of,
-    model_with,
-    NAMES,
-    parameter_vector,
-    perturbed,
-)
 from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, timed
@@ -53,7 +46,7 @@ def smallest(model, plan, scale):
 
 def lower_end(values, model, plan, scale):
     """Return the smallest safety factor minus two standard deviations."""
-    _, parts = contributions(values, model, lambda m: smallest(m, plan, scale))
+    _, parts = perturbed.contributions(values, model, lambda m: smallest(m, plan, scale))
     return smallest(model, plan, scale) - 2 * np.linalg.norm(parts)
 
 
@@ -90,24 +83,24 @@ def test_nothing_helps_a_package_that_is_too_heavy():
 
 
 def test_each_number_is_changed_in_its_place():
-    names = [name for name, _, _ in perturbed(VALUES, MODEL)]
+    names = [name for name, _, _ in perturbed.perturbed(VALUES, MODEL)]
     assert len(names) == 12 + 1 + 3 + 3
-    for name, up, down in perturbed(VALUES, MODEL):
+    for name, up, down in perturbed.perturbed(VALUES, MODEL):
         if name == 'package.com[y]':
             assert_allclose((up[1][1], down[1][1]), [(0, 5e-4, -0.03), (0, -5e-4, -0.03)])
             assert up[0] == down[0] == MODEL[0]
         if name == 'cup.stiffness[3,3]':
             assert_allclose(np.array(up[0][2][2]) - MODEL[0][2][2], 0.021 * np.eye(3)[0].repeat(
                 [1, 4, 4]), atol=1e-12)
-    again = model_with(MODEL, parameter_vector(VALUES))
+    again = perturbed.model_with(MODEL, perturbed.parameter_vector(VALUES))
     assert again[0] == MODEL[0] and again[1][:3] == MODEL[1][:3]
-    assert len(NAMES) == len(parameter_vector(VALUES)) == len(deviations_of(VALUES))
+    assert len(perturbed.NAMES) == len(perturbed.parameter_vector(VALUES)) == 52
 
 
 def test_an_entry_of_which_nothing_is_known_counts_whole():
     unknown = {**EXACT, 'cup.stiffness_std': np.full(36, 1e9)}
-    assert_allclose(deviations_of(unknown)[0], 5400.0)
-    assert_allclose(deviations_of(unknown)[2], np.sqrt(5400.0 * 9200.0))
+    assert_allclose(perturbed.deviations_of(unknown)[0], 5400.0)
+    assert_allclose(perturbed.deviations_of(unknown)[2], np.sqrt(5400.0 * 9200.0))
 
 
 @pytest.mark.parametrize(('count', 'within'), [
@@ -123,8 +116,9 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
         found = run.with_model(model).predict().figures()
         return np.array([found[name] for name in names])
 
-    _, parts = contributions(VALUES, MODEL, figures)
+    _, parts = perturbed.contributions(VALUES, MODEL, figures)
     rng = np.random.default_rng(8)
-    draws = parameter_vector(VALUES) + deviations_of(VALUES) * rng.standard_normal((count, 52))
-    spread = np.std([figures(model_with(MODEL, numbers)) for numbers in draws], axis=0)
+    std = perturbed.deviations_of(VALUES)
+    draws = perturbed.parameter_vector(VALUES) + std * rng.standard_normal((count, 52))
+    spread = np.std([figures(perturbed.model_with(MODEL, numbers)) for numbers in draws], axis=0)
     assert_allclose(np.linalg.norm(parts, axis=0), spread, rtol=within)

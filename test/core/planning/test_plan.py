@@ -2,13 +2,7 @@
 
 import math
 
-from bellows_ros.core.geometry.lie import (
-    exp_so3,
-    log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-    transform,
-)
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import state_row
@@ -31,7 +25,7 @@ def batch_start(cases):
         static_equilibrium(
             model_tuple(CUP, package, 9.81), state_row(np.zeros(3), [0, 0, 0, 1], np.zeros(6)))
         for _, package, _ in cases]
-    T = [transform(quaternion_to_rotation(q), np.array(o)) for o, q, _, _ in states]
+    T = [lie.transform(lie.quaternion_to_rotation(q), np.array(o)) for o, q, _, _ in states]
     return np.array(T), np.zeros((len(cases), 6))
 
 
@@ -72,8 +66,8 @@ def test_states_and_figures_are_those_of_an_independent_integrator():
     batch = Batch(CUP, [TWIST], [PACKAGE])
     rows, turns, settled, T_world_package, wrenches = [], [], 0.0, [], []
     end = plan.stamps_ns[-1] * 1e-9
-    rest = quaternion_to_rotation(np.array(static_equilibrium(MODEL, state_row(
-        plan.position[-1], rotation_to_quaternion(plan.rotation[-1]), np.zeros(6)))[1]))
+    rest = lie.quaternion_to_rotation(np.array(static_equilibrium(MODEL, state_row(
+        plan.position[-1], lie.rotation_to_quaternion(plan.rotation[-1]), np.zeros(6)))[1]))
     for t, (T_E, _), T, _, wrench in batch.run(
             *batch_start([(TWIST, PACKAGE, GRIP)]), 1.5, 1500):
         T_world_package.append(T[0])
@@ -85,13 +79,13 @@ def test_states_and_figures_are_those_of_an_independent_integrator():
             np.linalg.norm(o + [0, 0, CUP.length]),
             np.linalg.norm(wrench[0, :3]), np.linalg.norm(wrench[0, 3:])))
         if t > end - 1e-9:
-            turn = float(np.linalg.norm(log_so3(rest.T @ T[0, :3, :3])))
+            turn = float(np.linalg.norm(lie.log_so3(rest.T @ T[0, :3, :3])))
             turns.append(turn)
             settled = t - end if turn > SETTLED else settled
     T = np.array(T_world_package[:len(plan)])
     assert np.abs(found.states[:, :3] - T[:, :3, 3]).max() < 0.2e-6
-    turn = log_so3(
-        np.swapaxes(T[:, :3, :3], -1, -2) @ quaternion_to_rotation(found.states[:, 3:7]))
+    turn = lie.log_so3(
+        np.swapaxes(T[:, :3, :3], -1, -2) @ lie.quaternion_to_rotation(found.states[:, 3:7]))
     assert np.abs(turn).max() < 3e-6
     assert_allclose(found.wrench, wrenches[:len(plan)], atol=1e-3)
     load, *others = (top(column) for column in np.transpose(rows))
@@ -171,7 +165,7 @@ def test_a_thousand_random_plans():
 def test_a_plan_that_begins_in_steady_motion_goes_on_so(pull, rate):
     """Constant acceleration, or a turn at constant rate 0.4 m from its axis, keep the package."""
     t = np.arange(301) * 2e-3
-    R = exp_so3(np.outer(rate * t, [0.0, 0.0, 1.0]))
+    R = lie.exp_so3(np.outer(rate * t, [0.0, 0.0, 1.0]))
     arm = np.array([0.4, 0.0, 0.0]) * (rate > 0.0)
     at = np.einsum('nij,j->ni', R, arm) + np.outer(0.3 * t, [1, 0, 0]) * (rate == 0.0) + (
         np.outer(0.5 * t * t, pull))
@@ -180,7 +174,7 @@ def test_a_plan_that_begins_in_steady_motion_goes_on_so(pull, rate):
     twist = np.hstack([np.einsum('nji,nj->ni', R, v), np.tile([0.0, 0.0, rate], (len(t), 1))])
     tool = Trajectory((t * 1e9).round().astype(np.int64), at, R, twist)
     found = PlanSimulation(model_tuple(CUP, PACKAGE, 9.81), None, tool, tail=0.0).predict()
-    R_tool_package = np.swapaxes(R, -1, -2) @ quaternion_to_rotation(found.states[:, 3:7])
+    R_tool_package = np.swapaxes(R, -1, -2) @ lie.quaternion_to_rotation(found.states[:, 3:7])
     shift = np.einsum('nji,nj->ni', R, found.states[:, :3] - at)
     assert np.ptp(R_tool_package, axis=0).max() < 2e-6 and np.ptp(shift, axis=0).max() < 1e-7
     assert np.arccos(R_tool_package[0, 2, 2]) > math.radians(2.0)

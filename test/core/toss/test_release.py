@@ -7,13 +7,7 @@ from bellows_ros.core.model.cup_package import model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
-from bellows_ros.core.toss.release import (
-    flight_path,
-    HeldMotion,
-    NO_LAW,
-    release_of,
-    toss,
-)
+from bellows_ros.core.toss.release import flight_path, HeldMotion, NO_LAW, release_of, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
