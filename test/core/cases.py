@@ -3,6 +3,7 @@
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import dexp, exp_so3, nearest_rotation, transform
 from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
+from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
@@ -13,14 +14,6 @@ K_THESIS = np.array([  # (3.45)
     [3.2, 0.7, 1, 2, 0.8, 1],
     [2, 4.3, 0.9, 0.8, 3, 0.5],
     [1.3, 2.5, 3.5, 1, 0.5, 4],
-])
-P_THESIS = np.array([  # (3.46)
-    [2.5, 0.5, 1.5, 0.34, 0.025, 0.004],
-    [0.5, 2, 1.5, 0.2, 0.07, 0.15],
-    [1.5, 1.5, 4, 0.2, 0.08, 0.1],
-    [0.34, 0.2, 0.2, 0.25, 0.1, 0.08],
-    [0.025, 0.07, 0.08, 0.1, 0.3, 0.05],
-    [0.004, 0.15, 0.1, 0.08, 0.05, 0.4],
 ])
 PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
 T_WORLD_PACKAGE = np.array([  # (3.48)
@@ -42,14 +35,19 @@ def orthonormal(T):
     return transform(nearest_rotation(T[:3, :3]), T[:3, 3])
 
 
-def thesis_cup(damping=True):
-    """Return the cup of (3.45), (3.46) with l0 = 0.0482 m."""
-    return Cup(K_THESIS, P_THESIS if damping else np.zeros((6, 6)), 0.0482)
+def thesis_cup():
+    """Return the cup of (3.45) with l0 = 0.0482 m, undamped."""
+    return Cup(K_THESIS, np.zeros((6, 6)), 0.0482)
 
 
 def thesis_package():
     """Return the 0.2 m box of 2 kg (3.47), its centre 0.1 m below the lip."""
     return Package(2.0, box_inertia(2.0, 0.2, 0.2, 0.2), (0.0, 0.0, -0.1))
+
+
+def state_of(o, R, twist=(0.0,) * 6):
+    """Return a state as the kernels take it."""
+    return state_row(o, lie.rotation_to_quaternion(R), twist)
 
 
 def random_pose(rng, angle=1.0, distance=0.1):

@@ -52,7 +52,7 @@ def simulated(mass, stiffness, length, law, seconds, valve):
     return -(length + x + v * after + 0.5 * G * after**2)
 
 
-def real_drops(masses=None, most=99):
+def real_drops(most=99):
     """Return real drops by mass, with what static loads say of the cup, and their arrays."""
     data = dict(np.load(SHARED))
     all_masses = np.unique(data['mass_kg'])
@@ -63,7 +63,7 @@ def real_drops(masses=None, most=99):
         made_drop(mass, 1.0 / slope, length, data['time_s'], data['tool_z_m'][i],
                   data['package_z_m'][i], 0.0)
         for i in np.flatnonzero(data['mass_kg'] == mass)[:most]]
-        for mass in all_masses if masses is None or mass in masses}
+        for mass in all_masses}
 
 
 def filtered(drop, law, late, before=7):

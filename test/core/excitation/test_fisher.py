@@ -46,18 +46,13 @@ def expected(tool):
         fisher.motion_information(cup_of(TRUTH), PACKAGE, 9.81, tool, TRACKING, STRUCTURE))
 
 
-def recorded(mover, duration):
-    """Return the motion of the tool, and of the package at its stamps, as they are."""
-    tool = mover.trajectory(stamps(500.0, duration), 10**9)
-    at = mover.trajectory(stamps(360.0, duration - 0.2, 0.1), 10**9)
-    return tool, at, simulate(cup_of(TRUTH), PACKAGE, at)
-
-
 def estimates(mover, duration, draws):
     """Yield errors of estimates over their expected standard errors, one row per recording."""
     rng = np.random.default_rng(11)
-    tool, at, body = recorded(mover, duration)
+    tool = mover.trajectory(stamps(500.0, duration), 10**9)
+    at = mover.trajectory(stamps(360.0, duration - 0.2, 0.1), 10**9)
     usual, cup = expected(at), cup_of(TRUTH)
+    body = simulate(cup, PACKAGE, at)
     for _ in range(draws):
         measured = MeasuredSegment(
             noisy(rng, tool, TRACKING.tool), noisy(rng, body, TRACKING.package), PACKAGE, 9.81,

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .test_fisher import cup_of, expected, model_of, PACKAGE, STRUCTURE, TRACKING, TRUTH
+from .test_fisher import cup_of, expected, model_of, PACKAGE, stamps, STRUCTURE, TRACKING, TRUTH
 from .. import oracle
 from ...conftest import ROOT
 
@@ -30,6 +30,12 @@ pytestmark = pytest.mark.skipif(
 GRIP = (170.0, 0.03, 0.5)
 CONTENT = safe_yaml.load(ROOT / 'config' / 'limits_example.yaml')
 LIMITS = limits_from(CONTENT, 1.5)[0]
+
+
+def response_at(omega):
+    """Return the response of the truth, at rest at the start of the motion."""
+    at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
+    return response(model_of, TRUTH, TRUTH, at, omega, TRACKING)
 
 
 def designed(guess=TRUTH, limits=LIMITS, duration=20.0, grip=None, seed=0):
@@ -68,9 +74,7 @@ def test_ends_with_a_hold_of_a_tilt_within_limits(grip):
 
 
 def errors_of(motion):
-    tool = motion.trajectory(
-        10**9 + np.round(np.arange(7200) / 360 * 1e9).astype(np.int64), 10**9)
-    return expected(tool)
+    return expected(motion.trajectory(stamps(360.0, 20.0), 10**9))
 
 
 def require_within(found, limits, guess, grip=None):
@@ -173,12 +177,8 @@ def test_short_motions_of_a_tilted_tool_hold_the_grip(monkeypatch, seeds):
 def test_slopes_of_the_search_are_its_differences():
     rng = np.random.default_rng(4)
     models = [model_of(TRUTH)]
-    at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
-
-    def responses(omega):
-        return [response(model_of, TRUTH, TRUTH, at, omega, TRACKING)]
-
-    search = MotionObjective(Checks(LIMITS, models, GRIP), 4.0, responses, 360.0)
+    search = MotionObjective(
+        Checks(LIMITS, models, GRIP), 4.0, lambda omega: [response_at(omega)], 360.0)
     shape = rng.standard_normal(2 * search.size.size)
     for power in (8, 60):
         value, slope = search(shape, power)
@@ -194,9 +194,7 @@ def test_small_loads_are_linear():
     c[27] = [0.001, 0.0005j, 0.0, 0.002j, 0.004, 0.01]
     motion = FourierMotion(LIMITS.start, 8.0, c)
     omega = 2.0 * np.pi * np.array([28 / 8.0])
-    at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
-    moves = response(model_of, TRUTH, TRUTH, at, omega, TRACKING)
-    rows = motion_design.load_rows(moves, model_of(TRUTH), LIMITS, None, omega)
+    rows = motion_design.load_rows(response_at(omega), model_of(TRUTH), LIMITS, None, omega)
     wave = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     expected = [np.linalg.norm((np.outer(wave, row[0] @ c[27])).real, axis=1).max()
                 for row in rows]
@@ -212,9 +210,7 @@ def test_small_motions_tell_what_the_linear_response_says():
     whole = expected(motion.at_rate(360.0))
     u = motion.displacement(2.0 + np.arange(1024) / 128.0)[0]
     lines = np.fft.rfft(u, axis=0)[1:120] / 512.0
-    at = state_row(LIMITS.start.position, [0.0, 0.0, 0.0, 1.0], np.zeros(6))
-    omega = 2.0 * np.pi * np.arange(1, 120) / 8.0
-    found = response(model_of, TRUTH, TRUTH, at, omega, TRACKING)
+    found = response_at(2.0 * np.pi * np.arange(1, 120) / 8.0)
     y = np.einsum('nfij,fj->nfi', found.changes, lines).reshape(8, -1)
     linear = 0.5 * 360.0 * 8.0 * np.real(y.conj() @ y.T) + 360.0 * 10.0 * found.constant
     assert_allclose(standard_errors(linear), whole / TRUTH, rtol=0.05)

@@ -9,20 +9,15 @@ from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, moved_by
 from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.toss import release as tossing
 from bellows_ros.core.toss.landing import changed, release_factor
-from bellows_ros.core.toss.release import (
-    DIFFERENCE_STEPS,
-    HeldMotion,
-    landing_error,
-    release_of,
-    toss,
-    toss_along,
-)
+from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
 
 from .. import tosses
+from ..cases import messages
 
 MODEL = model_tuple(tosses.CUP, tosses.PACKAGE, 9.81)
 VALUES = resolve(tosses.values())
@@ -46,16 +41,15 @@ def played(plan, flight, poses):
     """Play the throw, the valve being switched; return predictions and the states of each."""
     live = LivePredictor(tosses.CUP, tosses.PACKAGE, 9.81, 'tool')
     live.flight, live.pairing.expect = flight, True
-    xyzw = rotation_to_quaternion(plan.rotation)
+    _, o, q, v, w = messages(plan)
     found, states = [], []
     for k in range(poses):
         i, stamp = min(k, len(plan) - 1), START_NS + k * PERIOD_NS
         if stamp == START_NS + round(VALVE * 1e9):
             live.switch_valve(False, stamp)
-        twist = plan.twist[i].tolist() if k < len(plan) else [0.0] * 6
-        found += live.on_pose(
-            stamp, 'world', tuple(plan.position[i].tolist()), tuple(xyzw[i].tolist()), stamp)
-        found += live.on_twist(stamp, tuple(twist[:3]), tuple(twist[3:]))
+        twist = (v[i], w[i]) if k < len(plan) else (ZERO, ZERO)
+        found += live.on_pose(stamp, 'world', o[i], q[i], stamp)
+        found += live.on_twist(stamp, *twist)
         states.append(live.phase(stamp))
     return live, found, states
 
@@ -86,17 +80,18 @@ def test_flies_on_as_the_plan_has_it_until_it_lands(plan):
 def worked_out(flight, now, std):
     """Return a landing and its covariance from one toss after the other, with NumPy."""
     release, longest = release_of(VALUES), 2.0 * largest_step(MODEL)
-    axes = np.eye(len(DIFFERENCE_STEPS))
+    axes = np.eye(len(tossing.DIFFERENCE_STEPS))
 
     def landing(body, release):
-        return toss_along(MODEL, tosses.GRIP, release, 0.0, now.tool, body, np.empty((0, 13)),
-                          np.empty(0), 0.0, flight._ahead, longest)[3]
+        return tossing.toss_along(
+            MODEL, tosses.GRIP, release, 0.0, now.tool, body, np.empty((0, 13)), np.empty(0), 0.0,
+            flight._ahead, longest)[3]
 
     nominal, by = landing(now.body, release), []
-    for size, push in zip(DIFFERENCE_STEPS, axes, strict=True):
+    for size, push in zip(tossing.DIFFERENCE_STEPS, axes, strict=True):
         found = landing(moved_by(now.body, size * push),
                         changed(release, release_factor(VALUES) @ (size * push[12:])))
-        by.append(np.concatenate(landing_error(found, nominal, MODEL[2])) / size)
+        by.append(np.concatenate(tossing.landing_error(found, nominal, MODEL[2])) / size)
     J = np.transpose(by) * np.append(std, np.ones(8))
     return np.concatenate(nominal), J @ J.T
 

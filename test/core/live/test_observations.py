@@ -180,9 +180,3 @@ def of_load(factor, bending):
 def test_level_of_a_status(status, level, words):
     assert status.level == level
     assert words in status.message
-
-
-def test_numbers_of_a_status():
-    assert of_input().values['refused: nan'] == '7'
-    assert of_prediction().values['compute time p99 (us)'] == '100'
-    assert of_load(2.0, 0.1).values['distance from envelope'] == 'not known'

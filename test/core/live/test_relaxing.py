@@ -31,15 +31,6 @@ def live(cup=RUBBER, **more):
     return LivePredictor(cup, PACKAGE, 9.81, **more)
 
 
-def fed(predictor, tool):
-    """Return the predictions from poses and twists."""
-    found = []
-    for stamp_ns, o, q, v, w in zip(*messages(tool, 10**9, in_world=True), strict=True):
-        predictor.on_twist(stamp_ns, v, w)
-        found += predictor.on_pose(stamp_ns, 'world', o, q)
-    return found
-
-
 def tilted(t, angle=0.3):
     """Return the pose of a tool that is tilted within 0.2 s from 0.1 s on."""
     s = np.clip((t - 0.1) / 0.2, 0.0, 1.0)
@@ -52,7 +43,10 @@ def test_live_prediction_is_the_simulation_and_creeps_after_a_move():
     expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
     predictor = live()
     predictor.pairing.expect = True
-    found = fed(predictor, tool)
+    found = []
+    for stamp_ns, o, q, v, w in zip(*messages(tool, 10**9, in_world=True), strict=True):
+        predictor.on_twist(stamp_ns, v, w)
+        found += predictor.on_pose(stamp_ns, 'world', o, q)
     assert_allclose([own.position for own in found], expected.position[:len(found)], atol=2e-5)
     assert len(found[-1].strains) == 2
     assert live(CUP).on_pose(1, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))[0].strains == ()

@@ -45,11 +45,13 @@ SPEEDS = pytest.mark.parametrize('period_ns', [MS, 2 * MS, 8 * MS, 20 * MS])
 
 
 @pytest.mark.parametrize('reason, fault', [
-    ('nan', {'position': (math.nan, 0.0, 0.0)}),
+    ('nan', {'position': (math.nan, 0.0, 0.0)}), ('nan', {'position': (0.0, math.inf, 0.0)}),
+    ('nan', {'xyzw': (0.0, 0.0, 0.0, 1e200)}),
     ('zero_quaternion', {'xyzw': (0.0, 0.0, 0.0, 0.0)}),
     ('not_unit', {'xyzw': (0.0, 0.0, 0.0, 1.02)}),
     ('frame_id', {'frame': 'map'}),
-    ('zero_stamp', {'offset_ns': -2 * START}),
+    ('zero_stamp', {'offset_ns': -2 * START}), ('duplicate_stamp', {'offset_ns': -PERIOD}),
+    ('backward_stamp', {'offset_ns': -2 * PERIOD}),
     ('future_stamp', {'offset_ns': 3_600_000 * MS}),
     ('future_stamp', {'offset_ns': 400 * MS}),
     ('future_stamp', {'offset_ns': 25 * MS}),

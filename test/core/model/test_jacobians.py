@@ -1,14 +1,12 @@
 """Analytic derivatives against those by a complex step of an independent implementation."""
 
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.jacobians import parameter_jacobian, PARAMETERS
-from bellows_ros.core.model.simulation import state_row
 import numpy as np
 from numpy.testing import assert_allclose
 
 from .. import complex_step
-from ..cases import random_cup, random_package, random_pose
+from ..cases import random_cup, random_package, random_pose, state_of
 
 GRAVITY = np.array([0.4, -0.7, -9.6])
 
@@ -29,11 +27,6 @@ class Case:
         T = T @ T_tool_package
         self.body = T[:3, 3], T[:3, :3], rng.standard_normal(6)
 
-    @staticmethod
-    def row(state):
-        """Return a state as the kernels take it."""
-        return state_row(state[0], rotation_to_quaternion(state[1]), state[2])
-
 
 def six_by_six(square):
     a, b, c, d = (np.reshape(block, (3, 3)) for block in square)
@@ -47,7 +40,7 @@ def near(actual, expected, part):
 
 def test_some_of_the_parameters_stand_where_they_are_asked_for():
     case = Case(3)
-    rows = case.model, case.row(case.tool), case.row(case.body)
+    rows = case.model, state_of(*case.tool), state_of(*case.body)
     whole, part = np.zeros((6, PARAMETERS)), np.zeros((6, 20))
     parameter_jacobian(*rows, 0, PARAMETERS, whole)
     parameter_jacobian(*rows, 35, 50, part[:, 3:])

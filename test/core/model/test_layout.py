@@ -1,7 +1,9 @@
 """A gripper of several cups against the sum over its cups, by the second implementation."""
 
+from dataclasses import replace
+
 from bellows_ros.core.geometry.lie import exp_so3, transform
-from bellows_ros.core.model.cup_package import Cup, cup_of
+from bellows_ros.core.model.cup_package import cup_of
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import cup_wrench
 from bellows_ros.core.model.perturbed import deviations_of, model_with, parameter_vector
@@ -13,9 +15,10 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from .test_integrator import pair
 from .. import oracle
+from ..cases import random_cup
 
-SIZES = np.array([80.0, 80.0, 100.0, 2.0, 2.0, 1.2])
 FOUR = (0.06, 0.04, 0.0, 0.06, -0.04, 0.0, -0.06, 0.04, 0.0, -0.06, -0.04, 0.01)
 PACKAGE = {'package.mass': 2.0, 'package.com': [0.0, 0.0, -0.03],
            'package.inertia': [0.01, 0.01, 0.01, 0.0, 0.0, 0.0]}
@@ -24,21 +27,17 @@ PACKAGE = {'package.mass': 2.0, 'package.com': [0.0, 0.0, -0.03],
 def case(seed, count, relaxes=False):
     """Return values of a gripper of full random cups, one of them, and a random motion."""
     rng = np.random.default_rng(seed)
-    K, P = (L @ L.T + np.diag(SIZES**2) * part for part, L in (
-        (1.0, SIZES[:, None] * rng.uniform(-0.7, 0.7, (6, 6))),
-        (0.01, 0.1 * SIZES[:, None] * rng.uniform(-0.7, 0.7, (6, 6)))))
-    K, P = 0.5 * (K + K.T), 0.5 * (P + P.T)
-    relaxation = (0.2, 0.1) if relaxes else (0.0, 0.0)
+    cup = replace(random_cup(rng), relaxation=(0.2, 0.1) if relaxes else (0.0, 0.0))
     layout = rng.uniform(-0.2, 0.2, (count, 3)) + 0.5 * np.arange(count)[:, None] * [1, 0, 0] / 8
     values = resolve({
-        **PACKAGE, 'cup.stiffness': K.ravel(), 'cup.damping': P.ravel(), 'cup.length': 0.05,
-        'cup.relaxation': relaxation, 'cup.layout': layout.ravel(), 'cup.lip_radius': 0.02,
-        'vacuum.holding': 6e4})
+        **PACKAGE, 'cup.stiffness': cup.stiffness.ravel(), 'cup.damping': cup.damping.ravel(),
+        'cup.length': cup.length, 'cup.relaxation': cup.relaxation,
+        'cup.layout': layout.ravel(), 'cup.lip_radius': 0.02, 'vacuum.holding': 6e4})
     axis = rng.normal(size=3)
     R = exp_so3(axis / np.linalg.norm(axis) * np.radians(30.0) * rng.uniform(0.0, 1.0))
     o = np.array([0.0, 0.0, -0.05]) + rng.uniform(-0.02, 0.02, 3)
     strains = rng.normal(size=(2, 6)) * 0.01 if relaxes else np.empty((0, 6))
-    return (values, Cup(K, P, 0.05, relaxation), layout, o, R,
+    return (values, cup, layout, o, R,
             rng.normal(size=6) * [0.3, 0.3, 0.3, 2.0, 2.0, 2.0], strains)
 
 
@@ -55,9 +54,7 @@ def one_by_one(one, layout, o, R, twist, strains):
 
 def kernel_arguments(o, R, twist, strains):
     """Return pose, twist and strains as the kernels take them."""
-    inner = tuple((tuple(z[:3].tolist()), tuple(z[3:].tolist())) for z in strains)
-    return (tuple(o.tolist()), tuple(R.ravel().tolist()), tuple(twist[:3].tolist()),
-            tuple(twist[3:].tolist()), inner)
+    return (tuple(o.tolist()), tuple(R.ravel().tolist()), *pair(twist), tuple(map(pair, strains)))
 
 
 @settings(deadline=None, max_examples=60)

@@ -7,7 +7,8 @@ from bellows_ros.core.model.structure import inertia_matrix, matrix
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import lookup, PARAMETERS
 from bellows_ros.errors import BellowsError
-from hypothesis import given, strategies
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -156,10 +157,7 @@ def test_damping_must_be_positive_semidefinite():
     assert 'eigenvalue is -0.001,' in refused('cup.damping', changed(IDENTITY, 7, -1e-3))
 
 
-@given(
-    strategies.lists(
-        strategies.lists(strategies.floats(-1.0, 1.0), min_size=3, max_size=3), min_size=4,
-        max_size=8))
+@given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=4, max_size=8))
 def test_inertia_of_any_body_is_taken(points):
     # Point masses: the integral of (r^2 I - r r^T), which is what an inertia is.
     r = np.array(points)
@@ -195,20 +193,15 @@ def test_an_inertia_in_another_unit_is_named_with_it(units, said):
     assert not found if said is None else f'in {said} instead' in found[0]
 
 
-anything = strategies.recursive(
-    strategies.none()
-    | strategies.booleans()
-    | strategies.integers()
-    | strategies.floats()
-    | strategies.text(max_size=5)
-    | strategies.binary(max_size=5)
-    | strategies.dates(),
-    lambda inner: strategies.lists(inner, max_size=36)
-    | strategies.dictionaries(strategies.text(max_size=2), inner, max_size=2),
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
+    | st.binary(max_size=5) | st.dates(),
+    lambda inner: st.lists(inner, max_size=36) | st.dictionaries(
+        st.text(max_size=2), inner, max_size=2),
     max_leaves=40)
 
 
-@given(strategies.sampled_from(sorted(PARAMETERS)), anything)
+@given(st.sampled_from(sorted(PARAMETERS)), anything)
 def test_any_value_is_either_normal_or_refused(name, value):
     try:
         normal = checks.validate(name, value)

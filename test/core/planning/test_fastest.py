@@ -92,9 +92,6 @@ def test_each_number_is_changed_in_its_place():
         if name == 'cup.stiffness[3,3]':
             assert_allclose(np.array(up[0][2][2]) - MODEL[0][2][2], 0.021 * np.eye(3)[0].repeat(
                 [1, 4, 4]), atol=1e-12)
-    again = perturbed.model_with(MODEL, perturbed.parameter_vector(VALUES))
-    assert again[0] == MODEL[0] and again[1][:3] == MODEL[1][:3]
-    assert len(perturbed.NAMES) == len(perturbed.parameter_vector(VALUES)) == 52
 
 
 def test_an_entry_of_which_nothing_is_known_counts_whole():

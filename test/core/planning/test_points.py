@@ -31,15 +31,6 @@ def rates(function, t, h=1e-4):
             - (function(t + 2 * h) - function(t - 2 * h))) / (12 * h)
 
 
-def test_twists_in_either_axes_are_the_same_plan():
-    stamps, o, q, v = points()
-    R = MOVE.at(stamps * 1e-9)[1]
-    tool = plan_of(stamps, o, q, v, twist_frame='tool')
-    world = plan_of(stamps, o, q, in_world(R, v))
-    assert_allclose(world.twist, tool.twist, atol=1e-14)
-    assert_allclose(tool.twist, v)
-
-
 def test_twists_of_a_path_are_those_of_a_spline_from_rest_to_rest():
     stamps, o, q, v = points(100)
     plan = plan_of(stamps, o, -q * np.where(np.arange(len(q)) % 2, 1, -1)[:, None])  # either sign

