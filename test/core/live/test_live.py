@@ -100,21 +100,6 @@ def test_poses_alone_come_close(messages, predictor):
     assert turn < 1e-3
 
 
-@pytest.mark.parametrize('poll', [0.01, 0.02])
-def test_poses_stamped_in_bursts_lose_no_more_than_their_stamps(messages, predictor, poll):
-    period_ns = round(poll * 1e9)  # of a driver that fetches the poses and stamps them then
-    worst, stamp = 0.0, 0
-    truth = simulate(Cup.thesis(), PLATE, messages.tool)
-    for k in range(len(messages)):
-        fetched = -(-messages.stamps[k] // period_ns) * period_ns
-        stamp = max(stamp + 20_000, fetched)  # 20 us from one to the next
-        (out,) = messages.pose(predictor, k, stamp=stamp)
-        worst = max(worst, math.dist(out.position, truth.position[k]))
-    assert not any(predictor.refused.values()) and not any(predictor.restarts.values())
-    speed = np.linalg.norm(messages.tool.twist[:, :3], axis=1).max()
-    assert worst < poll * speed  # by which the tool itself moves while its stamp is wrong
-
-
 @pytest.mark.parametrize(('speed', 'reason'), [
     (1e3, 'twist_too_fast'), (1e150, 'twist_too_fast'), (1e308, 'twist_too_fast'),
     (math.nan, 'twist_nan')])
@@ -183,20 +168,6 @@ def test_nothing_is_bridged_without_leave(messages):
     live.on_pose(START, 'base', (0.0, 0.0, 0.0), IDENTITY, 0)
     assert [p for ms in range(300) for p in live.coast(ms * 1_000_000)] == []
     assert live.phase(50_000_000) == 'lost'
-
-
-def test_detached_means_no_prediction_and_attached_a_start_from_rest(messages, predictor):
-    for k in range(50):
-        messages.pose(predictor, k)
-    predictor.set_attached(False)
-    assert [p for k in range(50, 100) for p in messages.pose(predictor, k)] == []
-    assert predictor.phase(0) == 'detached'
-    assert predictor.coast(10**12) == []
-    predictor.set_attached(True)
-    assert predictor.phase(0) == 'waiting'
-    (out,) = messages.pose(predictor, 100)
-    assert out.linear == (0.0, 0.0, 0.0)
-    assert not any(predictor.refused.values())
 
 
 @pytest.mark.parametrize(('sent_in', 'said', 'verdict'), [

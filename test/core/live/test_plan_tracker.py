@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import LivePredictor, Prediction
 from bellows_ros.core.live.flight import at_constant_velocity, Flight
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import messages
+from ..cases import messages, state_of
 from ..plans import CUP, Move, PACKAGE
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
@@ -28,9 +28,7 @@ MOVE = Move([0.5, -0.2, 0.1], [0.2, 0.0, 0.6], 0.8)
 def driven(seconds, speed=1.0, late=0.0, move=MOVE, off=(0.0, 0.0, 0.0)):
     """Return the tool at a time since T0, the plan being driven late and scaled."""
     o, R, v = move.at(np.array([max(0.0, (seconds - late) * speed)]))
-    q = rotation_to_quaternion(R)[0].tolist()
-    v = (v[0] * speed).tolist()
-    tool = (tuple((o[0] + off).tolist()), tuple(q), tuple(v[:3]), tuple(v[3:]))
+    tool = state_of(o[0] + off, R[0], v[0] * speed)
     return Prediction(T0 + round(seconds * 1e9), ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO, ZERO,
                       ZERO, tool)
 

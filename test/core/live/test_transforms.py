@@ -1,5 +1,6 @@
 """The tool's pose by a tree of frames, against SciPy's rotations and matrices."""
 
+from bellows_ros.core.geometry.lie import transform
 from bellows_ros.core.live.samples import PoseSample
 from bellows_ros.core.live.transforms import Chain, MAX_FRAMES, QUEUE_LENGTH
 import numpy as np
@@ -20,9 +21,7 @@ def random_pose(rng, stamp_ns=0):
 
 def four(pose):
     """Turn a pose into four rows."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_quat(pose.quaternion_xyzw).as_matrix(), pose.position
-    return T
+    return transform(Rotation.from_quat(pose.quaternion_xyzw).as_matrix(), pose.position)
 
 
 def along_x(stamp_ns, x):

@@ -178,10 +178,9 @@ def test_the_filter_needs_enough_samples_for_its_order():
         checks.resolve({'filter.package.half_window': 1})
 
 
-@pytest.mark.parametrize(('holding', 'pascals'), [
-    (0.6, '60000'), (60.0, '60000'), (600.0, '60000')])
-def test_a_vacuum_in_another_unit_is_refused_with_the_number_in_pascals(holding, pascals):
-    with pytest.raises(BellowsError, match=f'give {pascals}'):
+@pytest.mark.parametrize('holding', [0.6, 60.0, 600.0])
+def test_a_vacuum_in_another_unit_is_refused_with_the_number_in_pascals(holding):
+    with pytest.raises(BellowsError, match='give 60000'):
         checks.resolve({'vacuum.holding': holding})
 
 
