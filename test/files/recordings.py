@@ -1,6 +1,9 @@
 """Recordings made by rosbags, so that the package's own writer does not judge its reader."""
 
+import tracemalloc
+
 import numpy as np
+import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
@@ -53,6 +56,13 @@ def built(kind, values):
         part(value, *field) for value, (_, field) in zip(values, fields, strict=True)))
 
 
+def serialized(kind, values):
+    """Return a message of nested values as rosbags serialises it."""
+    if kind not in TYPES.types:
+        pytest.skip(f'this rosbags does not know {kind}')
+    return bytes(TYPES.serialize_cdr(built(kind, values), kind))
+
+
 def header(stamp_ns, frame_id='world'):
     """Return the values of a header."""
     return divmod(int(stamp_ns), 10**9), frame_id
@@ -102,3 +112,13 @@ def storage_file(folder):
     """Return the one storage file of a recording."""
     (path,) = (p for p in folder.iterdir() if p.name != 'metadata.yaml')
     return path
+
+
+def peak_memory(call):
+    """Return the largest memory in use during a call, bytes."""
+    tracemalloc.start()
+    try:
+        call()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()

@@ -3,7 +3,6 @@
 import os
 import shutil
 import sqlite3
-import tracemalloc
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
@@ -20,16 +19,12 @@ from . import recordings as made
 COUNT = 20
 
 
-def metadata(folder):
-    """Return the content of metadata.yaml."""
-    return yaml.safe_load((folder / 'metadata.yaml').read_text())
-
-
 def change_metadata(folder, **changes):
-    """Change entries of metadata.yaml."""
-    content = metadata(folder)
+    """Change entries of metadata.yaml, return all of them."""
+    content = yaml.safe_load((folder / 'metadata.yaml').read_text())
     content['rosbag2_bagfile_information'].update(changes)
     (folder / 'metadata.yaml').write_text(yaml.safe_dump(content))
+    return content['rosbag2_bagfile_information']
 
 
 def one_topic(path, messages, kind=made.POSE, storage='mcap', **options):
@@ -43,6 +38,12 @@ def error_of(path, wanted=None):
         read_streams(path, wanted or {'tool_pose': '/a'})
     assert error.value.exit_code == 2
     return str(error.value)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Provide a recording of four messages."""
+    return one_topic(tmp_path / 'b', made.poses(4))
 
 
 @pytest.fixture(params=made.FORMS, ids='-'.join)
@@ -72,6 +73,7 @@ def test_streams_are_read_from_every_storage_and_compression(bag):
     assert_array_equal(pose.rotation, quaternion_to_rotation(values[:, 3:]))
     assert_array_equal(np.hstack([twist.linear, twist.angular]), made.twist_values(COUNT))
     assert_array_equal(twist.stamps_ns, made.stamps(COUNT))
+    assert twist.frame_id == 'world'
     assert topics(bag) == [
         ('/tool/pose', made.POSE, COUNT), ('/tool/twist', made.TWIST, COUNT),
         ('/unused', made.POSE, 3)]
@@ -86,27 +88,20 @@ def test_a_bare_storage_file_is_a_recording_too(bag):
 
 
 @pytest.mark.parametrize(
-    'kind', [made.POSE, made.POSE_COVARIANCE, made.TRANSFORM, made.ODOMETRY])
-def test_poses_are_read_from_each_type(tmp_path, kind):
-    t, values = made.stamps(4), made.pose_values(4)
-    messages = [(int(t[i]), made.encoded(kind, t[i], pose=values[i], twist=[0.0] * 6))
+    'kind', [made.POSE_COVARIANCE, made.TRANSFORM, made.ODOMETRY])
+def test_other_types_are_read_with_the_frame_their_axes_are_in(tmp_path, kind):
+    t, values, twists = made.stamps(4), made.pose_values(4), made.twist_values(4)
+    messages = [(int(t[i]), made.encoded(kind, t[i], pose=values[i], twist=twists[i]))
                 for i in range(4)]
-    stream = read_streams(one_topic(tmp_path / 'b', messages, kind), {'p': 'a'})['p']
+    path = one_topic(tmp_path / 'b', messages, kind)
+    stream = read_streams(path, {'p': 'a'})['p']
     assert_array_equal(stream.position, values[:, :3])
     assert_array_equal(stream.rotation, quaternion_to_rotation(values[:, 3:]))
     assert stream.frame_id == 'world'
-
-
-@pytest.mark.parametrize('kind, frame_id', [(made.TWIST, 'world'), (made.ODOMETRY, 'body')])
-def test_twists_are_read_with_the_frame_their_axes_are_in(tmp_path, kind, frame_id):
-    t, values = made.stamps(4), made.twist_values(4)
-    pose = made.pose_values(1)[0]
-    messages = [(int(t[i]), made.encoded(kind, t[i], pose=pose, twist=values[i]))
-                for i in range(4)]
-    stream = read_streams(one_topic(tmp_path / 'b', messages, kind), {'tool_twist': 'a'})
-    assert_array_equal(stream['tool_twist'].linear, values[:, :3])
-    assert_array_equal(stream['tool_twist'].angular, values[:, 3:])
-    assert stream['tool_twist'].frame_id == frame_id
+    if kind == made.ODOMETRY:
+        stream = read_streams(path, {'tool_twist': 'a'})['tool_twist']
+        assert_array_equal(np.hstack([stream.linear, stream.angular]), twists)
+        assert stream.frame_id == 'body'
 
 
 def faulty(index, reason):
@@ -187,7 +182,7 @@ def test_a_recording_in_several_files_is_one(tmp_path):
 @pytest.mark.parametrize('storage', made.PLUGINS)
 def test_metadata_of_every_version_is_read(tmp_path, version, storage):
     folder = one_topic(tmp_path / 'b', made.poses(4), storage=storage)
-    info = metadata(folder)['rosbag2_bagfile_information']
+    info = change_metadata(folder, version=version)
     later = {
         3: ['compression_format', 'compression_mode'], 5: ['files'], 6: ['custom_data'],
         8: ['ros_distro']}
@@ -200,7 +195,6 @@ def test_metadata_of_every_version_is_read(tmp_path, version, storage):
         topic['topic_metadata']['offered_qos_profiles'] = '- history: 3\n  depth: 0\n' if (
             version < 9) else [{'history': 'unknown', 'deadline': {'sec': 1, 'nsec': 0}}]
         topic['topic_metadata'].pop('type_description_hash')
-    info['version'] = version
     (folder / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': info}))
     assert len(read_streams(folder, {'p': 'a'})['p']) == 4
 
@@ -252,8 +246,7 @@ def test_other_numbers_of_messages_than_metadata_says_are_noted(tmp_path):
     assert notes == [note] and 'Was it copied whole?' in note
 
 
-def test_links_in_a_circle_are_refused(tmp_path):
-    folder = one_topic(tmp_path / 'b', made.poses(4))
+def test_links_in_a_circle_are_refused(folder):
     file = made.storage_file(folder)
     file.unlink()
     file.symlink_to(file.name)
@@ -298,26 +291,14 @@ def test_a_topic_of_two_types_is_refused(tmp_path):
     assert 'messages of two types' in error_of(made.write(tmp_path / 'b', content))
 
 
-def test_another_encoding_is_refused(tmp_path):
-    folder = one_topic(tmp_path / 'b', made.poses(3))
+def test_another_encoding_is_refused(folder):
     file = made.storage_file(folder)
     file.write_bytes(file.read_bytes().replace(b'\3\0\0\0cdr', b'\3\0\0\0abc'))
     assert 'PoseStamped in abc' in error_of(folder)
 
 
-@pytest.mark.parametrize('name', [
-    '/etc/passwd', '../other/other.mcap', 'sub/../../other/other.mcap', 'C:\\b.mcap', '..'])
-@pytest.mark.parametrize('version', [3, 9])
-def test_files_outside_the_folder_are_not_read(tmp_path, name, version):
-    one_topic(tmp_path / 'other', made.poses(4))
-    folder = one_topic(tmp_path / 'b', made.poses(4))
-    change_metadata(folder, relative_file_paths=[name], version=version)
-    assert 'files outside the folder are not read' in error_of(folder)
-
-
-def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
+def test_a_link_out_of_the_folder_is_not_followed(tmp_path, folder):
     other = one_topic(tmp_path / 'other', made.poses(4))
-    folder = one_topic(tmp_path / 'b', made.poses(4))
     made.storage_file(folder).unlink()
     (folder / 'b.mcap').symlink_to(made.storage_file(other))
     assert 'files outside the folder are not read' in error_of(folder)
@@ -329,20 +310,20 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
     ({'relative_file_paths': ['gone.mcap']}, "lacks 'gone.mcap'"),
     ({'relative_file_paths': ['.']}, "lacks '.'"),
     ({'compression_format': 'lz4'}, "compressed with 'lz4'; zstd is supported"),
-    ({'compression_format': ['zstd']}, 'is compressed with')])
-def test_damaged_metadata_is_refused(tmp_path, changes, reason):
-    folder = one_topic(tmp_path / 'b', made.poses(4))
+    ({'compression_format': ['zstd']}, 'is compressed with'),
+    *(({'relative_file_paths': [name], 'version': version}, 'files outside the folder')
+      for name in ('/etc/passwd', '../other/b.mcap', 'sub/../../b.mcap', 'C:\\b.mcap', '..')
+      for version in (3, 9))])
+def test_damaged_metadata_is_refused(folder, changes, reason):
     change_metadata(folder, **changes)
     assert reason in error_of(folder)
 
 
-@pytest.mark.parametrize('text, reason', [('- 1', 'damaged'), ('a: [', 'not valid YAML')])
-def test_metadata_that_is_no_metadata_is_refused(tmp_path, text, reason):
-    folder = one_topic(tmp_path / 'b', made.poses(4))
-    (folder / 'metadata.yaml').write_text(text)
+@pytest.mark.parametrize('data, reason', [
+    (b'- 1', 'damaged'), (b'a: [', 'not valid YAML'), (b'\xff\xfe\0', 'not text in UTF-8')])
+def test_metadata_that_is_no_metadata_is_refused(folder, data, reason):
+    (folder / 'metadata.yaml').write_bytes(data)
     assert reason in error_of(folder)
-    (folder / 'metadata.yaml').write_bytes(b'\xff\xfe\x00')
-    assert 'not text in UTF-8' in error_of(folder)
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path):
@@ -356,8 +337,8 @@ def test_a_path_with_signs_that_mean_something_in_an_address_is_read(tmp_path):
     folder = one_topic(tmp_path / 'a?b#c%20d', made.poses(4), storage='mcap')
     target = tmp_path / 'x?mode=rwc#%41'
     shutil.copytree(one_topic(tmp_path / 'plain', made.poses(4), storage='sqlite3'), target)
-    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
-    assert len(read_streams(target, {'p': 'a'})['p']) == 4
+    for path in (folder, target):
+        assert len(read_streams(path, {'p': 'a'})['p']) == 4
 
 
 def test_a_write_ahead_log_is_merged_by_the_remedy(tmp_path):
@@ -444,12 +425,5 @@ def test_reading_holds_little_more_than_what_it_returns(tmp_path):
     messages = [(int(s), row.tobytes()) for s, row in zip(t, stamped, strict=True)]
     path = one_topic(tmp_path / 'b', messages)
     del messages, stamped
-    tracemalloc.start()
-    try:
-        stream = read_streams(path, {'p': 'a'})['p']
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert len(stream) == count
     # 650,000 messages in 400 MB are 600 bytes each; fixed costs are below 8 MB.
-    assert peak < 600 * count + 8e6
+    assert made.peak_memory(lambda: read_streams(path, {'p': 'a'})) < 600 * count + 8e6
