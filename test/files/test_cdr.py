@@ -52,7 +52,7 @@ def test_decoding_returns_what_rosbags_encoded(
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_encoding_is_what_rosbags_reads(kind):
+def test_encoding_is_that_of_rosbags(kind):
     layout = cdr.LAYOUTS[kind]
     given_parts = {'pose': made.pose_values(5), 'twist': made.twist_values(5)}
     values = np.hstack([given_parts[name] for name in parts(kind)])
@@ -60,19 +60,9 @@ def test_encoding_is_what_rosbags_reads(kind):
         data = cdr.encode(made.stamps(5), values, names(kind, frame_id, 'tool'), layout)
         for i, one in enumerate(data):
             row = {name: part[i] for name, part in given_parts.items()}
-            expected = made.message(
-                kind, made.stamps(5)[i], **row, frame_id=frame_id, child_frame_id='tool')
-            got = made.TYPES.deserialize_cdr(bytes(one), kind)
-            assert got.header == expected.header
-            for name in parts(kind):
-                if kind == made.TRANSFORM:
-                    assert got.transform == expected.transform
-                elif hasattr(getattr(got, name), 'covariance'):
-                    assert getattr(getattr(got, name), name) == getattr(
-                        getattr(expected, name), name)
-                    assert_array_equal(getattr(got, name).covariance, 0.0)
-                else:
-                    assert getattr(got, name) == getattr(expected, name)
+            assert bytes(one) == made.encoded(
+                kind, made.stamps(5)[i], **row, frame_id=frame_id, child_frame_id='tool',
+                covariance=np.zeros(36))
 
 
 def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
@@ -119,14 +109,6 @@ def test_damaged_messages_are_not_decoded(at, value):
     decoded = cdr.decode(batch([bytes(damaged), good]), cdr.LAYOUTS[made.POSE], slice(0, 7))
     assert decoded.frame[0] == -1
     assert decoded.frame[1] >= 0
-
-
-@given(strategies.lists(strategies.binary(max_size=120), max_size=5))
-def test_any_bytes_are_either_decoded_or_left_out(data):
-    for kind in KINDS:
-        for part in parts(kind).values():
-            decoded = cdr.decode(batch(data), cdr.LAYOUTS[kind], part)
-            assert len(decoded.frame) == len(data)
 
 
 def test_messages_that_are_too_long_are_not_decoded():
