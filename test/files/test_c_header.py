@@ -169,18 +169,17 @@ def test_two_cups_in_one_program(how, tmp_path):
     if shutil.which(compiler) is None:
         pytest.skip(f'{compiler} is not installed')
     soft = Cup(0.5 * CUP.stiffness, CUP.damping, CUP.length)
-    for name, cup in (('left', CUP), ('right_cup', soft), ('left', soft)):
-        (tmp_path / f'{name.split("_")[0]}.h').write_text(
-            header(cup, PACKAGE, GRAVITY, GRIP, name))
-        if name == 'right_cup':
-            source = 'two.c' if compiler == 'gcc' else 'two.cpp'
-            (tmp_path / source).write_text(TWO)
-            subprocess.run([compiler, standard, *STRICT, '-o', 'two', source, '-lm'],
-                           cwd=tmp_path, check=True)
-            assert subprocess.run([tmp_path / 'two'], check=False).returncode == 0
-            (tmp_path / 'first.h').write_text((tmp_path / 'left.h').read_text())
-    (tmp_path / source).write_text('#include "first.h"\n#include "left.h"\n')
-    clash = subprocess.run([compiler, standard, '-c', source, '-o', 'clash.o'], cwd=tmp_path,
+    for file, cup, name in (
+        ('left', CUP, 'left'), ('right', soft, 'right_cup'), ('again', soft, 'left')
+    ):
+        (tmp_path / f'{file}.h').write_text(header(cup, PACKAGE, GRAVITY, GRIP, name))
+    suffix = 'c' if compiler == 'gcc' else 'cpp'
+    (tmp_path / f'two.{suffix}').write_text(TWO)
+    subprocess.run([compiler, standard, *STRICT, '-o', 'two', f'two.{suffix}', '-lm'],
+                   cwd=tmp_path, check=True)
+    assert subprocess.run([tmp_path / 'two'], check=False).returncode == 0
+    (tmp_path / f'clash.{suffix}').write_text('#include "left.h"\n#include "again.h"\n')
+    clash = subprocess.run([compiler, standard, '-c', f'clash.{suffix}'], cwd=tmp_path,
                            check=False, capture_output=True)
     assert clash.returncode != 0
 

@@ -1,14 +1,10 @@
 """YAML that cannot do harm, and errors that name the line."""
 
-from pathlib import Path
-import tempfile
 import time
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from hypothesis import given, settings, strategies
 import pytest
-import yaml
 
 PATIENCE = 20.0  # s, for what takes three
 
@@ -92,21 +88,3 @@ def test_lines_lead_to_each_key(tmp_path):
     lines = {('a',): 2, ('a', 'b'): 3, ('a', 'c'): 4, ('a', 'c', 'd'): 4, ('e f',): 5}
     assert all(content.where(keys) == f'{tmp_path / "a"}, line {line}: '
                for keys, line in lines.items())
-
-
-@settings(deadline=None)
-@given(
-    strategies.text(max_size=60)
-    | strategies.text('[]{}:,&*!<>-?|#%@`"\'ab0. \n\t', max_size=40)
-)
-def test_any_text_is_either_plain_or_refused(text):
-    with tempfile.NamedTemporaryFile() as file:
-        file.write(text.encode('utf-8', 'surrogatepass'))
-        file.flush()
-        for aliases in (False, True):
-            try:
-                content = safe_yaml.load(Path(file.name), aliases)
-            except BellowsError:
-                continue
-            if not aliases:
-                yaml.safe_dump(content)  # only plain things can be written

@@ -13,7 +13,6 @@ import pytest
 
 from . import recordings as made
 
-t = made.TYPES.types
 T0 = 1_700_000_000_000_000_000
 MOUNT = exp_se3([0.1, -0.2, 0.3, 0.3, 0.1, -0.4])
 FLANGE = exp_se3([0.0, 0.0, 0.12, 0.0, 0.5, 0.0])
@@ -34,14 +33,11 @@ def box_in_camera(s):
 
 def message(parent, child, T, ns):
     pose = T[:3, 3], rotation_to_quaternion(T[:3, :3])
-    return bytes(made.TYPES.serialize_cdr(
-        made.built(TF, [[(made.header(ns, parent), child, pose)]]), TF))
+    return made.serialized(TF, [[(made.header(ns, parent), child, pose)]])
 
 
 def recording(folder, more=()):
     """Write a rail (20 Hz), an arm (100 Hz) on it, and a camera that sees a box (60 Hz)."""
-    if TF not in t:
-        pytest.skip('this rosbags does not know tf2_msgs')
     moving = [
         (T0 + round(k / rate * 1e9), parent, child, pose(k / rate))
         for rate, parent, child, pose in ((20, 'rail', 'base', base_in_rail),
@@ -126,7 +122,7 @@ def test_a_gap_is_not_bridged(tmp_path):
     assert len(s) and not ((s > 0.51) & (s < 1.49)).any()
 
 
-@pytest.mark.skipif(TF not in t, reason='this rosbags does not know tf2_msgs')
+@pytest.mark.skipif(TF not in made.TYPES.types, reason='this rosbags does not know tf2_msgs')
 def test_damaged_transforms_are_an_error(tmp_path):
     for damaged in (b'', b'\0\1\0\0', b'\0\1\0\0' + b'\xff' * 12):
         write_bag(
