@@ -210,44 +210,11 @@ def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     assert 'may flip' in warning
 
 
-def without(name):
-    return {key: value for key, value in PARAMETERS.items() if key != name}
-
-
-@pytest.mark.parametrize(
-    ('parameters', 'content', 'message'),
-    [
-        (without('package.mass'), MOTION, 'Not set, and without a default: package.mass'),
-        ({**PARAMETERS, 'package.mass': 1e3}, MOTION, 'No static equilibrium'),
-        (PARAMETERS, None, "'kind' is missing; it must be one of"),
-        (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
-        (PARAMETERS, motion(storage='bag'), "'storage' must be one of mcap, sqlite3, got 'bag'."),
-        (PARAMETERS, motion(tool={}), "'tool.rate_hz' is missing"),
-        (PARAMETERS, motion(**{'package.twist': {}}), "Unknown setting 'package.twist'"),
-        (PARAMETERS, motion(**{'topics.package_pose': 'tool_arm/pose'}), 'no other stream has'),
-        (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
-        (PARAMETERS, motion(**{'tool.outliers': {'count': 2}}), "'tool.outliers.position'"),
-        (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
-        (PARAMETERS, motion(**{'multi_sine.position.x.amplitude': [30.0]}), 'as no arm is'),
-    ],
-)
-def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):
-    with pytest.raises(BellowsError) as caught:
-        simulate_recording(parameters, content, tmp_path / 'bag')
-    assert message in str(caught.value)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_recording_is_replaced_where_that_is_allowed(tmp_path):
     for seed in (1, 2):
         changed = motion(seed=seed, storage='mcap' if seed == 1 else 'sqlite3')
         simulate_recording(PARAMETERS, changed, tmp_path / 'bag', replace=True)
     assert {p.name for p in (tmp_path / 'bag').iterdir()} == {'bag.db3', 'metadata.yaml'}
-    (tmp_path / 'bag' / 'notes.txt').write_text('mine')
-    before = content_of(tmp_path)
-    with pytest.raises(BellowsError, match=r"'notes\.txt'"):
-        simulate_recording(PARAMETERS, MOTION, tmp_path / 'bag', replace=True)
-    assert content_of(tmp_path) == before
 
 
 # ---- Tosses. ----
@@ -297,17 +264,41 @@ def test_a_tossed_package_hangs_flies_and_is_picked_up(tmp_path):
     assert seen == [(0.0, True), (0.6, False), (1.7, True), (3.1, False), (4.2, True)]
 
 
-@pytest.mark.parametrize(('changes', 'message'), [
+# ---- What is refused. ----
+
+MASSLESS = {name: value for name, value in PARAMETERS.items() if name != 'package.mass'}
+TOSSES_THAT_CANNOT_BE = (
     ({'times': [0.6, 1.6]}, 'further apart than release.pickup'),
     ({'times': [9.0]}, 'must be before the end at 5.3 s'),
     ({'pickup': 0.2}, 'lands'),
     ({'pickup': 1.5, 'times': [0.6]}, 'the tool moves at'),
     ({'time': [1.0]}, "Did you mean 'release.times'?"),
-])
-def test_tosses_that_cannot_be_leave_nothing_behind(tmp_path, changes, message):
-    with pytest.raises(BellowsError, match=message.replace('?', r'\?')):
-        simulate_recording(
-            THROWN, {**THROW, 'release': {**THROW['release'], **changes}}, tmp_path / 'bag')
+)
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'content', 'message'),
+    [
+        (MASSLESS, MOTION, 'Not set, and without a default: package.mass'),
+        ({**PARAMETERS, 'package.mass': 1e3}, MOTION, 'No static equilibrium'),
+        (PARAMETERS, None, "'kind' is missing; it must be one of"),
+        (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
+        (PARAMETERS, motion(storage='bag'), "'storage' must be one of mcap, sqlite3, got 'bag'."),
+        (PARAMETERS, motion(tool={}), "'tool.rate_hz' is missing"),
+        (PARAMETERS, motion(**{'package.twist': {}}), "Unknown setting 'package.twist'"),
+        (PARAMETERS, motion(**{'topics.package_pose': 'tool_arm/pose'}), 'no other stream has'),
+        (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
+        (PARAMETERS, motion(**{'tool.outliers': {'count': 2}}), "'tool.outliers.position'"),
+        (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
+        (PARAMETERS, motion(**{'multi_sine.position.x.amplitude': [30.0]}), 'as no arm is'),
+        *((THROWN, {**THROW, 'release': {**THROW['release'], **changes}}, message)
+          for changes, message in TOSSES_THAT_CANNOT_BE),
+    ],
+)
+def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):
+    with pytest.raises(BellowsError) as caught:
+        simulate_recording(parameters, content, tmp_path / 'bag')
+    assert message in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
