@@ -20,8 +20,6 @@ from numpy.testing import assert_allclose
 import pytest
 import yaml
 
-from .two_clocks import late
-
 CLEAN = {
     'topics.tool_pose': '/tool_arm/pose', 'topics.tool_twist': '/tool_arm/twist',
     'topics.package_pose': '/package/pose', 'recording.package_frame': 'com',
@@ -195,42 +193,6 @@ def test_structures_and_validation_come_with_the_fit(shipped, root):
     assert any('predicted within 5 %' in line for line in result.findings)
     assert f'{validated.bag}: The recording leaves the validity range' in result.warnings[-1]
     assert 'bending about x is -13.' in result.warnings[-1]  # twice what the fit has seen
-    content = json.loads(format_json(result.as_json()))
-    assert content['structures']['advised'] == 'axisymmetric'
-    assert content['validations'][0]['above_limit'] == []
-
-
-@pytest.fixture(scope='module')
-def behind(root, tmp_path_factory):
-    """Return both shipped recordings with the tool stamped 5 ms late, and 12 ms early."""
-    folder = tmp_path_factory.mktemp('two_clocks')
-    return [late(root / 'bags' / name, folder / name, seconds)
-            for name, seconds in (('identification', 0.005), ('validation', -0.012))]
-
-
-def test_streams_of_two_clocks_give_the_cup_of_one(shipped, behind, tmp_path):
-    """Find offsets and, with each taken out, the same cup, the same checks and validation."""
-    bag, other = behind
-    result = identify({
-        **shipped[0].values, 'bags': [bag], 'validation.bags': [other], 'fit.time_offset': True})
-    one = shipped[0].fit
-    for name in ('stiffness', 'damping'):
-        difference = np.diag(getattr(result.fit, name) - getattr(one, name))
-        assert np.all(np.abs(difference) < np.diag(getattr(one, f'{name}_std')))
-    (offset,), (error,) = result.fit.delays, result.fit.delays_std
-    assert abs(offset - 0.005) < 4.0 * error < 1e-4
-    (unseen,) = set(result.warnings) - set(shipped[0].warnings)
-    assert 'leaves the validity range of the fit' in unseen
-    assert result.validations[0].validation.failing() == ()
-    assert abs(result.validations[0].time_offset.value + 0.012) < 5e-5
-    assert any(f'{1e3 * offset:.3f} ±' in line and 'behind' in line for line in result.findings)
-    assert any('ahead of those of the package' in line for line in result.findings)
-    content = json.loads(format_json(result.as_json()))
-    assert content['time_offsets'] == [offset] and content['time_offsets_std'] == [error]
-    assert content['recordings'][0]['time_offset'] == {
-        'value': offset, 'std': error, 'unit': 's'}
-    save(result, tmp_path / 'cup.yaml', None)
-    assert 'ms behind those of the package' in (tmp_path / 'cup.yaml').read_text()
 
 
 @pytest.fixture(scope='module')

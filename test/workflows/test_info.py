@@ -41,11 +41,6 @@ def twists(topic, t, linear, angular=None):
         linear, np.zeros_like(linear) if angular is None else angular]))
 
 
-def by_name(topics):
-    """Return topics by name."""
-    return {topic.name: topic for topic in topics}
-
-
 def test_names_say_nothing_but_poses_do(tmp_path):
     """Find what hangs below, even where names have been chosen to mislead."""
     m = motion()
@@ -156,7 +151,7 @@ def test_gaps_jitter_and_repeats_are_counted(tmp_path):
     write_bag(tmp_path / 'bag', [
         poses('/tcp', jitter, m['o'], m['R']),
         poses('/box', m['t'][again], m['o_p'][again], m['R_p'][again])])
-    found = by_name(info(tmp_path / 'bag').topics)
+    found = {topic.name: topic for topic in info(tmp_path / 'bag').topics}
     assert found['/tcp'].jitter_s == pytest.approx(8.5e-4, rel=0.3)  # of the steps
     ((start, length),) = found['/box'].gaps
     assert (start, length) == (pytest.approx(2.995, abs=0.006), pytest.approx(0.105, abs=0.006))

@@ -29,25 +29,30 @@ def write_request(start, names, path, by=0.0):
         'header': header, 'joint_names': list(names), 'points': points}))
 
 
-ARMS = {'UR5e': (UR5E, UR5E_START, 3.14), 'seven joints': (SEVEN, SEVEN_START, 2.175)}
+ARMS = {'UR5e': (UR5E, UR5E_START), 'seven joints': (SEVEN, SEVEN_START)}
 
 
 @pytest.fixture(params=ARMS)
 def arm(request, tmp_path):
     """Give an arm; its URDF and its plan are files."""
-    urdf, start, _ = ARMS[request.param]
+    urdf, start = ARMS[request.param]
     found = read_arm(urdf, 'tool')
     (tmp_path / 'arm.urdf').write_text(urdf)
     write_request(start, found.moving, tmp_path / 'plan.yaml')
     return found
 
 
-def answer(root, folder, command, *more):
-    """Run a command on the plan, and return the joints and the tool that it writes."""
-    assert main([
+def run(root, folder, command, *more):
+    """Run a command on the plan, and return its exit code."""
+    return main([
         command, str(folder / 'plan.yaml'), '--params', str(root / 'bags/tossing.yaml'), '--urdf',
         str(folder / 'arm.urdf'), '--set', 'tool_link=tool', '--out', str(folder / 'out'),
-        *more]) == 0
+        *more])
+
+
+def answer(root, folder, command, *more):
+    """Run a command on the plan, and return the joints and the tool that it writes."""
+    assert run(root, folder, command, *more) == 0
     plans = dict(plans_in(folder / 'out'))
     joints, tool = plans['/tool_arm/plan_joints'], plans['/tool_arm/plan']
     assert isinstance(joints, JointPlan) and isinstance(tool, PlanMessage)
@@ -104,8 +109,6 @@ def test_a_singular_path_is_refused_with_its_time(root, tmp_path, capsys):
     names = read_arm(UR5E, 'tool').moving
     straight = (*UR5E_START[:4], 0.1, UR5E_START[5])  # wrist 2 turns through zero
     write_request(straight, names, tmp_path / 'plan.yaml', by=-0.2)
-    code = main(['steer', str(tmp_path / 'plan.yaml'), '--method', 'inverse', '--params',
-                 str(root / 'bags/tossing.yaml'), '--urdf', str(tmp_path / 'arm.urdf'), '--set',
-                 'tool_link=tool', '--out', str(tmp_path / 'out')])
-    assert code == 2 and not (tmp_path / 'out').exists()
+    assert run(root, tmp_path, 'steer', '--method', 'inverse') == 2
+    assert not (tmp_path / 'out').exists()
     assert 'singular at 0.' in capsys.readouterr().err

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ..files.recordings import built, encoded, header, POSE, POSE_COVARIANCE, TWIST, TYPES
+from ..files.recordings import encoded, header, POSE, POSE_COVARIANCE, serialized, TWIST
 
 NOISE = 2e-3, 1e-2
 ROLES = {'tool': 'tool_arm/pose', 'twist': 'tool_arm/twist', 'package': 'package/pose'}
@@ -91,23 +91,10 @@ def test_motion_capture_is_as_good_as_the_prediction(root):
     assert np.all(found.both.scores.rms <= found.prediction.scores.rms * 1.01)
 
 
-def test_two_worlds_are_brought_into_one(filmed, tmp_path):
-    """Correct as well by a camera that sees the package from a world of its own."""
-    bag, values = filmed
-    back = inverse_transform(T_WORLD_CAMERA)
-    streams = read_streams(bag, SEEN)
-    write_bag(tmp_path / 'two', [*of(streams, 'tool'), *(
-        poses(role, own.stamps_ns, back[:3, 3] + own.position @ back[:3, :3].T,
-              back[:3, :3] @ own.rotation, 'mocap')
-        for role, own in streams.items() if role != 'tool')])
-    part = {**values, 'topics.tool_twist': '', 'recording.start': 2.0, 'recording.end': 6.0}
-    one = replay(bag, part, observe=CAMERA).observed
-    apart = {**part, 'recording.package_world': text_of(T_WORLD_CAMERA)}
-    two = replay(tmp_path / 'two', apart, observe=CAMERA).observed
-    assert two.counts == one.counts and one.counts['used'] < 130  # of 4 s
-    for name in one.estimates:
-        first, second = (found.estimates[name].scores.rms for found in (one, two))
-        np.testing.assert_allclose(second, first, rtol=1e-3)
+def seen_in(bag, recording, settings):
+    """Give what the camera adds to the prediction of a recording."""
+    return observed(bag, recording, tool_messages(recording, settings),
+                    predicted_live(recording, settings), settings, CAMERA)
 
 
 def test_calibration_leads_to_where_the_camera_is(filmed):
@@ -117,9 +104,7 @@ def test_calibration_leads_to_where_the_camera_is(filmed):
     recording = load(bag, settings)
     settings['recording.package_world'] = text_of(transform(
         exp_so3(np.array([0.02, -0.01, 0.03])), np.array([0.015, -0.01, 0.005])))
-    found = observed(
-        bag, recording, tool_messages(recording, settings), predicted_live(recording, settings),
-        settings, CAMERA).parameters
+    found = seen_in(bag, recording, settings).parameters
     world = pose_of(found['recording.package_world'])
     at = recording.measured_package.position
     error = at @ quaternion_to_rotation(world[3:]).T + world[:3] - at
@@ -168,10 +153,7 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
             *of(streams, 'tool'), package,
             Encoded('/' + SEEN['camera'], POSE_COVARIANCE, own.stamps_ns, data)])
         settings = resolve({**values, **changes})
-        recording = load(tmp_path / name, settings)
-        found = observed(
-            tmp_path / name, recording, tool_messages(recording, settings),
-            predicted_live(recording, settings), settings, CAMERA)
+        found = seen_in(tmp_path / name, load(tmp_path / name, settings), settings)
         assert found.counts['covariance'] == 1
         return found.both.scores.rms
 
@@ -189,8 +171,8 @@ def test_covariances_of_messages_count_as_in_the_node(filmed, tmp_path):
 def breaking(stamps, at_ns, bad=False):
     """Give pressures (ns, Pa) that rise at a time, as they are recorded."""
     kind = 'sensor_msgs/msg/FluidPressure'
-    data = [bytes(TYPES.serialize_cdr(built(kind, (
-        header(ns, ''), np.nan if bad else 40e3 if ns < at_ns else 100e3, 0.0)), kind))
+    data = [serialized(kind, (
+        header(ns, ''), np.nan if bad else 40e3 if ns < at_ns else 100e3, 0.0))
         for ns in stamps.tolist()]
     return Encoded('/cell/vacuum/pressure', kind, stamps, data)
 

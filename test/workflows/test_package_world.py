@@ -93,8 +93,14 @@ def test_it_is_said_and_written_where_it_belongs(result, bag, settings, tmp_path
     save(result, tmp_path / 'cup.yaml', None)
     kept = read_parameters(tmp_path / 'cup.yaml')
     pose = result.parts[0].package_world.pose
+    (offset,), (error,) = result.fit.delays, result.fit.delays_std
+    assert any(f'{1e3 * offset:.3f} ±' in line and 'behind' in line for line in result.findings)
+    assert 'ms behind those of the package' in (tmp_path / 'cup.yaml').read_text()
     assert kept['recording.package_world'] == ' '.join(f'{x:.10g}' for x in pose)
-    (recording,) = json.loads(format_json(result.as_json()))['recordings']
+    content = json.loads(format_json(result.as_json()))
+    assert content['time_offsets'] == [offset] and content['time_offsets_std'] == [error]
+    (recording,) = content['recordings']
+    assert recording['time_offset'] == {'value': offset, 'std': error, 'unit': 's'}
     assert recording['package_world']['units']['position'] == 'm'
     assert replay(bag, {**settings, 'fit.time_offset': True, **kept}).validation.failing() == ()
 

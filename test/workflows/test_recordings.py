@@ -1,12 +1,14 @@
 """Recordings as they are read and prepared, with one clock and with two."""
 
+from dataclasses import replace
+
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.recordings import load
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from .two_clocks import late
+from .two_clocks import rewritten, TOPICS
 
 
 @pytest.fixture(scope='module')
@@ -18,7 +20,12 @@ def values(known, true_cup):
 @pytest.fixture(scope='module')
 def behind(root, tmp_path_factory):
     """Return the shipped validation with the tool stamped 12.3 ms late."""
-    return late(root / 'bags/validation', tmp_path_factory.mktemp('late') / 'bag', 0.0123)
+    def seen(role, stream):
+        behind = 0 if role == 'package_pose' else 12_300_000
+        return replace(stream, stamps_ns=stream.stamps_ns + behind)
+
+    bag = tmp_path_factory.mktemp('late') / 'bag'
+    return rewritten((root / 'bags/validation',), bag, seen, TOPICS)
 
 
 def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):

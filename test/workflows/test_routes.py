@@ -181,15 +181,11 @@ def test_missing_extra_is_said(settings, monkeypatch):
         identify(settings, jobs=2)
 
 
-@pytest.fixture
-def spelled(settings, tmp_path):
-    """Return one recording by three names: as it is, as the file in it, and as a copy."""
+def test_a_recording_counts_once_by_whatever_name(settings, tmp_path):
+    """As it is, as the file in it, and as a copy."""
     whole = Path(settings['bags'][1])
     shutil.copytree(whole, tmp_path / 'copy')
-    return [str(whole), str(next(whole.glob('*.mcap'))), str(tmp_path / 'copy')]
-
-
-def test_a_recording_counts_once_by_whatever_name(settings, spelled):
+    spelled = [str(whole), str(next(whole.glob('*.mcap'))), str(tmp_path / 'copy')]
     for again in (0, 2):
         two = {**settings, 'bags': [spelled[0], spelled[again]]}
         with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):

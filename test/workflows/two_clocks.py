@@ -1,7 +1,5 @@
 """Recordings that another laboratory would have made: of two clocks, or of two worlds."""
 
-from dataclasses import replace
-
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.bags import read_streams
@@ -10,16 +8,6 @@ import numpy as np
 TOPICS = {
     'tool_pose': '/tool_arm/pose', 'tool_twist': '/tool_arm/twist',
     'package_pose': '/package/pose'}
-
-
-def late(bag, out, seconds):
-    """Write a recording again with the tool stamped later, and return its path."""
-    def seen(role, stream):
-        """Return a stream with later stamps, if it is of the tool."""
-        behind = 0 if role == 'package_pose' else round(1e9 * seconds)
-        return replace(stream, stamps_ns=stream.stamps_ns + behind)
-
-    return rewritten((bag,), out, seen, TOPICS)
 
 
 def rewritten(bags, out, seen, topics=None):
