@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from bellows_ros.core.identification.comparison import Change
 from bellows_ros.core.parameters.table import short
 from bellows_ros.report import formatted, listed, with_error
-from bellows_ros.workflows.compare import compare_files, ResultComparison
+from bellows_ros.workflows.identification import compare_files, ResultComparison
 
 from . import options
 from .console import Console, NOT_USABLE, OK

@@ -14,8 +14,7 @@ from . import column, listed, many, percent, with_error
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
-    from bellows_ros.workflows.observe import Observed
-    from bellows_ros.workflows.replay import Replay
+    from bellows_ros.workflows.replay import Observed, Replay
 
 MILLI = 1e3
 LEGEND = (

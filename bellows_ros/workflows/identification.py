@@ -1,28 +1,35 @@
-"""An identified cup with everything known about it: as sentences, as a cup file, as JSON."""
+"""An identified cup as sentences, as a cup file, as JSON; and two of them compared."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 import os
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros import __version__
+from bellows_ros.core.identification.comparison import (
+    compare_fits,
+    Consistency,
+    FitComparison,
+    Fitted,
+)
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import Reduced
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
+from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.model.validity_range import Envelope, joined_envelopes
-from bellows_ros.core.parameters.checks import pose_text
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, pose_text, resolve
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import File, results
 from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.files.results import attributes, versions, with_units, write_json
+from bellows_ros.files.results import attributes, with_units
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
-    from bellows_ros.core.identification.comparison import Consistency
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
@@ -58,6 +65,10 @@ FREED = {
 
 MAX_NAMED = 6
 """Largest number of parameters named in a sentence."""
+
+NOT_COMPARED = ('output.', 'predictor', 'exit_when_done', 'envelope.', 'cup.stiffness',
+                'cup.damping')
+"""Settings that do not affect the fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +113,7 @@ class Identification:
     values: Mapping[str, Any]
     parts: tuple[Reduced, ...]
     recordings: tuple[Recording, ...] = ()
-    consistency: 'Consistency | None' = None
+    consistency: Consistency | None = None
     static: 'StaticResult | None' = None
     selection: 'StructureSelection | None' = None
     validations: tuple['Replay', ...] = ()
@@ -244,7 +255,7 @@ class Identification:
             'provenance': {
                 'recordings': [{'path': each.name, 'files': each.files} for each in recordings],
                 'parameter_files': self.parameter_files,
-                'versions': versions()},
+                'versions': results.versions()},
             'failed': [{'bag': bag, 'error': reason} for bag, reason in self.failed],
             'version': __version__})
 
@@ -291,8 +302,8 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
 
 
 def save(
-    result: Identification, parameters_path: str | os.PathLike[str] | None,
-    json_path: str | os.PathLike[str] | None, force: bool = False
+    result: Identification, parameters_path: File | None, json_path: File | None,
+    force: bool = False
 ) -> None:
     """
     Write the cup file and the JSON file, unless None or ''.
@@ -307,7 +318,7 @@ def save(
 
     """
     if json_path:
-        write_json(json_path, result)
+        results.write_json(json_path, result)
     if not parameters_path:
         return
     result.require_usable(force)
@@ -383,3 +394,117 @@ def selection_json(selection: Any) -> dict[str, Any]:
                        'simulated')
             for candidate in selection.candidates],
         **attributes(selection, 'samples', 'advised', 'advice', 'fits')}
+
+
+# ---------------------------------------------------------------------------- two fits compared
+
+
+class Difference(NamedTuple):
+    """A setting or a version that differs; None if a fit lacks it."""
+
+    name: str
+    before: Any
+    after: Any
+
+
+@dataclass(frozen=True, eq=False)
+class ResultComparison:
+    """
+    Two result files compared.
+
+    Parameters
+    ----------
+    paths : tuple of two str
+        The files.
+    fits : FitComparison
+        What differs in numbers.
+    settings : tuple of Difference
+        What differs in settings, method, recordings and versions.
+    shared : tuple of str
+        Recordings that both fits have used: they are not independent then.
+
+    """
+
+    paths: tuple[str, str]
+    fits: FitComparison
+    settings: tuple[Difference, ...]
+    shared: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the JSON file."""
+        derived = ('percent', 'standard_errors', 'p_value', 'significant')
+        return with_units({
+            'before': self.paths[0],
+            'after': self.paths[1],
+            **attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
+            **{name: [{**vars(change), **attributes(change, *derived)} for change in changes]
+               for name, changes in (
+                   ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
+            'settings': self.settings,
+            'shared_recordings': self.shared})
+
+
+def compare_files(before: File, after: File) -> ResultComparison:
+    """
+    Compare two result files of identifications.
+
+    Parameters
+    ----------
+    before, after : path
+        JSON files that `bellows identify` has written. The package of the first is held in both
+        predictions.
+
+    Raises
+    ------
+    BellowsError
+        If a file is not such a result, or a cup cannot hold the package.
+
+    """
+    contents, fitted = [results.read_result(path) for path in (before, after)], list[Fitted]()
+    for path, content in zip((before, after), contents, strict=True):
+        with results.content_of(path):
+            fitted.append(_fitted(content))
+    with results.content_of(before):
+        settings = contents[0].get('settings')
+        if not isinstance(settings, dict):
+            raise BellowsError('The result has no settings, so the package is unknown. Identify '
+                               'the cup again with this version.')
+        values: dict[str, Any] = dict(resolve(settings, PACKAGE_PARAMETERS))
+    with results.content_of(before, after):
+        (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
+        return ResultComparison(
+            (os.fspath(before), os.fspath(after)),
+            compare_fits(
+                fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),
+            tuple(Difference(name, old.get(name), new.get(name))
+                  for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
+            tuple(name for name, content in again.items() if content in used.values()))
+
+
+def _fitted(content: Mapping[str, Any]) -> Fitted:
+    """Return structure, cup and covariance of a result."""
+    structure = structure_named(content['structure'])
+    labels, rows = (content['parameters'][key] for key in ('labels', 'covariance'))
+    covariance = np.array([[np.inf if x is None else float(x) for x in row] for row in rows])
+    order = [labels.index(label) for label in structure.labels]
+    K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
+    cup = Cup(K, P, float(content['cup_length']), tuple(content.get('relaxation', (0.0, 0.0))))
+    return Fitted(structure, cup, covariance[np.ix_(order, order)])
+
+
+def _described(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return, by name, how a fit was made: settings, versions, content of recordings."""
+    settings, versions = content['settings'], content['provenance']['versions']
+    return {
+        **{name: value for name, value in settings.items() if not name.startswith(NOT_COMPARED)},
+        **{name: content.get(name) for name in ('method', 'structure', 'samples_used')},
+        **{f'version of {name}': version for name, version in versions.items()},
+        **{f'content of {path}': ' '.join(digest[:12] for digest in digests)
+           for path, digests in _contents(content).items()}}
+
+
+def _contents(content: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Return the digests of the files of a fit's recordings, by name."""
+    return {
+        recording['path']: tuple(file['sha256'] for file in recording['files'])
+        for recording in content['provenance']['recordings']}

@@ -7,8 +7,7 @@ import tempfile
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.workflows.compare import compare_files
-from bellows_ros.workflows.identification import save
+from bellows_ros.workflows.identification import compare_files, save
 from bellows_ros.workflows.identify import identify
 
 from .frame import CLEAN, Failed, replaced, scrambled, SILENT

@@ -13,9 +13,8 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.workflows.observe import observed
 from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.replay import predicted_live, replay, tool_messages
+from bellows_ros.workflows.replay import observed, predicted_live, replay, tool_messages
 import numpy as np
 import pytest
 from scipy.signal import lfilter
