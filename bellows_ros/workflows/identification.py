@@ -7,12 +7,7 @@ import os
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.comparison import (
-    compare_fits,
-    Consistency,
-    FitComparison,
-    Fitted,
-)
+from bellows_ros.core.identification import comparison
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import Reduced
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
@@ -113,7 +108,7 @@ class Identification:
     values: Mapping[str, Any]
     parts: tuple[Reduced, ...]
     recordings: tuple[Recording, ...] = ()
-    consistency: Consistency | None = None
+    consistency: comparison.Consistency | None = None
     static: 'StaticResult | None' = None
     selection: 'StructureSelection | None' = None
     validations: tuple['Replay', ...] = ()
@@ -174,24 +169,21 @@ class Identification:
     @property
     def findings(self) -> tuple[str, ...]:
         """Findings beside the cup, in sentences."""
-        lines = list(self.verdict.sentences if self.verdict else (NO_VERDICT,))
-        lines += [text for part in self.parts
-                  for text in world_sentence(part.name, part.package_world)]
-        lines += self._offset_sentences()
-        lines += [
-            f'{name} was estimated together with K and P: '
-            f'{", ".join(f"{x:.6g} ± {s:.2g}" for x, s in zip(value, std, strict=True))} {unit}.'
-            for name, value, std, unit in self._freed()]
-        lines += _standstill_sentences(self)
-        if self.static is not None and self.static.spring is not None:
-            lines.append(self.static.spring.sentence)
-        if self.consistency is not None and not self.consistency.differs:
-            lines.append(self.consistency.verdict)
-        if self.selection is not None:
-            lines += self.selection.advice
-        for replayed in self.validations:
-            lines += [*offset_sentence(replayed.bag, replayed.time_offset), replayed.sentence]
-        return tuple(lines)
+        spring, consistency = self.static and self.static.spring, self.consistency
+        return (
+            *(self.verdict.sentences if self.verdict else (NO_VERDICT,)),
+            *(text for part in self.parts
+              for text in world_sentence(part.name, part.package_world)),
+            *self._offset_sentences(),
+            *(f'{name} was estimated together with K and P: '
+              f'{", ".join(f"{x:.6g} ± {s:.2g}" for x, s in zip(value, std, strict=True))} {unit}.'
+              for name, value, std, unit in self._freed()),
+            *_standstill_sentences(self),
+            *((spring.sentence,) if spring else ()),
+            *((consistency.verdict,) if consistency and not consistency.differs else ()),
+            *(self.selection.advice if self.selection else ()),
+            *(text for each in self.validations for text in (
+                *offset_sentence(each.bag, each.time_offset), each.sentence)))
 
     def _freed(self) -> Iterator[tuple[str, list[float], list[float], str]]:
         """Yield the parameters that were estimated by fit.free: value, standard error and unit."""
@@ -426,7 +418,7 @@ class ResultComparison:
     """
 
     paths: tuple[str, str]
-    fits: FitComparison
+    fits: comparison.FitComparison
     settings: tuple[Difference, ...]
     shared: tuple[str, ...]
 
@@ -460,7 +452,8 @@ def compare_files(before: File, after: File) -> ResultComparison:
         If a file is not such a result, or a cup cannot hold the package.
 
     """
-    contents, fitted = [results.read_result(path) for path in (before, after)], list[Fitted]()
+    contents = [results.read_result(path) for path in (before, after)]
+    fitted = list[comparison.Fitted]()
     for path, content in zip((before, after), contents, strict=True):
         with results.content_of(path):
             fitted.append(_fitted(content))
@@ -474,14 +467,14 @@ def compare_files(before: File, after: File) -> ResultComparison:
         (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
         return ResultComparison(
             (os.fspath(before), os.fspath(after)),
-            compare_fits(
+            comparison.compare_fits(
                 fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),
             tuple(Difference(name, old.get(name), new.get(name))
                   for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             tuple(name for name, content in again.items() if content in used.values()))
 
 
-def _fitted(content: Mapping[str, Any]) -> Fitted:
+def _fitted(content: Mapping[str, Any]) -> comparison.Fitted:
     """Return structure, cup and covariance of a result."""
     structure = structure_named(content['structure'])
     labels, rows = (content['parameters'][key] for key in ('labels', 'covariance'))
@@ -489,7 +482,7 @@ def _fitted(content: Mapping[str, Any]) -> Fitted:
     order = [labels.index(label) for label in structure.labels]
     K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
     cup = Cup(K, P, float(content['cup_length']), tuple(content.get('relaxation', (0.0, 0.0))))
-    return Fitted(structure, cup, covariance[np.ix_(order, order)])
+    return comparison.Fitted(structure, cup, covariance[np.ix_(order, order)])
 
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:

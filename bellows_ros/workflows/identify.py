@@ -29,15 +29,8 @@ from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows import identification
-from bellows_ros.workflows.recordings import (
-    Failed,
-    FULL_RANGE,
-    load,
-    Progress,
-    repeats,
-    silent,
-    values_of_each,
-)
+from bellows_ros.workflows import recordings as reading
+from bellows_ros.workflows.recordings import Failed, FULL_RANGE, Progress, silent
 from bellows_ros.workflows.verdict import allowances, FitVerdict, MAX_TESTED, verdict_of
 import numpy as np
 
@@ -223,7 +216,7 @@ def read_part(
         If it is not usable.
 
     """
-    recording = load(path or bag, values, name=bag, with_digest=True)
+    recording = reading.load(path or bag, values, name=bag, with_digest=True)
     if misread(recording):
         verdict = verdict_of(None, [recording], values['cup.length'], values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
@@ -242,13 +235,13 @@ def read_all(
     bags = [os.fspath(bag) for bag in values['bags']]
     task = partial(read_part, keep=frozenset(bags if keep else bags[:MAX_TESTED]))
     work = [(n, bag, dict(each)) for n, (bag, each) in
-            enumerate(zip(bags, values_of_each(values), strict=True))]
+            enumerate(zip(bags, reading.values_of_each(values), strict=True))]
     if jobs is None and not dask:
         parts = list[Any]()
         for number, bag, each in work:
             tell(f'reading {bag}', FIT_BEGINS * number / len(bags))
             parts.append(task(bag, each))
-            for _, sentence in repeats((part.name, part.digest) for part in parts):
+            for _, sentence in reading.repeats((part.name, part.digest) for part in parts):
                 raise BellowsError(sentence)
         return parts, []
     from bellows_ros.workflows.workers import on_cores, on_dask
@@ -260,7 +253,7 @@ def read_all(
         outcomes[number] = outcome
         tell(words, FIT_BEGINS * len(outcomes) / len(bags))
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
-    for place, sentence in repeats((outcomes[n].name, outcomes[n].digest) for n in done):
+    for place, sentence in reading.repeats((outcomes[n].name, outcomes[n].digest) for n in done):
         outcomes[done[place]] = Failed(bags[done[place]], sentence)
     parts, failed = ([each for _, each in sorted(outcomes.items(), key=itemgetter(0))
                       if isinstance(each, Failed) is unusable] for unusable in (False, True))

@@ -331,11 +331,10 @@ def _arrange(
     notes: list[str]
 ) -> float | None:
     """Add settings and notes on how the poses fit together; return how long they rest first, s."""
-    error, apart, remarks, (tool, package) = '', '', list[str](), streams
-    if len({tool.frame_id, package.frame_id} - {''}) < 2:
-        error = convention_sentence(tool, package, path)
-    if not error:
-        apart = _reason_apart(pair, tool, package)
+    remarks, (tool, package) = list[str](), streams
+    one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2
+    error = convention_sentence(tool, package, path) if one_frame else ''
+    apart = '' if error else _reason_apart(pair, tool, package)
     if apart:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
@@ -415,26 +414,21 @@ def longest_hold(tool: Trajectory) -> float:
 
 def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
     """Return tool and package judged by names alone, None where no name tells."""
-    def named(words: frozenset[str], others: frozenset[str]) -> Guess | None:
-        return next((Guess(name, _name_reason(name, words)) for name in poses
-                     if _words_in(name, words) and not _words_in(name, others)), None)
+    tool, package = (
+        next((Guess(name, reason) for name in poses if (reason := _name_reason(name, words))
+              and not _name_reason(name, others)), None)
+        for words, others in ((TOOL_WORDS, PACKAGE_WORDS), (PACKAGE_WORDS, TOOL_WORDS)))
 
     def rest(other: Guess | None) -> Guess | None:
         return next((Guess(name, ('it is the other',)) for name in poses
                      if other and len(poses) == 2 and name != other.topic), None)
 
-    tool, package = named(TOOL_WORDS, PACKAGE_WORDS), named(PACKAGE_WORDS, TOOL_WORDS)
     return tool or rest(package), package or rest(tool)
 
 
-def _words_in(topic: str, words: frozenset[str]) -> set[str]:
-    """Return which of some words are in a topic's name."""
-    return set(re.findall(r'[a-z]+', topic.lower())) & words
-
-
 def _name_reason(topic: str, words: frozenset[str]) -> tuple[str, ...]:
-    """Return the reason that is a name, if it is one."""
-    there = "' and '".join(sorted(_words_in(topic, words)))
+    """Return the reason that is a name, if some of the words are in it."""
+    there = "' and '".join(sorted(words.intersection(re.findall(r'[a-z]+', topic.lower()))))
     return (f"its name says '{there}'",) if there else ()
 
 

@@ -16,14 +16,8 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import attributes, with_units
-from bellows_ros.workflows.recordings import (
-    load,
-    NO_INERTIA,
-    Progress,
-    repeats,
-    silent,
-    values_of_each,
-)
+from bellows_ros.workflows import recordings as reading
+from bellows_ros.workflows.recordings import NO_INERTIA, Progress, silent
 import numpy as np
 
 StaticBag = tuple[str, Mapping[str, Any]]
@@ -70,8 +64,8 @@ class StaticResult:
     @property
     def creep(self) -> str:
         """A sentence on rubber that creeps in the standstills; '' where none does."""
-        creeps = np.array([still.creep for still in self.standstills if still.creep.any()])
-        if not len(creeps):
+        creeps = [still.creep for still in self.standstills if still.creep.any()]
+        if not creeps:
             return ''
         shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
         known = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
@@ -186,7 +180,7 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
 
 def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
     """Return the recordings of the parameter `static.bags`, each with its parameters."""
-    each = values_of_each(values, 'static.bags')
+    each = reading.values_of_each(values, 'static.bags')
     return list(zip(map(os.fspath, values['static.bags']), each, strict=True))
 
 
@@ -247,8 +241,8 @@ def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) 
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "
                 'its seven numbers: they are in the cup file of an identification with a motion.')
         at_rest = {**parameters, 'topics.tool_twist': '', 'fit.time_offset': False}
-        recordings.append(load(bag, at_rest, with_digest=True))
-        for _, sentence in repeats((each.name, each.digest) for each in recordings):
+        recordings.append(reading.load(bag, at_rest, with_digest=True))
+        for _, sentence in reading.repeats((each.name, each.digest) for each in recordings):
             raise BellowsError(sentence)
     result = StaticResult(tuple(recordings), None, '', values['cup.length'],
                           instant=1.0 + sum(values['cup.relaxation']))

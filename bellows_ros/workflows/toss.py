@@ -21,8 +21,6 @@ from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import Progress, silent
 import numpy as np
 
-MILLI = 1e3
-
 RATE = 500.0
 """Of the poses of a toss that is written, Hz."""
 
@@ -75,13 +73,12 @@ class TossResult(CommandResult):
         Numbers of the law of release that are correlated are one, 'release'.
         """
         shares = []
-        correlated = not np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
-        for group in (*GROUPS, *(['release'] if correlated else RELEASE_NAMES)):
+        independent = np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
+        for group in (*GROUPS, *(RELEASE_NAMES if independent else ['release'])):
             std, covariance = self.parts.of(group)
             if len(std):
-                shift, turn = np.sqrt(np.diag(covariance).reshape(2, 3).sum(axis=1)).tolist()
-                shares.append(Share(
-                    group, float(std[0]) if len(std) == 1 else math.nan, shift, turn))
+                sizes = np.sqrt(np.diag(covariance).reshape(2, 3).sum(axis=1)).tolist()
+                shares.append(Share(group, float(std[0]) if len(std) == 1 else math.nan, *sizes))
         return sorted(shares, key=lambda share: -share.metres)
 
     @property
@@ -117,7 +114,7 @@ class TossResult(CommandResult):
         if self.drawn is not None:
             content['monte_carlo'] = {
                 'count': len(self.drawn.errors), 'failed': self.drawn.failed,
-                'covariance': self.drawn.covariance.tolist(),
+                'covariance': self.drawn.covariance,
                 'units': {'covariance': UNIT_OF['landing_covariance']},
                 'part_in_ellipse': landing.coverage(self.covariance, self.drawn.errors)}
         return with_units(content)
@@ -172,9 +169,8 @@ class TossResult(CommandResult):
 
 def _budget(shares: list[Share]) -> list[dict[str, Any]]:
     """Return contributions as JSON; those of groups are independent, so that squares add up."""
-    return [{'name': s.name, 'std': s.std if math.isfinite(s.std) else None,
-             'contribution_mm': MILLI * s.metres,
-             'contribution_deg': float(np.degrees(s.radians))} for s in shares]
+    return [{'name': share.name, 'std': share.std, 'contribution_mm': 1e3 * share.metres,
+             'contribution_deg': math.degrees(share.radians)} for share in shares]
 
 
 def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> None:
