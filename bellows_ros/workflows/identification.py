@@ -7,7 +7,6 @@ import os
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.identification import comparison
 from bellows_ros.core.identification.identifiability import Excitation
 from bellows_ros.core.identification.reduction import Reduced
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
@@ -25,6 +24,7 @@ from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sent
 import numpy as np
 
 if TYPE_CHECKING:  # what a plain identification does without
+    from bellows_ros.core.identification.comparison import Consistency, FitComparison, Fitted
     from bellows_ros.core.identification.structure_selection import StructureSelection
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
@@ -108,7 +108,7 @@ class Identification:
     values: Mapping[str, Any]
     parts: tuple[Reduced, ...]
     recordings: tuple[Recording, ...] = ()
-    consistency: comparison.Consistency | None = None
+    consistency: 'Consistency | None' = None
     static: 'StaticResult | None' = None
     selection: 'StructureSelection | None' = None
     validations: tuple['Replay', ...] = ()
@@ -418,7 +418,7 @@ class ResultComparison:
     """
 
     paths: tuple[str, str]
-    fits: comparison.FitComparison
+    fits: 'FitComparison'
     settings: tuple[Difference, ...]
     shared: tuple[str, ...]
 
@@ -452,8 +452,10 @@ def compare_files(before: File, after: File) -> ResultComparison:
         If a file is not such a result, or a cup cannot hold the package.
 
     """
+    from bellows_ros.core.identification.comparison import compare_fits
+
     contents = [results.read_result(path) for path in (before, after)]
-    fitted = list[comparison.Fitted]()
+    fitted = list['Fitted']()
     for path, content in zip((before, after), contents, strict=True):
         with results.content_of(path):
             fitted.append(_fitted(content))
@@ -467,22 +469,24 @@ def compare_files(before: File, after: File) -> ResultComparison:
         (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
         return ResultComparison(
             (os.fspath(before), os.fspath(after)),
-            comparison.compare_fits(
+            compare_fits(
                 fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),
             tuple(Difference(name, old.get(name), new.get(name))
                   for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             tuple(name for name, content in again.items() if content in used.values()))
 
 
-def _fitted(content: Mapping[str, Any]) -> comparison.Fitted:
+def _fitted(content: Mapping[str, Any]) -> 'Fitted':
     """Return structure, cup and covariance of a result."""
+    from bellows_ros.core.identification.comparison import Fitted
+
     structure = structure_named(content['structure'])
     labels, rows = (content['parameters'][key] for key in ('labels', 'covariance'))
     covariance = np.array([[np.inf if x is None else float(x) for x in row] for row in rows])
     order = [labels.index(label) for label in structure.labels]
     K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
     cup = Cup(K, P, float(content['cup_length']), tuple(content.get('relaxation', (0.0, 0.0))))
-    return comparison.Fitted(structure, cup, covariance[np.ix_(order, order)])
+    return Fitted(structure, cup, covariance[np.ix_(order, order)])
 
 
 def _described(content: Mapping[str, Any]) -> dict[str, Any]:
