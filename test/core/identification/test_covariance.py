@@ -3,7 +3,7 @@
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.result import covariance_of, information_of, without
+from bellows_ros.core.identification.result import covariance_of, information_of
 from bellows_ros.core.identification.search import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium
@@ -194,11 +194,3 @@ def test_a_sum_that_is_known_does_not_tell_its_terms():
 def test_nothing_known_at_all():
     assert np.all(np.isinf(np.diag(covariance_of(np.zeros((3, 3))))))
     assert not np.any(information_of(np.diag([np.inf, np.inf])))
-
-
-def test_what_is_made_unknown():
-    covariance = np.linalg.inv(definite(2))
-    found = without(covariance, np.array([False, True, False, False, True]))
-    assert np.isinf(np.diag(found)).tolist() == [False, True, False, False, True]
-    assert np.all(found[1, [0, 2, 3, 4]] == 0.0)
-    assert_allclose(found[0, 2], covariance[0, 2])

@@ -1,12 +1,8 @@
 """What recordings can tell, against recordings that tell it and recordings that do not."""
 
-from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.least_squares import whitening_of
-from bellows_ros.core.identification.samples import Samples, samples_of, with_noise
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
-from bellows_ros.core.recording.recording import FilterNoise, Noise
-from bellows_ros.core.signals.savgol import savgol
-from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -92,33 +88,6 @@ def test_expected_bias_is_the_bias(tool, package):
     # An eighth of the bias for the extrapolation, 0.1 % for the filter, the rest is chance.
     assert np.all(off < 0.125 * np.abs(actual) + 1e-3 + 3.5 * scatter)
     assert actual[4] < -0.03  # there is a bias to predict
-
-
-def test_added_noise_is_that_of_filtered_white_noise():
-    """Filter white noise about a body at rest, and compare moments of all that comes out."""
-    rng = np.random.default_rng(3)
-    count, rate = 20000, 100.0
-    sigma = Noise(1e-3, 2e-3)
-    stamps = np.round(np.arange(count) / rate * 1e9).astype(np.int64)
-    at = exp_so3(np.array([0.3, -0.2, 0.5]))
-    white = Trajectory(
-        stamps, sigma.position * rng.standard_normal((count, 3)),
-        at @ exp_so3(sigma.rotation * rng.standard_normal((count, 3))))
-    filtered = savgol(white, 6, 4)
-    n = len(filtered)
-    rest = Trajectory(filtered.stamps_ns, np.zeros((n, 3)), np.tile(at, (n, 1, 1)),
-                      np.zeros((n, 6)), np.zeros((n, 6)))
-    noise = FilterNoise(sigma, sigma, filtered.weights, filtered.weights)
-    samples = Samples(rest, rest, simulated.HELD, simulated.GRAVITY, 0.1)
-    added = with_noise(samples, noise, np.random.default_rng(4)).package
-    for name in ('position', 'twist', 'acceleration'):
-        real, made = getattr(filtered, name), getattr(added, name)
-        assert_allclose(np.std(made, axis=0), np.std(real, axis=0), rtol=0.08)
-    real, made = (
-        np.corrcoef((t.position @ at)[:, 0], t.acceleration[:, 0])[0, 1]
-        for t in (filtered, added))
-    assert_allclose(made, real, atol=0.03)
-    assert made < -0.3  # value and second derivative go against each other
 
 
 @pytest.mark.parametrize(('name', 'axes'), [('diagonal', (0, 2, 4, 5)), ('full', (0, 1, 2))])

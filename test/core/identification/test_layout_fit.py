@@ -1,19 +1,15 @@
-"""One cup's numbers from a gripper's motion, simulated as the sum over its cups."""
+"""One cup's numbers from the motion of a gripper of three."""
 
 import functools
 
-from bellows_ros.core.geometry.lie import adjoint, exp_so3, hat, inverse_transform, transform
 from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.search import MeasuredSegment
-from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.structure import (
-    composition,
-    given_structure,
-    STRUCTURES,
-)
+from bellows_ros.core.model.cup_package import Cup, gripper_of
+from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.model.structure import composition, given_structure, STRUCTURES
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import BodyNoise, PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
@@ -23,7 +19,6 @@ from numpy.testing import assert_allclose
 import pytest
 
 from .recordings import GRAVITY, PLATE, Shake
-from .. import oracle
 from ..motions import noisy
 
 ONE = Cup(np.diag([900.0, 900.0, 1500.0, 1.2, 1.2, 0.5]),
@@ -32,61 +27,16 @@ PLACES = np.array([[0.06, 0.05, 0.0], [-0.06, 0.03, 0.0], [0.01, -0.07, 0.0]])
 LAYOUT = given_structure({
     'fit.structure': 'layout', 'cup.layout': tuple(PLACES.ravel())})
 NUMBERS = LAYOUT.parameters(ONE.stiffness, ONE.damping)
-HZ, DURATION = 1000.0, 6.0
-
-
-def cups_wrench(T_E_S, v_ES):
-    """Return the wrench of all cups at S, by (3.18), (3.27), (3.33) and (3.35) of each."""
-    R, half = T_E_S[:3, :3], 0.5 * ONE.length * oracle.Z
-    o = half + R @ half + T_E_S[:3, 3] + PLACES @ (R - np.eye(3)).T
-    h = np.hstack([o @ (np.eye(3) + R), np.tile(oracle.vee(R - R.T), (len(o), 1))])
-    q = h * np.diag(ONE.stiffness)
-    f = -0.25 * q[:, :3] @ (R + np.eye(3))
-    m = -0.25 * (np.cross(q[:, :3], o @ R) + q[:, 3:] @ (np.trace(R) * np.eye(3) - R.T))
-    w = np.tile(v_ES[3:], (len(o), 1))
-    v = v_ES[:3] + np.cross(w, PLACES + half)
-    damping = np.diag(ONE.damping)
-    there = np.hstack([v @ R.T + np.cross(o, w @ R.T), w @ R.T]) * damping
-    f -= 0.5 * (v * damping[:3] + there[:, :3] @ R)
-    m -= 0.5 * (w * damping[3:] + (np.cross(there[:, :3], o) + there[:, 3:]) @ R)
-    return np.concatenate([f.sum(axis=0), (m + np.cross(PLACES + half, f)).sum(axis=0)])
-
-
-def slope(tool, y):
-    """Return the rate of the package's state, each cup pulling at its own lip."""
-    T, v, (T_E, v_E) = transform(y[3:12].reshape(3, 3), y[:3]), y[12:], tool
-    T_E_S = oracle.lip_pose(PLATE, T_E, T)
-    X = adjoint(transform(np.eye(3), PLATE.com))
-    f = X.T @ cups_wrench(T_E_S, X @ v - adjoint(inverse_transform(T_E_S)) @ v_E)
-    w = v[3:]
-    force = f[:3] / PLATE.mass - GRAVITY * T[2, :3] - np.cross(w, v[:3])
-    moment = f[3:] - np.cross(w, PLATE.inertia @ w)
-    return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(w)).ravel(), force,
-                           np.linalg.solve(PLATE.inertia, moment)])
+HZ, DURATION = 500.0, 6.0
 
 
 @functools.cache
 def truth():
-    """Return tool and package at half the rate: Runge-Kutta steps over two samples of the tool."""
+    """Return poses of tool and package, of the cups' sum: that of `core/model/test_layout`."""
     tool = Shake(3).trajectory(DURATION, HZ)
-    at = [(transform(R, o), v)
-          for R, o, v in zip(tool.rotation, tool.position, tool.twist, strict=True)]
-    y = np.concatenate([tool.position[0] + tool.rotation[0] @ (PLATE.com - [0, 0, ONE.length]),
-                        tool.rotation[0].ravel(), np.zeros(6)])
-    rows, h = [y], 2.0 / HZ
-    for k in range(0, len(at) - 2, 2):
-        a = slope(at[k], y)
-        b = slope(at[k + 1], y + 0.5 * h * a)
-        c = slope(at[k + 1], y + 0.5 * h * b)
-        d = slope(at[k + 2], y + h * c)
-        y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-        U, _, Vt = np.linalg.svd(y[3:12].reshape(3, 3))
-        y[3:12] = (U @ Vt).ravel()
-        rows.append(y)
-    rows = np.array(rows)[250:]  # the first swing has gone
-    tool = tool.select(slice(500, 500 + 2 * len(rows), 2))
-    return Trajectory(tool.stamps_ns, tool.position, tool.rotation), Trajectory(
-        tool.stamps_ns, rows[:, :3], rows[:, 3:12].reshape(-1, 3, 3))
+    package = simulate(gripper_of(ONE, PLACES), PLATE, tool, gravity=GRAVITY)
+    return [Trajectory(body.stamps_ns, body.position, body.rotation) for body in (
+        own.select(slice(int(0.5 * HZ), None)) for own in (tool, package))]
 
 
 def by_output_error(package_noise):
@@ -98,17 +48,6 @@ def by_output_error(package_noise):
         [MeasuredSegment(tool, package.select(slice(0, None, 8)), PLATE, GRAVITY,
                          *(BodyNoise(np.repeat(std, 3)) for std in (tool_noise, package_noise)))],
         LAYOUT, Cup(2.0 * ONE.stiffness, 0.6 * ONE.damping, ONE.length))
-
-
-def test_the_wrench_of_this_simulation_is_the_sum_of_the_oracles():
-    rng = np.random.default_rng(0)
-    R, o, v = exp_so3(rng.normal(size=3) * 0.3), rng.normal(size=3) * 0.01, rng.normal(size=6)
-    f = np.zeros(6)
-    for a in PLACES:
-        own = oracle.wrench_at_lip(
-            ONE, transform(R, o + R @ a - a), v + np.append(np.cross(v[3:], a), np.zeros(3)))
-        f += np.append(own[:3], own[3:] + np.cross(a, own[:3]))
-    assert_allclose(cups_wrench(transform(R, o), v), f, rtol=1e-10)
 
 
 def test_one_cup_is_found_by_output_error_with_honest_errors():

@@ -102,20 +102,6 @@ def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
     assert causes(search, found) == ()
 
 
-def test_steps_that_turn_in_a_circle_end_in_its_middle():
-    """As those of a cup that swings fast, seen by an exact camera in a world of its own."""
-    x, H = np.array([1.0, 0.0, 0.3]), np.diag([1.0, 4.0, 2.0])
-    c, s = 1.02 * np.cos(np.radians(33.0)), 1.02 * np.sin(np.radians(33.0))
-    G = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 0.1]])
-    history, circling = [], x
-    for _ in range(12):
-        step = G @ x - x
-        way = module_of_search._mixed(step, H, history)
-        history, x = [*history, (step, way)][-module_of_search.ANDERSON_DEPTH:], x + way
-        circling = G @ circling
-    assert np.linalg.norm(circling) > 1.0 and np.linalg.norm(x) < 1e-4
-
-
 def require_white(parts):
     """Check that differences are white and of unit variance."""
     white = parts[0].innovations.reshape(-1, 6)[20:]
@@ -239,23 +225,6 @@ def test_noise_of_the_first_state_does_not_ring_in_the_derivatives(stiffness, da
         return np.sqrt(np.diag(np.linalg.inv(H)))[:8]
 
     assert_allclose(spread(False), spread(True), rtol=0.1)
-
-
-def test_what_the_recording_does_not_determine_is_said_and_disturbs_nothing():
-    fit = output_error([measured(6, package_noise=(3e-3, 15e-3))], AXISYMMETRIC, scaled(1.5))
-    unknown = ~np.isfinite(np.diag(fit.covariance))
-    assert fit.usable and unknown.any()
-    assert sum('not identifiable' in note for note in fit.notes) == unknown.sum()
-    assert np.all(np.abs(z_of(fit)[~unknown]) < 4.0)
-    assert np.linalg.eigvalsh(fit.damping)[0] > 0.0
-
-
-def test_a_clock_that_is_late_is_found():
-    own = measured(8, late_ns=12_000_000)
-    free = {'time_offset': np.array([0.1])}
-    fit = output_error([own], AXISYMMETRIC, scaled(1.5), None, free, ['time_offset'])
-    assert abs(fit.delays[0] - 0.012) < 4.0 * fit.delays_std[0] < 4e-3
-    assert np.all(np.abs(z_of(fit)) < 4.0)
 
 
 def test_poses_at_the_stamps_of_the_tool_stay_there_as_the_clock_moves():

@@ -29,6 +29,14 @@ pytestmark = pytest.mark.skipif(
 Laboratory = partial(laboratory.Laboratory, rate_hz=240.0)
 
 
+def faulty(faults, seed, **options):
+    """Return a laboratory with a fault, or several."""
+    laboratory = Laboratory(seed, **options)
+    for fault in [faults] if isinstance(faults, str) else faults:
+        FAULTS[fault][0](laboratory)
+    return laboratory
+
+
 def diagnosed(laboratory):
     """Return what is found in a laboratory, the best first."""
     return diagnose(laboratory.recordings(), laboratory.said_length,
@@ -64,24 +72,21 @@ def named(laboratory, cause):
     ('yaw', 902, {'rate_hz': 480.0, 'seconds': 12.0}, 'yaw'),
     *(('package frame', seed, {}, 'recording.package_frame: lip') for seed in (20271, 901))])
 def test_one_fault_is_named(fault, seed, options, cause):
-    laboratory = Laboratory(seed, **options)
-    FAULTS[fault][0](laboratory)
+    laboratory = faulty(fault, seed, **options)
     assert named(laboratory, cause) == 'right'
 
 
 @pytest.mark.parametrize(('seed', 'rate_hz'), [(502, 240.0), (703, 480.0)])
 def test_a_centre_of_mass_aside_is_found_wherever_the_search_begins(seed, rate_hz):
     """Another along the axis is the better start, or steps from none are far too long."""
-    laboratory = Laboratory(seed, rate_hz=rate_hz)
-    FAULTS['centre of mass aside'][0](laboratory)
+    laboratory = faulty('centre of mass aside', seed, rate_hz=rate_hz)
     first, *_ = diagnosed(laboratory)
     away = laboratory.package.com - laboratory.said.com
     assert first.name == 'com' and np.all(np.abs(first.theta - away) < 6.0 * first.std)
 
 
 def test_a_turned_marker_of_the_tool_is_found_as_such():
-    laboratory = Laboratory(903)
-    FAULTS['marker frame turned'][0](laboratory)
+    laboratory = faulty('marker frame turned', 903)
     first, *_ = diagnosed(laboratory)
     turn = exp_so3(first.theta[2:]) @ laboratory.turn['tool']
     assert first.certain and first.value == 'tool'
@@ -95,9 +100,7 @@ def test_a_turned_marker_of_the_tool_is_found_as_such():
     ('mass 10 %', 'length', 711), ('soft spring', 'centre of mass aside', 723),
     ('world', 'exchanged topics', 917)])
 def test_of_two_faults_both_are_named(first, second, seed):
-    laboratory = Laboratory(seed)
-    for fault in (first, second):
-        FAULTS[fault][0](laboratory)
+    laboratory = faulty((first, second), seed)
     _, found = judged(laboratory, with_fit=False)
     named = [f'{own.name} {own.value}{own.sentence}' for own in (
         *found.diagnosis.findings[:2 if found.diagnosis.findings[0].is_fact else 1],
@@ -115,8 +118,7 @@ def test_no_frame_is_wrong_beside_friction_that_explains_all():
 
 
 def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_did():
-    laboratory = Laboratory(903, seconds=12.0)
-    FAULTS['clocks far apart'][0](laboratory)
+    laboratory = faulty('clocks far apart', 903, seconds=12.0)
     found, = implausible_inputs(laboratory.recording())
     assert found.name == 'time_offset' and abs(found.theta[0] - laboratory.late) < 0.1
 
@@ -138,9 +140,7 @@ def test_a_replay_names_clocks_that_are_apart():
 
 
 def test_what_is_left_is_said_where_a_second_fault_is_not_found():
-    laboratory = Laboratory(319)
-    for fault in ('gravity tilted', 'marker frame turned'):
-        FAULTS[fault][0](laboratory)
+    laboratory = faulty(('gravity tilted', 'marker frame turned'), 319)
     _, found = judged(laboratory, with_fit=False)
     first = found.diagnosis.findings[0]
     assert first.likely and not first.certain and not found.refusals
@@ -149,19 +149,16 @@ def test_what_is_left_is_said_where_a_second_fault_is_not_found():
 
 
 def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypatch):
-    laboratory, simulations, system = Laboratory(300, seconds=3.0), [], Search.system
-    break_it, cause = FAULTS['yaw']
-    break_it(laboratory)
+    simulations, system = [], Search.system
     monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
-    found, verdict = judged(laboratory)
+    found, verdict = judged(faulty('yaw', 300, seconds=3.0))
     assert found.chi2 > 10.0 and 0 < len(simulations) <= 154
-    assert verdict.refusals and verdict.diagnosis.findings[0].name == cause
+    assert verdict.refusals and verdict.diagnosis.findings[0].name == 'yaw'
 
 
 def test_a_mass_that_wrenches_do_not_show_is_named_by_the_fit():
     """A centre of mass elsewhere would explain three fifths of it."""
-    laboratory = Laboratory(902)
-    FAULTS['mass 10 %'][0](laboratory)
+    laboratory = faulty('mass 10 %', 902)
     recordings, values = laboratory.recordings(), parameters(laboratory)
     assert not verdict_of(None, recordings, values['cup.length'], values).refusals
     verdict = verdict_of(fit(recordings, values).fit, recordings, values['cup.length'], values)
@@ -171,8 +168,7 @@ def test_a_mass_that_wrenches_do_not_show_is_named_by_the_fit():
 @pytest.mark.parametrize('seed', [100, 401])
 def test_a_camera_that_drifts_is_named_by_the_fit(seed):
     """Name it first, with its size, though it is less than a millimetre, and keep K and P."""
-    laboratory = Laboratory(seed, rate_hz=480.0, seconds=12.0)
-    FAULTS['camera drifts'][0](laboratory)
+    laboratory = faulty('camera drifts', seed, rate_hz=480.0, seconds=12.0)
     recordings, values = laboratory.recordings(), parameters(laboratory)
     found = fit(recordings, values).fit
     cause, = found.causes
@@ -188,8 +184,7 @@ def test_a_camera_that_drifts_is_named_by_the_fit(seed):
 
 
 def test_a_mass_is_named_where_the_rubber_seemed_to_relax_without_it():
-    laboratory = Laboratory(706, rate_hz=480.0, seconds=12.0)
-    FAULTS['mass 10 %'][0](laboratory)
+    laboratory = faulty('mass 10 %', 706, rate_hz=480.0, seconds=12.0)
     cause, = fit(laboratory.recordings(), parameters(laboratory)).fit.causes
     assert cause.certain and cause.name == 'inertia'
 
@@ -212,8 +207,7 @@ def test_a_cup_that_noise_hides_from_the_wrenches_is_named_by_the_fit(seed, brea
 @pytest.mark.parametrize('seed', [62000, 62002])
 def test_worlds_that_are_metres_apart_are_found(seed):
     """Find them from the closed form of a rigid cup, whether the lip is below the tool or not."""
-    laboratory = Laboratory(seed)
-    FAULTS['two worlds far apart'][0](laboratory)
+    laboratory = faulty('two worlds far apart', seed)
     assert np.linalg.norm(laboratory.apart[:3]) > 1.0
     first, *_ = diagnosed(laboratory)
     if len(first.theta):
@@ -229,11 +223,8 @@ def test_worlds_that_are_metres_apart_are_found(seed):
     ('friction', 6, 120.0), ('soft spring', 401, 480.0)])
 def test_a_cup_that_is_otherwise_is_called_what_it_is(fault, seed, rate_hz):
     """Also one that is 4 % softer at the largest deflection, which noise would nearly explain."""
-    laboratory = Laboratory(seed, rate_hz=rate_hz)
-    break_it, cause = FAULTS[fault]
-    break_it(laboratory)
-    first, *_ = diagnosed(laboratory)
-    assert first.name == cause and not first.material
+    first, *_ = diagnosed(faulty(fault, seed, rate_hz=rate_hz))
+    assert first.name == FAULTS[fault][1] and not first.material
     assert first.value.startswith('K ') and abs(first.theta[0]) > 4.0 * first.std[0]
 
 
@@ -248,9 +239,7 @@ def test_both_bodies_are_named_where_either_may_be_turned():
 
 
 def test_a_slip_and_a_tilt_are_sized():
-    slipped, tilted = (Laboratory(101) for _ in range(2))
-    FAULTS['package slipped'][0](slipped)
-    FAULTS['gravity tilted'][0](tilted)
+    slipped, tilted = (faulty(fault, 101) for fault in ('package slipped', 'gravity tilted'))
     slip, tilt = diagnosed(slipped)[0], diagnosed(tilted)[0]
     assert np.hypot(*slip.theta[:2]) == pytest.approx(3e-3, rel=0.1)
     assert slip.theta[2] == pytest.approx(10.0 * 150.0 / 240.0, abs=0.3)
@@ -284,8 +273,7 @@ def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
 
 
 def test_a_pose_that_an_occlusion_took_beside_a_dropout_is_left_out_and_no_step():
-    laboratory = Laboratory(100)
-    FAULTS['occlusion beside a dropout'][0](laboratory)
+    laboratory = faulty('occlusion beside a dropout', 100)
     recording = laboratory.recording()
     assert not any('does not return' in text for text in recording.report.warnings)
     assert not diagnosed(laboratory)
