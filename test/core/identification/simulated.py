@@ -15,12 +15,7 @@ from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream
-from bellows_ros.core.synthetic.motion import (
-    MoveAndHold,
-    Oscillation,
-    Pose,
-    Waypoints,
-)
+from bellows_ros.core.synthetic.motion import MoveAndHold, Oscillation, Pose, Waypoints
 import numpy as np
 from scipy.signal import lfilter
 

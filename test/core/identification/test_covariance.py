@@ -26,32 +26,25 @@ STD = np.repeat([1e-4, 5e-4], 3)
 RATE_HZ, DURATION = 100.0, 10.0
 
 
-def noise_of_kind(kind, count, rng):
-    """Return noise (N, 6) with the standard deviations STD, but for z where it is anisotropic."""
-    white = rng.standard_normal((count, 6))
-    if kind == 'heavy-tailed':
-        white = rng.standard_t(3, (count, 6)) / np.sqrt(3.0)
-    if kind.endswith('ms'):
-        kept = np.exp(-1e3 / RATE_HZ / float(kind.split()[0]))
-        white[1:] *= np.sqrt(1.0 - kept**2)
-        white = lfilter([1.0], [1.0, -kept], white, axis=0)
-    noise = white * STD
-    if kind == 'anisotropic':
-        noise[:, 2] *= 3.0
-    return noise
-
-
-def noise_said(kind):
+def noise_of_kind(kind):
     """Return the noise that both bodies have, as a preparation estimates it."""
     tall = np.array([1.0, 1.0, 3.0 if kind == 'anisotropic' else 1.0, 1.0, 1.0, 1.0])
     kept = float(np.exp(-1e3 / RATE_HZ / float(kind.split()[0]))) if kind.endswith('ms') else 0.0
     return BodyNoise(tall * STD, kept)
 
 
-def recorded(seed, tool_noise, package_noise, duration=12.0, rate_hz=RATE_HZ, cup=TRUTH,
-             motion=Shake):
+def drawn(kind, count, rng):
+    """Return errors (N, 6) of such poses."""
+    white, noise = rng.standard_normal((count, 6)), noise_of_kind(kind)
+    if kind == 'heavy-tailed':
+        white = rng.standard_t(3, (count, 6)) / np.sqrt(3.0)
+    white[1:] *= np.sqrt(1.0 - noise.correlation**2)
+    return noise.std * lfilter([1.0], [1.0, -noise.correlation], white, axis=0)
+
+
+def recorded(seed, tool_noise, package_noise, duration=12.0, rate_hz=RATE_HZ, cup=TRUTH):
     """Return a recording with white noise."""
-    tool, rng = motion(seed).trajectory(duration, rate_hz), np.random.default_rng((seed, 8))
+    tool, rng = Shake(seed).trajectory(duration, rate_hz), np.random.default_rng((seed, 8))
     body = simulate(cup, PLATE, tool, gravity=GRAVITY)
     stds = [np.repeat(np.maximum(own, [2e-7, 2e-6]), 3) for own in (tool_noise, package_noise)]
     poses = [with_errors(own, np.repeat(size, 3) * rng.standard_normal((len(own), 6)))
@@ -67,8 +60,8 @@ def deviations(kind, seeds, duration=DURATION):
     found = []
     for seed in seeds:
         rng = np.random.default_rng((seed, 7))
-        seen = [with_errors(own, noise_of_kind(kind, len(own), rng)) for own in (motion, body)]
-        own = MeasuredSegment(*seen, PLATE, GRAVITY, noise_said(kind), noise_said(kind))
+        seen = [with_errors(own, drawn(kind, len(own), rng)) for own in (motion, body)]
+        own = MeasuredSegment(*seen, PLATE, GRAVITY, *[noise_of_kind(kind)] * 2)
         fit = output_error([own], AXISYMMETRIC, TRUTH)
         std = np.sqrt(np.diag(fit.covariance))
         found.append((AXISYMMETRIC.parameters(fit.stiffness, fit.damping) - true) / std)

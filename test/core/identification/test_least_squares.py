@@ -3,11 +3,15 @@
 from dataclasses import replace
 
 from bellows_ros.core.identification.result import definiteness_warnings
-from bellows_ros.core.identification.samples import lip_relative, needed_wrench, Samples
-from bellows_ros.core.model.cup_package import Cup, Package, regressor
+from bellows_ros.core.identification.samples import (
+    lip_relative,
+    needed_wrench,
+    Samples,
+    samples_of,
+)
+from bellows_ros.core.model.cup_package import Cup, regressor
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
-from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -15,29 +19,16 @@ from numpy.testing import assert_allclose
 import pytest
 
 from . import simulated
+from .recordings import Shake
 from .. import oracle
-from ..cases import random_cup, random_package, ShakenTool
+from ..cases import random_cup, random_package
 
 GRAVITY = 9.81
 
 
-class Wobble:
-    """A tool motion rich in all directions: three shaken ones on top of each other."""
-
-    def __init__(self, rng):
-        self.parts = [ShakenTool(rng, f, 0.01, 0.1) for f in (0.7, 1.3, 2.9)]
-
-    def trajectory(self, duration, rate_hz):
-        """Return poses; positions and rotation vectors of the parts added."""
-        parts = [part.trajectory(duration, rate_hz) for part in self.parts]
-        position = sum(part.position for part in parts)
-        rotation = parts[0].rotation @ parts[1].rotation @ parts[2].rotation
-        return Trajectory(parts[0].stamps_ns, position, rotation)
-
-
 def exact_samples(cup, package, rng, window):
     """Return samples whose accelerations are exact to the model."""
-    tool = savgol(Wobble(rng).trajectory(4.0, 250), 6, 6)  # any smooth twists will do
+    tool = Shake(rng.integers(1000)).trajectory(6.0, 250.0).select(slice(500, None))
     body = simulate(cup, package, tool)
     rates = [
         oracle.acceleration(
@@ -157,20 +148,9 @@ def test_too_few_samples(exact):
 
 @pytest.mark.parametrize('name', ['axisymmetric', 'diagonal', 'full'])
 def test_what_nothing_moves_is_not_identifiable(name):
-    """Move a cup that hangs straight along x and about y only: nothing turns about z."""
-    cup, package = Cup.thesis(), Package(2.0, np.diag([0.01, 0.01, 0.02]), (0.0, 0.0, -0.03))
-    t = np.arange(1500) / 250
-    stamps = np.round(t * 1e9).astype(np.int64)
-    x = 0.02 * np.sin(9.0 * t) * (1.0 - np.exp(-(t**2)))
-    zero = np.zeros_like(t)
-    v = np.gradient(x, t)
-    tool = Trajectory(
-        stamps, np.column_stack([x, zero, zero]), np.tile(np.eye(3), (len(t), 1, 1)),
-        np.column_stack([v, *[zero] * 5]))
-    body = simulate(cup, package, tool, gravity=GRAVITY)
-    moved = savgol(Trajectory(stamps, body.position, body.rotation), 6, 4)
-    inner = tool.select(slice(6, -6))
-    samples = Samples(inner, moved, package, GRAVITY, 13 / 250)
+    """Shake a cup along x only: nothing turns about z."""
+    cup = simulated.CUP
+    samples = samples_of(simulated.record(simulated.shake(axes=(0,), duration=6.0)))
     structure = STRUCTURES[name]
     fit = simulated.least_squares([samples], cup.length, structure)
     unknown = {label for label, variance in zip(

@@ -102,6 +102,14 @@ def test_of_a_simulation_that_diverges_no_cause_is_known(monkeypatch):
     assert causes(search, found) == ()
 
 
+def settled(search, steps=2):
+    """Return the parts after steps: about the measured path, then about the likeliest."""
+    for _ in range(steps):
+        parts, _, _ = search.system(search.start)
+        search.accept(parts)
+    return parts
+
+
 def require_white(parts):
     """Check that differences are white and of unit variance."""
     white = parts[0].innovations.reshape(-1, 6)[20:]
@@ -116,10 +124,7 @@ def require_white(parts):
 def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, package_noise):
     own = measured(3, tool_noise, package_noise, package_hz=250.0)
     search = Search([Segment(own)], AXISYMMETRIC, TRUTH, {})
-    for _ in range(2):  # about the measured path, then about the likeliest
-        parts, _, _ = search.system(search.start)
-        search.accept(parts)
-    require_white(parts)
+    require_white(settled(search))
 
 
 def test_every_derivative_is_that_of_the_differences():
@@ -128,10 +133,7 @@ def test_every_derivative_is_that_of_the_differences():
                    cup=cup)
     search = Search([Segment(own)], AXISYMMETRIC, cup, {
         name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()})
-    for _ in range(3):  # the first state
-        parts, _, _ = search.system(search.start)
-        search.accept(parts)
-    slopes = parts[0].jacobian
+    slopes = settled(search, 3)[0].jacobian  # with the first state
     for number in range(len(search.units)):
         size = np.abs(slopes[:, number]).max()
         step = 0.3 / size * (np.arange(len(search.units)) == number)
@@ -181,10 +183,7 @@ def test_noise_of_the_path_is_no_information():
     for tool, package in ((own.tool, own.package), (still.tool, still.package)):
         search = Search(
             [Segment(replace(own, tool=tool, package=package))], AXISYMMETRIC, TRUTH, {})
-        for _ in range(2):
-            parts, _, _ = search.system(search.start)
-            search.accept(parts)
-        information.append(np.sum(parts[0].jacobian**2, axis=0))
+        information.append(np.sum(settled(search)[0].jacobian**2, axis=0))
     more = np.delete(information[0] / information[1], 5)  # P z is not identifiable
     assert_allclose(more, 1.0, atol=0.06)
 

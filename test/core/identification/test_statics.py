@@ -6,7 +6,7 @@ import functools
 from bellows_ros.core.identification import statics
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.statics import check_spring, nominal_length
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
@@ -32,11 +32,6 @@ def tilted():
     return simulated.record(simulated.standstills(TILTS, hold=3.5), **NOISE)
 
 
-def weight(mass):
-    """Return a package of a mass; at rest its inertia takes no part."""
-    return Package(mass, simulated.HELD.inertia, simulated.HELD.com)
-
-
 def upright(length, mass, tilt=0.0, error=1e-6):
     """Return a standstill of a cup of known length."""
     c, s = np.cos(tilt), np.sin(tilt)
@@ -45,7 +40,8 @@ def upright(length, mass, tilt=0.0, error=1e-6):
     at = np.array([0])
     tool = Trajectory(at, np.zeros((1, 3)), R)
     package = Trajectory(at, (R[0] @ (com - [0.0, 0.0, length]))[None], R)
-    return Standstill(0, 1.0, tool, package, 100, Noise(error, error), weight(mass))
+    return Standstill(0, 1.0, tool, package, 100, Noise(error, error), replace(
+        simulated.HELD, mass=mass))  # at rest its inertia takes no part
 
 
 def test_every_standstill_is_found_without_the_swinging_before_it(tilted):

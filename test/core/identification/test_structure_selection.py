@@ -13,12 +13,9 @@ from . import simulated
 NOISE = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
 
 
-def selection_of(cup, **options):
-    """Return the structure selection of a recording of a cup with noise."""
-    recording = simulated.record(
-        simulated.shake(duration=12.0), cup, rate_hz=200.0, **{**NOISE, **options})
-    samples = samples_of(recording)
-    return samples, select_structure([samples], cup.length, [recording.noise])
+def selection_of(recording):
+    """Return the structure selection of a recording."""
+    return select_structure([samples_of(recording)], simulated.CUP.length, [recording.noise])
 
 
 def coupled():
@@ -46,15 +43,14 @@ def off_middle():
     (simulated.CUP, 'axisymmetric'), (off_middle(), 'axisymmetric_coupled'), (oval(), 'diagonal'),
     (coupled(), 'full')])
 def test_the_structure_of_the_truth_is_advised(cup, name):
-    _, selection = selection_of(cup)
+    selection = selection_of(simulated.record(
+        simulated.shake(duration=12.0), cup, rate_hz=200.0, **NOISE))
     assert selection.advised == name
     assert selection.advice[0].startswith(f'Use fit.structure: {name}. ')
     assert [candidate.parameters for candidate in selection.candidates] == [8, 10, 12, 42]
     right = next(candidate for candidate in selection.candidates if candidate.structure == name)
     assert right.held_out < 0.03
-    for candidate in selection.candidates[
-        : [r.structure for r in selection.candidates].index(name)
-    ]:
+    for candidate in selection.candidates[:selection.candidates.index(right)]:
         assert candidate.held_out > 2.0 * right.held_out  # too simple is far worse
 
 
@@ -71,9 +67,8 @@ def test_gaps_are_left_out():
 
 def test_a_poor_motion_leaves_the_structures_that_can_be_fitted():
     """Refuse what cannot be fitted, with the reason, and advise what can."""
-    recording = simulated.record(simulated.shake(axes=(0, 2), duration=8.0), **NOISE)
-    samples = samples_of(recording)
-    selection = select_structure([samples], simulated.CUP.length, [recording.noise])
+    selection = selection_of(
+        simulated.record(simulated.shake(axes=(0, 2), duration=8.0), **NOISE))
     usable = [candidate.structure for candidate in selection.candidates if candidate.usable]
     assert usable == ['axisymmetric', 'axisymmetric_coupled']
     assert selection.advised in usable

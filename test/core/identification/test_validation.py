@@ -14,6 +14,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from . import simulated
+
 RATE = 240.0
 PACKAGE = Package(2.0, np.diag([0.008, 0.009, 0.016]), np.array([0.0, 0.0, -0.03]))
 CUP = Cup(np.diag([6000.0, 6000, 11000, 4.0, 4.0, 1.2]),
@@ -23,24 +25,8 @@ G = 9.81
 
 
 def tool_motion(duration=8.0, at_rest=1.0):
-    """Return a tool that moves in several directions after standing still, by its formula."""
-    t = np.arange(int(duration * RATE)) / RATE
-    s = np.maximum(t - at_rest, 0.0)
-    grown = 1 - np.exp(-(2 * s)**3)
-    slope = 24 * s**2 * np.exp(-(2 * s)**3)
-    position, velocity = np.zeros((2, len(t), 3))
-    for axis, (amplitude, hz) in enumerate([(0.02, 2.1), (0.015, 2.7), (0.02, 3.9)]):
-        omega = 2 * np.pi * hz
-        position[:, axis] = amplitude * grown * np.sin(omega * t)
-        velocity[:, axis] = amplitude * (
-            slope * np.sin(omega * t) + grown * omega * np.cos(omega * t))
-    angle = 0.15 * grown * np.sin(2 * np.pi * 1.3 * t)
-    rate = 0.15 * (slope * np.sin(2 * np.pi * 1.3 * t)
-                   + grown * 2 * np.pi * 1.3 * np.cos(2 * np.pi * 1.3 * t))
-    axis = np.array([0.6, 0.0, 0.8])
-    R = exp_so3(angle[:, None] * axis)
-    twist = np.hstack([np.einsum('nji,nj->ni', R, velocity), rate[:, None] * axis])
-    return Trajectory((t * 1e9).round().astype(np.int64), position, R, twist)
+    """Return a tool that moves in all directions after standing still, by its formula."""
+    return replace(simulated.shake(duration=duration), rest_duration=at_rest).at_rate(RATE, 0)
 
 
 def stream(name, motion, noise, rng, kept=None):

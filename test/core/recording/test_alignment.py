@@ -1,5 +1,7 @@
 """Recorded marker frames brought to E, S and B, against poses that are known."""
 
+from functools import partial
+
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.recording.alignment import aligned_at_rest, standstill
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -8,28 +10,17 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from . import tracking
 from .tracking import Noise, Shake, shaken, START
 from ..motions import noisy
 
 COM = np.array([0.004, -0.002, -0.03])
-HANGS = np.array([0.0, 0.0, -0.05])
 TOOL_MARKERS = exp_so3([0.3, -0.2, 2.5])
 PACKAGE_MARKERS = exp_so3([-1.0, 0.4, -0.6])
 ASIDE = np.array([0.8e-3, -0.6e-3, 0.0])
 
 
-def held(rng, count=3000):
-    """Give poses of E and S: at rest one below the other with axes of the world, then moving."""
-    tool = shaken(rng, Shake(360.0, count / 360.0))
-    bending = shaken(rng, Shake(360.0, count / 360.0, 1.0))
-    at_rest = tool.rotation[0].T
-    R_tool = tool.rotation @ at_rest
-    R_lip = R_tool @ (bending.rotation[0].T @ bending.rotation)
-    lip = tool.position + apply(R_tool, HANGS + 0.1 * bending.position)
-    return (
-        Trajectory(tool.stamps_ns, tool.position + [1.0, 2.0, 1.5], R_tool),
-        Trajectory(tool.stamps_ns, lip + [1.0, 2.0, 1.5], R_lip),
-    )
+held = partial(tracking.held, seconds=8.0, com=np.zeros(3), origin=(1.0, 2.0, 1.5))
 
 
 def moved(poses, offset, turn):
@@ -50,7 +41,7 @@ def assert_same_poses(actual, expected, atol):
 
 @pytest.mark.parametrize('frame', ['lip', 'com'])
 def test_markers_turned_and_a_lip_aside_are_found_and_undone(frame):
-    tool, lip = held(np.random.default_rng(40))
+    tool, lip = held(40)
     tool_markers = moved(tool, np.zeros(3), TOOL_MARKERS)
     # The plate's origin is beside the lip's centre by a constant of the plate.
     origin = ASIDE if frame == 'lip' else ASIDE + COM
@@ -65,7 +56,7 @@ def test_markers_turned_and_a_lip_aside_are_found_and_undone(frame):
 
 def test_alignment_is_that_of_the_thesis_at_rest_and_close_to_it_in_motion():
     """(4.7)-(4.13) subtract the offset in axes of E, not S: the same at rest."""
-    tool, lip = held(np.random.default_rng(41))
+    tool, lip = held(41)
     tool_markers = moved(tool, np.zeros(3), TOOL_MARKERS)
     package_markers = moved(lip, ASIDE, PACKAGE_MARKERS)
     found = aligned_at_rest(rest_of(tool_markers), rest_of(package_markers), 'lip', np.zeros(3))
@@ -112,7 +103,7 @@ def test_a_body_that_sets_off_too_early_is_refused_with_how_long_it_stands_still
 @pytest.mark.parametrize('where', [[0.0, 0.0, 0.05], [0.0, -0.05, 0.0]])
 def test_a_lip_that_does_not_hang_below_the_tool_is_refused(where):
     """Exchanged topics put it above, a wrong world aside."""
-    tool, lip = held(np.random.default_rng(50))
+    tool, lip = held(50)
     there = Trajectory(lip.stamps_ns, tool.position + where, lip.rotation)
     with pytest.raises(BellowsError):
         aligned_at_rest(rest_of(tool), rest_of(there), 'lip', np.zeros(3))

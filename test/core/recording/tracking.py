@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 
@@ -46,6 +46,19 @@ def shaken(rng, shake, rest=2.0, at_once=False):
     rotation = exp_so3(rng.normal(size=3)) @ exp_so3(coordinates[:, 3:])
     stamps = START + np.floor(time * 1e9).astype(np.int64)
     return Trajectory(stamps, coordinates[:, :3], rotation)
+
+
+def held(seed, rate_hz=360.0, seconds=20.0, com=(0.0, 0.0, -0.03), origin=(0.0, 0.0, 0.0)):
+    """Give poses of E and of B, which hangs below it and sways: at rest with axes of the world."""
+    rng = np.random.default_rng(seed)
+    tool = shaken(rng, Shake(rate_hz, seconds, 1.0, 2.0))
+    sway = shaken(rng, Shake(rate_hz, seconds, 0.3, 2.0))
+    R_tool = tool.rotation @ tool.rotation[0].T
+    R_package = R_tool @ (sway.rotation[0].T @ sway.rotation)
+    package = tool.position + apply(R_tool, sway.position + [0.0, 0.0, -0.05])
+    return (Trajectory(tool.stamps_ns, tool.position + origin, R_tool),
+            Trajectory(tool.stamps_ns, package + apply(R_package, np.array(com)) + origin,
+                       R_package))
 
 
 def displaced(poses, samples, offset, turn, on_body):
