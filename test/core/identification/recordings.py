@@ -7,7 +7,6 @@ import numpy as np
 
 GRAVITY = 9.81
 PLATE = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
-HEAVY = Package(2.9, np.diag([0.011, 0.012, 0.02]), (0.0, 0.0, -0.035))
 
 
 class Shake:

@@ -4,7 +4,7 @@ from bellows_ros.core.identification import comparison
 from bellows_ros.core.identification.comparison import compare_fits, Fitted, modes, same_cup
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model.cup_package import Cup, Package
-from bellows_ros.core.model.structure import structure_named, STRUCTURES
+from bellows_ros.core.model.structure import STRUCTURES
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -16,9 +16,7 @@ PACKAGE = Package(2.0, np.diag([0.008, 0.009, 0.016]), np.array([0.0, 0.0, -0.03
 
 K, P = np.array([6000.0, 6000, 11000, 4.0, 4.0, 1.2]), np.array([60.0, 60, 25, 0.06, 0.06, 0.1])
 
-DIAGONAL, FULL = structure_named('diagonal'), structure_named('full')
-
-AXISYMMETRIC = structure_named('axisymmetric')
+DIAGONAL, ROUND = STRUCTURES['diagonal'], STRUCTURES['axisymmetric']
 
 G = 9.81
 
@@ -101,7 +99,7 @@ def test_modes_that_coincide_are_matched_by_shape():
 
 def test_structures_may_differ():
     """Compare in the richer structure; tied entries have equal errors there."""
-    round_cup = fitted(structure=AXISYMMETRIC)
+    round_cup = fitted(structure=ROUND)
     found = compare_fits(round_cup, fitted(changed(K, 1, 1.1)), PACKAGE, G)
     assert [c.name for c in found.parameters] == list(DIAGONAL.labels)
     by_name = {c.name: c for c in found.parameters}
@@ -166,8 +164,6 @@ def test_a_cup_that_only_bends_is_a_pendulum_with_a_spring():
         mode.frequency for mode in modes(stiff, PACKAGE, G) if mode.direction == 'bending')
     assert_allclose(found, sorted(expected), rtol=1e-4)
 
-
-ROUND = STRUCTURES['axisymmetric']
 
 X = np.array([6417.0, 11530.0, 3.868, 1.123, 66.06, 22.35, 0.05458, 0.09736])
 

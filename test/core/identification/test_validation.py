@@ -29,20 +29,19 @@ def tool_motion(duration=8.0, at_rest=1.0):
     return replace(simulated.shake(duration=duration), rest_duration=at_rest).at_rate(RATE, 0)
 
 
-def stream(name, motion, noise, rng, kept=None):
+def stream(name, motion, noise, rng, kept):
     """Return a motion as it is recorded: noisy, with samples missing."""
     position = motion.position + noise * POSITION * rng.normal(size=(len(motion), 3))
     R = motion.rotation @ exp_so3(noise * ROTATION * rng.normal(size=(len(motion), 3)))
-    kept = slice(None) if kept is None else kept
     return PoseStream(name, 'world', motion.stamps_ns[kept], position[kept], R[kept], {})
 
 
-def recording(noise=1.0, seed=0, tool=None, first=0, kept=None, seen=None):
+def recording(noise=1.0, tool=None, first=0, kept=slice(None), seen=slice(None)):
     """Return a prepared recording of the cup."""
     tool = tool_motion() if tool is None else tool
     body = simulate(CUP, PACKAGE, tool, gravity=G)
     tool, body = tool.select(slice(first, None)), body.select(slice(first, None))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     return prepare(
         stream('tool', tool, noise, rng, kept), stream('package', body, noise, rng, seen),
         PrepareSettings(payload=PACKAGE, gravity=G))

@@ -30,7 +30,6 @@ def weighing(com):
 
 PLAIN = PrepareSettings(payload=weighing(COM), **WINDOWS)
 AT_REST = replace(PLAIN, align_at_rest=True)
-LAB = replace(AT_REST, world='motive_y_up', package_frame='lip', rest_duration=1.5)
 R_MOTIVE_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
@@ -98,7 +97,7 @@ def test_marker_frames_and_motive_axes_are_undone():
         rotation = R_MOTIVE_WORLD @ poses.rotation @ exp_so3(turn)
         position = apply(R_MOTIVE_WORLD, poses.position)
         turned.append(Trajectory(poses.stamps_ns, position, rotation))
-    settings = replace(LAB, package_frame='com')
+    settings = replace(AT_REST, world='motive_y_up', package_frame='com', rest_duration=1.5)
     found = prepare(stream(turned[0]), stream(turned[1], '/package'), settings)
     for poses, expected in ((found.measured_tool, tool), (found.measured_package, package)):
         position, turn = difference(poses, at(expected, poses.stamps_ns), found.valid)

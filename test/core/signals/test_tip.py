@@ -20,8 +20,7 @@ import pytest
 
 from ..cases import ShakenTool
 
-OFFSET = '0.02 -0.01 0.15 1 0 0 0'
-TIP = tip_of({'tool_pose.offset': OFFSET})
+TIP = tip_of({'tool_pose.offset': '0.02 -0.01 0.15 1 0 0 0'})
 
 
 @pytest.fixture(scope='module')

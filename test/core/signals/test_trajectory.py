@@ -1,11 +1,6 @@
 """Streams and trajectories: their checks, and what is derived from them."""
 
-from bellows_ros.core.signals.trajectory import (
-    any_within,
-    PoseStream,
-    Trajectory,
-    uniform_rate_hz,
-)
+from bellows_ros.core.signals.trajectory import any_within, PoseStream, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
