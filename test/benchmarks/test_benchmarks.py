@@ -2,7 +2,6 @@
 
 import ast
 from functools import partial
-from importlib import import_module
 import json
 from pathlib import Path
 
@@ -63,11 +62,8 @@ def test_scripts_of_other_processes_import_what_is_there(code):
     if 'rclpy' in code:
         pytest.importorskip('rclpy')
     for node in ast.walk(ast.parse(code)):
-        if isinstance(node, ast.ImportFrom):
-            module = import_module(node.module)
-            assert all(hasattr(module, alias.name) for alias in node.names), node.module
-        elif isinstance(node, ast.Import):
-            assert all(import_module(alias.name) for alias in node.names)
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            exec(ast.unparse(node), {})
 
 
 def test_page_holds_the_figures_beside_it(root):
@@ -120,20 +116,19 @@ def test_test_that_knows_a_slip_is_the_sooner_one():
     assert 0.1 < directed < least < np.mean(named)
 
 
-def test_all_that_the_recording_determines_is_told_with_its_error():
-    found = trial(CELLS['robot, 30 Hz camera, 1 mm, apart'], 2, 30.0, 'axisymmetric')
+@pytest.mark.parametrize(('sensors', 'seed', 'seconds', 'structure'), [
+    ('robot, 30 Hz camera, 1 mm, apart', 2, 30.0, 'axisymmetric'),
+    ('motion capture, 0.3 mm', 0, 8.0, 'full'),
+    ('robot, 30 Hz camera, 1 mm', 16, 8.0, 'full')])  # there steps swing
+def test_all_that_the_recording_determines_is_told_with_its_error(
+        sensors, seed, seconds, structure):
+    """From a start twice too large."""
+    found = trial(CELLS[sensors], seed, seconds, structure)
     judged = found.bound < JUDGED
-    assert judged[1]  # K z, by which the world's height is confounded
+    assert judged[1]  # K z, by which the world's height is confounded where it is unknown
     assert found.converged and np.isfinite(found.std[judged]).all()
     assert np.all(np.abs(found.error[judged]) < 3.5 * found.std[judged])
-    assert np.all(found.std[judged] < 2.0 * found.bound[judged])
-
-
-@pytest.mark.parametrize(('sensors', 'seed'), [
-    ('motion capture, 0.3 mm', 0), ('robot, 30 Hz camera, 1 mm', 16)])  # there steps swing
-def test_all_entries_of_a_full_cup_are_found_from_a_start_twice_too_large(sensors, seed):
-    found = trial(CELLS[sensors], seed, 8.0, 'full')
-    judged = found.bound < JUDGED
-    assert found.converged and np.count_nonzero(judged) > 21
-    assert np.isfinite(found.std[judged]).all()
-    assert np.all(np.abs(found.error[judged]) < 3.5 * found.std[judged])
+    if structure == 'full':
+        assert np.count_nonzero(judged) > 21
+    else:
+        assert np.all(found.std[judged] < 2.0 * found.bound[judged])

@@ -25,10 +25,6 @@ class Installed:
             command, env=self.environment, cwd=self.prefix, capture_output=True, text=True,
             timeout=60)
 
-    def executable(self, name):
-        """Return the path at which `ros2 run bellows_ros NAME` looks for an executable."""
-        return str(self.prefix / 'lib' / 'bellows_ros' / name)
-
 
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory, copy_sources, user_environment):

@@ -10,35 +10,28 @@ import pytest
 
 from ..nodes.conftest import MS, Peer, pose_at, START
 
-PACKAGE = """
-/**:
-  ros__parameters:
-    package:
-      mass: 2.17
-      inertia: [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]
-      com: [0.0, 0.0, -0.03]
-"""
 pytestmark = [pytest.mark.timeout(300), pytest.mark.xdist_group('installed')]
 
 
 class User(Peer):
     """Starts the installed predictor and talks to it over DDS."""
 
-    def __init__(self, ros, installed, folder):
+    def __init__(self, ros, installed, file):
         """Join the graph."""
         super().__init__(ros, 'user')
-        self._installed = installed
-        self._file = folder / 'package.yaml'
-        self._file.write_text(PACKAGE)
+        self._installed, self._file = installed, file
         self.process: subprocess.Popen[str] | None = None
 
     def start(self, *arguments):
         """Run the executable with the parameter file and more ROS arguments."""
+        self._popen(
+            self._installed.environment, self._installed.prefix / 'lib/bellows_ros/predictor',
+            '--ros-args', '--params-file', self._file, *arguments)
+
+    def _popen(self, environment, *command):
+        """Start a process."""
         self.process = subprocess.Popen(
-            [self._installed.executable('predictor'), '--ros-args', '--params-file',
-             str(self._file), *arguments],
-            env=self._installed.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True)
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def launch(self, *arguments):
         """Start it as `ros2 launch` does, where that is installed."""
@@ -48,10 +41,8 @@ class User(Peer):
         for name in ('AMENT_PREFIX_PATH', 'PYTHONPATH'):  # ours before those of ROS
             environment[name] = os.pathsep.join(
                 [environment[name], *filter(None, [os.environ.get(name)])])
-        self.process = subprocess.Popen(
-            ['ros2', 'launch', 'bellows_ros', 'predictor.launch.py',
-             f'params_file:={self._file}', *arguments],
-            env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self._popen(environment, 'ros2', 'launch', 'bellows_ros', 'predictor.launch.py',
+                    f'params_file:={self._file}', *arguments)
 
     def stop(self):
         """End it as Ctrl-C does, and return its log, which must be in order."""
@@ -77,9 +68,9 @@ class User(Peer):
 
 
 @pytest.fixture
-def user(ros, installed, tmp_path):
+def user(ros, installed, root):
     """Give a user, and end the process that is left."""
-    user = User(ros, installed, tmp_path)
+    user = User(ros, installed, root / 'bags' / 'package.yaml')
     yield user
     if user.process is not None:
         user.process.kill()

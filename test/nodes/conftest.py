@@ -4,6 +4,7 @@ import importlib.util
 from pathlib import Path
 import subprocess
 import sys
+import time
 from typing import Any
 
 import pytest
@@ -30,9 +31,38 @@ ORIGIN = (0.0, 0.0, 0.0)
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
 QUEUE = 10_000  # messages; nothing is lost while a node is busy sending
-INPUTS = {'pose': 'tool_arm/pose', 'twist': 'tool_arm/twist'}
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'  # levels of diagnostics
-OUTPUTS = {'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wrench'}
+OUTPUTS = ('package/pose', 'package/twist', 'cup/wrench')
+
+
+def overrides_of(values):
+    """Return values as the overrides that a node takes."""
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+
+def set_on(node, name, value):
+    """Set a parameter, which must succeed."""
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    assert result.successful, result.reason
+
+
+def break_once(thing, name):
+    """Let a method raise when it is called the next time, and work again then."""
+    sound = getattr(thing, name)
+
+    def fail(*arguments):
+        setattr(thing, name, sound)
+        raise ZeroDivisionError('\x1b[31mbroken' + 'x' * 1000)
+
+    setattr(thing, name, fail)
+
+
+def break_always(thing, name):
+    """Let a method raise whenever it is called."""
+    def fail(*arguments):
+        raise ZeroDivisionError('broken')
+
+    setattr(thing, name, fail)
 
 
 def stamp_ns(message):
@@ -49,8 +79,15 @@ def stamped(message, stamp_ns, frame_id='world'):
 
 def pose_at(stamp_ns, position=ORIGIN, xyzw=UPRIGHT, frame_id='world'):
     """Return a pose."""
-    message = stamped(PoseStamped(), stamp_ns, frame_id)
-    point, q = message.pose.position, message.pose.orientation
+    return placed(stamped(PoseStamped(), stamp_ns, frame_id), position, xyzw)
+
+
+def placed(message, position, xyzw):
+    """Give a message of a pose or a transform its numbers."""
+    part = message.transform if hasattr(message, 'transform') else message.pose
+    part = getattr(part, 'pose', part)
+    point = part.translation if hasattr(part, 'translation') else part.position
+    q = part.rotation if hasattr(part, 'rotation') else part.orientation
     point.x, point.y, point.z = map(float, position)
     q.x, q.y, q.z, q.w = map(float, xyzw)
     return message
@@ -117,16 +154,15 @@ class Partner(Peer):
 
     """
 
-    def __init__(self, ros, predictor, inputs=INPUTS, outputs=OUTPUTS, with_twists=True):
+    def __init__(self, ros, predictor, with_twists=True):
         """Make the topics, and wait until each has found its other end."""
         super().__init__(ros, 'partner')
         self.predictor = predictor
-        self.poses, self.twists, self.wrenches = (
-            self.hears(kind, outputs[name]) for kind, name in (
-                (PoseStamped, 'pose'), (TwistStamped, 'twist'), (WrenchStamped, 'wrench')))
-        self.pose_writer = self.writes(PoseStamped, inputs['pose'])
+        self.poses, self.twists, self.wrenches = map(
+            self.hears, (PoseStamped, TwistStamped, WrenchStamped), OUTPUTS)
+        self.pose_writer = self.writes(PoseStamped, 'tool_arm/pose')
         if with_twists:
-            self.twist_writer = self.writes(TwistStamped, inputs['twist'])
+            self.twist_writer = self.writes(TwistStamped, 'tool_arm/twist')
         self.connect(predictor)
 
     def send_pose(self, stamp_ns, *where, **options):
@@ -146,10 +182,20 @@ class Partner(Peer):
         self.send_pose(stamp_ns, position)
         self.send_twist(stamp_ns, linear)
 
+    def predict(self, stamp_ns, *where):
+        """Send a pose and wait for one more prediction."""
+        count = len(self.poses)
+        self.send_pose(stamp_ns, *where)
+        self.wait_for_poses(count + 1)
+
     def wait_for_poses(self, count):
         """Spin until so many predictions have come."""
         assert self.ros.spin_until(lambda: len(self.poses) >= count), (
             f'{len(self.poses)} of {count} predictions')
+
+    def is_lost(self):
+        """Tell whether the pause since the last pose is longer than is bridged."""
+        return bool(self.predictor.pipeline.live.phase(time.monotonic_ns()) == 'lost')
 
     def wait_for_inputs(self, poses):
         """Spin until the predictor has taken so many poses, refused ones too."""
@@ -212,8 +258,7 @@ def make_predictor(ros):
     from bellows_ros.nodes.predictor_node import PredictorNode
 
     def make(given=None, **options):
-        values = PACKAGE if given is None else given
-        overrides = [Parameter(name, value=value) for name, value in values.items()]
+        overrides = overrides_of(PACKAGE if given is None else given)
         node = PredictorNode(context=ros.context, parameter_overrides=overrides, **options)
         ros.executor.add_node(node)
         return node
@@ -224,21 +269,38 @@ def make_predictor(ros):
 @pytest.fixture
 def make_partner(ros, make_predictor):
     """Give a function that makes a predictor and a partner connected with it."""
-    def make(given=None, inputs=INPUTS, outputs=OUTPUTS, with_twists=True, **options):
-        return Partner(ros, make_predictor(given, **options), inputs, outputs, with_twists)
+    def make(given=None, with_twists=True):
+        return Partner(ros, make_predictor(given), with_twists)
 
     return make
 
 
 @pytest.fixture
-def running(root, user_environment):
-    """Give a predictor in a process of its own."""
+def node(make_predictor):
+    """Give a predictor."""
+    return make_predictor()
+
+
+@pytest.fixture
+def partner(make_partner):
+    """Give a partner that sends no twists, connected with a predictor."""
+    return make_partner(with_twists=False)
+
+
+@pytest.fixture
+def run_predictor(root, user_environment):
+    """Give a function that starts a predictor in a process of its own."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args', *GIVEN],
-        env=user_environment, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
+    processes = []
+
+    def run(**variables):
+        processes.append(subprocess.Popen(
+            [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args', *GIVEN],
+            env={**user_environment, **variables}, cwd=root, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True))
+        return processes[-1]
+
+    yield run
+    for process in processes:
         process.kill()
         process.communicate()

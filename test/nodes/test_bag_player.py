@@ -13,6 +13,7 @@ import pytest
 
 from .conftest import stamp_ns, START
 
+NAMES = {'/tool/pose': '/a', '/tool/twist': '/b'}
 COUNT, PERIOD_NS, LATER_NS = 30, 20_000_000, 3_000_000
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 
@@ -33,16 +34,16 @@ def bag(tmp_path_factory):
 @pytest.fixture
 def heard(peer):
     """Give a function that listens while something is played, and returns what came and when."""
-    def listen(topics, work, count):
-        got: dict[str, list[tuple[float, Any]]] = {name: [] for name in topics}
-        for name, kind in zip(topics, (PoseStamped, TwistStamped), strict=True):
+    def listen(work):
+        got: dict[str, list[tuple[float, Any]]] = {name: [] for name in NAMES.values()}
+        for name, kind in zip(got, (PoseStamped, TwistStamped), strict=True):
             peer.node.create_subscription(
                 kind, name, lambda m, info, to=got[name]: to.append(
                     (1e-9 * info['source_timestamp'], m)), 1000)
         done: list[Any] = []
         player = threading.Thread(target=lambda: done.append(work()), daemon=True)
         player.start()
-        peer.wait(lambda: not player.is_alive() and all(len(x) >= count for x in got.values()))
+        peer.wait(lambda: not player.is_alive() and all(len(x) >= COUNT for x in got.values()))
         return done[0], *got.values()
 
     return listen
@@ -51,12 +52,10 @@ def heard(peer):
 def test_messages_come_as_recorded_and_in_time(bag, heard):
     """Send the very stamps and numbers, at twice the speed, under another name."""
     messages, notes = read_messages(bag)
-    names = {'/tool/pose': '/a', '/tool/twist': '/b'}
     begun = time.time()
-    played, poses, twists = heard(('/a', '/b'), lambda: play(messages, names, 2.0), COUNT)
+    played, poses, twists = heard(lambda: play(messages, NAMES, 2.0))
     assert notes == [] and played.messages == {'/a': COUNT, '/b': COUNT} and played.has_subscriber
-    assert [stamp_ns(m) for _, m in poses] == [
-        START + PERIOD_NS * k for k in range(COUNT)]
+    assert [stamp_ns(m) for _, m in poses] == [START + PERIOD_NS * k for k in range(COUNT)]
     assert [m.pose.position.x for _, m in poses] == list(map(float, range(COUNT)))
     assert [m.twist.linear.x for _, m in twists] == list(map(float, range(COUNT)))
     duration = 1e-9 * PERIOD_NS * (COUNT - 1) / 2.0
@@ -69,10 +68,8 @@ def test_messages_come_as_recorded_and_in_time(bag, heard):
 def test_stamps_of_now_keep_pairs_and_intervals(bag, heard):
     """Move all stamps to the time of playing by one and the same, but for the rate."""
     messages, _ = read_messages(bag)
-    names = {'/tool/pose': '/a', '/tool/twist': '/b'}
     before = time.time_ns()
-    _, poses, twists = heard(
-        ('/a', '/b'), lambda: play(messages, names, 2.0, stamps_now=True), COUNT)
+    _, poses, twists = heard(lambda: play(messages, NAMES, 2.0, stamps_now=True))
     stamps = [stamp_ns(m) for _, m in poses]
     assert stamps == [stamp_ns(m) for _, m in twists]
     assert set(np.diff(stamps)) == {PERIOD_NS // 2}

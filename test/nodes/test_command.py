@@ -75,34 +75,28 @@ def test_help_needs_no_ros_and_missing_ros_is_said_plainly(name, root, user_envi
     (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], "expecting type 'bool'"),
     (['a\x1b[31mb'], "Unknown argument 'a?[31mb'"),
     (['package.yaml'], "Unknown argument 'package.yaml'"),
+    (['--ros-args', '--params-file', 'large.yaml'], 'is too large'),
 ])
-def test_what_the_user_can_put_right_ends_with_2(arguments, words, capfd):
-    """Print what is wrong and no traceback."""
+def test_what_the_user_can_put_right_ends_with_2(arguments, words, tmp_path, monkeypatch, capfd):
+    """Print what is wrong and no traceback, at once also where ROS would read for minutes."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
+    if 'large.yaml' in arguments:  # 10 MB
+        lines = ''.join(f'    some.name{k}: 1.0\n' for k in range(400_000))
+        (tmp_path / 'large.yaml').write_text(f'/**:\n  ros__parameters:\n{lines}')
+    monkeypatch.chdir(tmp_path)
     assert run_node('predictor', arguments) == 2
     said = capfd.readouterr().err
     assert words.lower() in said.lower()
     assert 'Traceback' not in said
 
 
-def test_a_file_that_ros_would_read_for_minutes_is_refused(tmp_path, capfd):
-    """Refuse 10 MB of parameters at once."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    file = tmp_path / 'large.yaml'
-    lines = ''.join(f'    some.name{k}: 1.0\n' for k in range(400_000))
-    file.write_text(f'/**:\n  ros__parameters:\n{lines}')
-    assert run_node('predictor', ['--ros-args', '--params-file', str(file)]) == 2
-    said = capfd.readouterr().err
-    assert 'is too large' in said and 'Traceback' not in said
-
-
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_process_predicts_and_ends_in_order(number, running, ros):
+def test_process_predicts_and_ends_in_order(number, run_predictor, ros):
     """Answer a pose over DDS; on Ctrl-C or SIGTERM say what came and went and end with 0."""
     from geometry_msgs.msg import PoseStamped
     from rclpy.qos import qos_profile_sensor_data
 
-    peer = Peer(ros)
+    running, peer = run_predictor(), Peer(ros)
     answers = peer.hears(PoseStamped, 'package/pose', qos_profile_sensor_data)
     writer = peer.writes(PoseStamped, 'tool_arm/pose', qos_profile_sensor_data)
     peer.connect()
@@ -117,23 +111,16 @@ def test_process_predicts_and_ends_in_order(number, running, ros):
     assert ' predictions out, 0 refused' in log
 
 
-def test_process_ends_at_once_while_it_compiles(root, tmp_path, user_environment):
+def test_process_ends_at_once_while_it_compiles(run_predictor, tmp_path):
     """End before the node is made, with 0 and without a word."""
-    pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     pytest.importorskip('numba', reason='nothing is compiled without numba')
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args', *GIVEN],
-        env={**user_environment, 'NUMBA_CACHE_DIR': str(tmp_path)}, cwd=root,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        until = time.monotonic() + 60.0
-        while not any(tmp_path.rglob('*.nbi')) and time.monotonic() < until:
-            time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
-        out, log = process.communicate(timeout=20)
-        compiled = len(list(tmp_path.rglob('*.nbi')))
-    finally:
-        process.kill()
+    process = run_predictor(NUMBA_CACHE_DIR=str(tmp_path))
+    until = time.monotonic() + 60.0
+    while not any(tmp_path.rglob('*.nbi')) and time.monotonic() < until:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    out, log = process.communicate(timeout=20)
+    compiled = len(list(tmp_path.rglob('*.nbi')))
     assert (process.returncode, out) == (0, '')
     assert 'Listens to' not in log and 'Traceback' not in log
     assert 0 < compiled < 40, 'it went on compiling'

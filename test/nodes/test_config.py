@@ -22,7 +22,7 @@ def test_every_value_has_its_unit(name, root):
 
 @pytest.mark.parametrize('name', NAMES)
 def test_our_reader_takes_it(name, root):
-    """Read every file with the checks of the table."""
+    """Read every file with the checks of the table, and show what holds without the file."""
     values = read_parameters(root / 'config' / f'{name}.yaml')
     if name == 'cup_thesis':
         cup = Cup.thesis()
@@ -40,13 +40,7 @@ def test_our_reader_takes_it(name, root):
                    'fit.free')
         shown = set(values) | {n for n in ours if n.startswith((*of_the_cup, *of_many))}
         assert ours - shown == set(), 'not in the file'
-
-
-@pytest.mark.parametrize('name', NAMES)
-def test_defaults_shown_are_the_defaults(name, root):
-    """Show in the files what holds without them, where there is a default."""
     chosen = {'bags', 'output.parameters', 'output.json'}
-    values = read_parameters(root / 'config' / f'{name}.yaml')
     for parameter in (p for user in ('predictor', 'identifier') for p in parameters_of(user)):
         if parameter.default is not None and parameter.name in set(values) - chosen:
             assert values[parameter.name] == parameter.default, parameter.name

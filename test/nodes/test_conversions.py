@@ -37,9 +37,7 @@ def test_prediction_becomes_three_messages():
     for message, frame in ((pose, 'base'), (twist, 'package'), (wrench, 'cup_lip')):
         assert message.header.frame_id == frame
         assert conversions.stamp_to_ns(message.header.stamp) == PREDICTION.stamp_ns
-    assert conversions.vector(pose.pose.position) == PREDICTION.position
-    assert conversions.quaternion_xyzw(pose.pose.orientation) == PREDICTION.quaternion_xyzw
-    assert conversions.vector(twist.twist.linear) == PREDICTION.linear
-    assert conversions.vector(twist.twist.angular) == PREDICTION.angular
-    assert conversions.vector(wrench.wrench.force) == PREDICTION.force
-    assert conversions.vector(wrench.wrench.torque) == PREDICTION.moment
+    assert PREDICTION[1:7] == (
+        conversions.vector(pose.pose.position), conversions.quaternion_xyzw(pose.pose.orientation),
+        *map(conversions.vector, (twist.twist.linear, twist.twist.angular, wrench.wrench.force,
+                                  wrench.wrench.torque)))

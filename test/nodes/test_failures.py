@@ -9,11 +9,10 @@ from bellows_ros.nodes import diagnostics, predictor_node
 from builtin_interfaces.msg import Time
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from .conftest import ERROR, Listener, MS, PACKAGE, START
+from .conftest import break_always, break_once, ERROR, Listener, MS, PACKAGE, set_on, START
 
 
 @pytest.fixture
@@ -22,21 +21,9 @@ def listener(ros):
     return Listener(ros)
 
 
-def break_once(thing, name):
-    """Let a method raise when it is called the next time, and work again then."""
-    sound = getattr(thing, name)
-
-    def fail(*arguments):
-        setattr(thing, name, sound)
-        raise ZeroDivisionError('\x1b[31mbroken' + 'x' * 1000)
-
-    setattr(thing, name, fail)
-
-
 def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
-        make_partner, listener, capfd):
+        partner, listener, capfd):
     """Lose the message in which it failed, and nothing else."""
-    partner = make_partner(with_twists=False)
     live = partner.predictor.pipeline.live
     for k in range(30):
         if k in (10, 20):
@@ -52,18 +39,15 @@ def test_a_callback_that_fails_is_logged_counted_and_started_from_afresh(
 
 
 @pytest.mark.parametrize('name', ['coast', 'phase', 'flush'])
-def test_a_timer_or_service_that_fails_goes_on(name, make_partner):
+def test_a_timer_or_service_that_fails_goes_on(name, partner):
     """Tick, report and answer again the next time."""
-    partner = make_partner(with_twists=False)
     predictor = partner.predictor
-    partner.send_pose(START)
-    partner.wait_for_poses(1)
+    partner.predict(START)
     break_once(predictor.pipeline.live, name)
     for answered in (name != 'flush', True):
         assert partner.call('predictor/reset', Trigger).success is answered
     partner.wait(lambda: sum(predictor.failures.values()) == 1)
-    partner.send_pose(START + MS)
-    partner.wait_for_poses(2)
+    partner.predict(START + MS)
 
 
 def test_a_negative_time_is_left_out(make_predictor, peer, capfd):
@@ -106,8 +90,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
                 diagnostics.health, f'{name}_status',
                 lambda name, *_, level=level, number=number: diagnostics.health.Status(
                     name, diagnostics.health.Level(level), f'{name} {number} is {level}', {}))
-        partner.send_pose(START + number * MS)
-        partner.wait_for_poses(number + 1)
+        partner.predict(START + number * MS)
         predictor.pipeline.live.restarts['gap'] += 1  # a start is logged at once
         for line in ('prediction', 'tool pose', 'tool twist', 'load'):
             assert listener.sees(line, bytes([level]), f'{line} {number} is')
@@ -127,19 +110,13 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
     """Publish the pose of each sample, in the motion that it has."""
     partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
     predictor = partner.predictor
-    thing = attrgetter(part)(predictor)
-
-    def fail(*arguments):
-        raise ZeroDivisionError('broken')
-
-    setattr(thing, name, fail)
+    break_always(attrgetter(part)(predictor), name)
     alone = LivePredictor(cup_of(predictor.values), package_of(predictor.values), 9.81)
     expected = []
     for k in range(60):
         position = (0.2e-4 * k * k, 0.0, 0.0)
-        partner.send_pose(START + 2 * k * MS, position)
+        partner.predict(START + 2 * k * MS, position)
         expected += alone.on_pose(START + 2 * k * MS, 'world', position, (0.0, 0.0, 0.0, 1.0))
-        partner.wait_for_poses(k + 1)
     partner.wait(lambda: predictor.failures)
     found = [(p.pose.position.x, p.pose.position.z) for p in partner.poses]
     assert found == [(p.position[0], p.position[2]) for p in expected]
@@ -147,16 +124,11 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
 
 
 @pytest.mark.parametrize('broken', ['_twist', '_state'])
-def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, make_partner, capfd):
+def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, partner, capfd):
     """Send the wrench beside the twist, name the topic, and let the node be deactivated."""
-    partner = make_partner(with_twists=False)
     predictor = partner.predictor
-
-    def fail(*arguments):
-        raise ZeroDivisionError('broken')
-
     topic = getattr(predictor.pipeline.outputs, broken)
-    topic._publisher.publish = fail
+    break_always(topic._publisher, 'publish')
     partner.send_pose(START)
     partner.wait(lambda: partner.wrenches)
     assert predictor.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
@@ -164,12 +136,10 @@ def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, make_partner,
     assert f'A callback failed at {topic.name}' in capfd.readouterr().err
 
 
-def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(make_partner):
+def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(partner):
     """Count it, and go on with the motion and with the next work."""
-    partner = make_partner(with_twists=False)
     predictor, done = partner.predictor, []
-    partner.send_pose(START)
-    partner.wait_for_poses(1)
+    partner.predict(START)
     worker = predictor.pipeline.planning.plans.worker
     worker.submit('bad', lambda: [][0])
     worker.submit('good', done.append, True)
@@ -191,28 +161,19 @@ def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, c
     for _ in range(2):
         predictor.diagnostics.report()
     log = capfd.readouterr().err
+    assert 'Listens to /tool_arm/pose and /tool_arm/twist, publishes /package/pose.' in log
     assert log.count('Nobody publishes /tool_arm/pose') == 1
     assert log.count('quaternion not of unit length') == 1
 
 
-ENVELOPE = {
-    'envelope.rates': [0.1] * 6, 'envelope.frequencies': [1.0, 2.0, 1.0, 2.0],
-    'envelope.deflection_low': [-0.01] * 6, 'envelope.deflection_high': [0.01] * 6,
-}
-
-
-@pytest.mark.parametrize(('name', 'live'), [
-    ('envelope.rates', False), ('envelope.deflection_low', True)])
-def test_an_envelope_without_a_mass_is_watched(name, live, make_partner):
+@pytest.mark.parametrize('live', [False, True])
+def test_an_envelope_without_a_mass_is_watched(live, make_partner):
     """Judge what is known, and not the mass, of which nothing is."""
-    given = {name: ENVELOPE[name]}
-    partner = make_partner({**PACKAGE, **({} if live else given)}, with_twists=False)
-    predictor = partner.predictor
-    partner.send_pose(START)
-    partner.wait_for_poses(1)
+    given = {} if live else {'envelope.rates': [0.1] * 6}
+    partner = make_partner({**PACKAGE, **given}, with_twists=False)
+    partner.predict(START)
     if live:
-        (result,) = predictor.set_parameters([Parameter(name, value=given[name])])
-        assert result.successful
-    load = predictor.pipeline.load
+        set_on(partner.predictor, 'envelope.deflection_low', [-0.01] * 6)
+    load = partner.predictor.pipeline.load
     partner.wait(lambda: load.envelope_known and load._distance is not None)
-    assert not predictor.failures
+    assert not partner.predictor.failures

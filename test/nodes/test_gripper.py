@@ -1,9 +1,9 @@
 """A gripper of several cups at a live node, over DDS."""
 
-
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.parameters.checks import gravity_of, resolve
+from bellows_ros.nodes.conversions import quaternion_xyzw, vector
 from geometry_msgs.msg import PoseStamped
 import numpy as np
 from sensor_msgs.msg import FluidPressure
@@ -51,9 +51,8 @@ def test_cup_of_a_gripper_without_vacuum_is_left_out(make_partner, capfd):
             partner.send_pose(now_ns)
         partner.wait(lambda: partner.poses and stamp_ns(partner.poses[-1]) == now_ns)
         pose, expected = partner.poses[-1].pose, rest(opened)
-        o, q = pose.position, pose.orientation
-        np.testing.assert_allclose([o.x, o.y, o.z], expected[0], atol=2e-5)
-        np.testing.assert_allclose([q.x, q.y, q.z, q.w], expected[1], atol=2e-4)
+        np.testing.assert_allclose(vector(pose.position), expected[0], atol=2e-5)
+        np.testing.assert_allclose(quaternion_xyzw(pose.orientation), expected[1], atol=2e-4)
 
     for cup in range(3):
         breathe(cup, 60e3)

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 
@@ -27,11 +26,10 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import MarkerArray
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from bellows_ros.core.geometry import jit
 from bellows_ros.nodes.predictor_node import PredictorNode
 from bellows_ros.nodes.guarding import executor_for
-from test.nodes.conftest import PACKAGE, Partner, pose_at, START, topics_of
+from test.nodes.conftest import overrides_of, PACKAGE, Partner, pose_at, START, topics_of
 
 VALUES = {
     **PACKAGE, 'cup.lip_radius': 0.02, 'vacuum.holding': 60000.0,
@@ -55,8 +53,7 @@ class Ros:
 rclpy.init()
 ros = Ros()
 ros.executor = SingleThreadedExecutor()
-predictor = PredictorNode(
-    parameter_overrides=[Parameter(name, value=value) for name, value in VALUES.items()])
+predictor = PredictorNode(parameter_overrides=overrides_of(VALUES))
 own = executor_for(predictor)
 partner = Partner(ros, predictor)
 heard = [partner.poses, partner.twists, partner.wrenches, *(
@@ -150,27 +147,20 @@ print(json.dumps({
 """
 
 
-@pytest.fixture(scope='module')
-def found(root):
-    """Give what a process has found out about a predictor that it holds."""
-    environment = {**os.environ, 'PYTHONPATH': str(root)}
+def test_messages_are_answered_and_import_compile_and_keep_nothing(root):
+    """
+    Answer pose, plan, request and landing, and bridge a pause, with rosbags absent.
+
+    Load modules and compile kernels before the first message; keep only the last few.
+    """
     done = subprocess.run(
-        [sys.executable, '-P', '-c', SCRIPT], env=environment, capture_output=True, text=True,
-        timeout=300, check=False)
+        [sys.executable, '-P', '-c', SCRIPT], env={**os.environ, 'PYTHONPATH': str(root)},
+        capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
-    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return result
-
-
-def test_all_topics_answer_without_what_recordings_need(found):
-    """Answer pose, plan, request and landing, and bridge a pause, with rosbags absent."""
+    found = json.loads(done.stdout.splitlines()[-1])
     assert min(found['heard']) >= 20 and found['coasted'] > 0
     assert found['heard'][0] == found['sent'] > 1200
     assert min(found['answered']) > 0 and not found['failures']
-
-
-def test_messages_import_compile_and_keep_nothing(found):
-    """Load modules and compile kernels before the first message; keep only the last few."""
     assert found['modules'] == [] and found['newly compiled'] == []
     assert bool(found['kernels']) is found['compiled']
     assert found['grown'] < 10_000

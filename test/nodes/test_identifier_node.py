@@ -4,23 +4,17 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import read_result
-from bellows_ros.nodes.predictor_node import PredictorNode
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from rclpy.parameter import Parameter
+
+from . import conftest
 
 pytest.importorskip('bellows_ros.workflows.identify')
 pytestmark = pytest.mark.timeout(400)
 
-LONGEST = 300.0  # s
-
-PACKAGE = {
-    'package.mass': 2.17,
-    'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0],
-    'package.com': [0.0, 0.0, -0.03],
-    'recording.package_frame': 'com',
-}
+PACKAGE = {**conftest.PACKAGE, 'recording.package_frame': 'com'}
+TOPICS = {'topics__tool_pose': '/tool_arm/pose', 'topics__package_pose': '/package/pose'}
 
 
 def make(ros, package=PACKAGE, **given):
@@ -28,11 +22,16 @@ def make(ros, package=PACKAGE, **given):
     from bellows_ros.nodes.identifier_node import IdentifierNode
 
     named = {name.replace('__', '.'): value for name, value in given.items()}
-    values = {**package, 'fit.method': 'least_squares', **named}
-    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    overrides = conftest.overrides_of({**package, 'fit.method': 'least_squares', **named})
     node = IdentifierNode(context=ros.context, parameter_overrides=overrides)
     ros.executor.add_node(node)
     return node
+
+
+def result_of(ros, node):
+    """Return with what the work of a node ends."""
+    assert ros.spin_until(node.finished.done, 300.0)
+    return node.finished.result()
 
 
 def test_recordings_must_be_named(ros):
@@ -44,25 +43,21 @@ def test_recordings_must_be_named(ros):
 def test_error_of_the_work_ends_the_node(ros, tmp_path):
     """Raise where the node is waited for, and write nothing."""
     node = make(ros, bags=[str(tmp_path / 'nowhere')], output__json=str(tmp_path / 'fit.json'))
-    assert ros.spin_until(node.finished.done, LONGEST)
     with pytest.raises(BellowsError, match='nowhere'):
-        node.finished.result()
+        result_of(ros, node)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path):
+def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path, make_predictor):
     """Go the whole way from a recording to a running predictor, and change nothing else of it."""
     own = {'cup.lip_radius': 0.03, 'cup.friction': 0.7, 'cup.suction_area': 2e-3}
-    predictor = PredictorNode(context=ros.context, parameter_overrides=[
-        Parameter(name, value=value) for name, value in {**PACKAGE, **own}.items()])
-    ros.executor.add_node(predictor)
+    predictor = make_predictor({**PACKAGE, **own})
     written = tmp_path / 'cup.yaml'
     node = make(
         ros, bags=[str(rig / 'clean')], output__parameters=str(written), predictor='/predictor',
         output__json=str(tmp_path / 'fit.json'), exit_when_done=True)
     assert not node.has_parameter('cup.stiffness'), 'shown before it is known'
-    assert ros.spin_until(node.finished.done, LONGEST)
-    assert node.finished.result() is None
+    assert result_of(ros, node) is None
 
     values = read_parameters(written)
     with np.load(rig / 'clean_truth.npz') as truth:
@@ -86,13 +81,11 @@ def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
     package = [str(root / 'bags/package.yaml')]
     node = make(
         ros, PACKAGE | read_parameters(package[0]), bags=[str(root / 'bags/identification')],
-        topics__tool_pose='/tool_arm/pose', topics__package_pose='/package/pose',
         package__files=package, static__bags=[str(root / 'bags/static')], static__files=package,
-        fit__compare_structures=True, validation__bags=[str(root / 'bags/validation')],
+        fit__compare_structures=True, validation__bags=[str(root / 'bags/validation')], **TOPICS,
         output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
         exit_when_done=True)
-    assert ros.spin_until(node.finished.done, LONGEST)
-    assert node.finished.result() is None
+    assert result_of(ros, node) is None
     content = read_result(tmp_path / 'fit.json')
     assert content['with_standstills']['standstills'] == 7
     assert content['structures']['advised'] == 'axisymmetric'
@@ -106,22 +99,17 @@ def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root
     monkeypatch.setattr('bellows_ros.nodes.identifier_node.PREDICTOR_TIMEOUT', 0.2)
     node = make(
         ros, {}, predictor='/elsewhere', bags=[str(root / 'bags/validation')], cup__length=0.046,
-        package__files=[str(root / 'bags/package.yaml')], topics__tool_pose='/tool_arm/pose',
-        topics__package_pose='/package/pose')
+        package__files=[str(root / 'bags/package.yaml')], **TOPICS)
     assert not node.has_parameter('package.mass')
-    assert ros.spin_until(node.finished.done, LONGEST)
     with pytest.raises(BellowsError, match="'/elsewhere'"):
-        node.finished.result()
+        result_of(ros, node)
     assert node.has_parameter('cup.stiffness')
 
 
 def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path):
     """Take the thesis' length for a cup that is 2 mm shorter: say that it was not set."""
-    node = make(
-        ros, bags=[str(root / 'bags/validation')], topics__tool_pose='/tool_arm/pose',
-        topics__package_pose='/package/pose',
-        output__parameters=str(tmp_path / 'cup.yaml'))
-    assert ros.spin_until(node.finished.done, LONGEST)
+    node = make(ros, bags=[str(root / 'bags/validation')], **TOPICS,
+                output__parameters=str(tmp_path / 'cup.yaml'))
     with pytest.raises(BellowsError, match='wrong by about 2.1 mm.* cup.length is not set'):
-        node.finished.result()
+        result_of(ros, node)
     assert not (tmp_path / 'cup.yaml').exists() and not node.has_parameter('cup.stiffness')

@@ -3,8 +3,7 @@
 from bellows_ros.core.geometry.lie import log_se3, rotation_to_quaternion, transform
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.planning.arm import read_arm
-from bellows_ros.core.planning.plan import PlanSimulation
-from bellows_ros.core.planning.points import plan_of, plan_of_joints
+from bellows_ros.core.planning.points import plan_of_joints
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.files.plan_messages import decode_multi_dof
 from builtin_interfaces.msg import Duration
@@ -15,7 +14,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
 from .conftest import ORIGIN
-from .test_planning import MODEL, VALUES
+from .test_planning import in_frame, MODEL, swing_left, VALUES
 from ..core.planning.arms import UR5E, UR5E_START
 
 ARM = read_arm(UR5E, 'tool')
@@ -44,6 +43,11 @@ class JointPlanner:
         self.wait(lambda: planning.reader._urdf and planning._plan_out.subscribed)
 
 
+def seconds_of(point):
+    """Return the time of a point."""
+    return point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+
+
 def message(position=POSITION, names=ARM.moving):
     """Return joint positions as a message."""
     return JointTrajectory(joint_names=names, points=[
@@ -67,10 +71,9 @@ def test_a_plan_of_joints_is_answered_and_steered_in_them(planner):
 
     (answer,) = planner.steered
     assert tuple(answer.joint_names) == ARM.moving
-    seconds = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in answer.points]
     plan, _ = plan_of_joints(ARM, ARM.moving, np.round(1e9 * T).astype(np.int64), POSITION)
     wanted = steer(MODEL, plan, 'inverse').tool
-    rows = np.searchsorted(wanted.seconds, np.array(seconds) - 1e-6)
+    rows = np.searchsorted(wanted.seconds, np.array(list(map(seconds_of, answer.points))) - 1e-6)
     found, _ = ARM.tool(np.array([p.positions for p in answer.points]))
     off = log_se3(np.linalg.inv(
         transform(wanted.rotation[rows], wanted.position[rows])) @ found)
@@ -94,19 +97,14 @@ def test_joints_lead_to_a_flange_with_the_tip_beside_it(make_partner):
     planner.steer_out.publish(message())
     planner.wait(lambda: planner.steered)
     points = planner.steered[0].points
-    seconds = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
+    times = np.array([round(1e9 * seconds_of(point)) for point in points])
     flange, _ = ARM.tool(np.array([p.positions for p in points]))
     ends = ARM.tool(POSITION[[0, -1]])[0]
     np.testing.assert_allclose(flange[[0, -1]], ends, atol=1e-4)
-
-    def swing_left(T_world_E):
-        poses = plan_of(np.round(1e9 * np.array(seconds)).astype(np.int64), T_world_E[:, :3, 3],
-                        rotation_to_quaternion(T_world_E[:, :3, :3]))
-        found = PlanSimulation(MODEL, None, poses).predict()
-        return float(np.degrees(found.figures()['swing_left']))
-
-    assert swing_left(flange @ tip) < 0.05
-    assert swing_left(flange) > 3.0 * swing_left(flange @ tip)
+    poses = np.hstack([flange[:, :3, 3], rotation_to_quaternion(flange[:, :3, :3])])
+    of_tip = swing_left(times, in_frame(poses, tip))
+    assert of_tip < 0.05
+    assert swing_left(times, poses) > 3.0 * of_tip
 
 
 @pytest.mark.parametrize(('change', 'named'), [

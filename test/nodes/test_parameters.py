@@ -2,7 +2,6 @@
 
 from threading import Event
 import time
-from typing import Any
 
 from bellows_ros.core.live import flight
 from bellows_ros.core.model.cup_package import Cup
@@ -17,10 +16,9 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 
-from .conftest import PACKAGE, Peer, START
+from .conftest import break_once, overrides_of, PACKAGE, Peer, set_on, START
 from .test_planning import encode_multi_dof, message, VALUES
 
-ATOMICALLY = '/predictor/set_parameters_atomically'
 THESIS = Cup.thesis()
 K = (1.1 * THESIS.stiffness).ravel().tolist()
 P = (1.1 * THESIS.damping).ravel().tolist()
@@ -32,12 +30,20 @@ class Caller(Peer):
 
     def set_parameters(self, **values):
         """Set parameters as `ros2 param set` and `load` do; `__` stands for a dot."""
-        parameters = [
-            Parameter(name.replace('__', '.'), value=value).to_parameter_msg()
-            for name, value in values.items()]
-        answer = self.call('/predictor/set_parameters', SetParameters, SetParameters.Request(
-            parameters=parameters))
-        return [(result.successful, result.reason) for result in answer.results]
+        named = {name.replace('__', '.'): value for name, value in values.items()}
+        return [(result.successful, result.reason) for result in self.set_one_by_one(
+            [parameter.to_parameter_msg() for parameter in overrides_of(named)])]
+
+    def set_one_by_one(self, parameters):
+        """Return the result of each."""
+        return self.call('/predictor/set_parameters', SetParameters, SetParameters.Request(
+            parameters=parameters)).results
+
+    def set_at_once(self, parameters):
+        """Return the one result of all."""
+        return self.call(
+            '/predictor/set_parameters_atomically', SetParametersAtomically,
+            SetParametersAtomically.Request(parameters=parameters)).result
 
 
 @pytest.fixture
@@ -53,8 +59,7 @@ def cup(node):
 
 def used(node):
     """Return the blocks of K and P that the prediction is made with."""
-    blocks: tuple[Any, Any] = node.pipeline.live.model[0][2:]
-    return blocks
+    return node.pipeline.live.model[0][2:]
 
 
 @pytest.mark.parametrize(('stiffness', 'damping', 'reason'), [
@@ -63,9 +68,8 @@ def used(node):
 ])
 @pytest.mark.parametrize('order', [1, -1])
 def test_neither_changes_where_one_is_refused(
-        stiffness, damping, reason, order, make_predictor, caller):
+        stiffness, damping, reason, order, node, caller):
     """Refuse both with the reason, whichever comes first in the call."""
-    node = make_predictor()
     shown, before = cup(node), used(node)
     both = [('cup__stiffness', stiffness), ('cup__damping', damping)][::order]
     results = caller.set_parameters(**dict(both))
@@ -76,17 +80,20 @@ def test_neither_changes_where_one_is_refused(
     assert used(node) == before
 
 
-def test_package_changes_live_and_whole_numbers_will_do(make_predictor, caller):
-    """Take 3 for 3.0, as `ros2 param set` sends it."""
-    node = make_predictor()
+def test_package_changes_live_and_what_stays_has_no_effect(node, caller):
+    """Take 3 for 3.0, as `ros2 param set` sends it; make nothing anew for what was dumped."""
     assert caller.set_parameters(package__mass=3, package__com=[0, 0, -1]) == [(True, '')] * 2
     assert node.get_parameter('package.mass').value == 3.0
     assert node.pipeline.live.model[1][:2] == (3.0, (0.0, 0.0, -1.0))
+    before, model = node.values, node.pipeline.live.model
+    dumped = {name.replace('.', '__'): node.get_parameter(name).value
+              for name in before if node.has_parameter(name)}
+    assert caller.set_parameters(**dumped) == [(True, '')] * len(dumped)
+    assert node.values is before and node.pipeline.live.model is model
 
 
-def test_what_does_not_belong_together_is_set_one_by_one(make_predictor, caller):
+def test_what_does_not_belong_together_is_set_one_by_one(node, caller):
     """Set what can be set; a fixed parameter with its own value is no failure of a load."""
-    node = make_predictor()
     results = caller.set_parameters(
         gravity__magnitude=9.81, tool_twist__frame='tool', frames__package='box', cup__stifness=K,
         bags=['a'])
@@ -99,13 +106,11 @@ def test_what_does_not_belong_together_is_set_one_by_one(make_predictor, caller)
 
 
 @pytest.mark.parametrize('order', [1, -1])
-def test_thresholds_and_ranges_change_together(order, make_predictor, caller):
+def test_thresholds_and_ranges_change_together(order, node, caller):
     """Take both ends of a range in one call, although neither fits the other's old value."""
-    node = make_predictor()
     high = {'vacuum__attach_below': 96e3, 'vacuum__detach_above': 98e3,
             'envelope__deflection_low': [0.01] * 6, 'envelope__deflection_high': [0.02] * 6}
-    results = caller.set_parameters(**dict(list(high.items())[::order]))
-    assert results == [(True, '')] * 4
+    assert caller.set_parameters(**dict(list(high.items())[::order])) == [(True, '')] * 4
     assert node.values['envelope.deflection_low'] == (0.01,) * 6
 
 
@@ -115,9 +120,8 @@ def test_thresholds_and_ranges_change_together(order, make_predictor, caller):
     ({'cup__damping': (1e6 * np.eye(6)).ravel().tolist()},
      'With this cup.damping the fastest mode'),
 ])
-def test_what_cannot_be_computed_with_is_refused(values, reason, make_predictor, caller):
+def test_what_cannot_be_computed_with_is_refused(values, reason, node, make_predictor, caller):
     """Refuse it before it is in use, and go on."""
-    node = make_predictor()
     before = node.values
     (successful, why), = caller.set_parameters(**values)
     assert not successful and reason in why
@@ -126,9 +130,8 @@ def test_what_cannot_be_computed_with_is_refused(values, reason, make_predictor,
         make_predictor({**PACKAGE, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
-def test_a_cup_of_a_gripper_is_opened_and_closed_live(make_predictor, caller):
+def test_a_cup_of_a_gripper_is_opened_and_closed_live(node, caller):
     """It leaves the stiffness; an empty list, which has no type, brings it back."""
-    node = make_predictor()
     single = used(node)[0][0][0]
     assert caller.set_parameters(cup__layout=[0.05, 0.0, 0.0, -0.05, 0.0, 0.0]) == [(True, '')]
     assert used(node)[0][0][0] == pytest.approx(2.0 * single)
@@ -140,16 +143,6 @@ def test_a_cup_of_a_gripper_is_opened_and_closed_live(make_predictor, caller):
     assert used(node)[0][0][0] == pytest.approx(2.0 * single)
 
 
-def test_what_is_set_to_what_it_is_has_no_effect(make_predictor, caller):
-    """Load what was dumped without anything being made anew."""
-    node = make_predictor()
-    before, model = node.values, node.pipeline.live.model
-    dumped = {name.replace('.', '__'): node.get_parameter(name).value
-              for name in before if node.has_parameter(name)}
-    assert caller.set_parameters(**dumped) == [(True, '')] * len(dumped)
-    assert node.values is before and node.pipeline.live.model is model
-
-
 @pytest.mark.parametrize(('name', 'value', 'reason'), [
     ('', 1.0, 'without a name'),
     ('package.com', '[0, 0, -0.05]', 'Write every number with a decimal point: 0.0, not 0'),
@@ -157,38 +150,27 @@ def test_what_is_set_to_what_it_is_has_no_effect(make_predictor, caller):
     ('cup.name', 'a\x1b[31mb', "'a?[31mb'"),
     ('x\x1b[31m\n', 1.0, "'x?[31m?'"),
 ])
-def test_what_is_wrong_with_a_value_is_said(name, value, reason, make_predictor, caller):
+def test_what_is_wrong_with_a_value_is_said(name, value, reason, node, caller):
     """Name it in both services, in printable characters."""
-    node = make_predictor()
     before = node.values
     odd = [Parameter(name, value=value).to_parameter_msg()]
-    one_by_one = caller.call(
-        '/predictor/set_parameters', SetParameters, SetParameters.Request(parameters=odd)).results
-    at_once = caller.call(ATOMICALLY, SetParametersAtomically,
-                          SetParametersAtomically.Request(parameters=odd)).result
-    for result in (*one_by_one, at_once):
+    for result in (*caller.set_one_by_one(odd), caller.set_at_once(odd)):
         assert not result.successful
         assert reason in result.reason and result.reason.isprintable()
     assert node.values is before
 
 
-def test_malformed_requests_are_answered(make_predictor, caller):
+def test_malformed_requests_are_answered(node, caller):
     """Refuse a type that does not exist, and the removal of a parameter; live on."""
-    make_predictor()
     for kind in (0, 99):
-        odd = ParameterMessage(name='package.mass', value=ParameterValue(type=kind))
-        answer = caller.call(
-            '/predictor/set_parameters', SetParameters, SetParameters.Request(parameters=[odd]))
-        assert [result.successful for result in answer.results] == [False]
-        answer = caller.call(ATOMICALLY, SetParametersAtomically,
-                             SetParametersAtomically.Request(parameters=[odd]))
-        assert not answer.result.successful
+        odd = [ParameterMessage(name='package.mass', value=ParameterValue(type=kind))]
+        assert [result.successful for result in caller.set_one_by_one(odd)] == [False]
+        assert not caller.set_at_once(odd).successful
     assert caller.set_parameters(package__mass=2.0) == [(True, '')]
 
 
-def test_every_parameter_is_described(make_predictor, caller):
+def test_every_parameter_is_described(node, caller):
     """Show sentence, unit, range and whether it can change."""
-    make_predictor()
     table = parameters_of('predictor')
     answer = caller.call('/predictor/describe_parameters', DescribeParameters,
                          DescribeParameters.Request(names=[p.name for p in table]))
@@ -203,18 +185,14 @@ def test_every_parameter_is_described(make_predictor, caller):
     assert (mass.from_value, mass.to_value) == (0.0, 1e4)
 
 
-def test_one_file_serves_both_nodes(make_predictor):
-    """Accept the identifier's names and ROS's own, and declare only one's own."""
-    node = make_predictor({
-        **PACKAGE, 'fit.structure': 'full', 'use_sim_time': False, 'package.mass': 2})
+def test_one_file_serves_both_nodes(make_predictor, capfd):
+    """Accept the identifier's names and ROS's own; warn about an override that no topic takes."""
+    misspelt = 'qos_overrides./tool_arm/poze.subscription.depth'
+    node = make_predictor({**PACKAGE, 'fit.structure': 'full', 'use_sim_time': False,
+                           'package.mass': 2, misspelt: 5})
+    assert f"'{misspelt}'" in capfd.readouterr().err
     assert node.get_parameter('package.mass').value == 2.0
     assert not node.has_parameter('fit.structure')
-
-
-def test_unmatched_qos_override_is_said(make_predictor, capfd):
-    """Warn about an override that no topic takes; a misspelt one is silent in ROS."""
-    make_predictor({**PACKAGE, 'qos_overrides./tool_arm/poze.subscription.depth': 5})
-    assert "'qos_overrides./tool_arm/poze.subscription.depth'" in capfd.readouterr().err
 
 
 def test_file_with_named_cups_comes_back_from_a_node(make_predictor, tmp_path):
@@ -258,7 +236,7 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
     monkeypatch.setattr(flight, 'AIM_TIME', 0.04)
     partner = make_partner({**VALUES, 'package.size': [0.1] * 3, 'landing.height': -1.0})
     node, tried = partner.predictor, 0
-    assert node.set_parameters([Parameter('landing.aim', value=True)])[0].successful
+    set_on(node, 'landing.aim', True)
     pipeline, planning = node.pipeline, node.pipeline.planning.plans
     topics = [*vars(pipeline.outputs).values(), *vars(pipeline.tossing).values(),
               *vars(pipeline.planning).values()]
@@ -292,22 +270,16 @@ def test_both_ends_of_each_range_work_or_are_refused(make_partner, monkeypatch):
             node.diagnostics.report()
             assert not node.failures, (parameter.name, value)
             assert time.process_time() - begun < 10.0, (parameter.name, value)
-        assert node.set_parameters([before])[0].successful, parameter.name
+        set_on(node, parameter.name, before.value)
     assert tried > 70
 
 
-def test_a_set_that_fails_changes_nothing(make_predictor, monkeypatch):
+def test_a_set_that_fails_changes_nothing(node):
     """Go back to what was, though it fails where the values are used."""
-    node = make_predictor()
-    sound, kept = node.pipeline.outputs.use_values, node.values
-
-    def fail_once(*arguments):
-        monkeypatch.setattr(node.pipeline.outputs, 'use_values', sound)
-        raise OverflowError('too large')
-
-    monkeypatch.setattr(node.pipeline.outputs, 'use_values', fail_once)
+    kept = node.values
+    break_once(node.pipeline.outputs, 'use_values')
     result = node._set([Parameter('cup.stiffness', value=K)])
-    assert not result.successful and 'too large' in result.reason
+    assert not result.successful and 'broken' in result.reason
     assert node.values == kept and list(kept['cup.stiffness']) == cup(node)[0]
     assert used(node)[0][0][0] == kept['cup.stiffness'][0] and sum(node.failures.values()) == 1
 
@@ -318,10 +290,8 @@ def test_prediction_goes_on_while_a_cup_of_another_kind_compiles(make_partner, m
     partner = make_partner(with_twists=False)
     node = partner.predictor
     monkeypatch.setattr(pipeline, 'warm_up', lambda *model: compiled.wait(30.0))
-    (result,) = node.set_parameters([Parameter('cup.relaxation', value=[0.1, 0.1])])
-    assert result.successful
-    partner.send_pose(START)
-    partner.wait_for_poses(1)
+    set_on(node, 'cup.relaxation', [0.1, 0.1])
+    partner.predict(START)
     assert len(node.pipeline.live.model[0]) == 4
     compiled.set()
     partner.wait(lambda: len(node.pipeline.live.model[0]) == 6)

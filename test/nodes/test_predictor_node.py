@@ -2,15 +2,15 @@
 
 import math
 
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
-from nav_msgs.msg import Odometry
+from bellows_ros.nodes.conversions import quaternion_xyzw, TOOL_POSES, vector
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from rclpy.qos import ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from .conftest import MS, PACKAGE, stamp_ns, UPRIGHT
+from .conftest import MS, OUTPUTS, PACKAGE, placed, pose_at, stamp_ns, stamped, UPRIGHT
 
 START = 1_700_000_000_123_456_789  # ns; a stamp that no double can hold
 LENGTH, DEPTH, MASS, GRAVITY, AXIAL = 0.0481, 0.03, 2.17, 9.81, 11530.0
@@ -19,18 +19,14 @@ LENGTH, DEPTH, MASS, GRAVITY, AXIAL = 0.0481, 0.03, 2.17, 9.81, 11530.0
 def numbers(messages):
     """Return positions and quaternions of poses, (N, 7)."""
     return np.array([
-        [m.pose.position.x, m.pose.position.y, m.pose.position.z, m.pose.orientation.x,
-         m.pose.orientation.y, m.pose.orientation.z, m.pose.orientation.w] for m in messages
-    ])
+        [*vector(m.pose.position), *quaternion_xyzw(m.pose.orientation)] for m in messages])
 
 
 def test_an_arm_on_a_wall_carries_the_package_at_rest(make_partner):
     """Things fall along gravity.direction, of any length; z of the tool points against it."""
     direction, xyzw = [0.0, 2.0, 0.0], (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
-    partner = make_partner({**PACKAGE, 'gravity.direction': direction})
-    partner.send_pose(START, xyzw=xyzw)
-    partner.send_twist(START)
-    partner.wait_for_poses(1)
+    partner = make_partner({**PACKAGE, 'gravity.direction': direction}, with_twists=False)
+    partner.predict(START, (0.0, 0.0, 0.0), xyzw)
     hanging = LENGTH + MASS * GRAVITY / AXIAL + DEPTH
     down = np.array(direction) / np.linalg.norm(direction)
     assert_allclose(numbers(partner.poses), [[*hanging * down, *xyzw]], atol=1e-12)
@@ -52,8 +48,8 @@ def test_standing_tool_carries_the_package_at_rest(make_partner):
     assert {m.header.frame_id for m in partner.poses} == {'world'}
     assert {m.header.frame_id for m in partner.twists} == {'package'}
     assert {m.header.frame_id for m in partner.wrenches} == {'cup_lip'}
-    force = partner.wrenches[-1].wrench.force
-    assert_allclose([force.x, force.y, force.z], [0.0, 0.0, MASS * GRAVITY], atol=1e-9)
+    assert_allclose(
+        vector(partner.wrenches[-1].wrench.force), [0.0, 0.0, MASS * GRAVITY], atol=1e-9)
 
 
 @pytest.mark.parametrize('kind', ['pose', 'pose_with_covariance', 'transform', 'odometry'])
@@ -61,17 +57,10 @@ def test_the_pose_may_come_in_each_type_that_drivers_send(kind, make_predictor, 
     """Predict the same from PoseStamped, with covariance, TransformStamped and Odometry."""
     make_predictor({**PACKAGE, 'tool_pose.type': kind})
     answers = peer.hears(PoseStamped, 'package/pose')
-    message = {'pose': PoseStamped, 'pose_with_covariance': PoseWithCovarianceStamped,
-               'transform': TransformStamped, 'odometry': Odometry}[kind]()
+    message = placed(
+        stamped(TOOL_POSES[kind][0](), START, 'base'), (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
     writer = peer.writes(type(message), 'tool_arm/pose')
     peer.connect()
-    message.header.frame_id, message.header.stamp.sec = 'base', 1_700_000_000
-    pose = message.transform if kind == 'transform' else message.pose
-    pose = pose.pose if kind in ('odometry', 'pose_with_covariance') else pose
-    place = pose.translation if kind == 'transform' else pose.position
-    turn = pose.rotation if kind == 'transform' else pose.orientation
-    place.x, place.y, place.z = 1.0, 2.0, 3.0
-    turn.z, turn.w = 0.6, 0.8
     writer.publish(message)
     peer.wait(lambda: len(answers) == 1)
     stretched = LENGTH + MASS * GRAVITY / AXIAL
@@ -82,9 +71,7 @@ def test_the_pose_may_come_in_each_type_that_drivers_send(kind, make_predictor, 
 def test_pose_does_not_wait_long_for_a_lost_twist(make_partner):
     """Predict with an estimated twist when no twist comes and no other pose either."""
     partner = make_partner()
-    partner.send_pose(START)
-    partner.wait_for_poses(1)
-
+    partner.predict(START)
     assert partner.predictor.pipeline.live.twists_estimated == 1
 
 
@@ -93,7 +80,6 @@ def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     partner = make_partner()
     partner.wait(lambda: partner.predictor.pipeline.live.pairing.expect)
     partner.node.destroy_publisher(partner.twist_writer)
-
     partner.wait(lambda: not partner.predictor.pipeline.live.pairing.expect)
 
 
@@ -102,9 +88,8 @@ def test_vanished_twist_publisher_is_not_waited_for(make_partner):
     ('frame_id', {'frame_id': 'elsewhere'}),
     ('backward_stamp', {'stamp_ns': START}),
 ])
-def test_bad_poses_are_counted_and_change_nothing(reason, bad, make_partner):
+def test_bad_poses_are_counted_and_change_nothing(reason, bad, partner):
     """Go on as if the bad pose had not come."""
-    partner = make_partner(with_twists=False)
     for step in range(10):
         partner.send_pose(START + step * MS)
     partner.send_pose(**{'stamp_ns': START + 10 * MS, **bad})
@@ -117,13 +102,11 @@ def test_bad_poses_are_counted_and_change_nothing(reason, bad, make_partner):
     assert {name: count for name, count in live.refused.items() if count} == {reason: 1}
     expected = [START + step * MS for step in range(20) if step != 10]
     assert list(map(stamp_ns, partner.poses)) == expected
-    poses = numbers(partner.poses)
-    assert np.isfinite(poses).all()
+    assert np.isfinite(numbers(partner.poses)).all()
 
 
-def test_reset_starts_from_rest(make_partner):
+def test_reset_starts_from_rest(partner):
     """Forget the motion, the stamps and the frame."""
-    partner = make_partner(with_twists=False)
     for step in range(60):  # 1 m/s^2 to the side
         partner.send_pose(START + step * MS, (0.5 * (step * 1e-3) ** 2, 0.0, 0.0))
     partner.wait_for_poses(60)
@@ -138,27 +121,26 @@ def test_reset_starts_from_rest(make_partner):
     assert_allclose(numbers(partner.poses)[-1, :2], 0.0, atol=1e-12)
 
 
-def test_topics_follow_namespace_and_remaps(make_partner):
+def test_topics_follow_namespace_and_remaps(make_predictor, peer):
     """Stand in a cell's namespace and read the driver's topic."""
-    partner = make_partner(
-        inputs={'pose': '/driver/tcp_pose'},
-        outputs={name: f'/cell/{topic}' for name, topic in {
-            'pose': 'package/pose', 'twist': 'package/twist', 'wrench': 'cup/wrench'}.items()},
-        with_twists=False,
-        cli_args=['--ros-args', '-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/tcp_pose',
-                  '-r', '__node:=left_cup'],
-    )
-    partner.send_pose(START)
-    partner.wait_for_poses(1)
+    node = make_predictor(cli_args=[
+        '--ros-args', '-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/tcp_pose',
+        '-r', '__node:=left_cup'])
+    heard = list(map(peer.hears, (PoseStamped, TwistStamped, WrenchStamped), (
+        f'/cell/{topic}' for topic in OUTPUTS)))
+    writer = peer.writes(PoseStamped, '/driver/tcp_pose')
+    peer.connect(node)
+    writer.publish(pose_at(START))
+    peer.wait(lambda: all(heard))
 
-    assert partner.predictor.get_fully_qualified_name() == '/cell/left_cup'
-    assert {name for name, _ in partner.predictor.get_service_names_and_types()} >= {
+    assert node.get_fully_qualified_name() == '/cell/left_cup'
+    assert {name for name, _ in node.get_service_names_and_types()} >= {
         '/cell/left_cup/reset', '/cell/left_cup/set_parameters'}
 
 
-def test_qos_can_be_overridden(make_predictor):
-    """Take the reliability and depth from parameters; sensor data by default."""
-    node = make_predictor(cli_args=[
+def test_qos_of_every_topic_can_be_overridden(make_predictor):
+    """Declare reliability and depth of all that the node makes; sensor data by default."""
+    node = make_predictor({**PACKAGE, 'vacuum.signal': 'pressure'}, cli_args=[
         '--ros-args', '-p', 'qos_overrides./tool_arm/pose.subscription.reliability:=reliable',
         '-p', 'qos_overrides./tool_arm/pose.subscription.depth:=7'])
     qos = {end.topic_name: end.qos_profile for end in node.subscriptions}
@@ -167,13 +149,8 @@ def test_qos_can_be_overridden(make_predictor):
     assert qos['/tool_arm/pose'].depth == 7
     assert qos['/tool_arm/twist'].reliability == ReliabilityPolicy.BEST_EFFORT
     published = {p.topic_name: p.qos_profile.reliability for p in node.publishers}
-    for topic in ('/package/pose', '/package/twist', '/cup/wrench'):
-        assert published[topic] == ReliabilityPolicy.RELIABLE
-
-
-def test_qos_of_every_topic_can_be_overridden(make_predictor):
-    """Declare reliability and depth of all that the node itself makes."""
-    node = make_predictor({**PACKAGE, 'vacuum.signal': 'pressure'})
+    for topic in OUTPUTS:
+        assert published[f'/{topic}'] == ReliabilityPolicy.RELIABLE
     of_ros = {'/parameter_events', '/rosout'}
     ends = [(end, 'subscription') for end in node.subscriptions]
     ends += [(end, 'publisher') for end in node.publishers]

@@ -1,9 +1,9 @@
 """How a node is spun: by events and by waiting, to an orderly end, with the collector held off."""
 
 import gc
+from importlib.util import find_spec
 import sys
 from threading import Event, Thread
-import time
 from types import FrameType
 
 from bellows_ros.nodes.guarding import executor_for, GuardedNode, spin
@@ -13,25 +13,20 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry
 import pytest
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from .conftest import MS, PACKAGE, Partner, stamp_ns, START
+from .conftest import MS, overrides_of, PACKAGE, Partner, stamp_ns, START
 
-HAVE_EVENTS = False
-try:
-    import rclpy.experimental
-    HAVE_EVENTS = hasattr(rclpy.experimental, 'EventsExecutor')
-except ImportError:
-    pass
 without_events = pytest.mark.skipif(
-    not HAVE_EVENTS, reason='this rclpy is older than 7.1.4: it has no executor woken by events')
+    find_spec('rclpy.experimental') is None,
+    reason='this rclpy is older than 7.1.4: it has no executor woken by events')
 
 
 @pytest.fixture(params=[pytest.param('events', marks=without_events), 'waiting'])
@@ -65,9 +60,8 @@ class Cell(Partner):
 
     def __init__(self, ros, spun):
         """Start both."""
-        given = {**PACKAGE, 'coast.limit': 0.4}
-        predictor = PredictorNode(context=ros.context, parameter_overrides=[
-            Parameter(name, value=value) for name, value in given.items()])
+        predictor = PredictorNode(context=ros.context, parameter_overrides=overrides_of(
+            {**PACKAGE, 'coast.limit': 0.4}))
         self.thread = spun(predictor)
         super().__init__(ros, predictor)
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -91,10 +85,6 @@ class Cell(Partner):
         """Tell whether the odometry goes on behind the last pose."""
         return max(self.odometry, default=0) > self._last_ns
 
-    def is_lost(self):
-        """Tell whether the pause since the last pose is longer than is bridged."""
-        return bool(self.predictor.pipeline.live.phase(time.monotonic_ns()) == 'lost')
-
 
 @pytest.fixture
 def cell(ros, spun):
@@ -113,11 +103,9 @@ def test_everything_works(cell):
     assert cell.predictor.pipeline.live.twists_estimated == 0
     cell.wait(lambda: cell.states[-1] == 'lost')
     cell.wait(lambda: bool(cell.diagnostics))
-    client = AsyncParameterClient(cell.node, 'predictor')
-    cell.wait(client.services_are_ready)
-    future = client.set_parameters([Parameter('package.mass', value=1.5)])
-    cell.wait(future.done)
-    assert future.result().results[0].successful
+    mass = Parameter('package.mass', value=1.5).to_parameter_msg()
+    request = SetParameters.Request(parameters=[mass])
+    assert cell.call('/predictor/set_parameters', SetParameters, request).results[0].successful
     assert cell.predictor.pipeline.live.model[1][0] == 1.5
     assert cell.call('/predictor/reset', Trigger).success
     cell.go_on(10)
@@ -155,17 +143,20 @@ def test_collector_strikes_between_callbacks_only(cell, monkeypatch):
     assert all('spin' in names for names in struck)
 
 
+class Closing(GuardedNode):
+    """A node that says that it has been closed."""
+
+    closed = False
+
+    def close(self):
+        """End it."""
+        self.closed = True
+        self.destroy_node()
+
+
 def test_collector_is_given_back(ros, way):
     """Collect as before when the node has ended, however it ends."""
-    class Short(Node):
-
-        closed = False
-
-        def close(self):
-            self.closed = True
-            self.destroy_node()
-
-    node = Short('short', context=ros.context)
+    node = Closing('short', context=ros.context)
     node.finished = Future()
     node.finished.set_exception(ValueError('boom'))
     with pytest.raises(ValueError, match='boom'):
@@ -176,22 +167,14 @@ def test_collector_is_given_back(ros, way):
 @pytest.mark.parametrize('of', ['the node', 'rclpy'])
 def test_an_error_in_a_callback_ends_nothing(of, ros, way):
     """Note an unforeseen error, also where the callback is none that the node has made."""
-    class Broken(GuardedNode):
-
-        def close(self):
-            self.destroy_node()
-
     def fail():
         if len(calls := [*node.failures.elements(), None]) > 3:
             node.finished.set_result(None)
         raise ZeroDivisionError(str(len(calls)))
 
-    node = Broken('broken', context=ros.context)
+    node = Closing('broken', context=ros.context)
     node.finished = Future()
-    if of == 'rclpy':
-        Node.create_timer(node, 1e-4, fail)
-    else:
-        node.create_timer(1e-4, fail)
+    (Node if of == 'rclpy' else GuardedNode).create_timer(node, 1e-4, fail)
     spin(node, lambda: False)
     assert sum(node.failures.values()) == 4 and len(node.failures) == 1
 

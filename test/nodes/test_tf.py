@@ -5,6 +5,7 @@ import sys
 
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.errors import BellowsError
+from bellows_ros.nodes.conversions import vector
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose
 import pytest
@@ -55,8 +56,7 @@ def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
         assert shown.header == pose.header
         assert shown.child_frame_id == 'box'
         assert shown.transform.rotation == pose.pose.orientation
-        at, expected = shown.transform.translation, pose.pose.position
-        assert_allclose((at.x, at.y, at.z), (expected.x, expected.y, expected.z), rtol=0, atol=0)
+        assert vector(shown.transform.translation) == vector(pose.pose.position)
     assert len({message.transforms[0].transform.translation.x for message in got}) > 10
 
 
@@ -70,7 +70,7 @@ def send(writer, kind, stamp_ns, *links):
     writer.publish(message)
 
 
-def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, ros, listener):
+def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, listener):
     """Predict along static and moving links, and say what is missing before."""
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     send(listener.writes(tf2_msgs.TFMessage, '/tf_static', latched), tf2_msgs.TFMessage, 0,
@@ -81,13 +81,12 @@ def test_the_tool_may_come_by_tf(make_predictor, tf2_msgs, ros, listener):
     got = listener.hears(PoseStamped, 'package/pose')
     moving = listener.writes(tf2_msgs.TFMessage, '/tf')
     listener.connect()
-    assert ros.spin_until(
-        lambda: heard.get_publisher_count() == 2), 'it hears itself and the driver'
+    listener.wait(lambda: heard.get_publisher_count() == 2)  # itself and the driver
     assert listener.sees('tool pose', ERROR, "lead up to 'map' and 'flange'")
     for k in range(5):
         send(moving, tf2_msgs.TFMessage, START + k * MS, ('base', 'flange', -0.5),
              ('world', 'camera', 1.0 * k))
-    assert ros.spin_until(lambda: len(got) == 5)
+    listener.wait(lambda: len(got) == 5)
     assert {pose.header.frame_id for pose in got} == {'map'}
     assert [pose.header.stamp.nanosec for pose in got] == [k * MS for k in range(5)]
     stretched = THESIS_LENGTH + 2.17 * 9.81 / 1.153e4
@@ -102,16 +101,9 @@ def test_tf_can_be_left_to_others(make_predictor, tf2_msgs):
 
 
 @pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')
-def test_a_tool_by_tf_needs_its_messages(make_predictor):
-    """Say what to install."""
+def test_missing_tf_is_said_and_missed_by_a_tool_by_tf_only(make_predictor, make_partner, capfd):
+    """Say what is missing, and predict; refuse what needs it."""
     with pytest.raises(BellowsError):
         make_predictor({**PACKAGE, 'tool_pose.type': 'tf'})
-
-
-@pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')
-def test_missing_tf_is_said_and_missed_by_nothing_else(make_partner, capfd):
-    """Say what is missing, and predict."""
-    partner = make_partner(with_twists=False)
-    partner.send_pose(START)
-    partner.wait_for_poses(1)
+    make_partner(with_twists=False).predict(START)
     assert 'tf2_msgs is not installed' in capfd.readouterr().err

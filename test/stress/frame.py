@@ -17,12 +17,16 @@ import tempfile
 import time
 import traceback
 
+from bellows_ros.errors import BellowsError
 import numpy as np
 
 REFUSED, CLEAN, COUNTED, SILENT = 'refused', 'clean', 'counted', 'silent'
 """Refused with a message; as if undamaged; with a loss reported; changed without a word."""
 
 OUTCOMES = (REFUSED, CLEAN, COUNTED, SILENT)
+
+
+MAX_MESSAGE = 3000
 
 
 class Failed(AssertionError):
@@ -88,6 +92,16 @@ def turn(name, round_, seed, tally, until, most=None):
                     tally.failures.append(f'{name} made no attempt')
                 return
             tally.outcomes[outcome] += 1
+
+
+def judged(named, work, *arguments):
+    """Return the outcome of some work; a refusal must name something, in words one can read."""
+    try:
+        return work(*arguments)
+    except BellowsError as error:
+        if not 10 < len(str(error)) < MAX_MESSAGE or named not in str(error):
+            raise Failed(f'a message of {len(str(error))} characters: {error}'[:400]) from error
+        return REFUSED
 
 
 @contextmanager

@@ -2,8 +2,8 @@
 
 from contextlib import contextmanager
 import math
+import re
 import time
-from typing import Any
 
 from bellows_ros.nodes.predictor_node import PredictorNode
 from geometry_msgs.msg import PoseStamped
@@ -11,14 +11,13 @@ from nav_msgs.msg import Odometry
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from .frame import CLEAN, COUNTED, Failed
 from .readers import ATTEMPTS
 from ..conftest import Ros
-from ..nodes.conftest import MS, PACKAGE, Partner, pose_at, stamp_ns, START
+from ..nodes.conftest import MS, overrides_of, PACKAGE, Partner, pose_at, stamp_ns, START, UPRIGHT
 
 BURST = 100  # messages of an attempt
 ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e150, 0.0, 3.0)
@@ -71,40 +70,22 @@ class Attacker:
         values = 1e-4 * self._rng.standard_normal(3)
         if self._rng.random() < 0.25:
             values[self._rng.integers(3)] = self._rng.choice(ODD)
-        return [float(x) for x in values]
+        return values
 
     def _quaternion(self):
         """Return a quaternion, mostly upright."""
-        if self._rng.random() < 0.8:
-            return [0.0, 0.0, 0.0, 1.0]
-        return [float(x) for x in self._rng.choice((*ODD, 0.5, -0.5), size=4)]
+        rng = self._rng
+        return UPRIGHT if rng.random() < 0.8 else rng.choice((*ODD, 0.5, -0.5), size=4)
 
 
-def numbers(part):
-    """Yield all numbers with a fraction in a message."""
-    if isinstance(part, float):
-        yield part
-    elif hasattr(part, 'get_fields_and_field_types'):
-        for name in part.get_fields_and_field_types():
-            yield from numbers(getattr(part, name))
-    elif isinstance(part, list | tuple | np.ndarray) or hasattr(part, 'typecode'):
-        for item in part:
-            yield from numbers(item)
-
-
-def stamps_from(begin, poses):
-    """Return the stamps (ns) that are not before a time, in the order in which they came."""
-    return [stamp for stamp in map(stamp_ns, poses) if stamp >= begin]
-
-
-def listen(partner):
-    """Return what will hold everything the predictor publishes beside poses and twists."""
-    heard: list[Any] = []
-    for kind, topic in ((PoseStamped, 'cup/deflection'), (Odometry, 'package/odometry'),
-                        (MarkerArray, 'package/markers')):
-        partner.hears(kind, topic, decode=heard.append)
-    partner.connect()
-    return heard
+def require_good(partner, heard):
+    """Fail on callbacks that failed and on numbers that are not finite; forget what came."""
+    if partner.predictor.failures:
+        raise Failed(f'callbacks failed: {dict(partner.predictor.failures)}')
+    for messages_ in (partner.poses, partner.twists, partner.wrenches, heard):
+        if re.search(r'\b(nan|inf)\b', repr(messages_)):
+            raise Failed('a number that is not finite was published')
+        messages_.clear()
 
 
 @contextmanager
@@ -114,8 +95,8 @@ def connected(given):
     rclpy.init(args=['--ros-args', '--log-level', 'fatal'], context=context)
     ros = Ros(context, SingleThreadedExecutor(context=context))
     try:
-        predictor = PredictorNode(context=context, parameter_overrides=[
-            Parameter(name, value=value) for name, value in {**given, **RELIABLE}.items()])
+        predictor = PredictorNode(
+            context=context, parameter_overrides=overrides_of({**given, **RELIABLE}))
         ros.executor.add_node(predictor)
         yield Partner(ros, predictor)
     finally:
@@ -128,7 +109,12 @@ def connected(given):
 def messages(rng, folder):
     """Send bursts of what nobody should send, and then good poses, which must be answered."""
     with connected(PACKAGE) as partner:
-        heard, attacker = listen(partner), Attacker(partner, int(rng.integers(2**31)))
+        heard = []
+        for kind, topic in ((PoseStamped, 'cup/deflection'), (Odometry, 'package/odometry'),
+                            (MarkerArray, 'package/markers')):
+            partner.hears(kind, topic, decode=heard.append)
+        partner.connect()
+        attacker = Attacker(partner, int(rng.integers(2**31)))
         for number in range(ATTEMPTS):
             yield burst(partner, attacker, heard, number)
 
@@ -137,6 +123,10 @@ def burst(partner, attacker, heard, number):
     """Send hostile messages, then good ones, and return what became of the hostile ones."""
     live = partner.predictor.pipeline.live
     before, sent = sum(live.refused.values()), attacker.poses
+
+    def is_answered():
+        return any(stamp_ns(pose) >= good for pose in partner.poses)
+
     for _ in range(BURST):
         attacker.send()
     good = time.time_ns()
@@ -147,15 +137,9 @@ def burst(partner, attacker, heard, number):
         partner.send_pose(good + k * 2 * MS, frame_id='base')
         attacker.poses += 1
         partner.ros.spin_until(lambda: False, 0.002)
-        if stamps_from(good, partner.poses):
+        if is_answered():
             break
-    if not partner.ros.spin_until(lambda: stamps_from(good, partner.poses), 5.0):
+    if not partner.ros.spin_until(is_answered, 5.0):
         raise Failed('good poses were not answered')
-    if partner.predictor.failures:
-        raise Failed(f'callbacks failed: {dict(partner.predictor.failures)}')
-    answers = [*partner.poses, *partner.twists, *partner.wrenches, *heard]
-    if not all(np.isfinite(x) for message in answers for x in numbers(message)):
-        raise Failed('a number that is not finite was published')
-    for kept in (partner.poses, partner.twists, partner.wrenches, heard):
-        kept.clear()
+    require_good(partner, heard)
     return COUNTED if sum(live.refused.values()) > before or sent == attacker.poses else CLEAN

@@ -5,13 +5,12 @@ import json
 from pathlib import Path
 import tempfile
 
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identification import compare_files, save
 from bellows_ros.workflows.identify import identify
 
-from .frame import CLEAN, Failed, replaced, scrambled, SILENT
-from .readers import ATTEMPTS, refused_well, ROOT
+from .frame import CLEAN, judged, replaced, scrambled, SILENT
+from .readers import ATTEMPTS, ROOT
 
 
 @functools.cache
@@ -31,15 +30,13 @@ def fits(rng, folder):
     text = sound()
     whole, other = folder / 'whole.json', folder / 'other.json'
     whole.write_text(text)
+
+    def compare(*pair):
+        json.dumps(compare_files(*pair).as_json(), default=list)
+        return CLEAN if json.loads(other.read_text()) == json.loads(text) else SILENT
+
     for _ in range(ATTEMPTS // 3):
         other.write_text(scrambled(rng, text) if rng.random() < 0.3
                          else json.dumps(replaced(rng, json.loads(text))), errors='replace')
         pair = (whole, other) if rng.random() < 0.5 else (other, whole)
-        try:
-            json.dumps(compare_files(*pair).as_json(), default=list)
-        except BellowsError as error:
-            if str(folder) not in str(error):
-                raise Failed(f'no name in: {error}') from error
-            yield refused_well(error)
-            continue
-        yield CLEAN if json.loads(other.read_text()) == json.loads(text) else SILENT
+        yield judged(str(folder), compare, *pair)
