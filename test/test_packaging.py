@@ -23,17 +23,6 @@ COMMANDS = {
 LAUNCH_FILES = ('identifier.launch.py', 'predictor.launch.py')
 
 
-def setup_arguments(root):
-    """Return the literal keyword arguments of the call in setup.py."""
-    tree = ast.parse((root / 'setup.py').read_text())
-    call = next(
-        node for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'setup')
-    return {
-        keyword.arg: keyword.value.value for keyword in call.keywords
-        if keyword.arg and isinstance(keyword.value, ast.Constant)}
-
-
 def setup_extras(root):
     """Return the extras that setup.py writes down, before 'dev' is put together."""
     tree = ast.parse((root / 'setup.py').read_text())
@@ -89,7 +78,8 @@ def test_version_and_licence_agree_everywhere(root):
     version = bellows_ros.__version__
 
     assert manifest.findtext('version') == version
-    assert manifest.findtext('license') == setup_arguments(root)['license'] == 'Apache-2.0'
+    assert manifest.findtext('license') == 'Apache-2.0'
+    assert "license='Apache-2.0'" in (root / 'setup.py').read_text()
     assert 'Apache License' in (root / 'LICENSE').read_text()
     assert re.search(rf'^{re.escape(version)} \(\d{{4}}-\d\d-\d\d\)$',
                      (root / 'CHANGELOG.rst').read_text(), re.MULTILINE)

@@ -4,7 +4,6 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
-from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.grip import Margin
 from bellows_ros.core.signals.residuals import Spectrum
 from bellows_ros.errors import BellowsError
@@ -23,22 +22,11 @@ from bellows_ros.workflows.replay import Margins
 import numpy as np
 import pytest
 
+from .conftest import check_words, COUNT
+
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
 
-COUNT = 300
 SPAN = 0.5  # s, of an animation
-
-
-@pytest.fixture(scope='module')
-def motion():
-    """Give a tool and a package that move, with ten poses missing."""
-    t = np.arange(COUNT) / 100.0
-    tool = 0.1 * np.column_stack([np.sin(t), np.cos(t), np.sin(2 * t)])
-    rotation = exp_so3(0.2 * np.sin(3 * t)[:, None] * np.array([1.0, 0.5, 0.2]))
-    return SimpleNamespace(
-        seconds=t, tool_position=tool, tool_rotation=rotation,
-        package_position=tool - np.array([0.0, 0.0, 0.08]), package_rotation=rotation,
-        relative=np.zeros((COUNT, 6)), valid=np.abs(t - 1.0) > 0.05)
 
 
 @pytest.fixture(scope='module')
@@ -75,21 +63,10 @@ def draw_all(motion, loads, theme):
 @pytest.mark.parametrize('theme', THEMES)
 def test_words_stay_on_the_page_in_both_themes(theme, motion, loads):
     """Let title, note, legend and labels fit."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import to_hex
 
-    for name, figure in draw_all(motion, loads, theme).items():
-        renderer = FigureCanvasAgg(figure).get_renderer()
-        figure.draw(renderer)
-        width, height = figure.canvas.get_width_height()
-        boxes = [text.get_window_extent(renderer) for text in figure.texts]
-        boxes += [legend.get_window_extent(renderer) for legend in figure.legends]
-        assert not any(
-            a.get_window_extent(renderer).overlaps(b.get_window_extent(renderer))
-            for a in figure.texts for b in figure.legends), name
-        boxes += [axes.yaxis.label.get_window_extent(renderer) for axes in figure.axes]
-        for box in boxes:
-            assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height, name
+    for figure in draw_all(motion, loads, theme).values():
+        check_words(figure)
         assert to_hex(figure.get_facecolor()) == THEMES[theme].background
 
 
@@ -123,17 +100,6 @@ def test_margins_are_drawn_with_two_standard_deviations(motion, loads):
         assert heights.min() == pytest.approx(factor - 0.2)
         assert heights.max() == pytest.approx(factor + 0.2)
     assert '0.9 (slip, 1.23 s)' in [text.get_text() for text in panel.get_legend().get_texts()]
-
-
-@pytest.fixture(scope='module')
-def replayed(motion):
-    """Give a replay of half a second whose prediction is 5 mm beside the measurement."""
-    part = slice(50, 50 + round(SPAN * 100.0) + 1)
-    moved = SimpleNamespace(**{name: values[part] for name, values in vars(motion).items()})
-    return SimpleNamespace(
-        seconds=moved.seconds, motion=moved, position=moved.package_position + 5e-3,
-        rotation=moved.package_rotation, cup_length=0.05, com=np.array([0.0, 0.0, -0.03]),
-        box=np.array([0.2, 0.16, 0.06]))
 
 
 def test_an_animation_runs_at_recorded_speed(replayed, tmp_path):

@@ -9,6 +9,8 @@ from bellows_ros.plots.style import drawing, inline_svg, THEMES
 import numpy as np
 import pytest
 
+from .conftest import check_words
+
 pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
 
 
@@ -65,18 +67,7 @@ def test_curves_are_interrupted_where_their_own_samples_are_lost(figure):
 
 def test_text_stays_inside_and_apart(figure):
     """Let no words leave the page, and no title run into another."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    width, height = figure.canvas.get_width_height()
-    boxes = [text.get_window_extent(renderer) for text in figure.texts]
-    boxes += [axes.title.get_window_extent(renderer) for axes in figure.axes]
-    boxes += [axes._right_title.get_window_extent(renderer) for axes in figure.axes]
-    boxes += [legend.get_window_extent(renderer) for legend in figure.legends]
-    boxes = [box for box in boxes if box.width > 1.0]
-    for number, box in enumerate(boxes):
-        assert 0 <= box.x0 and box.x1 <= width and 0 <= box.y0 and box.y1 <= height
-        assert not any(box.overlaps(other) for other in boxes[:number])
+    check_words(figure)
 
 
 def inlined(x, y):

@@ -1,32 +1,11 @@
 """The view in Rerun, read back with Rerun's own reader."""
 
-from types import SimpleNamespace
-
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.plots.animation import bellows_rings
 from bellows_ros.plots.viewer import write_view
 import numpy as np
 import pytest
-
-COUNT = 120
-
-
-@pytest.fixture
-def replayed():
-    """Give a replay whose prediction is 5 mm beside the measurement."""
-    t = np.arange(COUNT) / 100.0
-    tool = 0.1 * np.column_stack([np.sin(t), np.cos(t), np.sin(2 * t)])
-    rotation = exp_so3(0.2 * np.sin(3 * t)[:, None] * np.array([1.0, 0.5, 0.2]))
-    measured = np.random.default_rng(3).normal(size=(COUNT, 6))
-    motion = SimpleNamespace(
-        tool_position=tool, tool_rotation=rotation,
-        package_position=tool - np.array([0.0, 0.0, 0.08]), package_rotation=rotation)
-    return SimpleNamespace(
-        seconds=t, motion=motion, position=motion.package_position + 5e-3, rotation=rotation,
-        deflection=2.0 * measured, cup_length=0.05, com=np.array([0.0, 0.0, -0.03]),
-        box=np.array([0.2, 0.16, 0.06]),
-        live=SimpleNamespace(measured=measured, predicted=measured + 5e-3))
 
 
 def read(path):
@@ -52,7 +31,7 @@ def test_what_is_written_is_what_was_replayed(replayed, tmp_path):
         for path, values in (
             (f'/package/{name}/measured', replayed.live.measured),
             (f'/package/{name}/predicted', replayed.live.predicted),
-            (f'/error/{name}', np.full((COUNT, 6), 5e-3)),
+            (f'/error/{name}', np.full((51, 6), 5e-3)),
             (f'/deflection/{name}', replayed.deflection),
         ):
             (shown,) = zip(*found[path, 'Scalars:scalars'].to_pylist(), strict=True)
