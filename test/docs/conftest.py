@@ -4,8 +4,6 @@ import importlib.util
 from pathlib import Path
 import sys
 
-import pytest
-
 DOCS = Path(__file__).resolve().parents[2] / 'docs'
 
 
@@ -18,7 +16,5 @@ def load(folder, name):
     return module
 
 
-@pytest.fixture(scope='session')
-def pages():
-    """Give the script that knows the commands on the pages."""
-    return load('tools', 'pages')
+PAGES = load('tools', 'pages')
+"""The script that knows the commands on the pages."""

@@ -11,9 +11,8 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.table import PARAMETERS
 import pytest
 
-from .conftest import load
+from .conftest import PAGES
 
-PAGES = load('tools', 'pages')
 ALL = {str(page.relative_to(PAGES.ROOT)): page for page in PAGES.pages()}
 SLOW = ('output_error', 'tosses', 'excite')
 EXECUTABLES = ('predictor', 'identifier', 'bellows')
@@ -37,22 +36,22 @@ LONG = ('choosing', 'exciting', 'filter', 'formats', 'many_recordings', 'recordi
 @pytest.mark.parametrize('name', [
     pytest.param(name, marks=[pytest.mark.stress] if Path(name).stem in LONG else [])
     for name in runnable()])
-def test_commands_do_what_the_page_shows(name, tmp_path, user_environment, pages):
+def test_commands_do_what_the_page_shows(name, tmp_path, user_environment):
     """Run a page's commands in order, from a checkout's bags and config."""
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
-    pages.make_folder(tmp_path)
-    variables = pages.environment(user_environment)
+    PAGES.make_folder(tmp_path)
+    variables = PAGES.environment(user_environment)
     for block in with_mode(ALL[name], 'run', 'fails'):
         for number, command in enumerate(block.commands, 1):
             if not COMPILED and any(words in command.text for words in SLOW):
                 continue  # takes minutes interpreted; run where numba is
-            done = pages.run(command, tmp_path, variables)
+            done = PAGES.run(command, tmp_path, variables)
             where = f'{name}, line {block.line}: {command.text}\n'
             failed = block.mode == 'fails' and number == len(block.commands)
             assert (done.returncode != 0) == failed, where + done.stdout
             assert 'Traceback' not in done.stdout, where + done.stdout
             if command.output is not None:
-                assert pages.matches(command.output, done.stdout), where + done.stdout
+                assert PAGES.matches(command.output, done.stdout), where + done.stdout
 
 
 def words(text):
@@ -126,12 +125,6 @@ def check_node(rest):
             assert name in PARAMETERS or name.startswith('qos_overrides.'), value
 
 
-def test_pages_are_found_and_hold_commands():
-    """Look at the README first, and at more than that."""
-    assert next(iter(ALL)) == 'README.md'
-    assert len(runnable()) >= 2
-
-
 @pytest.mark.parametrize(
     ('shown', 'printed', 'same'),
     [
@@ -142,26 +135,15 @@ def test_pages_are_found_and_hold_commands():
         ('1e-3 s', '2.5e+4 s', True),
     ],
 )
-def test_outputs_are_compared_but_for_numbers(shown, printed, same, pages):
+def test_outputs_are_compared_but_for_numbers(shown, printed, same):
     """Let numbers and blanks differ, and nothing else."""
-    assert pages.matches(shown, printed) is same
+    assert PAGES.matches(shown, printed) is same
 
 
-def test_blocks_are_found_with_their_marks(pages):
-    """Let a mark hold for the block that follows at once, and for no other."""
-    text = (
-        'Words\n\n<!-- test: parse, a robot -->\n```bash\none \\\n  more\n# no command\ntwo\n```\n'
-        '```yaml\n$ none\n```\n```console\n$ three\nout\n\n$ four\n```\n')
-    first, second = pages.blocks(text)
-    assert (first.mode, [c.text for c in first.commands]) == ('parse', ['one \\\n  more', 'two'])
-    assert second.mode == 'run'
-    assert [(c.text, c.output) for c in second.commands] == [('three', 'out\n'), ('four', '')]
-
-
-def test_nothing_is_installed_or_started_by_accident(pages):
+def test_nothing_is_installed_or_started_by_accident():
     """Leave pip and ROS alone on pages that forget to say so."""
     text = '```bash\nbellows --help\npip install x\n```\n```bash\nros2 topic list\n```\n'
-    assert [block.mode for block in pages.blocks(text)] == ['parse', 'parse']
+    assert [block.mode for block in PAGES.blocks(text)] == ['parse', 'parse']
 
 
 def test_parameter_files_on_the_pages_are_right(tmp_path):
