@@ -42,15 +42,18 @@ def is_ros(module):
 
 def modules(root, room='*'):
     """Return the package's source files, all or those of one room."""
-    package = root / 'bellows_ros'
-    inside = sorted(package.rglob('*.py'))
+    inside = sorted((root / 'bellows_ros').rglob('*.py'))
     return [file for file in inside if room in ('*', room_of(file, root))]
+
+
+def name_of(file, root):
+    """Return the name by which a source file is imported."""
+    return '.'.join(file.relative_to(root).with_suffix('').parts).removesuffix('.__init__')
 
 
 def room_of(file, root):
     """Return the room a source file stands in: 'core', 'errors', or '' for the package itself."""
-    first = file.relative_to(root / 'bellows_ros').parts[0].removesuffix('.py')
-    return '' if first == '__init__' else first
+    return '.'.join(name_of(file, root).split('.')[1:2])
 
 
 @cache
@@ -102,27 +105,20 @@ def test_core_needs_only_numbers(root):
     assert {name.partition('.')[0] for _, name in imported(root, 'core')} <= allowed
 
 
-def module_of(file, root):
-    """Return the name of a module of core below `bellows_ros.core`, '' for core itself."""
-    parts = file.relative_to(root / 'bellows_ros' / 'core').with_suffix('').parts
-    return '.'.join(part for part in parts if part != '__init__')
-
-
 def imports_in_core(root):
     """Return the modules of core that each module of core imports, for types alone too."""
-    files = {module_of(file, root): file for file in modules(root, 'core')}
+    files = {name_of(file, root): file for file in modules(root, 'core')}
     found = {}
     for name, file in files.items():
-        targets = {target.removeprefix('bellows_ros.core.') for target in imports(file, root)
-                   if target.startswith('bellows_ros.core.')}
+        targets = {*imports(file, root)}
         targets |= {target.rpartition('.')[0] for target in targets}
-        found[name] = targets & set(files) - {name, ''}
+        found[name] = targets & set(files) - {name, 'bellows_ros.core'}
     return found
 
 
-def floor(module):
+def floor(name):
     """Return the place of a module's room in the order of core, 0 for core itself."""
-    return CORE.index(module.partition('.')[0]) + 1 if module else 0
+    return sum(CORE.index(room) + 1 for room in name.split('.')[2:3])
 
 
 def test_modules_of_core_import_downwards(root):
@@ -145,8 +141,8 @@ def test_modules_of_core_import_in_no_circle(root):
 def test_core_files_and_workflows_import_without_ros(root, user_environment):
     """Import every module of theirs where an import of anything of ROS fails."""
     names = [
-        '.'.join(file.relative_to(root).with_suffix('').parts).removesuffix('.__init__')
-        for room in ('errors', 'core', 'files', 'workflows') for file in modules(root, room)]
+        name_of(file, root) for room in ('errors', 'core', 'files', 'workflows')
+        for file in modules(root, room)]
     code = f"""
 import importlib, sys
 

@@ -2,7 +2,6 @@
 
 import ast
 from importlib.metadata import PathDistribution
-import py_compile
 import re
 import runpy
 import shlex
@@ -20,7 +19,6 @@ COMMANDS = {
     'identifier': 'bellows_ros.nodes.command:identifier',
     'bellows': 'bellows_ros.cli:main',
 }
-LAUNCH_FILES = ('identifier.launch.py', 'predictor.launch.py')
 
 
 def setup_extras(root):
@@ -111,22 +109,13 @@ def test_what_messages_tell_to_install_is_what_the_extras_need(root):
     assert not [str(file) for file in sources if "'bellows_ros[" in file.read_text()]
 
 
-@pytest.mark.parametrize('name', LAUNCH_FILES)
-def test_launch_file_says_what_it_starts(name, root, tmp_path):
-    """Compile, and name in the first line what will run."""
-    file = root / 'launch' / name
-    py_compile.compile(str(file), cfile=str(tmp_path / 'compiled'), doraise=True)
-
-    summary = str(ast.get_docstring(ast.parse(file.read_text()))).splitlines()[0]
-
-    assert summary.startswith(f"Start one {name.partition('.')[0]}: it ")
-
-
-@pytest.mark.parametrize('name', LAUNCH_FILES)
+@pytest.mark.parametrize('name', ['identifier', 'predictor'])
 def test_launch_file_describes_its_node(name, root):
-    """Declare every argument, with the parameter file a required one."""
+    """Say in the first line what will run; declare every argument, the parameter file required."""
+    file = root / 'launch' / f'{name}.launch.py'
+    assert str(ast.get_docstring(ast.parse(file.read_text()))).startswith(f'Start one {name}: ')
     pytest.importorskip('launch_ros', reason='ROS 2 launch is not among the wheels')
-    contents = runpy.run_path(str(root / 'launch' / name))
+    contents = runpy.run_path(str(file))
     arguments = contents['generate_launch_description']().get_launch_arguments()
 
     assert {argument.name for argument in arguments} == set(contents['ARGUMENTS'])
