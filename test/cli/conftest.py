@@ -8,24 +8,15 @@ import sys
 from unittest import mock
 
 from bellows_ros.cli import main
+from bellows_ros.files.parameter_files import read_parameters
 import pytest
 import yaml
 
-# The cup and the package that the recordings are made with.
-STIFFNESS = (5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35)
-DAMPING = (55.0, 55.0, 24.0, 0.06, 0.06, 0.10)
-PACKAGE = {
-    'package.mass': 1.8,
-    'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
-    'package.com': [0.0, 0.0, -0.03],
-    'cup.length': 0.046,
-}
-TOPICS = {
-    'topics.tool_pose': '/tool_arm/pose',
-    'topics.tool_twist': '/tool_arm/twist',
-    'topics.package_pose': '/package/pose',
-    'recording.package_frame': 'com',
-}
+from ..conftest import ROOT
+
+KNOWN = dict(read_parameters(ROOT / 'bags' / 'package.yaml'))
+TRUTH = {**KNOWN, **read_parameters(ROOT / 'bags' / 'cup.yaml')}
+"""What is known of the recordings beforehand, and what they are made with."""
 MOTION = {
     'kind': 'multi_sine',
     'duration': 8.0,
@@ -56,11 +47,6 @@ TRANSPORT = {
     'waypoints': {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.5}]},
     'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0},
 }
-
-
-def diagonal(values):
-    """Return a diagonal matrix as 36 numbers."""
-    return [values[i] if i == j else 0.0 for i in range(6) for j in range(6)]
 
 
 def write_yaml(path, content):
@@ -109,9 +95,8 @@ def workshop(tmp_path_factory, bellows):
     motion.yaml, and the recording `recording`.
     """
     folder = tmp_path_factory.mktemp('workshop')
-    truth = {'cup.stiffness': diagonal(STIFFNESS), 'cup.damping': diagonal(DAMPING)}
-    write_yaml(folder / 'cup.yaml', {**PACKAGE, **TOPICS, **truth})
-    write_yaml(folder / 'package.yaml', {**PACKAGE, **TOPICS, 'fit.method': 'least_squares'})
+    write_yaml(folder / 'cup.yaml', TRUTH)
+    write_yaml(folder / 'package.yaml', {**KNOWN, 'fit.method': 'least_squares'})
     write_yaml(folder / 'motion.yaml', MOTION)
     done = bellows(
         'simulate', '--params', 'cup.yaml', '--motion', 'motion.yaml', '--out', 'recording',

@@ -20,6 +20,7 @@ def test_help_names_every_command(bellows):
     for name, text in COMMANDS.items():
         assert f'{name} ' in done.stdout and text in done.stdout
     assert 'exit codes' in done.stdout and '130' in done.stdout
+    assert bellows('--version').stdout == f'bellows {bellows_ros.__version__}\n'
 
 
 @pytest.mark.parametrize('name', COMMANDS)
@@ -53,11 +54,6 @@ for line in {lines!r}:
         [sys.executable, '-c', code], env=user_environment, capture_output=True, text=True)
     for line in lines:
         assert f'exit 0 {line} []\n' in done.stdout, done.stdout + done.stderr
-
-
-def test_version(bellows):
-    """Print the package's version."""
-    assert bellows('--version').stdout == f'bellows {bellows_ros.__version__}\n'
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 import yaml
 
-from .conftest import contents, PACKAGE, TOPICS, TRANSPORT, write_yaml
+from .conftest import contents, KNOWN, TRANSPORT, write_yaml
 from ..conftest import ROOT
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
@@ -23,7 +23,8 @@ SHORT = {
     f'toss {BAGS}/throw.yaml --params {BAGS}/tossing.yaml --json new.json', 'STEER':
     'steer --params cup.yaml --json new.json --out new --method', 'PLAN':
     'plan --params cup.yaml --json new.json --out new', 'STATIC': 'static --params package.yaml',
-    'IDENTIFY': 'identify recording --params package.yaml'}
+    'IDENTIFY': 'identify recording --params package.yaml',
+    'MANY': ' '.join(f'r{number}' for number in range(21))}
 """What lines begin with or share; the cell is what stands in the folder."""
 
 
@@ -53,8 +54,7 @@ def write_bad_bags(folder):
 
 def write_bad_files(folder):
     """Write parameters, motions and limits that are wrong."""
-    known = {**PACKAGE, **TOPICS}
-    write_yaml(folder / 'massless.yaml', {n: v for n, v in known.items() if n != 'package.mass'})
+    write_yaml(folder / 'massless.yaml', {n: v for n, v in KNOWN.items() if n != 'package.mass'})
     (folder / 'sentence.yaml').write_text('just a sentence')
     motion = yaml.safe_load((folder / 'motion.yaml').read_text())
     write_yaml(folder / 'dance.yaml', {**motion, 'kind': 'dance'})
@@ -67,7 +67,6 @@ def write_bad_files(folder):
     write_yaml(folder / 'noiseless.yaml', {**limits, 'tracking': {'tool': {'rate_hz': 500.0}}})
     write_yaml(folder / 'speedless.yaml', {**limits, 'linear': None})
     write_yaml(folder / 'misspelt.yaml', {**limits, 'bendig': 1.0})
-    write_yaml(folder / 'linar.yaml', {'linar': {'speed': 1.0}})
     write_yaml(folder / 'safe.yaml', {'safety_factor': 1.0})
 
 
@@ -95,25 +94,13 @@ def words_of(line):
     return [word.replace('BAGS', f'{BAGS}') for word in words]
 
 
-def check_refusal(bellows, folder, line, words):
-    """Check exit code, message, and that nothing was touched."""
-    before = contents(folder)
-    done = bellows(*words_of(line), cwd=folder)
-    assert (done.returncode, done.stdout) == (2, ''), done.stderr
-    assert done.stderr.startswith('bellows') and 'Traceback' not in done.stderr
-    for each in words.split(' ... '):
-        assert each in ' '.join(done.stderr.split())
-    assert contents(folder) == before
-
-
-@pytest.mark.parametrize('line', [
+READ = [
     'info recording --json recording/recording.mcap',
     'info recording --write-params recording/new.yaml',
     'info link --json recording/recording.mcap',
     'IDENTIFY --out recording/recording.mcap',
     'IDENTIFY --set output.json=recording/recording.mcap',
     'identify --params bags.yaml --set bags=x --json recording/metadata.yaml',
-    'structures --params bags.yaml --json recording/metadata.yaml',
     'static --params bags.yaml --json recording/recording.mcap',
     'compare fit.json fit.json --json fit.json',
     'replay recording CUP --report cup.yaml',
@@ -121,12 +108,9 @@ def check_refusal(bellows, folder, line, words):
     'replay recording CUP --view recording/view.rrd',
     'convert poses.tum --topic /p --out poses.tum',
     'export cup.yaml --to sdf --out cup.yaml',
-])
-def test_output_that_is_read_is_refused(bellows, cell, line):
-    check_refusal(bellows, cell, line, 'input ... Give a name elsewhere')
-
-
-@pytest.mark.parametrize(('line', 'words'), [
+]
+"""Outputs that are read."""
+UNWRITABLE = [
     ('IDENTIFY --out no/cup.yaml', "no/cup.yaml' ... does not exist"),
     ('IDENTIFY --json sources', "'sources' is a folder"),
     ('PLAN transport.yaml --plot plan.txt', 'must end in .png, .svg or .pdf'),
@@ -135,12 +119,8 @@ def test_output_that_is_read_is_refused(bellows, cell, line):
     ('export cup.yaml --to c --out new.h --json new.h', 'Two outputs have the same name'),
     ('plot animation recording CUP --out a.png', 'must end in .gif or .mp4'),
     ('STEER zv transport.yaml --plot plan.avi', '.pdf, .gif or .mp4'),
-])
-def test_output_that_cannot_be_written_is_refused(bellows, cell, line, words):
-    check_refusal(bellows, cell, line, words)
-
-
-@pytest.mark.parametrize(('line', 'words'), [
+]
+UNREADABLE = [
     ('identify CELL', 'No recording is given ... bags'),
     ('STATIC', 'No static recording is given'),
     ('info none --write-params new.yaml', 'does not exist'),
@@ -154,20 +134,17 @@ def test_output_that_cannot_be_written_is_refused(bellows, cell, line, words):
     ('PLAN transport.yaml --topic /x', "--topic /x: 'transport.yaml' ... Leave --topic out"),
     ('STEER inverse fast.yaml', 'bend the cup by more than 45 degrees'),
     ('simulate CUP --motion dance.yaml --out new', "'kind' ... multi_sine ... dance"),
-])
-def test_input_that_cannot_be_used_is_refused(bellows, cell, line, words):
-    check_refusal(bellows, cell, line, words)
-
-
-@pytest.mark.parametrize(('line', 'words'), [
+]
+NOT_ALLOWED = [
     ('identify recording --params massless.yaml',
      'package.mass ... without a default ... package.mass: 2.17 ... kg'),
     ('plan transport.yaml', 'package.mass ... bellows info ... --write-params'),
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: Unknown ... 'fit.structure'"),
     ('STATIC m0 m1 --mass 1', '1 masses are given for 2 recordings'),
-    ('info recording --from soon', 'recording.start'),
+    ('identify MANY CELL --jobs 1 --report new.html', 'at most 20 recordings, got 21'),
+    ('replay recording CUP --view a.png', 'must end in .rrd'),
+    ('info recording --from soon', '--from: recording.start'),
     ('STEER zv transport.yaml --limits safe.yaml', 'set cup.lip_radius'),
-    ('STEER zv transport.yaml --limits linar.yaml', "Did you mean 'linear'?"),
     ('EXCITE misspelt.yaml --time 6', "Did you mean 'bending'?"),
     ('EXCITE noiseless.yaml --time 6', "'tracking.tool.noise' must have position"),
     ('EXCITE speedless.yaml --time 6', "'linear.speed' is missing; it must be a number, above 0"),
@@ -178,9 +155,21 @@ def test_input_that_cannot_be_used_is_refused(bellows, cell, line, words):
     ('TOSS --target 1900 150', 'mm?'),
     ('TOSS --release 3 --monte-carlo -3', 'expected 2 tosses or more'),
     ('TOSS', 'Neither a time nor a target'),
-])
-def test_values_that_are_not_allowed_are_refused(bellows, cell, line, words):
-    check_refusal(bellows, cell, line, words)
+]
+
+
+@pytest.mark.parametrize(('line', 'words'), [
+    *((line, 'input ... Give a name elsewhere') for line in READ), *UNWRITABLE, *UNREADABLE,
+    *NOT_ALLOWED])
+def test_what_cannot_be_done_is_refused(bellows, cell, line, words):
+    """Say what is wrong, end with 2, and touch nothing."""
+    before = contents(cell)
+    done = bellows(*words_of(line), cwd=cell)
+    assert (done.returncode, done.stdout) == (2, ''), done.stderr
+    assert done.stderr.startswith('bellows') and 'Traceback' not in done.stderr
+    for each in words.split(' ... '):
+        assert each in ' '.join(done.stderr.split())
+    assert contents(cell) == before
 
 
 @pytest.mark.parametrize(('line', 'option', 'name'), [

@@ -8,6 +8,8 @@ from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
 
+from .conftest import KNOWN
+
 
 def test_it_says_what_is_there(bellows, workshop):
     """Print topics, roles and why."""
@@ -43,15 +45,9 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(bellows, worksh
     refused = bellows('identify', '--params', file, cwd=workshop)
     assert refused.returncode == 2 and 'package.mass' in refused.stderr
 
-    package = ('mass: 1.8', 'inertia: [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0]',
-               'com: [0.0, 0.0, -0.03]')
-    text = file.read_text()
-    for line in package:
-        name = line.partition(':')[0]
-        start = text.index(f'#package.{name}')
-        text = text[:start] + f'package.{line}' + text[text.index('\n', start):]
-    file.write_text(text.replace('#cup.length: 0.0481', 'cup.length: 0.046').replace(
-        '#recording.package_frame', 'recording.package_frame'))
+    file.write_text(re.sub(
+        r'#((?:package|cup\.length|recording\.package_frame)[.\w]*): .*',
+        lambda found: f'{found[1]}: {json.dumps(KNOWN[found[1]])}', file.read_text()))
     done = bellows('identify', '--params', file, '--set', 'fit.method=least_squares', '--out',
                    tmp_path / 'cup.yaml', cwd=workshop)
     assert done.returncode == 0, done.stderr

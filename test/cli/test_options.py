@@ -1,12 +1,10 @@
 """Values from the command line, and what else the commands share."""
 
-import argparse
 import os
 import signal
 
 from bellows_ros.cli.console import progress_line, uninterrupted
-from bellows_ros.cli.options import interval_settings, parse_override
-from bellows_ros.errors import BellowsError
+from bellows_ros.cli.options import parse_override
 import pytest
 
 
@@ -56,10 +54,3 @@ def test_an_interrupt_waits_for_finished_work_to_be_written():
 def test_progress_says_how_far_and_how_long(fraction, elapsed, line):
     """Show a bar and the time left once it is known."""
     assert progress_line('reading', fraction, elapsed) == line
-
-
-def test_an_end_that_is_none_is_named_as_it_was_given():
-    """Name the option, not the parameter behind it alone."""
-    arguments = argparse.Namespace(**{'recording.start': '0', 'recording.end': '-1'})
-    with pytest.raises(BellowsError, match=r'^--to: recording.end must be'):
-        interval_settings(arguments)

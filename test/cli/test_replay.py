@@ -106,15 +106,14 @@ def test_a_file_is_written_for_the_viewer(bellows, workshop, tmp_path):
     assert (tmp_path / 'a.rrd').read_bytes().startswith(b'RRF')
 
 
-@pytest.mark.parametrize(('view', 'words'), [
-    ('a.png', 'must end in .rrd'), ('a.rrd', 'pip install rerun-sdk')])
-def test_what_the_viewer_lacks_is_named_before_any_work(view, words, bellows, workshop, tmp_path):
+def test_what_the_viewer_lacks_is_named_before_any_work(bellows, workshop, tmp_path):
     (tmp_path / 'rerun.py').write_text("raise ImportError('not here')\n")
     (tmp_path / 'out').mkdir()
     paths = filter(None, [str(tmp_path), os.environ.get('PYTHONPATH')])
     done = bellows('replay', 'recording', '--params', 'cup.yaml', '--view',
-                   tmp_path / 'out' / view, cwd=workshop, PYTHONPATH=os.pathsep.join(paths))
-    assert (done.returncode, done.stdout) == (2, '') and words in done.stderr, done.stderr
+                   tmp_path / 'out' / 'a.rrd', cwd=workshop, PYTHONPATH=os.pathsep.join(paths))
+    assert (done.returncode, done.stdout) == (2, ''), done.stderr
+    assert 'pip install rerun-sdk' in done.stderr
     assert 'Traceback' not in done.stderr and list((tmp_path / 'out').iterdir()) == []
 
 

@@ -33,14 +33,6 @@ def test_a_page_without_matplotlib_is_refused_before_any_work(bellows, root, mon
         assert done.returncode == 2 and 'pip install matplotlib' in ' '.join(done.stderr.split())
 
 
-def test_a_page_of_very_many_recordings_is_refused(bellows, root, tmp_path):
-    bags = [f'bags/identification_{i}' for i in range(21)]
-    done = bellows('identify', *bags, '--params', 'bags/package.yaml', '--jobs', 1, '--report',
-                   tmp_path / 'page.html', cwd=root)
-    assert done.returncode == 2
-    assert 'at most 20 recordings, got 21' in ' '.join(done.stderr.split())
-
-
 def test_a_search_that_does_not_end_gives_no_cup(bellows, root, tmp_path, monkeypatch):
     """End with 1, without standard errors and without a cup file."""
     monkeypatch.setattr(search, 'MAX_STEPS', 1)

@@ -3,11 +3,9 @@
 import json
 
 from bellows_ros.files.parameter_files import read_parameters
-import pytest
 
-from .conftest import PACKAGE, write_yaml
+from .conftest import TRUTH, write_yaml
 
-MASSES = (0.6, 1.2, 1.8, 2.4)
 STATIC = {
     'kind': 'static', 'rest_duration': 1.5,
     'static': {'move': 0.5, 'hold': 3.0, 'poses': [{'rpy': [0.3, 0.0, 0.0]}]},
@@ -16,23 +14,17 @@ STATIC = {
 }
 
 
-@pytest.fixture(scope='module')
-def weights(bellows, workshop, tmp_path_factory):
-    """Give a folder with recordings m0, m1, ... of several masses."""
-    folder = tmp_path_factory.mktemp('weights')
-    for number, mass in enumerate(MASSES):
-        motion = write_yaml(folder / 'motion.yaml', {**STATIC, 'seed': number})
+def test_length_and_spring_in_words_and_files(bellows, workshop, tmp_path):
+    """Print both, and write the length and all figures, of recordings of several masses."""
+    bags, masses = [], []
+    for number, mass in enumerate((0.6, 1.2, 1.8, 2.4)):
+        motion = write_yaml(tmp_path / 'motion.yaml', {**STATIC, 'seed': number})
+        bags.append(tmp_path / f'm{number}')
+        masses += ['--mass', mass]
         done = bellows(
             'simulate', '--params', workshop / 'cup.yaml', '--set', f'package.mass={mass}',
-            '--motion', motion, '--out', folder / f'm{number}')
+            '--motion', motion, '--out', bags[-1])
         assert done.returncode == 0, done.stderr
-    return folder
-
-
-def test_length_and_spring_in_words_and_files(bellows, workshop, weights, tmp_path):
-    """Print both, and write the length and all figures."""
-    bags = [weights / f'm{number}' for number in range(len(MASSES))]
-    masses = [part for mass in MASSES for part in ('--mass', mass)]
     done = bellows(
         'static', *bags, *masses, '--params', workshop / 'cup.yaml',
         '--out', tmp_path / 'l0.yaml', '--json', tmp_path / 'static.json')
@@ -45,5 +37,5 @@ def test_length_and_spring_in_words_and_files(bellows, workshop, weights, tmp_pa
         assert words in done.stdout
     assert max(map(len, done.stdout.splitlines())) < 110
     found = read_parameters(tmp_path / 'l0.yaml')['cup.length']
-    assert abs(found - PACKAGE['cup.length']) < 1e-4
+    assert abs(found - TRUTH['cup.length']) < 1e-4
     assert json.loads((tmp_path / 'static.json').read_text())['spring']['passed'] is True
