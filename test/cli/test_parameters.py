@@ -24,20 +24,15 @@ def test_names_choose(bellows):
         'filter.tool.half_window', 'filter.tool.order', 'gravity.magnitude', 'gravity.direction']
 
 
-def test_the_template_is_a_parameter_file_with_the_defaults(bellows, tmp_path):
-    """Read back what is written; the package is left to fill in."""
-    file = tmp_path / 'all.yaml'
-    file.write_text(bellows('parameters', '--yaml').stdout)
-    assert read_parameters(file) == {
-        p.name: p.default for p in PARAMETERS.values() if p.default not in (None, ())
-    }
-
-
-def test_the_template_can_be_filled_in(bellows, tmp_path):
-    """Make a complete file by removing the comment signs, as the file says."""
+def test_the_template_is_a_parameter_file_to_fill_in(bellows, tmp_path):
+    """Read the defaults; then make it complete by removing the comment signs, as it says."""
     file = tmp_path / 'all.yaml'
     names = ('bags', *RECORDING_PARAMETERS)
     text = bellows('parameters', '--yaml').stdout
+    file.write_text(text)
+    assert read_parameters(file) == {
+        p.name: p.default for p in PARAMETERS.values() if p.default not in (None, ())
+    }
     for name in names:
         assert f'    #{name}: ' in text
         text = text.replace(f'    #{name}: ', f'    {name}: ')

@@ -11,24 +11,15 @@ needs_ros = pytest.mark.skipif(
 
 @needs_ros
 def test_what_was_played_is_said(bellows, workshop, tmp_path):
-    """Count the messages of each topic, and warn where nobody listens."""
+    """Count the messages of each topic between two times, and warn where nobody listens."""
     done = bellows(
-        'play', 'recording', '--topic', '/tool_arm/pose:=/pose', '--rate', 8, '--json',
-        tmp_path / 'played.json', cwd=workshop)
+        'play', 'recording', '--topic', '/tool_arm/pose:=/pose', '--rate', 8, '--from', 2, '--to',
+        6, '--json', tmp_path / 'played.json', cwd=workshop)
     assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / 'played.json').read_text())
-    assert content['messages'] == {'/pose': 2401} and content['duration'] == 1.0
-    assert '/pose  2401 messages' in done.stdout
+    assert content['messages'] == {'/pose': 1201} and content['duration'] == 0.5
+    assert '/pose  1201 messages' in done.stdout
     assert 'Warning: No subscriber was connected' in done.stderr
-
-
-@needs_ros
-def test_a_part_is_played(bellows, workshop):
-    """Send what lies between two times, counted from the recording's start."""
-    done = bellows('play', 'recording', '--topic', '/tool_arm/pose', '--from', 2, '--to', 2.5,
-                   cwd=workshop)
-    assert done.returncode == 0 and '/tool_arm/pose  151 messages' in done.stdout, done.stderr
-    assert 'Played in 0.5 s' in done.stdout
 
 
 @needs_ros
