@@ -211,7 +211,6 @@ class Cell:
             if late:
                 w = late * 1e9 / PERIOD_NS
                 a, b = self.body[max(k - int(w) - 1, 0)], self.body[max(k - int(w), 0)]
-                step = (1.0 - w % 1.0) * np.concatenate([a[2], a[3]]) * PERIOD_NS * 1e-9
                 mean = (1.0 - w % 1.0) * (np.r_[a[2], a[3]] + np.r_[b[2], b[3]]) / 2
                 step = mean * PERIOD_NS * 1e-9
                 body = moved_by(a, np.r_[step, np.zeros(6)])
