@@ -125,6 +125,12 @@ def check_node(rest):
             assert name in PARAMETERS or name.startswith('qos_overrides.'), value
 
 
+def test_pages_are_found_and_hold_commands():
+    """Look at the README first, and at more than that."""
+    assert next(iter(ALL)) == 'README.md'
+    assert len(runnable()) >= 2
+
+
 @pytest.mark.parametrize(
     ('shown', 'printed', 'same'),
     [
