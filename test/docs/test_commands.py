@@ -146,6 +146,17 @@ def test_outputs_are_compared_but_for_numbers(shown, printed, same):
     assert PAGES.matches(shown, printed) is same
 
 
+def test_blocks_are_found_with_their_marks():
+    """Let a mark hold for the block that follows at once, and for no other."""
+    text = (
+        'Words\n\n<!-- test: parse, a robot -->\n```bash\none \\\n  more\n# no command\ntwo\n```\n'
+        '```yaml\n$ none\n```\n```console\n$ three\nout\n\n$ four\n```\n')
+    first, second = PAGES.blocks(text)
+    assert (first.mode, [c.text for c in first.commands]) == ('parse', ['one \\\n  more', 'two'])
+    assert second.mode == 'run'
+    assert [(c.text, c.output) for c in second.commands] == [('three', 'out\n'), ('four', '')]
+
+
 def test_nothing_is_installed_or_started_by_accident():
     """Leave pip and ROS alone on pages that forget to say so."""
     text = '```bash\nbellows --help\npip install x\n```\n```bash\nros2 topic list\n```\n'
