@@ -142,35 +142,41 @@ def _since(package: Trajectory, middle: Array) -> Array:
     return np.asarray(package.stamps_ns / NS_PER_S - middle[3])[:, None]
 
 
-def model_columns(name: str, payload: Package, parameters: Array) -> Array:
-    """Return derivatives (..., count) by a free quantity of the model from those by parameters."""
+def model_columns(name: str, payload: Package, count: int) -> Array:
+    """Return derivatives (count, size) of the model's parameters by a free quantity."""
+    parameters = np.eye(count)
     if name in COLUMNS:
-        return parameters[..., COLUMNS[name]]
+        return parameters[:, COLUMNS[name]]
     if name == 'mass':
-        return np.asarray(payload.mass * parameters[..., MASS])
+        return np.asarray(payload.mass * parameters[:, MASS])
     if name == 'inertia':
         rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
         sizes = payload.inertia[rows, columns]
         by_log = 0.5 * sizes[:, None] * (np.eye(3)[list(rows)] + np.eye(3)[list(columns)])
-        return np.asarray(parameters[..., INERTIA] @ by_log)
-    return np.zeros((*parameters.shape[:-1], KINDS[name].size))
+        return np.asarray(parameters[:, INERTIA] @ by_log)
+    return np.zeros((count, KINDS[name].size))
 
 
 def pose_changes(
     name: str, package: Trajectory, moves: Array, middle: Array | None = None
-) -> Array | None:
-    """Return the derivatives of poses (M, 6, count) in their own axes, None if they are fixed."""
-    if name == 'com' and moves.any():
-        change = np.zeros((6, 3))
-        change[:3] = np.diag(moves)
-        return np.broadcast_to(change, (len(package), 6, 3))
-    if name == 'package_marker':
-        return np.broadcast_to(np.eye(6), (len(package), 6, 6))
-    if name in ('package_world', 'world_drift'):
+) -> Array:
+    """
+    Return the derivatives of poses (M, 6, count) by a quantity, in their own axes.
+
+    By the offset of the clocks in units of the twist.
+    """
+    change = np.zeros((len(package), 6, KINDS[name].size))
+    if name == 'com':
+        change[:, :3] = np.diag(moves)
+    elif name == 'time_offset':
+        change -= 1.0
+    elif name == 'package_marker':
+        change += np.eye(6)
+    elif name in ('package_world', 'world_drift'):
         middle = middle_of(package) if middle is None else middle
         inverse = np.swapaxes(package.rotation, 1, 2)
-        change = np.zeros((len(package), 6, 6))
         change[:, :3, :3] = change[:, 3:, 3:] = inverse
         change[:, :3, 3:] = -inverse @ hat(package.position - middle[:3])
-        return change * _since(package, middle)[..., None] if name == 'world_drift' else change
-    return None
+        if name == 'world_drift':
+            change *= _since(package, middle)[..., None]
+    return change

@@ -298,22 +298,19 @@ class Segment:
         return Nodes(nodes, np.searchsorted(nodes, grid[sampled]), place, sampled, used,
                      (poses - stamps)[used] / NS_PER_S)
 
-    def tool_noise(self, nodes: Nodes) -> tuple[Array, Array, Array, Array]:
-        """
-        Return what `whiten` needs of the tool's samples at the nodes.
-
-        The time that each stands for (M,), the innovations (M, 6) of its noise, their variances
-        (M, 6), and its correlation (M,) with the node before.
-        """
+    def tool_noise(self, nodes: Nodes) -> whitening.ToolNoise:
+        """Return the noise of the tool's samples at the nodes."""
         correlation, count = self.measured.tool_noise.correlation, len(nodes.stamps)
-        durations, correlations = np.zeros(count), np.ones(count)
-        durations[nodes.samples] = self.durations[self.inner][nodes.sampled]
-        correlations[nodes.samples] = correlation
-        innovations, variances = np.zeros((2, count, 6))
-        innovations[nodes.samples] = _innovations(self.deviation[nodes.sampled], correlation)
-        variances[nodes.samples] = self.variance[nodes.sampled] * (1.0 - correlation**2)
-        variances[nodes.samples[0]] /= 1.0 - correlation**2
-        return durations, innovations, variances, correlations
+        noise = whitening.ToolNoise(
+            np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6)), np.ones(count))
+        new_variance = self.variance[nodes.sampled] * (1.0 - correlation**2)
+        new_variance[0] /= 1.0 - correlation**2
+        for values, sampled in zip(noise, (
+                self.durations[self.inner][nodes.sampled],
+                _innovations(self.deviation[nodes.sampled], correlation),
+                new_variance, correlation), strict=True):
+            values[nodes.samples] = sampled
+        return noise
 
 
 class WhitenedSegment(NamedTuple):
@@ -651,63 +648,83 @@ class Search:
     ) -> WhitenedSegment:
         """Return a segment's whitened differences."""
         model, free = self.model(theta, segment)
-        nodes = segment.nodes(float(free['time_offset'][0]) if 'time_offset' in free else 0.0)
-        poses, noise = segment.package.select(nodes.used), segment.measured.package_noise
-        package = quantities.poses_of(poses, free, segment.com_axes, segment.measured.middle)
-        tool = simulation.tool_rows(resample(segment.path, nodes.stamps))
-        expected, start = (
-            adapted(model, simulation.row_state(tool[0]), body)
-            for body in (segment.expected_start, segment.start))
-        start = _shrunk(model, tool[0], start, segment.std)
-        columns, by_pose, delay = self._columns(segment, free, poses)
-        count, size, inner = len(nodes.stamps), len(poses), whitening.state_count(start)
-        is_correlated = noise.correlation > 0.0
-        states = inner + (12 if is_correlated else 6)
+        nodes = segment.nodes(float(free.get('time_offset', (0.0,))[0]))
         lengths = np.diff(nodes.stamps) / NS_PER_S
-        noise_correlations = (
-            noise.correlation ** (lengths / segment.period) if is_correlated else lengths)
-        durations, innovations, tool_variances, correlations = segment.tool_noise(nodes)
-        white_variance = (MIN_POSE_STD if is_correlated else segment.std) ** 2
-        S = np.zeros((states, len(theta) + 1))
-        S[:inner, -1] = ahead = _difference(start, expected)
-        P = np.diag(np.concatenate([
-            INITIAL_STD[:inner], np.zeros(6), segment.std])[:states] ** 2)
-        out, slopes = np.empty((size, 6)), np.empty((size, 6, len(theta)))
-        T, B = np.zeros((count, states, states)), np.zeros((count, states, 6))
-        B[:, :inner], B[:, inner:inner + 6] = 0.5 * durations[:, None, None], np.eye(6)
-        gains = np.zeros((size, 6, states + 1))
-        steps = substeps_of(
-            lengths, _integration_step(model, COARSE_FACTOR if forgetting else 1.0))
-        scales, extra, reach = np.empty((count, 0)), np.empty(0), np.ones(6)
-        if not self.places.keys().isdisjoint(quantities.OF_CUP):
-            displacement = _displacement(
-                model, tool, simulation.simulate_rows(model, start, tool, lengths, steps))
-            reach = displacement.max(axis=0)
-            scales, extra = self._cup_deviations(theta, segment, nodes.stamps, displacement)
-        whitening.whiten(
-            model, start, S, P, tool, lengths, steps, innovations, tool_variances, correlations,
-            forgetting**4 * segment.period * segment.std**2, forgetting > 0.0, nodes.place,
-            np.column_stack([package.position, rotation_to_quaternion(package.rotation),
-                             nodes.delays]), white_variance,
-            segment.std**2, noise_correlations, WRENCH.start if np.any(columns[DAMPING.stop:])
-            else DAMPING.stop, columns, scales, extra, delay, by_pose, out, slopes, T, B, gains)
-        smoothed, slope = np.zeros((count, 6)), np.zeros(states)
-        whitening.smooth(
-            out, nodes.place, tool_variances, inner + 6, T, B, gains, smoothed, slope)
+        step = _integration_step(model, COARSE_FACTOR if forgetting else 1.0)
+        path = whitening.Path(simulation.tool_rows(resample(segment.path, nodes.stamps)),
+                              lengths, substeps_of(lengths, step))
+        expected, start = (
+            adapted(model, simulation.row_state(path.rows[0]), body)
+            for body in (segment.expected_start, segment.start))
+        start = _shrunk(model, path.rows[0], start, segment.std)
+        mean, poses = _difference(start, expected), self._poses(segment, nodes, free, lengths)
+        tool_noise, initial_std = segment.tool_noise(nodes), INITIAL_STD[:len(mean)]
+        scales, extra, reach = self._cup_deviations(
+            theta, segment, nodes.stamps, model, start, path)
+        unknowns = self._unknowns(segment, free, scales, extra)
+        is_correlated = segment.measured.package_noise.correlation > 0.0
+        std = [initial_std, np.zeros(6), segment.std][:3 if is_correlated else 2]
+        result = whitening.whiten(
+            model, start, mean, np.concatenate(std), path, tool_noise, poses, unknowns,
+            forgetting**4 * segment.period * segment.std**2)
+        innovations, slopes, *_, gains = result
+        smoothed, slope = whitening.smooth(
+            result, nodes.place, tool_noise.variances, len(mean) + 6)
         change = np.zeros_like(segment.deviation)
         change[nodes.sampled] = smoothed[nodes.samples]
-        correction = ahead - INITIAL_STD[:inner] ** 2 * slope[:inner]
+        correction = mean - initial_std**2 * slope[:len(mean)]
         with np.errstate(divide='ignore'):  # a simulation that diverges has no weights
             variance = gains[:, :, -1] ** -2
         return WhitenedSegment(
-            out.ravel(), slopes.reshape(6 * size, -1), variance, white_variance,
-            first_order(change, segment.measured.tool_noise.correlation),
+            innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
+            poses.white_variance, first_order(change, segment.measured.tool_noise.correlation),
             whitening.with_mean(start, correction[:, None]), reach)
 
+    def _poses(
+        self, segment: Segment, nodes: Nodes, free: Free, lengths: Array
+    ) -> whitening.Poses:
+        """Return the package's poses at the nodes, as the free quantities make them."""
+        noise, poses = segment.measured.package_noise, segment.package.select(nodes.used)
+        context = segment.com_axes, segment.measured.middle
+        package = quantities.poses_of(poses, free, *context)
+        by_unknowns = np.zeros((len(poses), 6, len(self.units)))
+        for name, places in self.places_of(segment).items():
+            by_unknowns[:, :, places] = -quantities.pose_changes(name, poses, *context)
+        rows = np.column_stack(
+            [package.position, rotation_to_quaternion(package.rotation), nodes.delays])
+        return whitening.Poses(
+            nodes.place, rows, by_unknowns * self.units,
+            (MIN_POSE_STD if noise.correlation > 0.0 else segment.std) ** 2, segment.std**2,
+            noise.correlation ** (lengths / segment.period))
+
+    def _unknowns(
+        self, segment: Segment, free: Free, scales: Array, extra: Array
+    ) -> whitening.Unknowns:
+        """Return what the unknowns do to the model of a segment."""
+        places, payload = self.places_of(segment), quantities.payload_of(
+            segment.measured.payload, free)
+        columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
+        columns[:DAMPING.stop, :self.count] = self.structure.upper
+        for name, place in places.items():
+            columns[:, place] = quantities.model_columns(name, payload, len(columns))
+        columns[:, :-1] *= self.units
+        return whitening.Unknowns(
+            WRENCH.start if np.any(columns[DAMPING.stop:]) else DAMPING.stop,
+            columns, scales, extra, int(places.get('time_offset', (-1,))[0]))
+
     def _cup_deviations(
-        self, theta: Array, segment: Segment, stamps: Stamps, displacement: Array
-    ) -> tuple[Array, Array]:
-        """Return factors (M, m) of columns from node to node, and unknowns (m,) of `OF_CUP`."""
+        self, theta: Array, segment: Segment, stamps: Stamps, model: ModelTuple, start: State,
+        path: whitening.Path,
+    ) -> tuple[Array, Array, Array]:
+        """
+        Return factors (M, m) of columns from node to node, and unknowns (m,) of `OF_CUP`.
+
+        And the largest displacements (6,), 1 where all of it is empty as none of them is free.
+        """
+        if self.places.keys().isdisjoint(quantities.OF_CUP):
+            return np.empty((len(stamps), 0)), np.empty(0), np.ones(6)
+        displacement = _displacement(
+            model, path.rows, simulation.simulate_rows(model, start, *path))
         first, *_, last = np.concatenate([
             other.path.stamps_ns[[0, -1]] for other in self.segments
             if other.measured.recording == segment.measured.recording])
@@ -718,26 +735,7 @@ class Search:
         for name in self.places.keys() & profiles:
             (places,) = self.places[name]
             scales[:, places], extra[places] = K * profiles[name], theta[places]
-        return scales, extra
-
-    def _columns(
-        self, segment: Segment, free: Free, poses: Trajectory
-    ) -> tuple[Array, Array, int]:
-        """Return the model's parameters, the package's poses and the delay, by the unknowns."""
-        columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units)))
-        by_pose = np.zeros((len(poses), 6, len(self.units)))
-        columns[:DAMPING.stop, :self.count] = self.structure.upper
-        payload, delay = quantities.payload_of(segment.measured.payload, free), -1
-        for name, places in self.places_of(segment).items():
-            columns[:, places] = quantities.model_columns(name, payload, np.eye(len(columns)))
-            change = quantities.pose_changes(
-                name, poses, segment.com_axes, segment.measured.middle)
-            if change is not None:
-                by_pose[:, :, places] = -change
-            if name == 'time_offset':
-                delay = int(places[0])
-                by_pose[:, :, delay] = 1.0
-        return np.pad(columns * self.units, ((0, 0), (0, 1))), by_pose * self.units, delay
+        return scales, extra, displacement.max(axis=0)
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:
@@ -816,7 +814,7 @@ def _displacement(model: ModelTuple, tool: Array, body: Array) -> Array:
 def _difference(body: State, other: State) -> Array:
     """Return what separates a state from another (12,), with internal strains (24,)."""
     return np.concatenate([*pose_error(body, other[0], other[1]), *(
-        np.ravel(np.array(end) - np.array(begin))
+        np.ravel(np.subtract(end, begin))
         for begin, end in zip(body[2:], other[2:], strict=True))])
 
 

@@ -18,9 +18,10 @@ backwards, finds the likeliest path (Bryson and Frazier).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
@@ -91,22 +92,70 @@ def _strain_derivatives(
             A[first + i, first + i] = -rate
 
 
-@kernel
-def state_count(body: State) -> int:
-    """Return the size of x."""
-    return 24 if len(body) == 6 else 12
+class Path(NamedTuple):
+    """The tool's path (M, 13) at M nodes, with time (s) and integration steps (M - 1,) between."""
+
+    rows: Array
+    lengths: Array
+    steps: Array
+
+
+class ToolNoise(NamedTuple):
+    """
+    Noise of the tool's poses at the nodes: its shift and turn from the path, m and rad.
+
+    The time (M,) for which each sample stands, s; innovations (M, 6) with their variances (M, 6),
+    and the correlation (M,) with the noise at the node before.
+    """
+
+    durations: Array
+    innovations: Array
+    variances: Array
+    correlations: Array
+
+
+class Poses(NamedTuple):
+    """
+    Measured poses of B.
+
+    Their numbers at the nodes (M,), -1 for none; the poses (N, 8) with the little time (s) that
+    each is after its node; minus their derivatives (N, 6, p) in own axes by the unknowns, by the
+    delay per unit of the simulated twist; the variances (6,) of white noise in own axes, m^2 and
+    rad^2, and of correlated noise, with its correlation (M - 1,) from node to node.
+    """
+
+    place: Places
+    rows: Array
+    by_unknowns: Array
+    white_variance: Array
+    variance: Array
+    correlations: Array
+
+
+class Unknowns(NamedTuple):
+    """
+    What p unknowns do to the model.
+
+    How many of `jacobians.PARAMETERS` are used, and derivatives (64, p + 1) of the model's
+    parameters; what these are multiplied by at the nodes (M, p), and the values (p,) of unknowns
+    that the model is without, whose effect, as far as it is linear, is in the mean: empty where it
+    has all; and the unknown by which the tool's stamps are late, -1 for none.
+    """
+
+    last: int
+    columns: Array
+    scales: Array
+    extra: Array
+    delay: int
 
 
 @array_kernel
 def whiten(
-    model: ModelTuple, body: State, S: Any, P: Any, tool: Any, lengths: Any, steps: Any,
-    innovations: Any, tool_variances: Any, tool_correlations: Any, walk: Any, relinearise: bool,
-    place: Any, poses: Any, variance: Any, noise_variance: Any, noise_correlations: Any,
-    last: int, columns: Any, scales: Any, extra: Any, delay: int, by_pose: Any, out: Any,
-    slopes: Any, T: Any, B: Any, K: Any,
-) -> None:
+    model: ModelTuple, body: State, mean: Array, std: Array, path: Path, tool_noise: ToolNoise,
+    poses: Poses, unknowns: Unknowns, walk: Array,
+) -> tuple[Array, Array, Array, Array, Array]:
     """
-    Write whitened differences and their derivatives, and what `smooth` needs.
+    Return whitened differences and their derivatives, and what `smooth` needs.
 
     The states are x (12,), with 12 internal strains where the cup relaxes, then how far the tool
     is from its path (6,), and, where it is correlated, the noise of the package's pose (6,).
@@ -115,72 +164,59 @@ def whiten(
     ----------
     model, body : tuples
         And the package at the first node.
-    S, P : ndarray (n, p + 1), (n, n)
-        Derivatives of the states by p parameters, then their mean, and their covariance: at the
-        first node, before the tool's pose there; changed.
-    tool, lengths, steps : ndarray (M, 13), (M - 1,), (M - 1,)
-        The tool's path at M nodes, the time between them (s), and the steps of the integrator.
-    innovations, tool_variances, tool_correlations : ndarray (M, 6), (M, 6), (M,)
-        Of the noise of the tool's poses, its shift and turn from the path (m, rad): those there,
-        their variances, and the correlation of the noise with that at the node before.
+    mean, std : ndarray (m,), (n,)
+        Mean of x, and standard deviations of the states, before the tool's first pose.
+    path, tool_noise, poses, unknowns : tuples
+        Of M nodes, N poses and p unknowns.
     walk : ndarray (6,)
-        Variance that a white acceleration gives to the twist in x, per second.
-    relinearise : bool
-        Whether the package that is linearised about takes on what is estimated of x.
-    place : int ndarray (M,)
-        Number of the package's pose at a node, or -1.
-    poses, variance : ndarray (N, 8), (6,)
-        Measured poses of B with the little time (s) that each is after its node, and the variances
-        (m^2, rad^2) of white noise in its own axes.
-    noise_variance, noise_correlations : ndarray (6,), (M - 1,)
-        The variance of its correlated noise, and its correlation from node to node.
-    last, columns : int, ndarray (64, p + 1)
-        How many of `jacobians.PARAMETERS` are used, and the model's parameters by those here.
-    scales, extra : ndarray (M, p), (p,)
-        What `columns` are multiplied by at the nodes, and the values of parameters that the model
-        is without: their effect, as far as it is linear, is in the mean. Empty where it has all.
-    delay : int
-        The parameter by which the tool's stamps are late; -1 for none.
-    by_pose : ndarray (N, 6, p)
-        Minus the package's measured pose, in its own axes, by parameters; by the delay per unit of
-        the simulated twist; changed.
-    out, slopes : ndarray (N, 6), (N, 6, p)
+        Variance that a white acceleration gives to the twist in x, per second. Where there is
+        any, the package that is linearised about takes on what is estimated of x.
+
+    Returns
+    -------
+    innovations, slopes : ndarray (N, 6), (N, 6, p)
         In units of their standard deviation.
     T, B, K : ndarray (M, n, n), (M, n, 6), (N, 6, n + 1)
         Transitions, half the effects of the tool's samples, and gains with one over the standard
-        deviation of what each is of. In B there is the time (s) for which each sample stands.
+        deviation of what each is of.
 
     """
-    m = state_count(body)
-    A, C, B0, twist = (
-        np.zeros((2, m, m)), np.zeros((2, m, PARAMETER_COUNT)), np.zeros((m, 6)), np.zeros(6))
-    for k in range(tool.shape[0]):
-        here, slot = row_state(tool[k]), k % 2
+    m, n, nodes, count = len(mean), len(std), len(path.rows), len(poses.rows)
+    S, P = np.zeros((n, unknowns.columns.shape[1])), np.zeros((n, n))
+    for i in range(n):
+        P[i, i] = std[i] * std[i]
+    S[:m, -1] = mean
+    out, slopes = np.empty((count, 6)), np.empty((count, 6, S.shape[1] - 1))
+    T, B, K = np.zeros((nodes, n, n)), np.zeros((nodes, n, 6)), np.zeros((count, 6, n + 1))
+    A, C, twist = np.zeros((2, m, m)), np.zeros((2, m, PARAMETER_COUNT)), np.zeros(6)
+    for k in range(nodes):
+        here, slot = row_state(path.rows[k]), k % 2
         if k > 0:
-            body = kernels.advance(
-                model, body, row_state(tool[k - 1]), here, lengths[k - 1], steps[k - 1])
-        _derivatives(model, here, body, last, A[slot], C[slot], B0)
-        B[k, :m] *= B0  # half of a sample acts behind the package's pose
+            body = kernels.advance(model, body, row_state(path.rows[k - 1]), here,
+                                   path.lengths[k - 1], path.steps[k - 1])
+        _derivatives(model, here, body, unknowns.last, A[slot], C[slot], B[k])
+        B[k] *= 0.5 * tool_noise.durations[k]  # the other half acts behind the package's pose
+        for i in range(6):
+            B[k, m + i, i] = 1.0
         if k > 0:
-            _propagate(
-                lengths[k - 1], steps[k - 1], A, C, columns, scales[k - 1:k + 1], extra,
-                tool_correlations[k], noise_correlations[k - 1], walk, noise_variance,
-                B[k - 1:k + 1], S, P, T[k])
-        _add_tool_noise(innovations[k], tool_variances[k], B[k], S, P)
-        n = place[k]
-        if n >= 0:
-            pose = poses[n]
+            _propagate(k, path, tool_noise, poses, unknowns, walk, A, C, B, S, P, T[k])
+        _add_tool_noise(tool_noise.innovations[k], tool_noise.variances[k], B[k], S, P)
+        i = poses.place[k]
+        if i >= 0:
+            pose = poses.rows[i]
             shift, turn = pose_error(
                 body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
-            for i in range(3):
-                twist[i], twist[3 + i] = body[2][i], body[3][i]
-                out[n, i], out[n, 3 + i] = shift[i], turn[i]
-            out[n] -= pose[7] * twist
-            if delay >= 0:
-                by_pose[n, :, delay] *= twist
-            _update(variance, by_pose[n], m + 6, S, P, out[n], slopes[n], K[n])
-            if relinearise:
+            for j in range(3):
+                twist[j], twist[3 + j] = body[2][j], body[3][j]
+                out[i, j], out[i, 3 + j] = shift[j], turn[j]
+            out[i] -= pose[7] * twist
+            if unknowns.delay >= 0:
+                poses.by_unknowns[i, :, unknowns.delay] *= twist
+            _update(poses.white_variance, poses.by_unknowns[i], m + 6, S, P, out[i], slopes[i],
+                    K[i])
+            if walk[0] > 0.0:
                 body = with_mean(body, S)
+    return out, slopes, T, B, K
 
 
 @kernel
@@ -198,32 +234,32 @@ def with_mean(body: State, S: Any) -> State:
 
 @array_kernel
 def _propagate(
-    length: float, steps: int, A: Any, C: Any, columns: Any, scales: Any, extra: Any,
-    tool_correlation: float, noise_correlation: float, walk: Any, noise_variance: Any,
-    B: Any, S: Any, P: Any, T: Any,
+    k: int, path: Path, tool_noise: ToolNoise, poses: Poses, unknowns: Unknowns, walk: Array,
+    A: Array, C: Array, B: Array, S: Array, P: Array, T: Array,
 ) -> None:
-    """Propagate states, derivatives and covariance over a step; write its transition T."""
-    n, m = P.shape[0], A.shape[1]
-    mean = np.zeros((m, m))
+    """Propagate states, derivatives and covariance over a step to node k; write its T."""
+    n, m, length, steps = len(P), A.shape[1], path.lengths[k - 1], path.steps[k - 1]
+    tool_correlation, noise_correlation = tool_noise.correlations[k], poses.correlations[k - 1]
+    scales, mean = unknowns.scales, np.zeros((m, m))
     F = _exponential(0.5 * length * (A[0] + A[1]), steps, mean)
-    entered = t3.product(F, B[0, :m], np.empty((m, 6)))
+    entered = t3.product(F, B[k - 1, :m], np.empty((m, 6)))
     for i in range(m):
         for j in range(m):
             T[i, j] = F[i, j]
         for j in range(6):
-            T[i, m + j] = entered[i, j] + tool_correlation * B[1, i, j]
+            T[i, m + j] = entered[i, j] + tool_correlation * B[k, i, j]
     for i in range(m, n):
         T[i, i] = tool_correlation if i < m + 6 else noise_correlation
-    effect = t3.product(0.5 * length * (C[0] + C[1]), columns, np.empty((m, S.shape[1])))
-    for j in range(len(extra)):
-        effect[:, j] *= 0.5 * (scales[0, j] + scales[1, j])
-        effect[:, -1] += effect[:, j] * extra[j]
+    effect = t3.product(0.5 * length * (C[0] + C[1]), unknowns.columns, np.empty((m, S.shape[1])))
+    for j in range(len(unknowns.extra)):
+        effect[:, j] *= 0.5 * (scales[k - 1, j] + scales[k, j])
+        effect[:, -1] += effect[:, j] * unknowns.extra[j]
     S[:] = t3.add_product(mean, effect, t3.product(T, S, np.empty(S.shape)))
     t3.product(T, t3.transpose(t3.product(T, P, np.empty((n, n)))), P)
     for i in range(6):
         P[6 + i, 6 + i] += walk[i] * length
     for i in range(m + 6, n):
-        P[i, i] += (1.0 - noise_correlation * noise_correlation) * noise_variance[i - m - 6]
+        P[i, i] += (1.0 - noise_correlation * noise_correlation) * poses.variance[i - m - 6]
 
 
 @array_kernel
@@ -306,16 +342,17 @@ def _update(
 
 @array_kernel
 def smooth(
-    out: Any, place: Any, variances: Any, noise_state: int, T: Any, B: Any, K: Any,
-    innovations: Any, slope: Any,
-) -> None:
+    whitened: tuple[Array, Array, Array, Array, Array], place: Places, variances: Array,
+    noise_state: int,
+) -> tuple[Array, Array]:
     """
-    Write the innovations (M, 6) of the likeliest noise of the tool's poses, going backwards.
+    Return the innovations (M, 6) of the likeliest noise of the tool's poses, going backwards.
 
-    Of the whitened differences `out`; `noise_state` is the first state of the package's noise.
-    Slope (n,) becomes that of the first states: their likeliest change is minus their covariance
-    times that.
+    Of what `whiten` returns; `noise_state` is the first state of the package's noise. And the
+    slope (n,) of the first states: their likeliest change is minus their covariance times that.
     """
+    out, _, T, B, K = whitened
+    innovations, slope = np.zeros(variances.shape), np.zeros(T.shape[1])
     for k in range(len(place) - 1, -1, -1):
         n = place[k]
         for j in range(5 if n >= 0 else -1, -1, -1):
@@ -326,3 +363,4 @@ def smooth(
         innovations[k] = -variances[k] * np.dot(B[k].T, slope)
         if k > 0:
             slope[:] = np.dot(T[k].T, slope)
+    return innovations, slope
