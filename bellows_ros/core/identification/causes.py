@@ -45,29 +45,29 @@ NONE = np.empty(0)
 MAX_FACTS = 4
 """Most findings without a fit."""
 
-ONE_BODY = 1e-3
+MAX_BODY_DISTANCE = 1e-3
 """Poses that stay within this distance (m) of each other are of one body."""
 
-HELD = 0.3
+MAX_SPREAD_RATIO = 0.3
 """In its own world the lip moves by at most this part of what it does in another."""
 
 SAMPLE_STEP = 20
 """Every such sample is used where only the arrangement matters."""
 
-SWINGING = -0.2, 0.05
+MIN_SWING, MAX_SWING = -0.2, 0.05
 """Time offsets (s) that the swing of the package can explain: it turns after its tool, not before.
 Smaller offsets of clocks are fitted."""
 
-SWING = 0.07
+SWING_DELAY = 0.07
 """Usual time (s) by which a package turns after its tool."""
 
-ROUGH = 0.05
+ROUGH_STD = 0.05
 """Standard deviation of an offset by when both bodies turn alike (s), as the package swings."""
 
-PERIODIC = 0.95
+MIN_CORRELATION_RATIO = 0.95
 """Part of the largest correlation of turns that small offsets reach in a periodic motion."""
 
-SPECTRUM_SECONDS, LEAST_RATE_HZ, DIFFERENCES = 1.0, 100.0, 4
+SPECTRUM_SECONDS, MIN_RATE_HZ, DIFFERENCES = 1.0, 100.0, 4
 """Length of the periodograms of poses, the least rate (Hz) at which they are taken, and the order
 of the differences that motion leaves little of."""
 
@@ -77,7 +77,7 @@ NOISE_HZ, NYQUIST_PART = 25.0, 0.9
 MAX_NOISE_ORDER = 3.0
 """Power of frequency with which the density of noise falls; behind a filter of second order, 4."""
 
-SMALLEST_DENSITY = 1e-18
+MIN_DENSITY = 1e-18
 """Density (m^2/Hz) below which there is no noise to see a filter by."""
 
 
@@ -105,7 +105,7 @@ class Finding(NamedTuple):
     is_fact : bool
         Whether it is seen without any fit.
     sentence : str
-        What is said of it, where it is not the one that `KNOWN_CAUSES` has.
+        What is said of it, where it is not the one that `CAUSES` has.
 
     """
 
@@ -162,7 +162,7 @@ def _corrected(recording: Recording) -> tuple[tuple[Finding, ...], Recording]:
                 one.name != fact.name for fact in facts)]
             facts += new
             for one in new:
-                recording = KNOWN_CAUSES[one.name].corrected(recording, one)
+                recording = CAUSES[one.name].corrected(recording, one)
         except BellowsError as error:
             if not facts:
                 raise
@@ -211,7 +211,7 @@ def _misread(recording: Recording) -> Finding | None:
     if wrong := conventions.convention_sentence(*streams, recording.name):
         return _fact('recording', wrong)
     recorded = lip if recording.settings.package_frame == 'lip' else centre
-    if float(np.median(np.linalg.norm(recorded, axis=1))) < ONE_BODY:
+    if float(np.median(np.linalg.norm(recorded, axis=1))) < MAX_BODY_DISTANCE:
         raise BellowsError(
             f"topics.tool_pose ('{streams[0].name}') and topics.package_pose "
             f"('{streams[1].name}') are poses of one body. Name that of the package; "
@@ -256,7 +256,7 @@ def _two_worlds(recording: Recording, tool: Trajectory, package: Trajectory, lip
         lie.quaternion_to_rotation(pose[3:]),
         package.position - apply(package.rotation, recording.payload.com))
     before, after = map(conventions.spread, (lip, apply(np.swapaxes(tool.rotation, 1, 2), moved)))
-    if after > HELD * before:
+    if after > MAX_SPREAD_RATIO * before:
         return ''
     body = recording.measured_package
     motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
@@ -297,10 +297,11 @@ def _by_one_clock(recording: Recording, finding: Finding) -> Recording:
 
 def _in_other_units(recording: Recording, finding: Finding) -> Recording:
     """Return a recording whose package is in kg and kg m^2."""
-    held, factor = recording.payload, {'g': 1e3, **dict(checks.INERTIA_UNITS)}[finding.value]
-    held = (Package(held.mass / factor, held.inertia, held.com) if finding.name == 'mass' else
-            Package(held.mass, held.inertia / factor, held.com))
-    return replace(recording, settings=replace(recording.settings, payload=held))
+    factor = {'g': 1e3, **dict(checks.INERTIA_UNITS)}[finding.value]
+    mass, inertia, com = (getattr(recording.payload, name) for name in ('mass', 'inertia', 'com'))
+    payload = Package(mass / factor, inertia, com) if finding.name == 'mass' else Package(
+        mass, inertia / factor, com)
+    return replace(recording, settings=replace(recording.settings, payload=payload))
 
 
 def _prepared(recording: Recording, **changes: Any) -> Recording:
@@ -311,9 +312,9 @@ def _prepared(recording: Recording, **changes: Any) -> Recording:
     return replace(prepare(**inputs), name=recording.name)
 
 
-def radius_of_gyration(held: Package) -> float:
+def radius_of_gyration(payload: Package) -> float:
     """Return the root of the sum of a package's moments of inertia over its mass, m."""
-    return float(np.sqrt(np.trace(held.inertia) / held.mass))
+    return float(np.sqrt(np.trace(payload.inertia) / payload.mass))
 
 
 def _package(recording: Recording) -> Finding | None:
@@ -338,16 +339,16 @@ def _clocks(recording: Recording) -> Finding | None:
     lags, correlation = alignment.turn_correlation(*bodies)
     if not len(lags):
         return None
-    best, near = int(np.argmax(correlation)), (lags >= SWINGING[0]) & (lags <= SWINGING[1])
+    best, near = int(np.argmax(correlation)), (lags >= MIN_SWING) & (lags <= MAX_SWING)
     largest, small = correlation[best], np.max(correlation[near], initial=0.0)
     limit = alignment.MIN_CORRELATION * (1.0 if small < DISTINCT * largest else 2.0)
-    if largest < limit or near[best] or small > PERIODIC * largest:
+    if largest < limit or near[best] or small > MIN_CORRELATION_RATIO * largest:
         return None
     in_axes = alignment.turn_correlation(*bodies, one_world=True)[1]
     if np.max(in_axes[near], initial=0.0) > max(
-            alignment.MIN_CORRELATION, PERIODIC * np.max(in_axes)):
+            alignment.MIN_CORRELATION, MIN_CORRELATION_RATIO * np.max(in_axes)):
         return None
-    return Finding('time_offset', '', lags[[best]] + SWING, np.array([ROUGH]))
+    return Finding('time_offset', '', lags[[best]] + SWING_DELAY, np.array([ROUGH_STD]))
 
 
 def _twists(recording: Recording) -> Finding | None:
@@ -410,140 +411,80 @@ def _noise_order(poses: Trajectory) -> float:
     """Return the power of frequency with which noise of positions falls, 0 if it is not seen."""
     rate_hz = uniform_rate_hz(poses.stamps_ns)
     changes = np.diff(np.where(poses.valid[:, None], poses.position, np.nan), DIFFERENCES, axis=0)
-    if rate_hz < LEAST_RATE_HZ or not np.isfinite(changes).any():
+    if rate_hz < MIN_RATE_HZ or not np.isfinite(changes).any():
         return 0.0
     hz, densities = vars(spectrum(changes, rate_hz, SPECTRUM_SECONDS)).values()
     inside = (hz > NOISE_HZ) & (hz < 0.5 * NYQUIST_PART * rate_hz)
     density = np.sum(densities[inside], axis=1) / (
         2.0 * np.sin(np.pi * hz[inside] / rate_hz)) ** (2 * DIFFERENCES)
-    if np.median(density) < SMALLEST_DENSITY:
+    if np.median(density) < MIN_DENSITY:
         return 0.0
     return -float(np.polyfit(np.log(hz[inside]), np.log(density), 1)[0])
 
 
-Words = Callable[[Finding, Mapping[str, Any]], tuple[str, str]]
-"""Returns what was found with its size, and what to do, given the parameters by name."""
+Given = Mapping[str, Any]
+"""Parameters by name."""
+
+Fields = dict[str, Any]
+"""What is filled into the words of a cause."""
 
 
-def _setting_words(what: str, remedy: str) -> Words:
-    """Return the words of a setting whose value is otherwise."""
-    return lambda finding, given: (what.format(finding.value), remedy.format(finding.value))
+def _clock_fields(finding: Finding, given: Given) -> Fields:
+    """Return the size of the offset of two clocks, rough where only turns tell it."""
+    offset, std = finding.theta[0], finding.std[0]
+    return {'offset': f'{_size(offset, std)} ms' if std < ROUGH_STD else
+            f'about {abs(offset):.2f} s'}
 
 
-def _clock_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of clocks that are apart."""
-    (offset,), (std,) = finding.theta, finding.std
-    size = f'{_size(offset, std)} ms' if std < ROUGH else f'about {abs(offset):.2f} s'
-    return (f'The stamps of the tool are {size} {"behind" if offset > 0.0 else "ahead of"} those '
-            'of the package', 'Stamp both by one clock, or set fit.time_offset: true.')
-
-
-def _com_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a centre of mass that is elsewhere."""
-    if finding.instead:
-        return _length_or_com(finding.theta[2])
+def _com_fields(finding: Finding, given: Given) -> Fields:
+    """Return what is significant of the way to another centre of mass, and where that is."""
     moved = np.where(np.abs(finding.theta) > 3.0 * finding.std, finding.theta, 0.0)
-    shifts = ', '.join(f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm' for axis, x, s in
-                       zip('xyz', moved, finding.std, strict=True) if x)
-    return (f'The centre of mass is not at package.com, but {shifts} from there',
-            f'Check package.com: it would be {_listed(np.add(given["package.com"], moved))}.')
+    return {'com': _listed(np.add(given['package.com'], moved)), 'shifts': ', '.join(
+        f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm'
+        for axis, x, s in zip('xyz', moved, finding.std, strict=True) if x)}
 
 
-def _length_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of another length of the cup."""
-    (off,), (std,) = finding.theta, finding.std
-    if finding.instead:
-        return _length_or_com(off)
-    return (f'cup.length is {_size(off, std)} mm too {"short" if off > 0.0 else "long"}',
-            'Measure it under vacuum, or with bellows static: it would be '
-            f'{given["cup.length"] + off:.5f}.')
+def _marker_fields(finding: Finding, given: Given) -> Fields:
+    """Return by how much a marker frame is moved and turned."""
+    shift, turn = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
+    return {'mm': 1e3 * shift, 'degrees': np.rad2deg(turn)}
 
 
-def _length_or_com(way: float) -> tuple[str, str]:
-    """Return the same where length and centre of mass explain as much, by so many m."""
-    return (f'cup.length or the z of package.com is wrong by about {abs(1e3 * way):.1f} mm: these '
-            'recordings cannot tell which',
-            'Measure cup.length under vacuum, or with bellows static, and check package.com.')
-
-
-def _marker_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a marker frame that is turned."""
-    shift, turn = (float(np.linalg.norm(part))
-                   for part in np.split(finding.theta, [len(finding.theta) - 3]))
-    return (f'The marker frame of tool or package is turned by {np.rad2deg(turn):.1f} degrees, '
-            f'and {1e3 * shift:.1f} mm aside',
-            'Correct it, set recording.align_at_rest: true if the recording begins at rest, or '
-            'else fit.free: [package_marker].')
-
-
-def _world_drift_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a camera, or its world, that moves slowly: of what is significant."""
+def _drift_fields(finding: Finding, given: Given) -> Fields:
+    """Return what is significant of a camera, or its world, that moves slowly."""
     rates, stds = (np.split(each, 2) for each in (finding.theta, finding.std))
-    sizes = ' and '.join(
+    return {'rates': ' and '.join(
         f'{60.0 * factor * np.linalg.norm(rate):.2g} {unit}' for rate, std, factor, unit in zip(
             rates, stds, (1e3, np.rad2deg(1.0)), ('mm', 'degrees'), strict=True)
-        if np.any(np.abs(rate) > SIGNIFICANT * std))
-    return (f'The world of the package drifts against that of the tool: by {sizes} per minute',
-            'Fasten the camera, and record when it has warmed up.')
+        if np.any(np.abs(rate) > SIGNIFICANT * std))}
 
 
-def _slip_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a package that slipped."""
-    x, y, since = finding.theta
-    return (f'The package slipped on the lip by {1e3 * np.hypot(x, y):.1f} mm, {since:.1f} s '
-            'after its first sample', 'Fit what is before or after: set recording.end or '
-            'recording.start, and check the vacuum.')
-
-
-def _gravity_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a world that is not level."""
+def _gravity_fields(finding: Finding, given: Given) -> Fields:
+    """Return by how much a world is not level, and where things fall in it."""
     down = alignment.levelling(given.get('gravity.direction', alignment.DOWN)).T @ (
         lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN)
-    return (f'Gravity is {np.rad2deg(np.hypot(*finding.theta)):.1f} degrees off gravity.direction',
-            f'Level the world, or set gravity.direction: {_listed(down)}.')
+    return {'degrees': np.rad2deg(np.hypot(*finding.theta)), 'down': _listed(down)}
 
 
-def _package_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a mass or an inertia that is otherwise."""
-    name, value = f'package.{finding.name}', finding.value
-    if not value:
-        factor = float(np.exp(-finding.theta[0]))
-        return (f'{name} is {factor:.3g} ± {factor * finding.std[0]:.2g} times the value '
-                'consistent with package.mass', 'One of the two is wrong: weigh the package, and '
-                'compute its inertia in kg m^2.')
-    unit = 'kg m^2' if finding.name == 'inertia' else 'kg'
-    size = ', '.join(f'{x:g}' for x in np.atleast_1d(given[name]))
-    return (f'{name} is in {value}, not in {unit}: {size} {unit} is beyond any package for such a '
-            'cup', f'Give it in {unit}.')
+def _unit_fields(finding: Finding, given: Given) -> Fields:
+    """Return a mass or an inertia as it was given."""
+    return {'numbers': ', '.join(
+        f'{x:g}' for x in np.atleast_1d(given[f'package.{finding.name}']))}
 
 
-def _world_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of another world of the recording."""
-    if finding.value.startswith('gravity'):
-        return ('Gravity is not along -z of the world',
-                f'Set gravity.direction: {finding.value.removeprefix("gravity ")}.')
-    return (f'The world of the recording is {finding.value}',
-            f'Set recording.world: {finding.value}.')
+def _factor_fields(finding: Finding, given: Given) -> Fields:
+    """Return an inertia as a factor of the one that would agree with the mass."""
+    factor = float(np.exp(-finding.theta[0]))
+    return {'factor': factor, 'std': factor * finding.std[0]}
 
 
-def _yaw_words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the words of a frame that is turned about z."""
-    turns = [f"the {body}'s frame is turned by {degrees} degrees about z"
-             for body, degrees in map(str.split, filter(None, (finding.value, finding.instead)))]
-    words = ', or '.join(turns)
-    return (words[0].upper() + words[1:] + (
-            ': these recordings cannot tell which' if finding.instead else ''),
-            'Correct it in its driver, or set recording.align_at_rest: true if the recording '
-            'begins at rest.')
-
-
-def _cup_words(what: str, remedy: str, sides: tuple[str, str] = ('', '')) -> Words:
-    """Return the words of a cup that is otherwise in one entry of K, by a part of it."""
-    def words(finding: Finding, given: Mapping[str, Any]) -> tuple[str, str]:
-        part = f'{100.0 * abs(finding.theta[0]):.2g} ± {100.0 * finding.std[0]:.1g} %'
-        side = sides[0] if finding.theta[0] < 0.0 else sides[1]
-        return what.format(entry=finding.value, part=part, side=side), remedy
-    return words
+def _yaw_fields(finding: Finding, given: Given) -> Fields:
+    """Return the frames of which one is turned about z."""
+    words = ', or '.join(
+        f"the {body}'s frame is turned by {degrees} degrees about z"
+        for body, degrees in map(str.split, filter(None, (finding.value, finding.instead))))
+    return {'turns': words[0].upper() + words[1:], 'doubt': (
+        ': these recordings cannot tell which' if finding.instead else '')}
 
 
 def _listed(numbers: Array) -> str:
@@ -556,7 +497,7 @@ def _size(value: float, std: float) -> str:
     return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
 
 
-class KnownCause(NamedTuple):
+class Cause(NamedTuple):
     """
     What may be otherwise.
 
@@ -564,94 +505,165 @@ class KnownCause(NamedTuple):
     ----------
     setting : str
         The parameter to change; '' where it is the cup.
-    words : Words
-        What is said of it.
+    what, remedy : str
+        What is said of it: its size, and what to do. Filled in are the finding's value, its first
+        number as a `size` in thousandths and as a `part` in %, the `side` it is to, and `fields`.
     units : str or list of str
         Of the numbers that are freed.
+    sides : (str, str)
+        Words for a number that is not positive, and for a positive one.
+    fields : callable
+        Returns what else is filled in.
     corrected : callable
         Returns a recording without it, as it is where that cannot be.
 
     """
 
     setting: str
-    words: Words = _setting_words('', '')
+    what: str = ''
+    remedy: str = ''
     units: Any = '1'
+    sides: tuple[str, str] = ('', '')
+    fields: Callable[[Finding, Given], Fields] = lambda finding, given: {}
     corrected: Callable[[Recording, Finding], Recording] = lambda recording, finding: recording
 
 
-KNOWN_CAUSES: Mapping[str, KnownCause] = {
-    'recording': KnownCause('the recording', corrected=_by_convention),
-    'topics': KnownCause(
+CAUSES: Mapping[str, Cause] = {
+    'recording': Cause('the recording', corrected=_by_convention),
+    'topics': Cause(
         'topics.tool_pose and topics.package_pose', corrected=lambda recording, finding: _prepared(
             recording, tool=recording.package_pose, package=recording.tool_pose, tool_twist=None)),
-    'recording.package_frame': KnownCause(
-        'recording.package_frame',
-        _setting_words('The package poses are those of the {}',
-                       'Set recording.package_frame: {}.'),
+    'recording.package_frame': Cause(
+        'recording.package_frame', 'The package poses are those of the {value}',
+        'Set recording.package_frame: {value}.',
         corrected=lambda recording, finding: _prepared(
             recording, settings=replace(recording.settings, package_frame='lip'))),
-    'package_world': KnownCause(
-        'recording.package_world',
-        lambda finding, given: (alignment.motion_sentence(finding.theta, finding.std),
-                                f'Set recording.package_world: {checks.ESTIMATE}.'),
-        POSE_UNITS, _in_one_world),
-    'mass': KnownCause('package.mass', _package_words, corrected=_in_other_units),
-    'inertia': KnownCause('package.inertia', _package_words, corrected=_in_other_units),
-    'time_offset': KnownCause('fit.time_offset', _clock_words, 's', _by_one_clock),
-    'tool_twist.frame': KnownCause('tool_twist.frame', _setting_words(
-        "The tool's twists match its poses only in axes of the {}", 'Set tool_twist.frame: {}.')),
-    'topics.tool_twist': KnownCause('topics.tool_twist', lambda finding, given: (
-        f"The angular twists of '{given.get('topics.tool_twist', 'tool')}' are in "
-        f'{finding.value}, not in rad/s',
-        "Correct the driver, or set topics.tool_twist: '' to leave them out.")),
-    'low-pass': KnownCause('the tracking system', _setting_words(
-        'The poses of {} went through a low-pass: above 25 Hz their noise falls more steeply than '
-        'noise does', 'It takes a part of the motion, and biases K and P: record unfiltered '
-        'poses.')),
-    'com': KnownCause('package.com', _com_words, 'm'),
-    'length': KnownCause('cup.length', _length_words, 'm'),
-    'package_marker': KnownCause(
-        'recording.align_at_rest', _marker_words, ['m', 'm', 'rad', 'rad', 'rad']),
-    'world_drift': KnownCause(
-        'the mounting of the camera', _world_drift_words, ['m/s'] * 3 + ['rad/s'] * 3),
-    'slip': KnownCause('recording.start or recording.end', _slip_words, ['m', 'm', 's']),
-    'gravity.direction': KnownCause('gravity.direction', _gravity_words, 'rad'),
-    'recording.world': KnownCause('recording.world', _world_words),
-    'yaw': KnownCause('', _yaw_words),
-    'package.files': KnownCause('package.files', _setting_words(
-        'The packages of the two recordings are {}', 'Exchange the two names in package.files.')),
-    'structure': KnownCause('fit.structure', _setting_words(
-        'The structure of the cup is not the given one, but {}', 'Set fit.structure: {}.')),
-    'drift': KnownCause('', _cup_words(
-        'The stiffness of the cup drifts: {entry} {side} by {part} from beginning to end',
+    'package_world': Cause(
+        'recording.package_world', '{motion}', f'Set recording.package_world: {checks.ESTIMATE}.',
+        POSE_UNITS, corrected=_in_one_world, fields=lambda finding, given: {
+            'motion': alignment.motion_sentence(finding.theta, finding.std)}),
+    'mass': Cause(
+        'package.mass',
+        'package.mass is in {value}, not in kg: {numbers} kg is beyond any package for such a cup',
+        'Give it in kg.', fields=_unit_fields, corrected=_in_other_units),
+    'inertia': Cause(
+        'package.inertia', 'package.inertia is in {value}, not in kg m^2: {numbers} kg m^2 is '
+        'beyond any package for such a cup', 'Give it in kg m^2.',
+        fields=_unit_fields, corrected=_in_other_units),
+    'factor of inertia': Cause(
+        'package.inertia', 'package.inertia is {factor:.3g} ± {std:.2g} times the value '
+        'consistent with package.mass', 'One of the two is wrong: weigh the package, and '
+        'compute its inertia in kg m^2.', fields=_factor_fields),
+    'time_offset': Cause(
+        'fit.time_offset', 'The stamps of the tool are {offset} {side} those of the package',
+        'Stamp both by one clock, or set fit.time_offset: true.', 's', ('ahead of', 'behind'),
+        _clock_fields, _by_one_clock),
+    'tool_twist.frame': Cause(
+        'tool_twist.frame', "The tool's twists match its poses only in axes of the {value}",
+        'Set tool_twist.frame: {value}.'),
+    'topics.tool_twist': Cause(
+        'topics.tool_twist', "The angular twists of '{topic}' are in {value}, not in rad/s",
+        "Correct the driver, or set topics.tool_twist: '' to leave them out.",
+        fields=lambda finding, given: {'topic': given.get('topics.tool_twist', 'tool')}),
+    'low-pass': Cause(
+        'the tracking system', 'The poses of {value} went through a low-pass: above 25 Hz their '
+        'noise falls more steeply than noise does',
+        'It takes a part of the motion, and biases K and P: record unfiltered poses.'),
+    'com': Cause(
+        'package.com', 'The centre of mass is not at package.com, but {shifts} from there',
+        'Check package.com: it would be {com}.', 'm', fields=_com_fields),
+    'length': Cause(
+        'cup.length', 'cup.length is {size} mm too {side}',
+        'Measure it under vacuum, or with bellows static: it would be {length:.5f}.', 'm',
+        ('long', 'short'), lambda finding, given: {
+            'length': given['cup.length'] + finding.theta[0]}),
+    'length or com': Cause(
+        'cup.length or package.com', 'cup.length or the z of package.com is wrong by about '
+        '{mm:.1f} mm: these recordings cannot tell which',
+        'Measure cup.length under vacuum, or with bellows static, and check package.com.',
+        fields=lambda finding, given: {'mm': abs(1e3 * finding.theta[-1])}),
+    'package_marker': Cause(
+        'recording.align_at_rest', 'The marker frame of tool or package is turned by '
+        '{degrees:.1f} degrees, and {mm:.1f} mm aside',
+        'Correct it, set recording.align_at_rest: true if the recording begins at rest, or '
+        'else fit.free: [package_marker].', ['m', 'm', 'rad', 'rad', 'rad'],
+        fields=_marker_fields),
+    'world_drift': Cause(
+        'the mounting of the camera',
+        'The world of the package drifts against that of the tool: by {rates} per minute',
+        'Fasten the camera, and record when it has warmed up.', ['m/s'] * 3 + ['rad/s'] * 3,
+        fields=_drift_fields),
+    'slip': Cause(
+        'recording.start or recording.end', 'The package slipped on the lip by {mm:.1f} mm, '
+        '{since:.1f} s after its first sample', 'Fit what is before or after: set recording.end '
+        'or recording.start, and check the vacuum.', ['m', 'm', 's'],
+        fields=lambda finding, given: {
+            'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]}),
+    'gravity.direction': Cause(
+        'gravity.direction', 'Gravity is {degrees:.1f} degrees off gravity.direction',
+        'Level the world, or set gravity.direction: {down}.', 'rad', fields=_gravity_fields),
+    'axis of gravity': Cause(
+        'gravity.direction', 'Gravity is not along -z of the world',
+        'Set gravity.direction: {to}.', fields=lambda finding, given: {
+            'to': finding.value.removeprefix('gravity ')}),
+    'recording.world': Cause(
+        'recording.world', 'The world of the recording is {value}',
+        'Set recording.world: {value}.'),
+    'yaw': Cause(
+        '', '{turns}{doubt}', 'Correct it in its driver, or set recording.align_at_rest: true if '
+        'the recording begins at rest.', fields=_yaw_fields),
+    'package.files': Cause(
+        'package.files', 'The packages of the two recordings are {value}',
+        'Exchange the two names in package.files.'),
+    'structure': Cause(
+        'fit.structure', 'The structure of the cup is not the given one, but {value}',
+        'Set fit.structure: {value}.'),
+    'drift': Cause(
+        '', 'The stiffness of the cup drifts: {value} {side} by {part} % from beginning to end',
         'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.',
-        ('falls', 'rises'))),
-    'friction': KnownCause('', _cup_words(
-        'The cup has hysteresis: friction takes {part} of the largest force of {entry}',
-        'K and P are means over this motion: record motions as large and fast as in use.')),
-    'cubic': KnownCause('', _cup_words(
-        'The cup is not linear: {entry} is {part} {side} at the largest deflection',
+        sides=('falls', 'rises')),
+    'friction': Cause(
+        '', 'The cup has hysteresis: friction takes {part} % of the largest force of {value}',
+        'K and P are means over this motion: record motions as large and fast as in use.'),
+    'cubic': Cause(
+        '', 'The cup is not linear: {value} is {part} % {side} at the largest deflection',
         'The fit is the mean over this motion: record motions as large as those in use.',
-        ('less', 'more'))),
+        sides=('less', 'more')),
 }
 """All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
 
 
+def _cause_of(finding: Finding) -> Cause:
+    """Return what may be otherwise, which some names have two forms of."""
+    name = finding.name
+    if name in ('com', 'length') and finding.instead:
+        name = 'length or com'
+    elif name == 'inertia' and not finding.value:
+        name = 'factor of inertia'
+    elif finding.value.startswith('gravity'):
+        name = 'axis of gravity'
+    return CAUSES[name]
+
+
 def setting_of(finding: Finding) -> str:
     """Return the parameter to change, both where either may be wrong, '' where it is the cup."""
-    if finding.value.startswith('gravity'):
-        return KNOWN_CAUSES['gravity.direction'].setting
     if finding.name == 'yaw':
-        bodies = [own.split()[0] for own in (finding.value, finding.instead) if own]
+        bodies = [turn.split()[0] for turn in (finding.value, finding.instead) if turn]
         return ' or '.join(dict.fromkeys(f'the axes of topics.{body}_pose' for body in bodies))
-    names = [own for own in (finding.name, finding.instead) if own]
-    return ' or '.join(KNOWN_CAUSES[name].setting for name in names)
+    if finding.instead:
+        return ' or '.join(CAUSES[name].setting for name in (finding.name, finding.instead))
+    return _cause_of(finding).setting
 
 
-def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:
-    """Return what was found, its size, by how much residuals fall, and what to change."""
+def finding_sentence(finding: Finding, given: Given) -> str:
+    """Return what the finding is, its size, by how much residuals fall, and what to change."""
     if finding.sentence:
         return finding.sentence
-    what, remedy = KNOWN_CAUSES[finding.name].words(finding, given)
+    cause, fields = _cause_of(finding), {'value': finding.value}
+    for number, std in zip(finding.theta[:1], finding.std[:1], strict=True):
+        fields |= {'size': _size(number, std), 'side': cause.sides[int(number > 0.0)],
+                   'part': f'{100.0 * abs(number):.2g} ± {100.0 * std:.1g}'}
+    fields |= cause.fields(finding, given)
     falls = f' With that, the residuals fall to {100.0 * finding.left:.2g} %.'
-    return f'{what}.{falls if finding.left else ""} {remedy}'
+    return (f'{cause.what.format(**fields)}.{falls if finding.left else ""} '
+            f'{cause.remedy.format(**fields)}')
