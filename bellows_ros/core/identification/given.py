@@ -16,20 +16,14 @@ less; and what is found beside it no more than itself.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
-from bellows_ros.core.identification.quantities import (
-    anything,
-    Free,
-    KINDS,
-    middle_of,
-    OF_CUP,
-    payload_of,
-    poses_of,
-)
+from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
     Minimum,
@@ -44,44 +38,45 @@ from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-KNOWN_BETTER = 1000.0
+MIN_INFORMATION_RATIO = 1000.0
 """A direction is fitted if the recordings have this many times the information that was given."""
 
-LEAST_CHI2 = 1.03
+MAX_SOUND_CHI2 = 1.03
 """Chi^2 per difference above which another minimum is looked for where something given is off."""
 
-FIXED_INFORMATION, LEAST = 1e8, 1e-9
+FIXED_INFORMATION, MIN_STD = 1e8, 1e-9
 """Information that fixes the other directions; and the smallest standard deviation, SI units."""
 
-ORDINARY: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
+PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': 0.05, 'com': 2e-3}
 """Standard deviations of a package where none is stated: parts of mass and inertia, and m."""
 
 
 def given_std(values: Mapping[str, Any]) -> dict[str, Array]:
     """Return the standard deviations of what was given, by names of `KINDS`, SI units."""
     marker = np.repeat(values['recording.marker_std'], 3)
-    found = {'length': np.array([values['cup.length_std']]), 'package_marker': marker,
+    stds = {'length': np.array([values['cup.length_std']]), 'package_marker': marker,
              'time_offset': np.array([values['recording.clock_std']])}
     if values['recording.package_world']:
-        found['package_world'] = marker
+        stds['package_world'] = marker
     if all(name in values for name in PACKAGE_PARAMETERS):
-        held = package_of(values)
+        payload = package_of(values)
         stated = {
-            'mass': np.array([values['package.mass_std'] / held.mass]),
+            'mass': np.array([values['package.mass_std'] / payload.mass]),
             'com': np.array(values['package.com_std']),
-            'inertia': np.array(values['package.inertia_std'][:3]) / np.diag(held.inertia)}
-        found |= {name: std if np.any(std) else np.full(len(std), ORDINARY[name])
-                  for name, std in stated.items()}
-    return {name: np.maximum(std, LEAST) for name, std in found.items() if np.any(std)}
+            'inertia': np.array(values['package.inertia_std'][:3]) / np.diag(payload.inertia)}
+        stds |= {name: std if np.any(std) else np.full(len(std), PACKAGE_STD[name])
+                 for name, std in stated.items()}
+    return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
 
 
 def stated(given: Free) -> list[str]:
     """Return the names of what is as uncertain as a user stated."""
-    return [name for name in given if name in ORDINARY and np.any(given[name] != ORDINARY[name])]
+    return [name for name, std in given.items()
+            if name in PACKAGE_STD and np.any(std != PACKAGE_STD[name])]
 
 
 def with_given(
-    search: Search, found: Minimum, given: Free, note: Callable[[Cup, float], None],
+    search: Search, minimum: Minimum, given: Free, note: Callable[[Cup, float], None],
     is_off: bool = False,
 ) -> tuple[Search, Minimum, Array]:
     """
@@ -94,10 +89,10 @@ def with_given(
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
-    near = search, found, np.zeros((size, size))
-    if more and found.converged:
-        near = _near_with_given(search, found, more, note)
-    noise = (LEAST_CHI2 if is_off else MAX_NOISE_CHI2) * near[1].residual_count
+    near = search, minimum, np.zeros((size, size))
+    if more and minimum.converged:
+        near = _near_with_given(search, minimum, more, note)
+    noise = (MAX_SOUND_CHI2 if is_off else MAX_NOISE_CHI2) * near[1].residual_count
     if not more or near[1].converged and near[1].squares < noise:
         return near
     stds = [segment.std for segment in search.segments]
@@ -114,26 +109,26 @@ def with_given(
 
 
 def _near_with_given(
-    search: Search, found: Minimum, more: Free, note: Callable[[Cup, float], None]
+    search: Search, minimum: Minimum, more: Free, note: Callable[[Cup, float], None]
 ) -> tuple[Search, Minimum, Array]:
     """Return the minimum near one with what the recordings know better free; see `with_given`."""
     size = len(search.units)
-    wide = search.with_free(found.theta, more)
+    wide = search.with_free(minimum.theta, more)
     std = wide.weights[size:] ** -0.5
-    start = wide.transferred(search, found.theta)
+    start = wide.transferred(search, minimum.theta)
     parts, H, g = wide.system(start)
     if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
-        return search, found._replace(converged=False), np.zeros((size, size))
+        return search, minimum._replace(converged=False), np.zeros((size, size))
     S = H[size:, size:] - H[size:, :size] @ np.linalg.solve(H[:size, :size], H[:size, size:])
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # with 1 of what was given
-    free = int(np.count_nonzero(values > KNOWN_BETTER))
+    free = int(np.count_nonzero(values > MIN_INFORMATION_RATIO))
     fixed = vectors[:, :len(std) - free] / std[:, None]
     wide.fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
     again = wide.minimum(note, start, (parts, H + wide.fixing, g))
     if again.converged:
-        search, found, H = wide, again, again.information - wide.fixing
+        search, minimum, H = wide, again, again.information - wide.fixing
     else:
-        search.accept(found.parts)
+        search.accept(minimum.parts)
         free = 0
     by = np.eye(len(H))
     by[size:, size:] = std[:, None] * vectors[:, ::-1]  # the best known first
@@ -141,16 +136,16 @@ def _near_with_given(
     moved = np.zeros((len(search.units), len(H) - first))
     moved[:size] = -np.linalg.solve(H[:first, :first], H[:first, first:])[:size]
     moved *= search.units[:, None]
-    return search, found, moved @ moved.T
+    return search, minimum, moved @ moved.T
 
 
-def as_found(own: Recording, found: Free, number: int) -> Recording:
+def as_found(recording: Recording, found: Free, number: int) -> Recording:
     """
     Return a recording with what a fit found beside K and P: its package, marker, world and clock.
 
     Parameters
     ----------
-    own : Recording
+    recording : Recording
         As it was given.
     found : mapping
         See `Fit.found`.
@@ -159,40 +154,45 @@ def as_found(own: Recording, found: Free, number: int) -> Recording:
 
     """
     if not found:
-        return own
-    free = {name: rows[number if KINDS[name].each else 0] for name, rows in found.items()}
-    moves, tracked = np.array(own.settings.moves_with_com, float), own.tracked_package
-    middle = middle_of(tracked)
+        return recording
+    free = {name: rows[number if quantities.KINDS[name].each else 0]
+            for name, rows in found.items()}
+    moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
+    middle = quantities.middle_of(tracked)
     delay = round(float(free['time_offset'][0]) * NS_PER_S) if 'time_offset' in free else 0
 
     def moved(poses: Trajectory) -> Trajectory:
-        return poses_of(poses, free, moves, middle)
+        return quantities.poses_of(poses, free, moves, middle)
 
-    of_package = own.filters[1]
+    of_tool, of_package = recording.filters
+    payload = quantities.payload_of(recording.payload, free)
     return replace(
-        own, settings=replace(own.settings, payload=payload_of(own.payload, free)),
-        filters=(own.filters[0], replace(of_package, poses=moved(of_package.poses))),
+        recording, settings=replace(recording.settings, payload=payload),
+        filters=(of_tool, replace(of_package, poses=moved(of_package.poses))),
         tracked_package=replace(moved(tracked), stamps_ns=tracked.stamps_ns + delay))
 
 
-MOVES = 0.02
+MIN_SHIFT = 0.02
 """Part by which a cause moves an entry of K, at least, where it does not halve the residuals."""
 
-SUSPECT = 0.5
+MIN_EXCHANGE_SHIFT = 0.5
 """Part of the distance from lip to centre of mass by which one of them moves if exchanged."""
 
-MOST_TRIED = 2
+MAX_TRIED = 2
 """Quantities that are freed in turn where the next explains at least half as much."""
 
-MOST_CAUSES = 2
+MAX_CAUSES = 2
 """Causes that are looked for, one beside the other, by a search for each quantity tried."""
 
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
-              'world_drift', *OF_CUP)
+              'world_drift', *quantities.OF_CUP)
+
+SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
+"""Squares of the units in which shifts (m) and turns (rad) of poses are compared."""
 
 
 def causes(
-    search: Search, found: Minimum, known: Sequence[str] = (), most: int = MOST_CAUSES,
+    search: Search, minimum: Minimum, uncertain: Sequence[str] = (), count: int = MAX_CAUSES,
 ) -> tuple[Finding, ...]:
     """
     Return the likeliest cause of what a fit leaves, none where all is as it should be.
@@ -200,81 +200,84 @@ def causes(
     After it comes what is likeliest where that is corrected, up to so many. What is known to be
     uncertain is none.
     """
-    scored = sorted((own for own in _scores(search, found, known) if np.isfinite(own[0])),
-                    reverse=True)
-    if not scored or scored[0][0] < SIGNIFICANT**2:
+    scores = dict(_scores(search, minimum, uncertain))
+    ranked = sorted(filter(lambda name: np.isfinite(scores[name]), scores),
+                    key=scores.__getitem__, reverse=True)
+    if not ranked or scores[ranked[0]] < SIGNIFICANT**2:
         return ()
-    stds = [segment.std for segment in search.segments]
-    tried = sorted((_freed(search, found, name, stds) for score, name in scored[:MOST_TRIED]
-                    if score >= DISTINCT * scored[0][0]), key=lambda own: -own.gain)
-    name, freed, again, fall, noise = tried[0]
-    if not again.converged:
+    noise = [segment.std for segment in search.segments]
+    tried = [_freed(search, minimum, name, noise) for name in ranked[:MAX_TRIED]
+             if scores[name] >= DISTINCT * scores[ranked[0]]]
+    best = max(tried, key=attrgetter('gain'))
+    if not best.minimum.converged:
         return ()
-    if most == MOST_CAUSES and name in ('com', 'package_marker'):
-        frame = _in_other_frame(search, found, freed, again)
-        if frame is not None and _gain(found, frame.minimum) > fall + SIGNIFICANT**2:
-            _restore(search, found, stds)
-            lip = all(search.segments[0].measured.moves_with_com)
-            left = float(np.sqrt(_rest(frame.minimum) / _rest(found)))
-            return (Finding('recording.package_frame', 'com' if lip else 'lip', left=left),)
-    _restore(freed, again, noise)
-    place = freed.places[name].ravel()
-    theta = (freed.units * again.theta)[place]
-    covariance = np.linalg.inv(again.information)
-    std = freed.units[place] * np.sqrt(np.diag(covariance))[place]
+    if count == MAX_CAUSES and (frame := _other_frame(search, minimum, best)):
+        _restore(search, minimum, noise)
+        return (frame,)
+    _restore(best.search, best.minimum, best.noise)
+    theta, std = best.search.estimate(best.minimum, best.name)
     if np.max(np.abs(theta) / std) < SIGNIFICANT:
         return ()
-    left = float(np.sqrt(_rest(again) / _rest(found)))
-    moved = moved_between((search, found), (freed, again))
-    gains = {other: score for score, other in scored} | {own.name: own.gain for own in tried}
-    clear = SIGNIFICANT**2 * KINDS['com'].size  # as it has more numbers
-    instead = next((other for other in ('com', 'length') if {name, other} == {'com', 'length'}
-                    and gains.get(other, 0.0) > fall - clear), '')
-    rival = max((gain for other, gain in gains.items() if other not in (name, instead)),
+    moved = moved_between((search, minimum), (best.search, best.minimum))
+    gains = {name: scores[name] for name in ranked} | {one.name: one.gain for one in tried}
+    similar = {'com': 'length', 'length': 'com'}.get(best.name, '')
+    clear = SIGNIFICANT**2 * quantities.KINDS['com'].size  # as it has more numbers
+    instead = similar if gains.get(similar, 0.0) > best.gain - clear else ''
+    rival = max((gain for name, gain in gains.items() if name not in (best.name, instead)),
                 default=0.0)
-    more = causes(freed, again, known, most - 1) if most > 1 else ()
-    is_all = most > 1 and not more  # so that what a rival leaves is its own
-    certain = (moved > MOVES or left < DISTINCT) and (
-        rival < DISTINCT * fall or is_all and fall - rival > SIGNIFICANT**2)
-    if not more:  # what no cause explains may be of another
-        certain = certain and again.squares < MISFIT_CHI2 * again.residual_count
-    more = tuple(own._replace(certain=own.certain and certain) for own in more)
-    value, datum = '', name not in OF_CUP
+    left = best.left(minimum)
+    others = causes(best.search, best.minimum, uncertain, count - 1) if count > 1 else ()
+    is_all = count > 1 and not others  # so that what a rival leaves is its own
+    certain = (moved > MIN_SHIFT or left < DISTINCT) and (
+        rival < DISTINCT * best.gain or is_all and best.gain - rival > SIGNIFICANT**2) and (
+        # what no cause explains may be of another
+        bool(others) or best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count)
+    return (_finding(best, theta, std)._replace(
+        left=left, moved=moved, certain=certain, instead=instead),
+        *(other._replace(certain=other.certain and certain) for other in others))
+
+
+def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
+    """Return what is reported of a quantity that was freed."""
+    name = freed.name
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion
-        name, theta = 'inertia', -theta
-    if not datum:  # the entry of K that shows it best is enough
-        best = int(np.argmax(np.abs(theta) / std))
-        reach = max(own.reach[best] for own in again.parts) if name == 'cubic' else 1.0
-        value, theta, std = f'K {AXES[best]}', *(reach**2 * own[[best]] for own in (theta, std))
-    return Finding(name, value, theta, std, left, moved, datum, certain, instead), *more
+        return Finding('inertia', '', -theta, std)
+    if name not in quantities.OF_CUP:
+        return Finding(name, '', theta, std)
+    best = int(np.argmax(np.abs(theta) / std))  # the entry of K that shows it best is enough
+    reach = max(part.reach[best] for part in freed.minimum.parts) if name == 'cubic' else 1.0
+    return Finding(name, f'K {AXES[best]}', reach**2 * theta[[best]], reach**2 * std[[best]],
+                   datum=False)
 
 
-def _in_other_frame(
-    search: Search, found: Minimum, freed: Search, again: Minimum
-) -> '_Freed | None':
+def _other_frame(search: Search, minimum: Minimum, freed: '_Freed') -> Finding | None:
     """
-    Return the minimum with poses of the lip taken for those of the centre of mass, or vice versa.
+    Return that poses of the lip are those of the centre of mass, or vice versa, where it is so.
 
     With the centre of mass free near it, as it is a little off beside. None where what was freed
-    moves by much less than the two are apart, or the search ends nowhere.
+    moves by much less than the two are apart, or explains as much.
     """
+    if freed.name not in ('com', 'package_marker'):
+        return None
     measured = search.segments[0].measured
-    com, lip = measured.payload.com, all(measured.moves_with_com)
-    values = freed.units * again.theta
-    way = values[freed.places['com'][0]] if 'com' in freed.places else (
-        values[freed.places['package_marker'][0]][:3])
-    if np.linalg.norm(way) < SUSPECT * np.linalg.norm(com):
+    com, is_lip = measured.payload.com, all(measured.moves_with_com)
+    shift = freed.search.estimate(freed.minimum, freed.name)[0][:3]
+    if np.linalg.norm(shift) < MIN_EXCHANGE_SHIFT * np.linalg.norm(com):
         return None
-    other, sign = copy(search), -1.0 if lip else 1.0
-    other.segments = [Segment(replace(own.measured, package=replace(
-        own.measured.package, position=own.measured.package.position + sign * apply(
-            own.measured.package.rotation, own.measured.payload.com))))
-        for own in search.segments]
-    there = other.minimum()
-    if not there.converged:
+    other, sign = copy(search), -1.0 if is_lip else 1.0
+    other.segments = [Segment(replace(segment.measured, package=replace(
+        segment.measured.package, position=segment.measured.package.position + sign * apply(
+            segment.measured.package.rotation, segment.measured.payload.com))))
+        for segment in search.segments]
+    start = other.minimum()
+    if not start.converged:
         return None
-    beside = _freed(other, there, 'com', [segment.std for segment in other.segments])
-    return beside if beside.minimum.converged else None
+    with_com = _freed(other, start, 'com', [segment.std for segment in other.segments])
+    if not with_com.minimum.converged or (
+            _gain(minimum, with_com.minimum) <= freed.gain + SIGNIFICANT**2):
+        return None
+    return Finding('recording.package_frame', 'com' if is_lip else 'lip',
+                   left=with_com.left(minimum))
 
 
 class _Freed(NamedTuple):
@@ -285,53 +288,54 @@ class _Freed(NamedTuple):
     minimum: Minimum
     gain: float
     noise: list[Array]
-    """Of the poses of each segment, as it was found (6,)."""
+    """Of the poses of each segment, as it was estimated (6,)."""
+
+    def left(self, before: Minimum) -> float:
+        """Return the RMS of the differences over that before, 1 mm as much as 10 mrad."""
+        now, then = (np.sum(np.mean(minimum.residuals**2, axis=0) / SQUARED_UNITS)
+                     for minimum in (self.minimum, before))
+        return float(np.sqrt(now / then))
 
 
-def _freed(search: Search, found: Minimum, name: str, noise: list[Array]) -> _Freed:
+def _freed(search: Search, minimum: Minimum, name: str, noise: list[Array]) -> _Freed:
     """Return the search from a minimum with one quantity more, and what that explains."""
-    _restore(search, found, noise)
-    wide = search.with_free(found.theta, anything([name]))
-    again = wide.minimum(near=wide.transferred(search, found.theta))
-    gain = _gain(found, again) if again.converged else -np.inf
+    _restore(search, minimum, noise)
+    wide = search.with_free(minimum.theta, quantities.anything([name]))
+    again = wide.minimum(near=wide.transferred(search, minimum.theta))
+    gain = _gain(minimum, again) if again.converged else -np.inf
     return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
 
 
-def _restore(search: Search, found: Minimum, noise: list[Array]) -> None:
+def _restore(search: Search, minimum: Minimum, noise: list[Array]) -> None:
     """Go back to the paths, first states and noise of a minimum."""
     for segment, std in zip(search.segments, noise, strict=True):
         segment.std = std
-    search.accept(found.parts)
+    search.accept(minimum.parts)
 
 
-def _gain(found: Minimum, again: Minimum) -> float:
+def _gain(minimum: Minimum, again: Minimum) -> float:
     """Return by how much squares fall, in the noise that is left, as that of slow poses is fit."""
-    before, after = (minimum.residuals**2 for minimum in (found, again))
+    before, after = (minimum.residuals**2 for minimum in (minimum, again))
     return float(len(after) * np.sum(np.log(np.mean(before, axis=0) / np.mean(after, axis=0))))
 
 
 def _scores(
-    search: Search, found: Minimum, known: Sequence[str]
-) -> Iterator[tuple[float, str]]:
+    search: Search, minimum: Minimum, uncertain: Sequence[str]
+) -> Iterator[tuple[str, float]]:
     """Yield by how much the squares would fall with each quantity free."""
-    names = [name for name in CANDIDATES if name not in (*search.places, *known)]
-    wide = search.with_free(found.theta, anything(names))
-    _, H, g = wide.system(wide.transferred(search, found.theta))
+    names = [name for name in CANDIDATES if name not in (*search.places, *uncertain)]
+    wide = search.with_free(minimum.theta, quantities.anything(names))
+    _, H, g = wide.system(wide.transferred(search, minimum.theta))
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
     for name in names:
-        own = wide.places[name].ravel()
-        S = H[np.ix_(own, own)] - H[np.ix_(own, base)] @ gain[:, own]
-        slope = g[own] - H[np.ix_(own, base)] @ gain[:, -1]
-        yield float(slope @ np.linalg.solve(S, slope)), name
-
-
-def _rest(found: Minimum) -> float:
-    """Return the mean square of the differences, 1 mm as much as 10 mrad."""
-    return float(np.sum(np.mean(found.residuals**2, axis=0) / [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]))
+        place = wide.places[name].ravel()
+        S = H[np.ix_(place, place)] - H[np.ix_(place, base)] @ gain[:, place]
+        slope = g[place] - H[np.ix_(place, base)] @ gain[:, -1]
+        yield name, float(slope @ np.linalg.solve(S, slope))
 
 
 def moved_between(*ends: tuple[Search, Minimum]) -> float:
     """Return the largest part by which the diagonal of K moves from one minimum to another."""
-    first, second = (np.diag(search.cup(found.theta).stiffness) for search, found in ends)
+    first, second = (np.diag(search.cup(minimum.theta).stiffness) for search, minimum in ends)
     return float(np.max(np.abs(second / first - 1.0)))

@@ -4,15 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    adjoint,
-    apply,
-    exp_so3,
-    hat,
-    inverse_transform,
-    transform,
-)
 from bellows_ros.core.model.cup_package import Package, varied
 from bellows_ros.core.model.jacobians import COM, INERTIA, LENGTH, MASS
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -91,10 +84,10 @@ def anything(names: Iterable[str]) -> dict[str, Array]:
     return {name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}
 
 
-def payload_of(held: Package, free: Free) -> Package:
+def payload_of(payload: Package, free: Free) -> Package:
     """Return the package with the free quantities in it."""
-    own = {name: free[name] for name in ('com', 'mass', 'inertia') if name in free}
-    return varied(held, **own) if own else held
+    changes = {name: free[name] for name in ('com', 'mass', 'inertia') if name in free}
+    return varied(payload, **changes) if changes else payload
 
 
 def poses_of(
@@ -111,9 +104,9 @@ def poses_of(
     for name in free.keys() & {'package_world', 'world_drift'}:
         middle = middle_of(package) if middle is None else middle
         time = _since(package, middle) if name == 'world_drift' else np.ones((len(package), 1))
-        R = exp_so3(time * free[name][3:])
+        R = lie.exp_so3(time * free[name][3:])
         package = replace(
-            package, position=middle[:3] + time * free[name][:3] + apply(
+            package, position=middle[:3] + time * free[name][:3] + lie.apply(
                 R, package.position - middle[:3]), rotation=R @ package.rotation)
     if 'package_marker' in free:
         way, turn = np.split(free['package_marker'], 2)
@@ -123,12 +116,12 @@ def poses_of(
 
 def of_fixed_frame(body: Trajectory, turn: Array, way: Array) -> Trajectory:
     """Return the motion of a frame that is fixed in a body, turned (rad) and moved (m) there."""
-    R = exp_so3(turn)
-    X = adjoint(inverse_transform(transform(R, way)))
+    R = lie.exp_so3(turn)
+    X = lie.adjoint(lie.inverse_transform(lie.transform(R, way)))
     return replace(
-        body, position=body.position + apply(body.rotation, way), rotation=body.rotation @ R,
-        twist=None if body.twist is None else apply(X, body.twist),
-        acceleration=None if body.acceleration is None else apply(X, body.acceleration))
+        body, position=body.position + lie.apply(body.rotation, way), rotation=body.rotation @ R,
+        twist=None if body.twist is None else lie.apply(X, body.twist),
+        acceleration=None if body.acceleration is None else lie.apply(X, body.acceleration))
 
 
 def middle_of(package: Trajectory) -> Array:
@@ -176,7 +169,7 @@ def pose_changes(
         middle = middle_of(package) if middle is None else middle
         inverse = np.swapaxes(package.rotation, 1, 2)
         change[:, :3, :3] = change[:, 3:, 3:] = inverse
-        change[:, :3, 3:] = -inverse @ hat(package.position - middle[:3])
+        change[:, :3, 3:] = -inverse @ lie.hat(package.position - middle[:3])
         if name == 'world_drift':
             change *= _since(package, middle)[..., None]
     return change

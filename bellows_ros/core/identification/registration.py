@@ -10,12 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    mean_rotation,
-    rotation_to_quaternion,
-)
+from bellows_ros.core.geometry.lie import apply, exp_so3, mean_rotation, rotation_to_quaternion
 from bellows_ros.core.identification.quantities import anything, KINDS
 from bellows_ros.core.identification.search import measured_segments, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
@@ -100,29 +95,29 @@ def registered(
 
     """
     measured = measured_segments(recording)
-    search = Search([Segment(own) for own in measured], structure, start, anything(names))
-    found = search.minimum()
+    search = Search(list(map(Segment, measured)), structure, start, anything(names))
+    minimum = search.minimum()
     middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
-    if not found.converged and list(names) == ['time_offset']:
+    if not minimum.converged and list(names) == ['time_offset']:
         return Registered(None, np.zeros(6), middle, alignment, None)
-    if not found.converged:
+    if not minimum.converged:
         raise UndeterminedError(
             f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '
             'and package.com, and tilt and turn the tool more.')
-    theta = {name: (search.units * found.theta)[own[0]] for name, own in search.places.items()}
-    every = search.units * np.sqrt(np.diag(np.linalg.inv(found.information)))
-    std = {name: every[own[0]] for name, own in search.places.items()}
-    if 'package_marker' in names:
-        alignment = _gripped(alignment, *np.split(theta['package_marker'], 2))
+    estimates = {name: search.estimate(minimum, name) for name in search.places}
+    if 'package_marker' in estimates:
+        alignment = _gripped(alignment, *np.split(estimates['package_marker'][0], 2))
     offset = None
-    if 'time_offset' in names and std['time_offset'][0] < KINDS['time_offset'].known:
-        offset = TimeOffset(float(theta['time_offset'][0]), float(std['time_offset'][0]))
-    return Registered(theta.get('package_world'), std.get('package_world', np.zeros(6)), middle,
-                      alignment, offset)
+    if 'time_offset' in estimates:
+        (seconds,), (std,) = estimates['time_offset']
+        if std < KINDS['time_offset'].known:
+            offset = TimeOffset(float(seconds), float(std))
+    world, world_std = estimates.get('package_world', (None, np.zeros(6)))
+    return Registered(world, world_std, middle, alignment, offset)
 
 
-def _gripped(known: Alignment, way: Array, turn: Array) -> Alignment:
+def _gripped(alignment: Alignment, way: Array, turn: Array) -> Alignment:
     """Return an alignment with B moved (m) and turned (rad) in its own axes."""
     R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
-    return replace(known, R_package_markers_lip=known.R_package_markers_lip @ R,
-                   origin_to_com=R.T @ (known.origin_to_com + way))
+    return replace(alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
+                   origin_to_com=R.T @ (alignment.origin_to_com + way))

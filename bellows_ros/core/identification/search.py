@@ -20,15 +20,8 @@ from itertools import pairwise
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.geometry.lie import (
-    apply,
-    exp_so3,
-    hat,
-    log_so3,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-)
 from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
 from bellows_ros.core.identification.quantities import Free, KINDS
@@ -261,7 +254,7 @@ class Segment:
         self.package = measured.package.select(measured.package.valid)
         self.com_axes = np.array(measured.moves_with_com, dtype=float)
         self.expected_start = simulation.state_row(
-            self.package.position[0], rotation_to_quaternion(self.package.rotation[:1])[0])
+            self.package.position[0], lie.rotation_to_quaternion(self.package.rotation[:1])[0])
         self.reset()
 
     def reset(self) -> None:
@@ -274,8 +267,8 @@ class Segment:
         tool, shift = self.tool, np.zeros((len(self.tool), 6))
         shift[self.inner] = change
         self.path = savgol(Trajectory(
-            tool.stamps_ns, tool.position + apply(tool.rotation, shift[:, :3]),
-            tool.rotation @ exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
+            tool.stamps_ns, tool.position + lie.apply(tool.rotation, shift[:, :3]),
+            tool.rotation @ lie.exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
         self.deviation = _deviation(self.path, tool.select(self.inner))
 
     def nodes(self, delay: float) -> Nodes:
@@ -429,6 +422,12 @@ class Search:
             r += (self.units * theta)[place]
         return r
 
+    def estimate(self, minimum: Minimum, name: str) -> tuple[Array, Array]:
+        """Return what is free by a name, SI units, with standard errors by its information."""
+        place = self.places[name].ravel()
+        std = np.sqrt(np.diag(np.linalg.inv(minimum.information)))
+        return (self.units * minimum.theta)[place], (self.units * std)[place]
+
     def places_of(self, segment: Segment) -> dict[str, Places]:
         """Return where a segment's free quantities are, by name."""
         return {name: rows[segment.measured.recording if KINDS[name].each else 0]
@@ -568,7 +567,7 @@ class Search:
         """Return the damping (6, 6) with which each mode of the package has one loss factor."""
         payload = self.segments[0].measured.payload
         to_com, inertia = np.eye(6), np.zeros((6, 6))
-        to_com[:3, 3:] = -hat(payload.com)
+        to_com[:3, 3:] = -lie.hat(payload.com)
         inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
         root, inverse = _roots(to_com.T @ inertia @ to_com)
         P = LOSS_FACTOR * root @ _roots(inverse @ stiffness @ inverse)[0] @ root
@@ -691,7 +690,7 @@ class Search:
         for name, places in self.places_of(segment).items():
             by_unknowns[:, :, places] = -quantities.pose_changes(name, poses, *context)
         rows = np.column_stack(
-            [package.position, rotation_to_quaternion(package.rotation), nodes.delays])
+            [package.position, lie.rotation_to_quaternion(package.rotation), nodes.delays])
         return whitening.Poses(
             nodes.place, rows, by_unknowns * self.units,
             (MIN_POSE_STD if noise.correlation > 0.0 else segment.std) ** 2, segment.std**2,
@@ -804,17 +803,17 @@ def _displacement(model: ModelTuple, tool: Array, body: Array) -> Array:
     """Return that of the lip (M, 6) in `LARGE_DISPLACEMENT`, nan where a simulation diverges."""
     if not np.isfinite(body).all():
         return np.full((len(body), 6), np.nan)
-    R_tool, R = (quaternion_to_rotation(rows[:, 3:7]) for rows in (tool, body))
+    R_tool, R = (lie.quaternion_to_rotation(rows[:, 3:7]) for rows in (tool, body))
     back = np.swapaxes(R_tool, 1, 2)
-    o = apply(back, body[:, :3] - apply(R, np.array(model[1][1])) - tool[:, :3])
-    displacement = np.hstack([o + [0.0, 0.0, model[0][1]], log_so3(back @ R)])
+    o = lie.apply(back, body[:, :3] - lie.apply(R, np.array(model[1][1])) - tool[:, :3])
+    displacement = np.hstack([o + [0.0, 0.0, model[0][1]], lie.log_so3(back @ R)])
     return np.asarray(sizes(displacement) / quantities.LARGE_DISPLACEMENT)
 
 
 def _difference(body: State, other: State) -> Array:
     """Return what separates a state from another (12,), with internal strains (24,)."""
     return np.concatenate([*pose_error(body, other[0], other[1]), *(
-        np.ravel(np.subtract(end, begin))
+        np.ravel(np.array(end) - np.array(begin))
         for begin, end in zip(body[2:], other[2:], strict=True))])
 
 
@@ -850,7 +849,7 @@ def _deviation(path: Trajectory, poses: Trajectory) -> Array:
     """Return shifts and turns (N, 6) from a path to poses, in axes of the path."""
     back = np.swapaxes(path.rotation, 1, 2)
     return np.hstack([
-        apply(back, poses.position - path.position), log_so3(back @ poses.rotation)])
+        lie.apply(back, poses.position - path.position), lie.log_so3(back @ poses.rotation)])
 
 
 def _innovations(noise: Array, correlation: float) -> Array:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array, Places
+from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.geometry.jit import array_kernel, kernel
 from bellows_ros.core.model import jacobians as jac
 from bellows_ros.core.model import kernels
@@ -97,7 +97,7 @@ class Path(NamedTuple):
 
     rows: Array
     lengths: Array
-    steps: Array
+    steps: Stamps
 
 
 class ToolNoise(NamedTuple):

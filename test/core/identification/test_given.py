@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.given import given_std, ORDINARY, stated
+from bellows_ros.core.identification.given import given_std, PACKAGE_STD, stated
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.model.cup_package import varied
 from bellows_ros.core.model.structure import STRUCTURES
@@ -119,7 +119,7 @@ def test_what_is_stated_wins_over_the_ordinary():
     vague = given_std({**SAID, 'package.com_std': (1e-3, 0.0, 5e-3), 'cup.length_std': 0.0})
     assert_allclose(vague['com'], [1e-3, 1e-9, 5e-3])
     assert 'length' not in vague and stated(vague) == ['com'] and stated(USUAL) == []
-    assert_allclose(vague['mass'], ORDINARY['mass'])
+    assert_allclose(vague['mass'], PACKAGE_STD['mass'])
     assert 'package_world' not in USUAL
     assert 'package_world' in given_std({**SAID, 'recording.package_world': '0 0 0 0 0 0 1'})
 
