@@ -13,7 +13,7 @@ it is certain where no other explains half as much, or none anything beside it a
 less; and what is found beside it no more than itself.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from operator import attrgetter
@@ -200,14 +200,15 @@ def causes(
     After it comes what is likeliest where that is corrected, up to so many. What is known to be
     uncertain is none.
     """
-    scores = dict(_scores(search, minimum, uncertain))
-    ranked = sorted(filter(lambda name: np.isfinite(scores[name]), scores),
-                    key=scores.__getitem__, reverse=True)
-    if not ranked or scores[ranked[0]] < SIGNIFICANT**2:
+    falls = scores(search, minimum, [
+        name for name in CANDIDATES if name not in (*search.places, *uncertain)])
+    falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
+    ranked = sorted(falls, key=falls.__getitem__, reverse=True)
+    if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
         return ()
     noise = [segment.std for segment in search.segments]
     tried = [_freed(search, minimum, name, noise) for name in ranked[:MAX_TRIED]
-             if scores[name] >= DISTINCT * scores[ranked[0]]]
+             if falls[name] >= DISTINCT * falls[ranked[0]]]
     best = max(tried, key=attrgetter('gain'))
     if not best.minimum.converged:
         return ()
@@ -219,7 +220,7 @@ def causes(
     if np.max(np.abs(theta) / std) < SIGNIFICANT:
         return ()
     moved = moved_between((search, minimum), (best.search, best.minimum))
-    gains = {name: scores[name] for name in ranked} | {one.name: one.gain for one in tried}
+    gains = falls | {one.name: one.gain for one in tried}
     similar = {'com': 'length', 'length': 'com'}.get(best.name, '')
     clear = SIGNIFICANT**2 * quantities.KINDS['com'].size  # as it has more numbers
     instead = similar if gains.get(similar, 0.0) > best.gain - clear else ''
@@ -319,20 +320,19 @@ def _gain(minimum: Minimum, again: Minimum) -> float:
     return float(len(after) * np.sum(np.log(np.mean(before, axis=0) / np.mean(after, axis=0))))
 
 
-def _scores(
-    search: Search, minimum: Minimum, uncertain: Sequence[str]
-) -> Iterator[tuple[str, float]]:
-    """Yield by how much the squares would fall with each quantity free."""
-    names = [name for name in CANDIDATES if name not in (*search.places, *uncertain)]
+def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, float]:
+    """Return by how much the squares would fall with each quantity free."""
     wide = search.with_free(minimum.theta, quantities.anything(names))
     _, H, g = wide.system(wide.transferred(search, minimum.theta))
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))
+    falls = dict[str, float]()
     for name in names:
         place = wide.places[name].ravel()
         S = H[np.ix_(place, place)] - H[np.ix_(place, base)] @ gain[:, place]
         slope = g[place] - H[np.ix_(place, base)] @ gain[:, -1]
-        yield name, float(slope @ np.linalg.solve(S, slope))
+        falls[name] = float(slope @ np.linalg.solve(S, slope))
+    return falls
 
 
 def moved_between(*ends: tuple[Search, Minimum]) -> float:

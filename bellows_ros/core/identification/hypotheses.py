@@ -34,14 +34,14 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-CHANCE = 2.5
+FLOOR_STDS = 2.5
 """Noise floor of a mean of squares, in standard deviations of what chance makes of it."""
 
-NOISE_KNOWN = 2.0
+MAX_NEGATIVE_FLOORS = 2.0
 """Noise floors by which squares may be below zero: noise in wrenches grows with K, and a cup with
 which it would be more than all that is left is not the cup."""
 
-COST = 0.1
+PRICE = 0.1
 """Part by which squares must fall for each number that is freed."""
 
 QUICK_ROUNDS, MAX_REFITTED, MAX_FINDINGS = 3, 6, 2
@@ -56,7 +56,7 @@ MAX_LOG_INERTIA = float(np.log(10.0))
 MIN_CUP_EFFECT = 0.02
 """Part by which an entry of K is otherwise at the largest deflection, at least, to be said."""
 
-MAX_TURN = float(np.radians(30.0))
+MAX_ANGLE = float(np.radians(30.0))
 """Frames and worlds that are turned further are in other axes."""
 
 
@@ -85,7 +85,7 @@ class Diagnosis(NamedTuple):
 
 def diagnose(
     recordings: Sequence[Recording], length: float, structure: Structure,
-    known: Sequence[str] = (),
+    identifiable: Sequence[str] = (),
 ) -> Diagnosis:
     """
     Try every hypothesis where noise does not explain the residuals, and again beside the best.
@@ -101,7 +101,7 @@ def diagnose(
         Nominal length, m.
     structure : Structure
         Of K and P.
-    known : sequence of str
+    identifiable : sequence of str
         Labels of the parameters that are identifiable; all where left out.
 
     """
@@ -114,7 +114,7 @@ def diagnose(
         if not facts:
             raise
         return Diagnosis(np.inf, facts, is_open=True)
-    best = [_finding(own.trials[0], own, known) for own in rankings if own.trials]
+    best = [_finding(own.trials[0], own, identifiable) for own in rankings if own.trials]
     first = rankings[0]
     if facts:
         names = {name for own in facts for name in (own.name, own.instead)}
@@ -122,7 +122,7 @@ def diagnose(
             own.certain if first.is_explained else own.likely))
         return Diagnosis(np.inf, facts, besides, not (
             first.is_explained or any(own.certain for own in best)))
-    findings = [_finding(trial, first, known) for trial in first.trials[:MAX_FINDINGS]]
+    findings = [_finding(trial, first, identifiable) for trial in first.trials[:MAX_FINDINGS]]
     if first.is_explained and len(rankings) == 1:
         findings = [own for own in findings if own.certain]
     return Diagnosis(first.before.excess, tuple(findings), tuple(best[1:]))
@@ -169,7 +169,7 @@ def _two(alone: '_Ranking', best: '_Trial', ensemble: Ensemble, world: str) -> '
             one, pair = alone.trials[0], [first, second]
             both = alone.objective.solved(ensemble.varied(*best.varied).varied(*beside.varied))
             half = DISTINCT * min(DISTINCT * _floored(alone.before), _floored(one.solved))
-            price = COST * (best.hypothesis.freed + beside.hypothesis.freed) * _floored(both)
+            price = PRICE * (best.hypothesis.freed + beside.hypothesis.freed) * _floored(both)
             is_clear = both.excess + price < min(
                 _noise_floor(both), _score(one) - _resolution(both))
             is_better = _floored(both) < half or is_clear and all(own.is_certain for own in pair)
@@ -324,7 +324,7 @@ def _is_within(name: str, theta: Array, given: variations.Given) -> bool:
     held = causes.radius_of_gyration(given.samples.payload)
     largest = {
         'length': 0.5 * given.length, 'com': held, 'slip': given.length,
-        'inertia': MAX_LOG_INERTIA, 'gravity.direction': MAX_TURN, 'package_marker': MAX_TURN}
+        'inertia': MAX_LOG_INERTIA, 'gravity.direction': MAX_ANGLE, 'package_marker': MAX_ANGLE}
     numbers = theta[:2] if name == 'slip' else theta
     return float(np.linalg.norm(numbers)) < largest.get(name, np.inf)
 
@@ -336,12 +336,12 @@ def _ranked(trials: Iterable[_Trial]) -> list[_Trial]:
 
 def _is_above_noise(solved: Solved) -> bool:
     """Return whether the noise that was taken is not clearly more than all that is left."""
-    return solved.excess > -NOISE_KNOWN * _noise_floor(solved)
+    return solved.excess > -MAX_NEGATIVE_FLOORS * _noise_floor(solved)
 
 
 def _noise_floor(solved: Solved) -> float:
     """Return the noise floor of squares: the mean of so many residuals is off by chance."""
-    return float(CHANCE * np.sqrt(2.0 / solved.residuals))
+    return float(FLOOR_STDS * np.sqrt(2.0 / solved.residuals))
 
 
 def _resolution(solved: Solved) -> float:
@@ -356,13 +356,13 @@ def _floored(solved: Solved) -> float:
 
 def _score(trial: _Trial) -> float:
     """Return what hypotheses are ordered by: squares beyond noise, more for each number freed."""
-    return trial.solved.excess + COST * trial.hypothesis.freed * _floored(trial.solved)
+    return trial.solved.excess + PRICE * trial.hypothesis.freed * _floored(trial.solved)
 
 
-def _finding(trial: _Trial, ranking: _Ranking, known: Sequence[str]) -> Finding:
+def _finding(trial: _Trial, ranking: _Ranking, identifiable: Sequence[str]) -> Finding:
     """Return what is reported of a hypothesis."""
     before, trials, structure, _ = ranking
-    labels = known or structure.labels
+    labels = identifiable or structure.labels
     own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
     excess, rest, first = max(trial.solved.excess, 0.0), _floored(trial.solved), _floored(before)
     similar = {'length': 'com', 'com': 'length', 'yaw': 'yaw'}.get(own.name)

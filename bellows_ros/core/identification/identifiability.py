@@ -20,7 +20,7 @@ import numpy as np
 MAX_SHARE, WEAK_SHARE = 0.5, 0.05
 """Noise share in a parameter's equations above which it is not, or only weakly, identifiable."""
 
-MAX_NAMED = 3
+MAX_LISTED = 3
 """Pairs or couplings named in a warning."""
 
 DIRECTIONS = {
@@ -134,11 +134,11 @@ def advice(
         else:
             coupled += [each.label for each in both if not each.identifiable]
     if coupled:
-        names = ', '.join([*coupled[:MAX_NAMED], *(['...'] if coupled[MAX_NAMED:] else [])])
+        names = ', '.join([*coupled[:MAX_LISTED], *(['...'] if coupled[MAX_LISTED:] else [])])
         yield (f'{len(coupled)} couplings of directions ({names}) are not identifiable from '
                f'{source}; use a simpler fit.structure, or move all axes at once, each at its own '
                'frequencies.')
-    for one, other, correlation in pairs[:MAX_NAMED]:
+    for one, other, correlation in pairs[:MAX_LISTED]:
         yield (f'{one} and {other} are nearly inseparable (correlation {correlation:+.2f}): their '
                'directions always move together. Move one without the other.')
 
@@ -163,7 +163,7 @@ def _direction_warnings(
                    f'fit.method: output_error, or {remedy}.')
 
 
-SHORTEST = 4
+MIN_HALF_WINDOW = 4
 """Shortest half window (samples) for polynomials of order 6."""
 
 
@@ -188,7 +188,7 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
         if not is_lost:
             continue
         end, fastest = first.end_hz, axis.band_hz[1]
-        tool, package = (max(int(n * end / fastest), SHORTEST) for n in first.half_windows)
+        tool, package = (max(int(n * end / fastest), MIN_HALF_WINDOW) for n in first.half_windows)
         shorter = (f', or shorter windows (filter.tool.half_window: {tool}, '
                    f'filter.package.half_window: {package})' if fastest > end else '')
         yield (
@@ -198,7 +198,7 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
         )
 
 
-CORRELATED = 0.95
+MAX_CORRELATION = 0.95
 """Correlation of two estimates above which they can hardly be separated."""
 
 
@@ -323,6 +323,6 @@ def _correlated(correlation: Array, labels: Sequence[str]) -> Iterator[tuple[str
     upper = np.abs(np.triu(correlation, 1))
     for flat in np.argsort(-upper, axis=None):
         i, j = divmod(int(flat), upper.shape[1])
-        if upper[i, j] <= CORRELATED:
+        if upper[i, j] <= MAX_CORRELATION:
             return
         yield labels[i], labels[j], float(correlation[i, j])

@@ -7,25 +7,12 @@ from types import MappingProxyType
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.given import causes, moved_between, stated, with_given
+from bellows_ros.core.identification.given import causes, moved_between, scores, stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
-from bellows_ros.core.identification.least_squares import (
-    DEFAULT_RATIO,
-    MOST_LEFT,
-    NOT_RELAXING,
-    R2_ASSUMED,
-    RATIO_STD,
-    SIGNIFICANT,
-)
 from bellows_ros.core.identification.quantities import anything, Free, KINDS
-from bellows_ros.core.identification.result import (
-    Fit,
-    Freed,
-    Iteration,
-    LARGEST_ERROR,
-    without,
-)
+from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR, without
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
     MeasuredSegment,
@@ -44,28 +31,28 @@ import numpy as np
 
 NOTHING: Free = MappingProxyType({})
 
-LARGEST_SHARE, MOST_OF_ERROR = 0.9, 0.5
+MAX_NOISE_SHARE, MAX_ERROR_SHARE = 0.9, 0.5
 """Most noise in information that errors allow for, and in the error of what is identifiable."""
 
-ANOTHER = 0.2
+MIN_SHIFT = 0.2
 """Part by which K moves to another minimum, which has causes of its own."""
 
-SEED, SHAKEN, LEAST_SHAKEN = 0, 3.0, 0.1
+SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Of the noise with which that is looked at, and its sizes in that of the poses."""
 
-LARGEST_CHI2 = 1.2
+MAX_CHI2 = 1.2
 """Chi^2 per degree of freedom above this triggers a warning."""
 
-CLUSTER = 1.0
+BLOCK_DURATION = 1.0
 """Length (s) of the segments whose gradients are kept."""
 
-COMMON = 10.0
+COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
 
-LEAST_EXCESS = 0.25
+MIN_SCATTER = 0.25
 """Scatter below this fraction of the noise model's belongs to directions without information."""
 
-LARGEST_LEVERAGE = 0.999
+MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
 
 MEDIAN_OF_NORMAL = 0.6744897501960817
@@ -128,75 +115,72 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    found = search.minimum(note)
+    minimum = search.minimum(note)
     if relaxation != 'off':  # rubber may be why a search without it does not converge
         if 'relaxation' not in search.places:
-            search, found = _with_relaxation(search, found, note)
-        elif not _relaxes(search, found):  # as least squares, which noise disturbs, has it
-            stiff = search.with_free(found.theta, {}, relaxes=False)
-            search, found = stiff, stiff.minimum(note, stiff.transferred(search, found.theta))
+            search, minimum = _with_relaxation(search, minimum, note)
+        elif not _relaxes(search, minimum):  # as least squares, which noise disturbs, has it
+            stiff = search.with_free(minimum.theta, {}, relaxes=False)
+            search, minimum = stiff, stiff.minimum(note, stiff.transferred(search, minimum.theta))
         if relaxation == 'on' and 'relaxation' not in search.places:
-            raise UndeterminedError(NOT_RELAXING)
-    reasons = causes(search, found, stated(given))
-    search.accept(found.parts)
-    wide, there, from_given = with_given(search, found, given, note, bool(reasons))
-    if reasons and moved_between((search, found), (wide, there)) > ANOTHER:
+            raise UndeterminedError(least_squares.NOT_RELAXING)
+    reasons = causes(search, minimum, stated(given))
+    search.accept(minimum.parts)
+    wide, there, from_given = with_given(search, minimum, given, note, bool(reasons))
+    if reasons and moved_between((search, minimum), (wide, there)) > MIN_SHIFT:
         reasons = tuple(own for own in reasons if own.name in wide.places) or causes(
             wide, there, stated(given))
     return _fit(wide, there, from_given, iterations, named, reasons)
 
 
 def _with_relaxation(
-    search: Search, found: Minimum, note: Callable[[Cup, float], None]
+    search: Search, minimum: Minimum, note: Callable[[Cup, float], None]
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else as it is."""
-    more = search.with_free(found.theta, anything(['relaxation']))
-    (own,), theta = more.places['relaxation'], more.transferred(search, found.theta)
-    _, H, g = more.system(theta)
-    base = np.arange(own[0])
-    H_own, slope = H[np.ix_(own, base)], g[own]
-    S = H[np.ix_(own, own)] - H_own @ np.linalg.solve(H[np.ix_(base, base)], H_own.T)
-    if slope @ np.linalg.solve(S, slope) > SIGNIFICANT:
-        again = more.minimum(note, theta)
+    (score,) = scores(search, minimum, ['relaxation']).values()
+    if score > least_squares.SIGNIFICANT:
+        more = search.with_free(minimum.theta, anything(['relaxation']))
+        again = more.minimum(note, more.transferred(search, minimum.theta))
         noise = MAX_NOISE_CHI2 * again.residual_count
-        left, before = again.squares - noise, found.squares - noise
-        if again.converged and left <= max(MOST_LEFT * before, 0.0) and _relaxes(more, again):
+        limit = max(least_squares.MOST_LEFT * (minimum.squares - noise), 0.0)
+        if again.converged and again.squares - noise <= limit and _relaxes(more, again):
             return more, again
-        search.accept(found.parts)
-    return search, found
+        search.accept(minimum.parts)
+    return search, minimum
 
 
-def _relaxes(search: Search, found: Minimum) -> bool:
+def _relaxes(search: Search, minimum: Minimum) -> bool:
     """Return whether strengths of relaxation are significant."""
-    r, covariance = _strengths(search, found, covariance_of(search, found)[0])
-    return bool(r @ np.linalg.solve(covariance, r) > SIGNIFICANT)
+    r, covariance = _strengths(search, minimum, covariance_of(search, minimum)[0])
+    return bool(r @ np.linalg.solve(covariance, r) > least_squares.SIGNIFICANT)
 
 
-def _strengths(search: Search, found: Minimum, covariance: Array) -> tuple[Array, Array]:
+def _strengths(search: Search, minimum: Minimum, covariance: Array) -> tuple[Array, Array]:
     """Return the strengths of relaxation (2,) with their covariance, zeros without it."""
     if 'relaxation' not in search.places:
         return np.zeros(2), np.zeros((2, 2))
     (own,) = search.places['relaxation']
-    return search.strengths(found.theta), covariance[np.ix_(own, own)]
+    return search.strengths(minimum.theta), covariance[np.ix_(own, own)]
 
 
 def covariance_of(
-    search: Search, found: Minimum, noise: Array | None = None
+    search: Search, minimum: Minimum, noise: Array | None = None
 ) -> tuple[Array, Array]:
     """
     Return the covariance (m, m) of the unknowns, SI units, and what noise (m,) is of their errors.
 
     By the jackknife. Information that is noise (m, m) in the derivatives steers no step.
     """
-    directions = np.linalg.inv(np.linalg.cholesky(found.information)).T
+    directions = np.linalg.inv(np.linalg.cholesky(minimum.information)).T
     shares = np.zeros(len(directions))
     if noise is not None:
         shares, turn = np.linalg.eigh(directions.T @ noise @ directions)
         directions = directions @ turn
     scatter = _excess(np.array([
-        directions.T @ gradient for segment, own in zip(search.segments, found.parts, strict=True)
-        for gradient in _left_out(found.information, own, segment.period)]))
-    wide = directions / (1.0 - np.clip(shares, 0.0, LARGEST_SHARE))
+        directions.T @ gradient
+        for segment, part in zip(search.segments, minimum.parts, strict=True)
+        for gradient in _left_out(minimum.information, part, segment.period)]))
+    wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
     covariance = (wide * np.maximum(scatter, 1.0)) @ wide.T
     return (np.asarray(covariance * np.outer(search.units, search.units)),
             1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1)))
@@ -204,10 +188,10 @@ def covariance_of(
 
 def _left_out(information: Array, part: WhitenedSegment, period: float) -> Iterator[Array]:
     """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
-    length = 6 * max(round(CLUSTER / period), 1)
+    length = 6 * max(round(BLOCK_DURATION / period), 1)
     for first in range(0, len(part.innovations), length):
         J, r = part.jacobian[first:first + length], part.innovations[first:first + length]
-        rest = information - LARGEST_LEVERAGE * (J.T @ J)
+        rest = information - MAX_LEVERAGE * (J.T @ J)
         yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
 
 
@@ -221,26 +205,26 @@ def _excess(influences: Array) -> Array:
     count = len(influences)
     if count < 2:
         return np.ones(influences.shape[1])
-    own = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), LEAST_EXCESS)
+    own = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), MIN_SCATTER)
     common = float(np.median(own))
-    return np.asarray((COMMON * common + count * own) / (COMMON + count))
+    return np.asarray((COMMON_WEIGHT * common + count * own) / (COMMON_WEIGHT + count))
 
 
 def _fit(
-    search: Search, found: Minimum, from_given: Array, iterations: list[Iteration],
+    search: Search, minimum: Minimum, from_given: Array, iterations: list[Iteration],
     named: Sequence[str], reasons: tuple[Finding, ...],
 ) -> Fit:
     """Return the result, with the covariance of what is identifiable."""
-    size, x = search.count, search.units * found.theta
-    covariance, known, notes = _identifiable(search, found, from_given, named)
-    strengths, of_strengths = _strengths(search, found, covariance)
+    size, x = search.count, search.units * minimum.theta
+    covariance, identifiable, notes = _identifiable(search, minimum, from_given, named)
+    strengths, of_strengths = _strengths(search, minimum, covariance)
     (r1, r2), (r1_std, r2_std) = strengths.tolist(), np.sqrt(np.diag(of_strengths)).tolist()
-    ratio = np.array([-DEFAULT_RATIO, 1.0])
-    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * r1:
-        notes.append(R2_ASSUMED)
-    std = np.where(known, np.sqrt(np.diag(covariance)), np.inf)
-    r = np.concatenate([own.innovations for own in found.parts])
-    left = found.residuals
+    ratio = np.array([-least_squares.DEFAULT_RATIO, 1.0])
+    if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * least_squares.RATIO_STD * r1:
+        notes.append(least_squares.R2_ASSUMED)
+    std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
+    r = np.concatenate([own.innovations for own in minimum.parts])
+    left = minimum.residuals
     robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
     total = sum(len(segment.measured.package) for segment in search.segments)
     offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
@@ -248,18 +232,18 @@ def _fit(
         method='output_error',
         structure=search.structure.name,
         parameters=x[:size],
-        covariance=without(covariance[:size, :size], ~known[:size]),
+        covariance=without(covariance[:size, :size], ~identifiable[:size]),
         from_given=from_given[:size, :size],
         samples_used=len(left),
         samples_rejected=total - len(left),
-        condition_number=_condition(found.information[:size, :size]),
+        condition_number=_condition(minimum.information[:size, :size]),
         weight=np.diag(search.segments[0].std ** -2),
         residual_rms=np.sqrt(np.mean(left**2, axis=0)),
-        notes=tuple(notes) if found.converged else (NOT_CONVERGED,),
+        notes=tuple(notes) if minimum.converged else (NOT_CONVERGED,),
         misfit=_misfit(robust_chi2),
-        chi2=found.squares / max(len(r) - len(x), 1),
+        chi2=minimum.squares / max(len(r) - len(x), 1),
         robust_chi2=robust_chi2,
-        converged=found.converged,
+        converged=minimum.converged,
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),
         delays_std=tuple(std[offsets].tolist()),
@@ -277,7 +261,7 @@ def _fit(
 
 def _misfit(chi2: float) -> str:
     """Return a sentence if chi^2 per degree of freedom is too large."""
-    if chi2 <= LARGEST_CHI2:
+    if chi2 <= MAX_CHI2:
         return ''
     return (
         f'The model does not explain the recording: chi^2 per degree of freedom is {chi2:.2f}, '
@@ -293,21 +277,22 @@ def _condition(information: Array) -> float:
 
 
 def _identifiable(
-    search: Search, found: Minimum, from_given: Array, named: Sequence[str]
+    search: Search, minimum: Minimum, from_given: Array, named: Sequence[str]
 ) -> tuple[Array, Mask, list[str]]:
     """Return the covariance (m, m), SI units, what is identifiable, and notes on the rest."""
     size = search.count
     covariance, shares = covariance_of(
-        search, found, noise_information(search, found) if found.converged else None)
-    cup, std = search.cup(found.theta), np.sqrt(np.diag(covariance))
+        search, minimum, noise_information(search, minimum) if minimum.converged else None)
+    cup, std = search.cup(minimum.theta), np.sqrt(np.diag(covariance))
     largest = np.full(len(std), np.inf)
     largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name in named:
         largest[search.places[name]] = KINDS[name].known
-    known = (std <= largest) & (shares <= MOST_OF_ERROR) & found.converged
-    notes = list(_unknown(search, std / (largest / LARGEST_ERROR), shares, known[:size]))
+    identifiable = (std <= largest) & (shares <= MAX_ERROR_SHARE) & minimum.converged
+    errors = std / (largest / LARGEST_ERROR)
+    notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
-    vague = known[:size] & (total > 1.0)
+    vague = identifiable[:size] & (total > 1.0)
     notes += [
         f'{search.structure.labels[i]} is not identifiable with what was given: its standard '
         f'error is {100.0 * LARGEST_ERROR * total[i]:.2g} % of its size, and '
@@ -315,43 +300,43 @@ def _identifiable(
         f'markers. {ALSO_GIVEN}; or '
         f'{remedy_for(search.structure.labels[i].split()[1], search.structure)}.'
         for i in np.flatnonzero(vague)]
-    known[:size] &= ~vague
-    return covariance, known, notes
+    identifiable[:size] &= ~vague
+    return covariance, identifiable, notes
 
 
-def noise_information(search: Search, found: Minimum) -> Array:
+def noise_information(search: Search, minimum: Minimum) -> Array:
     """
     Return the information (m, m) on the unknowns that is of noise, not of motion.
 
     Noise in the path shakes the simulated package, too. With some more of it, once with either
     sign, information of motion stays, and that of noise grows with the noise squared.
     """
-    noisier, size, more = copy(search), SHAKEN, list[Array]()
+    noisier, size, more = copy(search), NOISE_FACTOR, list[Array]()
     while len(more) < 2:
         noisier.segments, draw = [], np.random.default_rng(SEED)
         for own in search.segments:
             measured = own.measured
             noise = BodyNoise(own.std, measured.package_noise.correlation), measured.tool_noise
             package, tool = (
-                _shaken(body, seen, size * (-1.0) ** len(more), draw)
+                _noisier(body, seen, size * (-1.0) ** len(more), draw)
                 for body, seen in zip((measured.package, measured.tool), noise, strict=True))
             noisier.segments.append(Segment(
                 replace(measured, tool=tool, package=package), own.half_window))
             noisier.segments[-1].start, noisier.segments[-1].std = own.start, own.std
-        parts, H, g = noisier.system(found.theta)
+        parts, H, g = noisier.system(minimum.theta)
         if np.all(np.isfinite(g)):
             noisier.accept(parts)
-            H, g = noisier.system(found.theta)[1:]
+            H, g = noisier.system(minimum.theta)[1:]
         if np.all(np.isfinite(g)):
-            more.append((H - found.information) / size**2)
-        elif size < LEAST_SHAKEN:
-            return found.information
+            more.append((H - minimum.information) / size**2)
+        elif size < MIN_NOISE_FACTOR:
+            return minimum.information
         else:  # so much noise turns the package over
             size, more = 0.5 * size, []
     return np.asarray(np.mean(more, axis=0))
 
 
-def _shaken(
+def _noisier(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
     """Return poses with noise of a size in their own."""
@@ -360,21 +345,23 @@ def _shaken(
                    rotation=body.rotation @ exp_so3(e[:, 3:]))
 
 
-def _unknown(search: Search, errors: Array, shares: Array, known: Mask) -> Iterator[str]:
+def _unidentifiable(
+    search: Search, errors: Array, shares: Array, identifiable: Mask
+) -> Iterator[str]:
     """Yield a sentence about each number that is not identifiable, with what would make it so."""
-    size = len(known)
-    for label, error, share, is_known in zip(
+    size = len(identifiable)
+    for label, error, share, is_identifiable in zip(
             search.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
-            known.tolist(), strict=True):
+            identifiable.tolist(), strict=True):
         less = LARGEST_ERROR / error
         how = remedy_for(label.split()[1], search.structure)
-        if share > MOST_OF_ERROR and (1.0 - share) * error < 1.0:
+        if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             yield (f'{label} is not identifiable: {share:.0%} of its standard error is of noise '
                    f'that moves it; {how}.')
         elif error >= 1.0:  # the prior limits it
             yield (f'{label} is not identifiable: its standard error is as large as itself or '
                    f'larger; {how}, or measure with less noise.')
-        elif not is_known:
+        elif not is_identifiable:
             yield (
                 f'{label} is not identifiable from this motion with this noise: its standard '
                 f'error is {100.0 * error:.2g} % of its size. {1e2 * less:.0f} % of the noise '
