@@ -108,23 +108,25 @@ def diagnose(
     wrong, right = zip(*map(causes.corrected, recordings), strict=True)
     facts: tuple[Finding, ...] = next(filter(None, wrong), ())
     try:
-        rankings = right[0].cached(('trials', *(own.name for own in right), length, structure),
+        names = [recording.name for recording in right]
+        rankings = right[0].cached(('trials', *names, length, structure),
                                    lambda: _rankings(right, length, structure))
     except BellowsError:
         if not facts:
             raise
         return Diagnosis(np.inf, facts, is_open=True)
-    best = [_finding(own.trials[0], own, identifiable) for own in rankings if own.trials]
+    best = [_finding(ranking.trials[0], ranking, identifiable)
+            for ranking in rankings if ranking.trials]
     first = rankings[0]
     if facts:
-        names = {name for own in facts for name in (own.name, own.instead)}
-        besides = tuple(own for own in best if own.name not in names and (
-            own.certain if first.is_explained else own.likely))
+        corrected = {name for fact in facts for name in (fact.name, fact.instead)}
+        besides = tuple(finding for finding in best if finding.name not in corrected and (
+            finding.certain if first.is_explained else finding.likely))
         return Diagnosis(np.inf, facts, besides, not (
-            first.is_explained or any(own.certain for own in best)))
+            first.is_explained or any(finding.certain for finding in best)))
     findings = [_finding(trial, first, identifiable) for trial in first.trials[:MAX_FINDINGS]]
     if first.is_explained and len(rankings) == 1:
-        findings = [own for own in findings if own.certain]
+        findings = [finding for finding in findings if finding.certain]
     return Diagnosis(first.before.excess, tuple(findings), tuple(best[1:]))
 
 
@@ -160,20 +162,21 @@ def _two(alone: '_Ranking', best: '_Trial', ensemble: Ensemble, world: str) -> '
         second = _ranking(ensemble.varied(*best.varied), world, best.hypothesis)
         if not second.is_found:
             return []
-        beside = second.trials[0]
-        first = _ranking(ensemble.varied(*beside.varied), world, beside.hypothesis, best)
+        other = second.trials[0]
+        first = _ranking(ensemble.varied(*other.varied), world, other.hypothesis, best)
         if not first.is_found:
             return []
         previous, best = best, first.trials[0]
         if previous.key == best.key:
-            one, pair = alone.trials[0], [first, second]
-            both = alone.objective.solved(ensemble.varied(*best.varied).varied(*beside.varied))
+            one = alone.trials[0]
+            both = alone.objective.solved(ensemble.varied(*best.varied).varied(*other.varied))
             half = DISTINCT * min(DISTINCT * _floored(alone.before), _floored(one.solved))
-            price = PRICE * (best.hypothesis.freed + beside.hypothesis.freed) * _floored(both)
+            price = PRICE * (best.hypothesis.freed + other.hypothesis.freed) * _floored(both)
             is_clear = both.excess + price < min(
                 _noise_floor(both), _score(one) - _resolution(both))
-            is_better = _floored(both) < half or is_clear and all(own.is_certain for own in pair)
-            return pair if is_better else []
+            is_better = _floored(both) < half or (
+                is_clear and first.is_certain and second.is_certain)
+            return [first, second] if is_better else []
     return []
 
 
@@ -203,10 +206,12 @@ class _Ranking(NamedTuple):
 
 
 def _ranking(
-    ensemble: Ensemble, world: str, beside: Hypothesis | None = None, near: '_Trial | None' = None,
+    ensemble: Ensemble, world: str, corrected: Hypothesis | None = None,
+    near: '_Trial | None' = None,
 ) -> _Ranking:
     """Return the trials of all hypotheses but one that is corrected, one from where it was."""
-    objective, structure = Objective.of(ensemble, beside is not None), ensemble.given[0].structure
+    structure = ensemble.given[0].structure
+    objective = Objective.of(ensemble, corrected is not None)
     before = objective.solved(ensemble)
     quiet = Ensemble(ensemble.given, ())
     level = objective.solved(quiet).excess - before.excess
@@ -218,13 +223,13 @@ def _ranking(
             np.zeros(h.freed) if is_explained and h.name != 'slip' else None)),
             1 if is_explained else QUICK_ROUNDS, level)
         for h in variations.hypotheses(ensemble.given, world)
-        if beside is None or h.name != beside.name and (h.datum or beside.datum))
+        if corrected is None or h.name != corrected.name and (h.datum or corrected.datum))
     if not trials or is_explained:
         trials = _ranked(
-            _fitted(own.hypothesis, objective, ensemble, own.theta)
-            for own in trials if _score(own) < before.excess and _is_above_noise(before))
-        return _Ranking(
-            before, sorted(trials, key=lambda own: not own.is_significant), structure, objective)
+            _fitted(trial.hypothesis, objective, ensemble, trial.theta)
+            for trial in trials if _score(trial) < before.excess and _is_above_noise(before))
+        trials.sort(key=lambda trial: not trial.is_significant)
+        return _Ranking(before, trials, structure, objective)
     # With weights as they are where the best of them is true.
     objective = Objective.of(ensemble.varied(*trials[0].varied), sound=True)
     return _Ranking(objective.solved(ensemble), _ranked(
@@ -289,27 +294,27 @@ def _fitted(
     return _Trial(hypothesis, theta, std, solved._replace(excess=excess), is_significant)
 
 
-def _cup_effect(name: str, solved: Solved, own: Structure) -> tuple[Array, Array, bool]:
+def _cup_effect(name: str, solved: Solved, structure: Structure) -> tuple[Array, Array, bool]:
     """
     Return parts by which K changes, with their standard errors, and whether they are physical.
 
     Friction is a part of the largest force.
     """
-    entries, n = extra_entries(own, name), 2 * own.size
+    entries, n = extra_entries(structure, name), 2 * structure.size
     each = {'friction': SLIPS, 'cubic': (1.0, 1.0)}.get(name, (1.0,))
     K = solved.x[entries]
     T = np.kron(each, np.eye(len(entries))) / K[:, None]
     theta, std = T @ solved.x[n:], np.sqrt(np.diag(T @ solved.covariance[n:, n:] @ T.T))
     size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
-    row, column = own.leads[entries[best]]
+    row, column = structure.leads[entries[best]]
     return theta, std, bool(K[best] > 0.0 or row != column) and bool(
         0.0 < theta[best] < 1.0 if name == 'friction'
         else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
 
 
-def _structure_change(solved: Solved, own: Structure, other: Structure) -> float:
+def _structure_change(solved: Solved, structure: Structure, other: Structure) -> float:
     """Return the RMS of what another structure has more than one, in its standard errors."""
-    both = [other.parameters(*pair) for unit in own.model_basis
+    both = [other.parameters(*pair) for unit in structure.model_basis
             for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
     more = np.linalg.svd(np.array(both))[2][len(both):]
     covariance = more @ solved.covariance @ more.T
@@ -321,9 +326,9 @@ def _structure_change(solved: Solved, own: Structure, other: Structure) -> float
 
 def _is_within(name: str, theta: Array, given: variations.Given) -> bool:
     """Return whether numbers are no larger than what they are of: cup, package, lip."""
-    held = causes.radius_of_gyration(given.samples.payload)
+    radius = causes.radius_of_gyration(given.samples.payload)
     largest = {
-        'length': 0.5 * given.length, 'com': held, 'slip': given.length,
+        'length': 0.5 * given.length, 'com': radius, 'slip': given.length,
         'inertia': MAX_LOG_INERTIA, 'gravity.direction': MAX_ANGLE, 'package_marker': MAX_ANGLE}
     numbers = theta[:2] if name == 'slip' else theta
     return float(np.linalg.norm(numbers)) < largest.get(name, np.inf)
@@ -331,7 +336,7 @@ def _is_within(name: str, theta: Array, given: variations.Given) -> bool:
 
 def _ranked(trials: Iterable[_Trial]) -> list[_Trial]:
     """Return trials, the best first, without cups and packages that cannot be."""
-    return sorted((own for own in trials if np.isfinite(own.solved.excess)), key=_score)
+    return sorted((trial for trial in trials if np.isfinite(trial.solved.excess)), key=_score)
 
 
 def _is_above_noise(solved: Solved) -> bool:
@@ -363,47 +368,51 @@ def _finding(trial: _Trial, ranking: _Ranking, identifiable: Sequence[str]) -> F
     """Return what is reported of a hypothesis."""
     before, trials, structure, _ = ranking
     labels = identifiable or structure.labels
-    own, value, theta, std = trial.hypothesis, trial.hypothesis.value, trial.theta, trial.std
+    hypothesis, theta, std, *_ = trial
+    value = hypothesis.value
     excess, rest, first = max(trial.solved.excess, 0.0), _floored(trial.solved), _floored(before)
-    similar = {'length': 'com', 'com': 'length', 'yaw': 'yaw'}.get(own.name)
+    similar = {'length': 'com', 'com': 'length', 'yaw': 'yaw'}.get(hypothesis.name)
     instead = [t.hypothesis for t in trials if t is not trial and t.hypothesis.name == similar
                and t.solved.excess < max(excess / DISTINCT, excess + _resolution(before))]
-    rivals = [t for t in trials if t.hypothesis.name != own.name and t.hypothesis not in instead]
+    rivals = [t for t in trials
+              if t.hypothesis.name != hypothesis.name and t.hypothesis not in instead]
     diagonal = [i for i, (row, column) in enumerate(structure.leads)
                 if row == column and structure.labels[i] in labels]
     moved = change = np.zeros(1)
-    if own.name != 'structure':
+    if hypothesis.name != 'structure':
         moved = change = np.abs(trial.solved.x[diagonal] / before.x[diagonal] - 1.0)
-    if own in CUP_EFFECTS:  # the entry of K that shows it best is enough
-        entries = extra_entries(structure, own.name)
+    if hypothesis in CUP_EFFECTS:  # the entry of K that shows it best is enough
+        entries = extra_entries(structure, hypothesis.name)
         best = int(np.argmax(np.isin(entries, diagonal) * np.abs(theta) / std))
         value, theta, std = structure.labels[entries[best]], theta[[best]], std[[best]]
         change = np.abs(theta)
-    is_material = own.name == 'structure' or rest < DISTINCT**2 * first or np.any(
-        change > (MIN_CUP_EFFECT if own in CUP_EFFECTS else causes.MATERIAL))
+    is_material = hypothesis.name == 'structure' or rest < DISTINCT**2 * first or np.any(
+        change > (MIN_CUP_EFFECT if hypothesis in CUP_EFFECTS else causes.MATERIAL))
+    is_certain = bool(is_material and trial.is_significant and trial is trials[0]
+                      and _is_certain(trial, rivals, before))
     return Finding(
-        own.name, value, theta, std, float(np.sqrt(rest / first)), float(moved.max(initial=0.0)),
-        own.datum, bool(is_material and trial.is_significant and trial is trials[0]
-                        and _is_certain(trial, rivals, before)),
+        hypothesis.name, value, theta, std, float(np.sqrt(rest / first)),
+        float(moved.max(initial=0.0)), hypothesis.datum, is_certain,
         instead[0].value or instead[0].name if instead else '', excess)
 
 
 def _is_certain(trial: _Trial, rivals: Sequence[_Trial], before: Solved) -> bool:
     """Return whether a hypothesis explains nearly all, and each rival clearly less."""
-    own, excess, rest = trial.hypothesis, max(trial.solved.excess, 0.0), _floored(trial.solved)
+    hypothesis, *_, solved, _ = trial
+    excess, rest = max(solved.excess, 0.0), _floored(solved)
     resolution, noise_floor = _resolution(before), _noise_floor(before)
     if before.excess < causes.DOUBTED:
         # Another setting, without any number that is significant, must explain more than chance.
-        gain = resolution if len(trial.theta) or own.name == 'structure' else noise_floor
+        gain = resolution if len(trial.theta) or hypothesis.name == 'structure' else noise_floor
         return trial.is_sufficient and before.excess - trial.solved.excess > gain and all(
             _score(t) - _score(trial) > resolution for t in rivals if t.is_significant)
 
     def is_dominated(other: _Trial) -> bool:
         """Return whether another explains clearly less, or not all where this one does."""
         rival, most = other.hypothesis, _floored(other.solved)
-        if rival.freed > own.freed:
+        if rival.freed > hypothesis.freed:
             return rival.datum or rest < most
-        part = DISTINCT if own.datum or not rival.datum else DISTINCT**2
+        part = DISTINCT if hypothesis.datum or not rival.datum else DISTINCT**2
         return rest < part * most or (
             excess < noise_floor and other.solved.excess - excess > resolution)
 

@@ -181,9 +181,9 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
     """
     if not passed:
         return
-    too_much = (np.sum([own.lost for own in passed], axis=0)
-                > np.sum([own.least for own in passed], axis=0))
-    first = min(passed, key=lambda own: own.end_hz)
+    too_much = (np.sum([band.lost for band in passed], axis=0)
+                > np.sum([band.least for band in passed], axis=0))
+    first = min(passed, key=lambda band: band.end_hz)
     for axis, is_lost in zip(axes, too_much, strict=True):
         if not is_lost:
             continue
@@ -262,7 +262,7 @@ def excitation_of(
         If there is no valid sample.
 
     """
-    statistics, movements = [own.statistics for own in parts], [own.movement for own in parts]
+    statistics, movements = [part.statistics for part in parts], [part.movement for part in parts]
     structure = statistics[0].structure
     whitening, solved, noise = weighted(statistics)
     axes, is_filtered = _axes(movements), method == 'least_squares'
@@ -280,7 +280,8 @@ def excitation_of(
     pairs = tuple(_correlated(
         without(covariance, ~identifiable) / np.outer(std, std), structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
-    fast = too_fast(axes, [own.passed for own in movements if own.passed]) if is_filtered else ()
+    passed = [movement.passed for movement in movements if movement.passed]
+    fast = too_fast(axes, passed) if is_filtered else ()
     rank = int(np.count_nonzero(identifiable)) if fit else solved.rank
     return Excitation(
         structure.name, axes, parameters, rank, len(values), solved.condition_number, pairs,
@@ -288,7 +289,7 @@ def excitation_of(
          *fast))
 
 
-def _noise_effects(noise: Array, whitening: Array, found: Solution) -> tuple[Array, Array]:
+def _noise_effects(noise: Array, whitening: Array, solution: Solution) -> tuple[Array, Array]:
     """
     Return the share of noise (6, q, 6, q) in the information on each parameter, and its bias.
 
@@ -296,11 +297,11 @@ def _noise_effects(noise: Array, whitening: Array, found: Solution) -> tuple[Arr
     that column that no other parameter explains. The bias is at most the parameter's own size.
     """
     energy = np.einsum('ij,ipjp->p', whitening.T @ whitening, noise)[:-1]
-    bias, *_ = noise_bias(noise, whitening, found.x, found.inverse)
+    bias, *_ = noise_bias(noise, whitening, solution.x, solution.inverse)
     with np.errstate(divide='ignore', invalid='ignore'):
-        relative = np.clip(bias / (found.x - bias), -1.0, 1.0)
-    return (np.minimum(energy * np.sum(found.inverse**2, axis=1), 1.0),
-            np.where(found.identifiable, relative, np.nan))
+        relative = np.clip(bias / (solution.x - bias), -1.0, 1.0)
+    return (np.minimum(energy * np.sum(solution.inverse**2, axis=1), 1.0),
+            np.where(solution.identifiable, relative, np.nan))
 
 
 def _axes(parts: Sequence[Movement]) -> tuple[Axis, ...]:

@@ -107,7 +107,7 @@ def output_error(
         If relaxation is 'on' and none is significant.
 
     """
-    search = Search([Segment(own) for own in measured], structure, start, free)
+    search = Search([Segment(part) for part in measured], structure, start, free)
     iterations: list[Iteration] = []
 
     def note(cup: Cup, chi2: float) -> None:
@@ -128,7 +128,7 @@ def output_error(
     search.accept(minimum.parts)
     wide, there, from_given = with_given(search, minimum, given, note, bool(reasons))
     if reasons and moved_between((search, minimum), (wide, there)) > MIN_SHIFT:
-        reasons = tuple(own for own in reasons if own.name in wide.places) or causes(
+        reasons = tuple(reason for reason in reasons if reason.name in wide.places) or causes(
             wide, there, stated(given))
     return _fit(wide, there, from_given, iterations, named, reasons)
 
@@ -159,8 +159,8 @@ def _strengths(search: Search, minimum: Minimum, covariance: Array) -> tuple[Arr
     """Return the strengths of relaxation (2,) with their covariance, zeros without it."""
     if 'relaxation' not in search.places:
         return np.zeros(2), np.zeros((2, 2))
-    (own,) = search.places['relaxation']
-    return search.strengths(minimum.theta), covariance[np.ix_(own, own)]
+    (place,) = search.places['relaxation']
+    return search.strengths(minimum.theta), covariance[np.ix_(place, place)]
 
 
 def covariance_of(
@@ -205,9 +205,9 @@ def _excess(influences: Array) -> Array:
     count = len(influences)
     if count < 2:
         return np.ones(influences.shape[1])
-    own = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), MIN_SCATTER)
-    common = float(np.median(own))
-    return np.asarray((COMMON_WEIGHT * common + count * own) / (COMMON_WEIGHT + count))
+    scatter = np.maximum(np.sum(influences**2, axis=0) * count / (count - 1), MIN_SCATTER)
+    common = float(np.median(scatter))
+    return np.asarray((COMMON_WEIGHT * common + count * scatter) / (COMMON_WEIGHT + count))
 
 
 def _fit(
@@ -223,7 +223,7 @@ def _fit(
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * least_squares.RATIO_STD * r1:
         notes.append(least_squares.R2_ASSUMED)
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
-    r = np.concatenate([own.innovations for own in minimum.parts])
+    r = np.concatenate([part.innovations for part in minimum.parts])
     left = minimum.residuals
     robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
     total = sum(len(segment.measured.package) for segment in search.segments)
@@ -248,11 +248,11 @@ def _fit(
         delays=tuple(x[offsets].tolist()),
         delays_std=tuple(std[offsets].tolist()),
         freed=tuple(
-            Freed(name, tuple(x[own].tolist()), tuple(std[own].tolist()))
-            for name, (own, *_) in search.places.items()
+            Freed(name, tuple(x[place].tolist()), tuple(std[place].tolist()))
+            for name, (place, *_) in search.places.items()
             if name in named and not KINDS[name].each),
         causes=reasons,
-        found={name: x[own] for name, own in search.places.items()
+        found={name: x[place] for name, place in search.places.items()
                if name != 'relaxation' and (KINDS[name].each or name not in named)},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
@@ -314,15 +314,15 @@ def noise_information(search: Search, minimum: Minimum) -> Array:
     noisier, size, more = copy(search), NOISE_FACTOR, list[Array]()
     while len(more) < 2:
         noisier.segments, draw = [], np.random.default_rng(SEED)
-        for own in search.segments:
-            measured = own.measured
-            noise = BodyNoise(own.std, measured.package_noise.correlation), measured.tool_noise
+        for segment in search.segments:
+            measured = segment.measured
+            noise = BodyNoise(segment.std, measured.package_noise.correlation), measured.tool_noise
             package, tool = (
                 _noisier(body, seen, size * (-1.0) ** len(more), draw)
                 for body, seen in zip((measured.package, measured.tool), noise, strict=True))
             noisier.segments.append(Segment(
-                replace(measured, tool=tool, package=package), own.half_window))
-            noisier.segments[-1].start, noisier.segments[-1].std = own.start, own.std
+                replace(measured, tool=tool, package=package), segment.half_window))
+            noisier.segments[-1].start, noisier.segments[-1].std = segment.start, segment.std
         parts, H, g = noisier.system(minimum.theta)
         if np.all(np.isfinite(g)):
             noisier.accept(parts)

@@ -358,9 +358,9 @@ class Minimum(NamedTuple):
         return np.concatenate([part.residuals for part in self.parts])
 
 
-class Search:
+class Parametrization:
     """
-    Gauss-Newton steps.
+    What the unknowns of a search are, what they make of the cup, and what was given of them.
 
     The unknowns theta are those of the structure in units of their size, then the quantities of
     `KINDS` that are free, one after the other, in theirs.
@@ -433,12 +433,81 @@ class Search:
         return {name: rows[segment.measured.recording if KINDS[name].each else 0]
                 for name, rows in self.places.items()}
 
-    def transferred(self, other: 'Search', theta: Array) -> Array:
+    def transferred(self, other: 'Parametrization', theta: Array) -> Array:
         """Return the unknowns at those of another search with the same cup."""
         moved = self.start.copy()
         for name in self.places.keys() & other.places:
             moved[self.places[name]] = theta[other.places[name]]
         return moved
+
+    def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
+        """Return the model of a segment, and what is free in it, SI units."""
+        values = self.units * theta
+        free = {name: values[places] for name, places in self.places_of(segment).items()}
+        cup, measured = gripper_of(self.cup(theta), self.structure.places), segment.measured
+        if 'length' in free:
+            cup = replace(cup, length=cup.length + float(free['length'][0]))
+        if 'relaxation' in free:
+            cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
+        payload = quantities.payload_of(measured.payload, free)
+        return model_tuple(cup, payload, measured.gravity), free
+
+    def moved(self, theta: Array, step: Array) -> Array:
+        """Return unknowns after a step, K and P along a geodesic."""
+        moved, ends = theta + step, []
+        for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
+            root, inverse = _roots(M)
+            values, vectors = np.linalg.eigh(inverse @ change @ inverse)
+            half = root @ vectors * np.exp(0.5 * np.clip(values, -MAX_LOG_STEP, MAX_LOG_STEP))
+            ends.append(half @ half.T)
+        moved[:self.count] = self.structure.parameters(*ends) / self.units[:self.count]
+        for place in self.places.get('relaxation', ()):
+            moved[place] = np.maximum(
+                moved[place], -np.array(self.start_cup.relaxation) / self.units[place])
+        return moved
+
+    def _matrices(self, theta: Array) -> tuple[Array, Array]:
+        """Return K and P of unknowns, SI units."""
+        return self.structure.matrices((self.units * theta)[:self.count])
+
+    def ordinary_damping(self, stiffness: Array) -> Array:
+        """Return the damping (6, 6) with which each mode of the package has one loss factor."""
+        payload = self.segments[0].measured.payload
+        to_com, inertia = np.eye(6), np.zeros((6, 6))
+        to_com[:3, 3:] = -lie.hat(payload.com)
+        inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
+        root, inverse = _roots(to_com.T @ inertia @ to_com)
+        P = LOSS_FACTOR * root @ _roots(inverse @ stiffness @ inverse)[0] @ root
+        return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
+
+    def prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
+        """Return information (m, m) and slope (m,) of what was known before."""
+        H = np.diag(self.weights) + self.fixing
+        g = H @ (self.start - theta)
+        size = self.count // 2
+        K, P = self._matrices(theta)
+        means = self._matrices(self.start)[0], self.ordinary_damping(K)
+        stds = PRIOR_LOG_STD[0], APPROACH_LOG_STD if forgetting else PRIOR_LOG_STD[1]
+        for first, M, mean, std in zip((0, size), (K, P), means, stds, strict=True):
+            index = slice(first, first + size)
+            unit = np.array(self.structure.basis) * self.units[index, None, None]
+            root, inverse = _roots(M)
+            slopes = inverse @ unit @ inverse
+            values, vectors = np.linalg.eigh(inverse @ mean @ inverse)
+            difference = (vectors * np.log(values)) @ vectors.T
+            H[index, index] += np.einsum('aij,bji->ab', slopes, slopes) / std**2
+            g[index] = np.einsum('aij,ji->a', slopes, difference) / std**2
+        for place in self.places.get('relaxation', ()):  # rubbers differ in the ratio of r2 to r1
+            r = self.strengths(theta)
+            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
+            slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
+            H[np.ix_(place, place)] += np.outer(slope, slope)
+            g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
+        return H, g
+
+
+class Search(Parametrization):
+    """Gauss-Newton steps of the unknowns."""
 
     def with_free(self, theta: Array, more: Free, relaxes: bool = True) -> 'Search':
         """Return a search that starts from unknowns, with more free, or no relaxation."""
@@ -545,63 +614,10 @@ class Search:
         return float(part @ np.linalg.solve(
             covariance[np.ix_(identifiable, identifiable)], part))
 
-    def moved(self, theta: Array, step: Array) -> Array:
-        """Return unknowns after a step, K and P along a geodesic."""
-        moved, ends = theta + step, []
-        for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
-            root, inverse = _roots(M)
-            values, vectors = np.linalg.eigh(inverse @ change @ inverse)
-            half = root @ vectors * np.exp(0.5 * np.clip(values, -MAX_LOG_STEP, MAX_LOG_STEP))
-            ends.append(half @ half.T)
-        moved[:self.count] = self.structure.parameters(*ends) / self.units[:self.count]
-        for place in self.places.get('relaxation', ()):
-            moved[place] = np.maximum(
-                moved[place], -np.array(self.start_cup.relaxation) / self.units[place])
-        return moved
-
-    def _matrices(self, theta: Array) -> tuple[Array, Array]:
-        """Return K and P of unknowns, SI units."""
-        return self.structure.matrices((self.units * theta)[:self.count])
-
-    def ordinary_damping(self, stiffness: Array) -> Array:
-        """Return the damping (6, 6) with which each mode of the package has one loss factor."""
-        payload = self.segments[0].measured.payload
-        to_com, inertia = np.eye(6), np.zeros((6, 6))
-        to_com[:3, 3:] = -lie.hat(payload.com)
-        inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
-        root, inverse = _roots(to_com.T @ inertia @ to_com)
-        P = LOSS_FACTOR * root @ _roots(inverse @ stiffness @ inverse)[0] @ root
-        return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
-
-    def _prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
-        """Return information (m, m) and slope (m,) of what was known before."""
-        H = np.diag(self.weights) + self.fixing
-        g = H @ (self.start - theta)
-        size = self.count // 2
-        K, P = self._matrices(theta)
-        means = self._matrices(self.start)[0], self.ordinary_damping(K)
-        stds = PRIOR_LOG_STD[0], APPROACH_LOG_STD if forgetting else PRIOR_LOG_STD[1]
-        for first, M, mean, std in zip((0, size), (K, P), means, stds, strict=True):
-            index = slice(first, first + size)
-            unit = np.array(self.structure.basis) * self.units[index, None, None]
-            root, inverse = _roots(M)
-            slopes = inverse @ unit @ inverse
-            values, vectors = np.linalg.eigh(inverse @ mean @ inverse)
-            difference = (vectors * np.log(values)) @ vectors.T
-            H[index, index] += np.einsum('aij,bji->ab', slopes, slopes) / std**2
-            g[index] = np.einsum('aij,ji->a', slopes, difference) / std**2
-        for place in self.places.get('relaxation', ()):  # rubbers differ in the ratio of r2 to r1
-            r = self.strengths(theta)
-            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
-            slope = np.array([-DEFAULT_RATIO, 1.0]) * self.units[place] / std
-            H[np.ix_(place, place)] += np.outer(slope, slope)
-            g[place] -= slope * (r[1] - DEFAULT_RATIO * r[0]) / std
-        return H, g
-
     def system(self, theta: Array, forgetting: float = 0.0) -> System:
         """Return the whitened segments, and information and slope of the whole."""
         parts = [self.whitened(theta, segment, forgetting) for segment in self.segments]
-        H, g = self._prior(theta, forgetting)
+        H, g = self.prior(theta, forgetting)
         for part in parts:
             H = H + part.jacobian.T @ part.jacobian
             g = g + part.jacobian.T @ part.innovations
@@ -625,22 +641,6 @@ class Search:
                 segment.std = np.sqrt(np.maximum(total - simulated, 0.1 * total))
                 settled &= bool(np.all(np.abs(segment.std - before) < NOISE_TOLERANCE * before))
         return settled
-
-    def model(self, theta: Array, segment: Segment) -> tuple[ModelTuple, Free]:
-        """Return the model of a segment, and what is free in it, SI units."""
-        values = self.units * theta
-        free = {name: values[places] for name, places in self.places_of(segment).items()}
-        cup, measured = self._gripper(theta), segment.measured
-        if 'length' in free:
-            cup = replace(cup, length=cup.length + float(free['length'][0]))
-        if 'relaxation' in free:
-            cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
-        payload = quantities.payload_of(measured.payload, free)
-        return model_tuple(cup, payload, measured.gravity), free
-
-    def _gripper(self, theta: Array) -> Cup:
-        """Return what is simulated."""
-        return gripper_of(self.cup(theta), self.structure.places)
 
     def whitened(
         self, theta: Array, segment: Segment, forgetting: float = 0.0
@@ -730,7 +730,7 @@ class Search:
         profiles = {'drift': np.asarray((stamps - first) / (last - first))[:, None] - 0.5,
                     'cubic': displacement**2}
         scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
-        K = np.diag(self._gripper(theta).stiffness)
+        K = np.diag(gripper_of(self.cup(theta), self.structure.places).stiffness)
         for name in self.places.keys() & profiles:
             (places,) = self.places[name]
             scales[:, places], extra[places] = K * profiles[name], theta[places]

@@ -255,7 +255,7 @@ QUANTITIES = (
     Hypothesis('package_marker', package_marker, (1e-5,) * 5, _turns, 5000.0,
                'package'),
     Hypothesis('package_marker', tool_marker, (1e-5,) * 5, lambda given:
-               [-own for own in _turns(given)], 5000.0, 'tool'))
+               [-theta for theta in _turns(given)], 5000.0, 'tool'))
 """
 What was given, as numbers.
 
@@ -284,11 +284,11 @@ def hypotheses(recordings: Sequence[Given], world: str) -> Iterator[Hypothesis]:
                 'yaw', yaw(np.radians(-degrees), body == 'tool'), value=f'{body} {degrees}')
     yield Hypothesis('recording.package_frame', other_frame,
                      value='com' if given.lip_recorded else 'lip')
-    own = given.structure
+    structure = given.structure
     for other in STRUCTURES.values():
-        if other.size > own.size and other.contains(own):
+        if other.size > structure.size and other.contains(structure):
             yield Hypothesis('structure', other_cup(structure=other), value=other.name,
-                             more=2 * (other.size - own.size), datum=False)
+                             more=2 * (other.size - structure.size), datum=False)
     yield from CUP_EFFECTS
 
 
@@ -299,7 +299,7 @@ def _slip_of(given: Given) -> Hypothesis:
     starts = [np.array([*shift, when]) for when in times
               for shift in SLIP_SIZE * np.concatenate([np.eye(2), -np.eye(2)])]
     return Hypothesis('slip', slip(int(given.samples.package.stamps_ns[0])), (1e-5, 1e-5, 1e-2),
-                      lambda own: starts)
+                      lambda given: starts)
 
 
 def _packages(recordings: Sequence[Given]) -> Iterator[Hypothesis]:
@@ -308,7 +308,7 @@ def _packages(recordings: Sequence[Given]) -> Iterator[Hypothesis]:
     for unit, factor in INERTIA_UNITS:
         if gyration > GYRATION[0] * np.sqrt(factor):
             yield Hypothesis('inertia', in_other_unit(1.0 / factor), value=unit)
-    packages = {own.samples.payload.mass: own.samples.payload for own in recordings}
+    packages = {given.samples.payload.mass: given.samples.payload for given in recordings}
     if len(packages) == 2:
         yield Hypothesis('package.files', exchanged(*packages.values()), value='exchanged')
 
