@@ -55,7 +55,7 @@ def given_std(values: Mapping[str, Any]) -> dict[str, Array]:
     """Return the standard deviations of what was given, by names of `KINDS`, SI units."""
     marker = np.repeat(values['recording.marker_std'], 3)
     stds = {'length': np.array([values['cup.length_std']]), 'package_marker': marker,
-             'time_offset': np.array([values['recording.clock_std']])}
+            'time_offset': np.array([values['recording.clock_std']])}
     if values['recording.package_world']:
         stds['package_world'] = marker
     if all(name in values for name in PACKAGE_PARAMETERS):
