@@ -181,8 +181,12 @@ def whiten(
         deviation of what each is of.
 
     """
-    m, n, nodes, count = len(mean), len(std), len(path.rows), len(poses.rows)
-    S, P = np.zeros((n, unknowns.columns.shape[1])), np.zeros((n, n))
+    rows, lengths, steps = path  # by their order, on which the machine code on disk depends
+    durations, tool_innovations, tool_variances, _ = tool_noise
+    place, measured, by_unknowns, white_variance, _, _ = poses
+    last, columns, _, _, delay = unknowns
+    m, n, nodes, count = len(mean), len(std), len(rows), len(measured)
+    S, P = np.zeros((n, columns.shape[1])), np.zeros((n, n))
     for i in range(n):
         P[i, i] = std[i] * std[i]
     S[:m, -1] = mean
@@ -190,30 +194,29 @@ def whiten(
     T, B, K = np.zeros((nodes, n, n)), np.zeros((nodes, n, 6)), np.zeros((count, 6, n + 1))
     A, C, twist = np.zeros((2, m, m)), np.zeros((2, m, PARAMETER_COUNT)), np.zeros(6)
     for k in range(nodes):
-        here, slot = row_state(path.rows[k]), k % 2
+        here, slot = row_state(rows[k]), k % 2
         if k > 0:
-            body = kernels.advance(model, body, row_state(path.rows[k - 1]), here,
-                                   path.lengths[k - 1], path.steps[k - 1])
-        _derivatives(model, here, body, unknowns.last, A[slot], C[slot], B[k])
-        B[k] *= 0.5 * tool_noise.durations[k]  # the other half acts behind the package's pose
+            body = kernels.advance(
+                model, body, row_state(rows[k - 1]), here, lengths[k - 1], steps[k - 1])
+        _derivatives(model, here, body, last, A[slot], C[slot], B[k])
+        B[k] *= 0.5 * durations[k]  # the other half acts behind the package's pose
         for i in range(6):
             B[k, m + i, i] = 1.0
         if k > 0:
             _propagate(k, path, tool_noise, poses, unknowns, walk, A, C, B, S, P, T[k])
-        _add_tool_noise(tool_noise.innovations[k], tool_noise.variances[k], B[k], S, P)
-        i = poses.place[k]
+        _add_tool_noise(tool_innovations[k], tool_variances[k], B[k], S, P)
+        i = place[k]
         if i >= 0:
-            pose = poses.rows[i]
+            pose = measured[i]
             shift, turn = pose_error(
                 body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
             for j in range(3):
                 twist[j], twist[3 + j] = body[2][j], body[3][j]
                 out[i, j], out[i, 3 + j] = shift[j], turn[j]
             out[i] -= pose[7] * twist
-            if unknowns.delay >= 0:
-                poses.by_unknowns[i, :, unknowns.delay] *= twist
-            _update(poses.white_variance, poses.by_unknowns[i], m + 6, S, P, out[i], slopes[i],
-                    K[i])
+            if delay >= 0:
+                by_unknowns[i, :, delay] *= twist
+            _update(white_variance, by_unknowns[i], m + 6, S, P, out[i], slopes[i], K[i])
             if walk[0] > 0.0:
                 body = with_mean(body, S)
     return out, slopes, T, B, K
@@ -238,10 +241,11 @@ def _propagate(
     A: Array, C: Array, B: Array, S: Array, P: Array, T: Array,
 ) -> None:
     """Propagate states, derivatives and covariance over a step to node k; write its T."""
-    n, m, length, steps = len(P), A.shape[1], path.lengths[k - 1], path.steps[k - 1]
-    tool_correlation, noise_correlation = tool_noise.correlations[k], poses.correlations[k - 1]
-    scales, mean = unknowns.scales, np.zeros((m, m))
-    F = _exponential(0.5 * length * (A[0] + A[1]), steps, mean)
+    (_, lengths, steps), (_, _, _, tool_correlations) = path, tool_noise
+    (_, _, _, _, variance, correlations), (_, columns, scales, extra, _) = poses, unknowns
+    n, m, length, mean = len(P), A.shape[1], lengths[k - 1], np.zeros((A.shape[1], A.shape[1]))
+    tool_correlation, noise_correlation = tool_correlations[k], correlations[k - 1]
+    F = _exponential(0.5 * length * (A[0] + A[1]), steps[k - 1], mean)
     entered = t3.product(F, B[k - 1, :m], np.empty((m, 6)))
     for i in range(m):
         for j in range(m):
@@ -250,16 +254,16 @@ def _propagate(
             T[i, m + j] = entered[i, j] + tool_correlation * B[k, i, j]
     for i in range(m, n):
         T[i, i] = tool_correlation if i < m + 6 else noise_correlation
-    effect = t3.product(0.5 * length * (C[0] + C[1]), unknowns.columns, np.empty((m, S.shape[1])))
-    for j in range(len(unknowns.extra)):
+    effect = t3.product(0.5 * length * (C[0] + C[1]), columns, np.empty((m, S.shape[1])))
+    for j in range(len(extra)):
         effect[:, j] *= 0.5 * (scales[k - 1, j] + scales[k, j])
-        effect[:, -1] += effect[:, j] * unknowns.extra[j]
+        effect[:, -1] += effect[:, j] * extra[j]
     S[:] = t3.add_product(mean, effect, t3.product(T, S, np.empty(S.shape)))
     t3.product(T, t3.transpose(t3.product(T, P, np.empty((n, n)))), P)
     for i in range(6):
         P[6 + i, 6 + i] += walk[i] * length
     for i in range(m + 6, n):
-        P[i, i] += (1.0 - noise_correlation * noise_correlation) * poses.variance[i - m - 6]
+        P[i, i] += (1.0 - noise_correlation * noise_correlation) * variance[i - m - 6]
 
 
 @array_kernel
