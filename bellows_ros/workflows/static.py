@@ -67,7 +67,7 @@ class StaticResult:
         creeps = [still.creep for still in self.standstills if still.creep.any()]
         if not creeps:
             return ''
-        shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
+        shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(np.array(creeps), 2))
         known = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
                  if self.instant > 1.0 else '')
         return (

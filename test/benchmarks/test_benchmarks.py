@@ -125,10 +125,10 @@ def test_all_that_the_recording_determines_is_told_with_its_error(
     """From a start twice too large."""
     found = trial(CELLS[sensors], seed, seconds, structure)
     judged = found.bound < JUDGED
-    assert judged[1]  # K z, by which the world's height is confounded where it is unknown
     assert found.converged and np.isfinite(found.std[judged]).all()
     assert np.all(np.abs(found.error[judged]) < 3.5 * found.std[judged])
     if structure == 'full':
         assert np.count_nonzero(judged) > 21
     else:
+        assert judged[1]  # K z, by which the world's height is confounded
         assert np.all(found.std[judged] < 2.0 * found.bound[judged])
