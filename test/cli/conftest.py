@@ -18,29 +18,12 @@ KNOWN = dict(read_parameters(ROOT / 'bags' / 'package.yaml'))
 TRUTH = {**KNOWN, **read_parameters(ROOT / 'bags' / 'cup.yaml')}
 """What is known of the recordings beforehand, and what they are made with."""
 MOTION = {
-    'kind': 'multi_sine',
-    'duration': 8.0,
-    'rest_duration': 1.0,
-    'seed': 4,
-    'multi_sine': {
-        'position': {
-            'x': {'amplitude': [0.03, 0.003], 'frequency': [0.6, 2.6]},
-            'y': {'amplitude': [0.03, 0.003], 'frequency': [0.7, 2.9]},
-            'z': {'amplitude': [0.03, 0.004], 'frequency': [0.8, 4.9]},
-        },
-        'rotation': {
-            'x': {'amplitude': [0.10, 0.02], 'frequency': [0.5, 3.3]},
-            'y': {'amplitude': [0.10, 0.02], 'frequency': [0.9, 3.5]},
-            'z': {'amplitude': [0.20, 0.10], 'frequency': [0.6, 3.2]},
-        },
-    },
+    **yaml.safe_load((ROOT / 'bags' / 'identification.yaml').read_text()),
+    'duration': 8.0, 'rest_duration': 1.0,
     'tool': {'rate_hz': 300.0, 'noise': {'position': 1e-5, 'rotation': 2e-5}},
-    'package': {
-        'rate_hz': 240.0,
-        'noise': {'position': 2e-5, 'rotation': 1e-4},
-        'dropouts': {'count': 1, 'duration': 0.05},
-    },
-}
+    'package': {'rate_hz': 240.0, 'noise': {'position': 2e-5, 'rotation': 1e-4},
+                'dropouts': {'count': 1, 'duration': 0.05}}}
+"""The motion of the shipped recording, shorter and with less noise."""
 
 TRANSPORT = {
     'kind': 'waypoints', 'rest_duration': 0.0,

@@ -1,8 +1,12 @@
 """What recordings can tell, against recordings that tell it and recordings that do not."""
 
+from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.least_squares import whitening_of
-from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.samples import Samples, samples_of, with_noise
 from bellows_ros.core.model.structure import STRUCTURES
+from bellows_ros.core.recording.recording import FilterNoise, Noise
+from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -113,3 +117,25 @@ def test_a_full_fit_of_a_poor_motion_is_advised_against(poor):
     _, found = described(poor, FULL)
     couplings = next(w for w in found.warnings if 'couplings' in w)
     assert 'use a simpler fit.structure' in couplings
+
+
+def test_added_noise_is_that_of_filtered_white_noise():
+    """Filter white noise about a body at rest, and compare moments of all that comes out."""
+    rng, count, sigma = np.random.default_rng(3), 20_000, Noise(1e-3, 2e-3)
+    R = exp_so3(np.array([0.3, -0.2, 0.5]))
+    filtered = savgol(Trajectory(
+        10_000_000 * np.arange(count), sigma.position * rng.standard_normal((count, 3)),
+        R @ exp_so3(sigma.rotation * rng.standard_normal((count, 3)))), 6, 4)
+    n = len(filtered)
+    rest = Trajectory(
+        filtered.stamps_ns, np.zeros((n, 3)), np.tile(R, (n, 1, 1)), *np.zeros((2, n, 6)))
+    added = with_noise(
+        Samples(rest, rest, simulated.HELD, simulated.GRAVITY, 0.1),
+        FilterNoise(sigma, sigma, filtered.weights, filtered.weights), rng).package
+    for name in ('position', 'twist', 'acceleration'):
+        assert_allclose(np.std(getattr(added, name), axis=0),
+                        np.std(getattr(filtered, name), axis=0), rtol=0.08)
+    real, made = (np.corrcoef((body.position @ R)[:, 0], body.acceleration[:, 0])[0, 1]
+                  for body in (filtered, added))
+    assert_allclose(made, real, atol=0.03)
+    assert made < -0.3  # value and second derivative go against each other
