@@ -166,10 +166,13 @@ class Pipeline:
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
         """Send the predictions of a step; what fails beside their poses does not touch them."""
+        was_predicting = self.latest is not None
         for prediction in self.advance(step, *arguments):
             self.latest = prediction
             self.outputs.publish(prediction)
             self._publish_secondary_guarded(prediction)
+        if self.latest and not was_predicting:  # a tick may be too late to see it
+            self.publish_state()
 
     def _publish_secondary(self, prediction: Prediction) -> None:
         """Send all but the pose, and watch the load on the cup."""

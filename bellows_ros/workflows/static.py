@@ -64,10 +64,10 @@ class StaticResult:
     @property
     def creep(self) -> str:
         """A sentence on rubber that creeps in the standstills; '' where none does."""
-        creeps = [still.creep for still in self.standstills if still.creep.any()]
-        if not creeps:
+        creeps = np.array([still.creep for still in self.standstills if still.creep.any()])
+        if not len(creeps):
             return ''
-        shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(np.array(creeps), 2))
+        shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
         known = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
                  if self.instant > 1.0 else '')
         return (

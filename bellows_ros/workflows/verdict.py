@@ -287,11 +287,12 @@ def verdict_of(
             for each in (diagnosis.findings, diagnosis.besides))
         diagnosis = diagnosis._replace(findings=findings, besides=besides)
         verdict = verdict._replace(diagnosis=diagnosis)
-    drifts = [own.name for own in fit.causes] == ['world_drift']  # which a slip would not leave
-    is_doubtful = not any(own.certain or own.datum and not (drifts and own.name == 'slip')
-                          for own in diagnosis.findings[:1])
-    if verdict.cause and not (is_doubtful and any(
-            own.datum and own.likely for own in fit.causes[:1])):
+    # A slip shows in the fit as a drift, too, but as one that leaves more causes.
+    drifts = [cause.name for cause in fit.causes] == ['world_drift']
+    is_shown = any(finding.certain or finding.datum and not (drifts and finding.name == 'slip')
+                   for finding in diagnosis.findings[:1])
+    if verdict.cause and (is_shown or not any(
+            cause.datum and cause.likely for cause in fit.causes[:1])):
         return verdict
     return verdict._replace(diagnosis=diagnosis._replace(  # wrenches show no cause
         findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))

@@ -497,7 +497,7 @@ def _size(value: float, std: float) -> str:
     return f'{1e3 * abs(value):.3f} ± {1e3 * std:.2g}'
 
 
-class Cause(NamedTuple):
+class FitCause(NamedTuple):
     """
     What may be otherwise.
 
@@ -528,104 +528,104 @@ class Cause(NamedTuple):
     corrected: Callable[[Recording, Finding], Recording] = lambda recording, finding: recording
 
 
-CAUSES: Mapping[str, Cause] = {
-    'recording': Cause('the recording', corrected=_by_convention),
-    'topics': Cause(
+CAUSES: Mapping[str, FitCause] = {
+    'recording': FitCause('the recording', corrected=_by_convention),
+    'topics': FitCause(
         'topics.tool_pose and topics.package_pose', corrected=lambda recording, finding: _prepared(
             recording, tool=recording.package_pose, package=recording.tool_pose, tool_twist=None)),
-    'recording.package_frame': Cause(
+    'recording.package_frame': FitCause(
         'recording.package_frame', 'The package poses are those of the {value}',
         'Set recording.package_frame: {value}.',
         corrected=lambda recording, finding: _prepared(
             recording, settings=replace(recording.settings, package_frame='lip'))),
-    'package_world': Cause(
+    'package_world': FitCause(
         'recording.package_world', '{motion}', f'Set recording.package_world: {checks.ESTIMATE}.',
         POSE_UNITS, corrected=_in_one_world, fields=lambda finding, given: {
             'motion': alignment.motion_sentence(finding.theta, finding.std)}),
-    'mass': Cause(
+    'mass': FitCause(
         'package.mass',
         'package.mass is in {value}, not in kg: {numbers} kg is beyond any package for such a cup',
         'Give it in kg.', fields=_unit_fields, corrected=_in_other_units),
-    'inertia': Cause(
+    'inertia': FitCause(
         'package.inertia', 'package.inertia is in {value}, not in kg m^2: {numbers} kg m^2 is '
         'beyond any package for such a cup', 'Give it in kg m^2.',
         fields=_unit_fields, corrected=_in_other_units),
-    'factor of inertia': Cause(
+    'factor of inertia': FitCause(
         'package.inertia', 'package.inertia is {factor:.3g} ± {std:.2g} times the value '
         'consistent with package.mass', 'One of the two is wrong: weigh the package, and '
         'compute its inertia in kg m^2.', fields=_factor_fields),
-    'time_offset': Cause(
+    'time_offset': FitCause(
         'fit.time_offset', 'The stamps of the tool are {offset} {side} those of the package',
         'Stamp both by one clock, or set fit.time_offset: true.', 's', ('ahead of', 'behind'),
         _clock_fields, _by_one_clock),
-    'tool_twist.frame': Cause(
+    'tool_twist.frame': FitCause(
         'tool_twist.frame', "The tool's twists match its poses only in axes of the {value}",
         'Set tool_twist.frame: {value}.'),
-    'topics.tool_twist': Cause(
+    'topics.tool_twist': FitCause(
         'topics.tool_twist', "The angular twists of '{topic}' are in {value}, not in rad/s",
         "Correct the driver, or set topics.tool_twist: '' to leave them out.",
         fields=lambda finding, given: {'topic': given.get('topics.tool_twist', 'tool')}),
-    'low-pass': Cause(
+    'low-pass': FitCause(
         'the tracking system', 'The poses of {value} went through a low-pass: above 25 Hz their '
         'noise falls more steeply than noise does',
         'It takes a part of the motion, and biases K and P: record unfiltered poses.'),
-    'com': Cause(
+    'com': FitCause(
         'package.com', 'The centre of mass is not at package.com, but {shifts} from there',
         'Check package.com: it would be {com}.', 'm', fields=_com_fields),
-    'length': Cause(
+    'length': FitCause(
         'cup.length', 'cup.length is {size} mm too {side}',
         'Measure it under vacuum, or with bellows static: it would be {length:.5f}.', 'm',
         ('long', 'short'), lambda finding, given: {
             'length': given['cup.length'] + finding.theta[0]}),
-    'length or com': Cause(
+    'length or com': FitCause(
         'cup.length or package.com', 'cup.length or the z of package.com is wrong by about '
         '{mm:.1f} mm: these recordings cannot tell which',
         'Measure cup.length under vacuum, or with bellows static, and check package.com.',
         fields=lambda finding, given: {'mm': abs(1e3 * finding.theta[-1])}),
-    'package_marker': Cause(
+    'package_marker': FitCause(
         'recording.align_at_rest', 'The marker frame of tool or package is turned by '
         '{degrees:.1f} degrees, and {mm:.1f} mm aside',
         'Correct it, set recording.align_at_rest: true if the recording begins at rest, or '
         'else fit.free: [package_marker].', ['m', 'm', 'rad', 'rad', 'rad'],
         fields=_marker_fields),
-    'world_drift': Cause(
+    'world_drift': FitCause(
         'the mounting of the camera',
         'The world of the package drifts against that of the tool: by {rates} per minute',
         'Fasten the camera, and record when it has warmed up.', ['m/s'] * 3 + ['rad/s'] * 3,
         fields=_drift_fields),
-    'slip': Cause(
+    'slip': FitCause(
         'recording.start or recording.end', 'The package slipped on the lip by {mm:.1f} mm, '
         '{since:.1f} s after its first sample', 'Fit what is before or after: set recording.end '
         'or recording.start, and check the vacuum.', ['m', 'm', 's'],
         fields=lambda finding, given: {
             'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]}),
-    'gravity.direction': Cause(
+    'gravity.direction': FitCause(
         'gravity.direction', 'Gravity is {degrees:.1f} degrees off gravity.direction',
         'Level the world, or set gravity.direction: {down}.', 'rad', fields=_gravity_fields),
-    'axis of gravity': Cause(
+    'axis of gravity': FitCause(
         'gravity.direction', 'Gravity is not along -z of the world',
         'Set gravity.direction: {to}.', fields=lambda finding, given: {
             'to': finding.value.removeprefix('gravity ')}),
-    'recording.world': Cause(
+    'recording.world': FitCause(
         'recording.world', 'The world of the recording is {value}',
         'Set recording.world: {value}.'),
-    'yaw': Cause(
+    'yaw': FitCause(
         '', '{turns}{doubt}', 'Correct it in its driver, or set recording.align_at_rest: true if '
         'the recording begins at rest.', fields=_yaw_fields),
-    'package.files': Cause(
+    'package.files': FitCause(
         'package.files', 'The packages of the two recordings are {value}',
         'Exchange the two names in package.files.'),
-    'structure': Cause(
+    'structure': FitCause(
         'fit.structure', 'The structure of the cup is not the given one, but {value}',
         'Set fit.structure: {value}.'),
-    'drift': Cause(
+    'drift': FitCause(
         '', 'The stiffness of the cup drifts: {value} {side} by {part} % from beginning to end',
         'It warms up, or leaks: record a cup that has warmed up, and check the vacuum.',
         sides=('falls', 'rises')),
-    'friction': Cause(
+    'friction': FitCause(
         '', 'The cup has hysteresis: friction takes {part} % of the largest force of {value}',
         'K and P are means over this motion: record motions as large and fast as in use.'),
-    'cubic': Cause(
+    'cubic': FitCause(
         '', 'The cup is not linear: {value} is {part} % {side} at the largest deflection',
         'The fit is the mean over this motion: record motions as large as those in use.',
         sides=('less', 'more')),
@@ -633,7 +633,7 @@ CAUSES: Mapping[str, Cause] = {
 """All causes by name. The numbers of those in fit.free are `quantities.KINDS`."""
 
 
-def _cause_of(finding: Finding) -> Cause:
+def _cause_of(finding: Finding) -> FitCause:
     """Return what may be otherwise, which some names have two forms of."""
     name = finding.name
     if name in ('com', 'length') and finding.instead:
