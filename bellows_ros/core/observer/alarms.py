@@ -452,7 +452,7 @@ def _assessed(
         Slots of the likeliest onset of each cause, as bits.
 
     """
-    z, H, root, distance, whitened = innovation
+    z, H, root, _, whitened = innovation
     n, C = H.shape[1], H.astype(np.float32)
     response = observed(C, E, np.empty((6, E.shape[1]), np.float32), of_lip)
     t3.add_product(  # what falls, as a shift in the world
@@ -462,7 +462,7 @@ def _assessed(
     counts, is_settled = onsets[0], onsets[0, 0] >= SETTLING
     for k in range(1 + ONSETS):
         if onsets[1, k] >= 0:
-            statistics[k] += distance if is_settled else 0.0
+            statistics[k] += (z * z).sum() if is_settled else 0.0
             counts[k] += 1
     faults = CUP + (E.shape[1] - COLUMNS[CUP]) // ONSETS
     for number in range(faults if counts[0] > SETTLING else 0):

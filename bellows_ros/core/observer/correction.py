@@ -42,6 +42,9 @@ UNCALIBRATED = 0.03, 0.05, 0.05
 BIAS_WALK, WALK_ARM = 0.01, 0.02
 """Random walk of the wrench bias per second: fraction of the weight, and moment by force (m)."""
 
+CAMERA_WALK_TIME = 300.0
+"""Time (s) in which the frame of a camera drifts by `measured.offset_std`: mounts warm up."""
+
 BIAS_SHARE = 0.1
 """Initial bias, relative to the effect of the default payload uncertainty."""
 
@@ -65,10 +68,12 @@ NO_CUPS: Array = np.zeros((0, NUMBERS))
 """A gripper of one cup: if that is lost, the package is."""
 
 
-def bias_walk(model: ModelTuple) -> Array:
-    """Return the variances (6,) that the wrench bias gains in 1 s."""
+def walk_variances(values: Mapping[str, Any], model: ModelTuple) -> Array:
+    """Return the variances (12,) that wrench bias and pose of the camera gain in 1 s."""
     weight = model[1][0] * math.hypot(*model[2])
-    walk: Array = np.square(BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3))
+    camera = np.divide(values['measured.offset_std'], math.sqrt(CAMERA_WALK_TIME))
+    bias = BIAS_WALK * weight * np.array([1.0, WALK_ARM])
+    walk: Array = np.square(np.repeat([*bias, *camera], 3))
     return walk
 
 
@@ -200,7 +205,7 @@ class Correction:
         self.nominal, self.max_step, self.reach = model, max_step, reach
         self.branches = model[0][4:]
         self._row = model_row(model)
-        self.prior, self._walk = prior_std(values, model), bias_walk(model)
+        self.prior, self._walk = prior_std(values, model), walk_variances(values, model)
         self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
         allowed = values['alarm.false_per_hour']

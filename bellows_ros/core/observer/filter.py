@@ -428,12 +428,17 @@ def _correlation(of_next: float, rate: float) -> float:
 
 @array_kernel
 def propagated_covariance(P: Array, T: Array, Q: Array, walk: Array, memory: Array) -> Array:
-    """Return the covariance (n, n) after a transition; half of the walk acts before it."""
+    """
+    Return the covariance (n, n) after a transition; half of the walk acts before it.
+
+    The walk (12,) is the variance per second of wrench and camera.
+    """
     n, h, out = len(P), T[STATE, SECONDS], P.copy()
     side = times_transition(T, P, out[:STATE])
     for i in range(6):
         more = 0.5 * h * walk[i]
         out[WRENCH + i, WRENCH + i] += 2.0 * more
+        out[CAMERA + i, CAMERA + i] += h * walk[6 + i]
         for j in range(STATE):
             side[j, WRENCH + i] += more * T[j, WRENCH + i]
     side[:, :STATE] = times_transition(T, t3.transpose(side), np.empty((STATE, STATE))) + Q

@@ -27,6 +27,12 @@ lip and not from B; standard deviation (s) of the random part of the stamps' err
 WHITE_SHARE = 0.05
 """Part of the noise's variance that has no memory."""
 
+OUTLIER_DISTANCE = 16.81
+"""
+Largest squared Mahalanobis distance (99 % of chi^2 of 6) of a measurement as it is used: beyond it
+its covariance is enlarged, as the noise of cameras has heavier tails than a normal distribution.
+"""
+
 MEMORY_COUNT = 1000.0
 """The noise's memory is that of so many measurements."""
 
@@ -171,7 +177,8 @@ Innovation = tuple[Array, Array, Array, float, Array]
 """
 The difference of a measured pose from an estimate, shift (m) and turn (rad) in B axes, times its
 whitener (6,); the derivative H of the difference by the error (6, n); the triangular whitener
-(6, 6), which makes its covariance the identity; its squared Mahalanobis distance; and the whitener
+(6, 6), which makes its covariance the identity; its squared Mahalanobis distance, before the
+covariance of an outlier is enlarged; and the whitener
 times H P (6, n), whose square is what a measurement takes from P.
 """
 
@@ -264,7 +271,11 @@ def innovation_of(
     for i in range(6):
         for j in range(i + 1):
             z[i] += W[i, j] * y[j]
-    return z, H, W, (z * z).sum(), t3.product(W, HP, np.empty((6, n)))
+    distance = (z * z).sum()
+    if distance > OUTLIER_DISTANCE:
+        weight = math.sqrt(OUTLIER_DISTANCE / distance)
+        z, W = weight * z, weight * W
+    return z, H, W, distance, t3.product(W, HP, np.empty((6, n)))
 
 
 @kernel

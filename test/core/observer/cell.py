@@ -71,6 +71,8 @@ CONDITIONS = {
     'com 2 mm': {'com': 2e-3},
     'camera 1 mm, 2 mrad': {'offset': (1e-3, 2e-3)},
     'mass 2 %': {'mass': 0.02},
+    'outliers 3 %': {'outliers': 0.03, 'memory': 0.033},
+    'camera drifts 1 mm': {'drift': 1e-3},
     'jitter 3 ms, moves and rests': {
         'late': 5e-3, 'jitter': 3e-3, 'motion': pick_and_place},
     'all, small': {'stiffness': 0.01, 'damping': 0.05, 'com': 1e-3, 'late': 0.003,
@@ -78,6 +80,9 @@ CONDITIONS = {
 }
 CONDITIONS['all, small, moves and rests'] = {**CONDITIONS['all, small'], 'motion': pick_and_place}
 """What is wrong in sound work: by how much, in either direction; and how the tool moves."""
+OF_CAMERA = ('memory', 'late', 'jitter', 'outliers', 'drift')
+"""Memory of the noise, lateness and jitter of stamps (s); part of poses with more noise, of
+Student's distribution with 3 degrees of freedom; slow drift to and fro in 90 s (m)."""
 
 
 class Cell:
@@ -116,8 +121,7 @@ class Cell:
         self.steps = max(round(lasts * 1e9 / PERIOD_NS), 1)
         self.nominal = PACKAGE if lost is None else HEAVY
         self.wrong = wrong = {
-            'memory': 0.0, 'late': 0.0, 'jitter': 0.0, 'offset': (0.0, 0.0),
-            'motion': tool_motion, **wrong}
+            **dict.fromkeys(OF_CAMERA, 0.0), 'offset': (0.0, 0.0), 'motion': tool_motion, **wrong}
         self.stamps, self.tool = wrong['motion'](rng, seconds, period_ns=PERIOD_NS)
         self.tool = [(tuple(np.add(o, WORKPLACE).tolist()), *rest) for o, *rest in self.tool]
         self.package, self.one_cup = self._true()
@@ -127,7 +131,7 @@ class Cell:
                           period_ns=PERIOD_NS)
         given = {**ORDINARY, **stated(self.nominal, **{
             name: value for name, value in wrong.items()
-            if name not in ('memory', 'late', 'jitter', 'offset', 'motion')}), **more}
+            if name not in (*OF_CAMERA, 'offset', 'motion')}), **more}
         self.made = observer(**given) if lost is None else observer(
             HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))
@@ -221,7 +225,12 @@ class Cell:
             if after and self.fault == 'turn':
                 body = moved_by(body, np.r_[np.zeros(3), self.turn, np.zeros(6)])
             pose = moved_by(body, np.r_[n, np.zeros(6)])[:2]
-            pose = _from_elsewhere(pose, *offset, pivot=WORKPLACE)
+            if wrong['outliers'] and rng.random() < wrong['outliers']:
+                tail = 1.5 * NOISE * rng.standard_t(3, size=6)
+                pose = moved_by((*pose, *body[2:]), np.r_[tail, np.zeros(6)])[:2]
+            phase = 2.0 * np.pi * k * PERIOD_NS * 1e-9 / 90.0
+            drift = wrong['drift'] * np.sin(phase + np.arange(3.0))
+            pose = _from_elsewhere(pose, offset[0] + drift, offset[1], pivot=WORKPLACE)
             if after and self.fault == 'camera':
                 pose = _from_elsewhere(pose, *moved, pivot=WORKPLACE)
             out[k] = [(int(self.stamps[k]), pose)]

@@ -89,9 +89,10 @@ def test_gripper_whose_cups_hold_raises_no_alarm():
         assert Cell(1, 10.0, CONDITIONS[name], lost=0).run() == []
 
 
-def test_ten_minutes_of_sound_work_raise_no_alarm():
+@pytest.mark.parametrize('name', ['all, small', 'outliers 3 %', 'camera drifts 1 mm'])
+def test_ten_minutes_of_sound_work_raise_no_alarm(name):
     """Do not take noise for knowledge of the common scale of mass, K and P over minutes."""
-    assert Cell(90_000, 600.0, CONDITIONS['all, small'], payload__estimate=True).run() == []
+    assert Cell(90_000, 600.0, CONDITIONS[name], payload__estimate=True).run() == []
 
 
 @pytest.mark.parametrize('name', CONDITIONS)
@@ -100,7 +101,7 @@ def test_ordinary_cell_raises_no_alarm(name):
     for estimate in (False, True):
         cell = Cell(3, 10.0, CONDITIONS[name], payload__estimate=estimate)
         assert cell.run() == []
-        assert cell.made.counts['gate'] <= 2
+        assert cell.made.counts['gate'] <= 2 + len(cell.seen) * cell.wrong['outliers']
 
 
 @pytest.mark.parametrize(('rate_hz', 'frames', 'shift'), [
@@ -159,7 +160,7 @@ def _dense_total(given):
                 'count': 0, 'distance': 0.0}
 
     known, ratios = [begun(k) for k in range(AT_START)], []
-    for count, (F, (z, H, root, distance, whitened), used, now_ns) in enumerate(given, 1):
+    for count, (F, (z, H, root, _, whitened), used, now_ns) in enumerate(given, 1):
         C, update = np.hstack([H, np.zeros((6, 7))]), np.eye(n + 7)
         C[:3, n + 4:] = H[:3, ekf.CAMERA:ekf.CAMERA + 3]
         update[:n] -= used * whitened.T @ root @ C
@@ -170,7 +171,7 @@ def _dense_total(given):
             if count > alarms.SETTLING:
                 each['J'] = each['J'] + made.T @ made
                 each['d'] = each['d'] + made.T @ z
-                each['distance'] += distance
+                each['distance'] += z @ z
         known += [{**begun(k), 'ns': now_ns} for k in range(AT_START, alarms.CUP) if (
             count >= alarms.SETTLING and (count - alarms.SETTLING) % HYPOTHESES[k].every == 0)]
     for each in known:

@@ -67,9 +67,10 @@ def test_transition_is_that_by_differences(is_off):
     scale = SIZES[None] / SIZES[:, None]
     np.testing.assert_allclose(
         T[:12] * scale[:12, OF_MOTION], (F * scale)[:12, OF_MOTION], atol=5e-4)
-    P, walk = np.diag(SIZES**2), np.arange(6.0) * 1e-4
+    P, walk = np.diag(SIZES**2), np.arange(12.0) * 1e-4
     half = np.zeros((ekf.ALL_ROWS, ekf.ALL_ROWS))
-    half[range(ekf.WRENCH, ekf.WRENCH + 6), range(ekf.WRENCH, ekf.WRENCH + 6)] = h / 2 * walk
+    walks = [*range(ekf.WRENCH, ekf.WRENCH + 6), *range(ekf.CAMERA, ekf.CAMERA + 6)]
+    half[walks, walks] = h / 2 * walk
     half[:12, :12] = h * h / 2 * drive
     dense = F @ (P + half) @ F.T + half
     dense[noise, noise] += 1.0 - kept**2

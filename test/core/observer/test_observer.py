@@ -5,7 +5,7 @@ from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance
-from bellows_ros.core.observer.correction import bias_walk, prior_std
+from bellows_ros.core.observer.correction import prior_std, walk_variances
 from bellows_ros.core.observer.filter import DAMPING
 from bellows_ros.core.observer.measurement import at_com
 import numpy as np
@@ -131,10 +131,11 @@ def test_error_is_what_the_covariance_says(runs):
         made.start(int(stamps[0]), tool[0], truth(tool[:1])[0])
         std = np.sqrt(np.diag(made.estimate.covariance))
         body = [moved_by(made.estimate.body, rng.normal(size=12) * std[:12])]
+        walk = walk_variances(values(), made._correction.nominal)[:6]
         theta = rng.normal(size=10) * std[12:22]
         for k in range(1, len(tool)):
             body.append(later(body[-1], theta, tool[k - 1], tool[k], 0.004))
-            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * bias_walk(made._correction.nominal))
+            theta[4:] += rng.normal(size=6) * np.sqrt(0.004 * walk)
         seen, noise = {}, rng.normal(size=6)
         for k in range(8, len(tool), 8):  # with the memory that is expected at the beginning
             noise = 0.5 * noise + np.sqrt(0.75) * rng.normal(size=6)
