@@ -80,7 +80,8 @@ def walk_variances(values: Mapping[str, Any], model: ModelTuple) -> Array:
 def first_memory(time_constant: float) -> Array:
     """Return the memory (s) of the noise before the first measurement, see `correlations`."""
     products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / time_constant)
-    memory: Array = np.r_[FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6)]
+    memory: Array = np.r_[
+        FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2)]
     return memory
 
 
@@ -297,8 +298,9 @@ class Correction:
         if fault is not None:
             lost_cups += (fault.cup,) if fault.cup >= 0 else ()
             body, theta = changed_by(after.body, after.theta, fault.error)
+            memory = np.r_[self.first_memory[:11], after.memory[11:]]
             return Outcome(after._replace(  # the fault was taken for noise, too
-                body=body, theta=theta, memory=self.first_memory, gated_ns=(), lost_cups=lost_cups,
+                body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
                 evidence=self._evidence(stamp_ns, lost_cups, False),
                 covariance=after.covariance + fault.spread @ fault.spread.T), name, fault.alarm)
         if name == 'recovered':

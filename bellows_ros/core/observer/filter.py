@@ -102,7 +102,7 @@ class Estimate(NamedTuple):
     covariance: Array
     """Of the error (n, n)."""
     memory: Array
-    """Of the noise, see `correlations` (11,)."""
+    """Of the noise, see `correlations` (13,)."""
     evidence: Evidence = NO_EVIDENCE
     """Of faults."""
     lost_cups: tuple[int, ...] = ()
@@ -415,7 +415,8 @@ def correlations(memory: Array, seconds: float) -> tuple[float, float]:
     Return that of the noise now and a time later, of position and rotation.
 
     The memory: mean time (s) between measurements, and for position and rotation the sums of
-    squares of the noise and of its products with the noise before, in standard deviations.
+    squares of the noise and of its products with the noise before, in standard deviations; that
+    noise (6,), and by how much its variances are larger than stated (2,).
     """
     rate = seconds / memory[0]
     return _correlation(memory[3] / memory[1], rate), _correlation(memory[4] / memory[2], rate)

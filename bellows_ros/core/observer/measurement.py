@@ -305,10 +305,14 @@ def corrected(
 
 
 @kernel
-def updated_memory(memory: Array, theta: Array, seconds: float) -> Array:
-    """Return the memory of the noise (see `correlations`) after another measurement."""
+def updated_memory(memory: Array, theta: Array, seconds: float, z: Array) -> Array:
+    """Return the memory of the noise (see `correlations`) after another whitened innovation z."""
     out, forgetting = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT
-    out[0] += (seconds - out[0]) / min(max(out[1] / 3.0, 1.0), MEMORY_COUNT)
+    count = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT)
+    out[0] += (seconds - out[0]) / count
+    for i in range(2):
+        mean_square = (z[3 * i] ** 2 + z[3 * i + 1] ** 2 + z[3 * i + 2] ** 2) / 3.0
+        out[11 + i] = max(out[11 + i] * (1.0 + (mean_square - 1.0) / count), 1.0)
     out[1:5] *= forgetting
     for i in range(6):
         noise = theta[NOISE - STATE + i]
@@ -353,7 +357,7 @@ def updated(
         `USED`, `OUTSIDE` the gate or `OUT_OF_REACH`, where no lip can be: another package.
     tuple
         `Innovation`.
-    State, ndarray (n - 12,), ndarray (11,)
+    State, ndarray (n - 12,), ndarray (13,)
         Body, theta and memory: corrected where it is used, as P is in place, else as they were.
 
     """
@@ -361,6 +365,9 @@ def updated(
     com = model[1][1]
     position, q, noise = corrected_pose(position, quaternion_xyzw, noise, marker, theta, com)
     exposed = at_exposure(model, tool, body, theta)
+    for i in range(6):
+        for j in range(6):
+            noise[i, j] *= math.sqrt(memory[11 + i // 3] * memory[11 + j // 3])
     innovation = innovation_of(exposed, theta, P, position, q, noise, marker)
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     verdict = USED
@@ -370,5 +377,5 @@ def updated(
         verdict = OUTSIDE
     else:
         body, theta = corrected(body, theta, P, innovation)
-        memory = updated_memory(memory, theta, seconds)
+        memory = updated_memory(memory, theta, seconds, innovation[0])
     return verdict, innovation, body, theta, memory

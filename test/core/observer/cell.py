@@ -73,6 +73,7 @@ CONDITIONS = {
     'mass 2 %': {'mass': 0.02},
     'outliers 3 %': {'outliers': 0.03, 'memory': 0.033},
     'camera drifts 1 mm': {'drift': 1e-3},
+    'noise 1.5 times as stated': {'noise': 1.5, 'memory': 0.033},
     'jitter 3 ms, moves and rests': {
         'late': 5e-3, 'jitter': 3e-3, 'motion': pick_and_place},
     'all, small': {'stiffness': 0.01, 'damping': 0.05, 'com': 1e-3, 'late': 0.003,
@@ -121,7 +122,8 @@ class Cell:
         self.steps = max(round(lasts * 1e9 / PERIOD_NS), 1)
         self.nominal = PACKAGE if lost is None else HEAVY
         self.wrong = wrong = {
-            **dict.fromkeys(OF_CAMERA, 0.0), 'offset': (0.0, 0.0), 'motion': tool_motion, **wrong}
+            **dict.fromkeys(OF_CAMERA, 0.0), 'noise': 1.0, 'offset': (0.0, 0.0),
+            'motion': tool_motion, **wrong}
         self.stamps, self.tool = wrong['motion'](rng, seconds, period_ns=PERIOD_NS)
         self.tool = [(tuple(np.add(o, WORKPLACE).tolist()), *rest) for o, *rest in self.tool]
         self.package, self.one_cup = self._true()
@@ -131,7 +133,7 @@ class Cell:
                           period_ns=PERIOD_NS)
         given = {**ORDINARY, **stated(self.nominal, **{
             name: value for name, value in wrong.items()
-            if name not in (*OF_CAMERA, 'offset', 'motion')}), **more}
+            if name not in (*OF_CAMERA, 'noise', 'offset', 'motion')}), **more}
         self.made = observer(**given) if lost is None else observer(
             HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))
@@ -206,9 +208,10 @@ class Cell:
         offset = [self._direction(size) for size in wrong['offset']]
         moved = np.split(self._sized(
             'camera', np.r_[self._direction(5e-3), self._direction(5e-3)]), 2)
-        out, n = {}, rng.normal(size=6) * NOISE
+        std = wrong['noise'] * NOISE
+        out, n = {}, rng.normal(size=6) * std
         for k in range(every, len(self.tool), every):
-            n = kept * n + np.sqrt(1.0 - kept**2) * rng.normal(size=6) * NOISE
+            n = kept * n + np.sqrt(1.0 - kept**2) * rng.normal(size=6) * std
             body, late = self.body[k], wrong['late']
             if wrong['jitter']:
                 late = max(late + wrong['jitter'] * rng.normal(), 0.0)
