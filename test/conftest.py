@@ -19,7 +19,7 @@ import time
 from typing import Any
 
 from bellows_ros.core import configure_process
-from bellows_ros.demo.domain import isolate
+from bellows_ros.demo import isolate
 import hypothesis
 import pytest
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import sys
 import tempfile
 
-from bellows_ros.demo.domain import isolate
+from bellows_ros.demo import isolate
 from benchmarks.live import NODES, PREDICTOR, process
 from benchmarks.probe import Probe, used
 import rclpy

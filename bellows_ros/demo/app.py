@@ -31,7 +31,7 @@ from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np
 
-from .domain import isolate
+from . import isolate
 
 if TYPE_CHECKING:
     from bellows_ros.nodes.bag_player import Exchange
