@@ -22,7 +22,6 @@ from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
 
-from ..core.parameters.table import parameters_of, short
 from ..errors import BellowsError, install
 
 NO_ROS = (
@@ -43,6 +42,8 @@ def interface(name: str) -> dict[str, Any]:
 
 def help_text(name: str) -> str:
     """Return the text of `--help`: purpose, topics and services, parameters, examples."""
+    from ..core.parameters.table import parameters_of
+
     content = interface(name)
     sections = {
         'Start it with:': [f'  {example}' for example in content['examples']],
@@ -89,6 +90,8 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     arguments = list(sys.argv[1:] if args is None else args)
     before_ros = list(takewhile(lambda argument: argument != '--ros-args', arguments))
     configure_process(is_node=True)
+    from ..core.parameters.table import short  # loads NumPy
+
     if {'-h', '--help'} & set(before_ros):
         print(help_text(name), end='')
         return 0
@@ -177,6 +180,7 @@ def _initialise(argv: Sequence[str]) -> None:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
+    from ..core.parameters.table import short
     from ..files.safe_yaml import MAX_FILE_BYTES
 
     for before, file in pairwise(argv):

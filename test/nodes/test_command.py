@@ -66,6 +66,12 @@ def test_help_needs_no_ros_and_missing_ros_is_said_plainly(name, root, user_envi
     assert 'Traceback' not in done.stderr
 
 
+def test_numpy_waits_for_the_limit_of_its_threads(user_environment, root):
+    """Import the command without NumPy, which reads the number of threads once."""
+    code = "import sys, bellows_ros.nodes.command; print('numpy' in sys.modules)"
+    assert run(user_environment, root, '-c', code).stdout == 'False\n'
+
+
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['--ros-args'], 'Not set, and without a default: package.mass'),
     (['--ros-args', *GIVEN, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
