@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import Prediction
+from ..core.live.flight import Landing
 from ..core.live.uncertainty import in_world_axes
 from ..core.observer.observer import Payload
 from ..core.signals.trajectory import NS_PER_S
@@ -160,3 +161,12 @@ def write_payload(message: geometry.InertiaStamped, frame_id: str, payload: Payl
     write_vector(inertia.com, payload.com)
     inertia.ixx, inertia.ixy, inertia.ixz = entries[0], entries[1], entries[2]
     inertia.iyy, inertia.iyz, inertia.izz = entries[4], entries[5], entries[8]
+
+
+def write_landing(
+    message: geometry.PoseWithCovarianceStamped, landing: Landing, stamp_ns: int, frame_id: str
+) -> None:
+    """Write the pose of B at landing, stamped as the prediction that it was made from."""
+    write_header(message, stamp_ns, frame_id)
+    write_place(message.pose.pose, *landing.toss.landing[:2])
+    message.pose.covariance = landing.covariance.ravel()

@@ -15,10 +15,9 @@ from rclpy.clock_type import ClockType
 from .conversions import read_pose, stamp_to_ns, TOOL_POSES, vector
 from .inputs import Attachment, SensorInput, TransformInput
 from .observing import Observing
-from .outputs import Outputs
+from .outputs import Outputs, Tossing
 from .parameters import Values
 from .planning import Planning
-from .tossing import Tossing
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import LivePredictor, Prediction, warm_up

@@ -5,7 +5,7 @@ from operator import attrgetter
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.load import Safety
 from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.nodes import diagnostics, predictor_node
+from bellows_ros.nodes import predictor_node
 from builtin_interfaces.msg import Time
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -81,15 +81,15 @@ def test_every_pair_of_severities_is_reported_and_logged(
     partner = make_partner(with_twists=False)
     predictor = partner.predictor
     for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
-        monkeypatch.setattr(diagnostics, name, 0.0)
+        monkeypatch.setattr(predictor_node, name, 0.0)
     monkeypatch.setattr(predictor.pipeline.load, 'reset', lambda: (
         Safety(0.5, 'peel'), None, 0.0))
     for number, level in enumerate(ALL_PAIRS):
         for name in ('prediction', 'input', 'twist', 'load'):
             monkeypatch.setattr(
-                diagnostics.health, f'{name}_status',
-                lambda name, *_, level=level, number=number: diagnostics.health.Status(
-                    name, diagnostics.health.Level(level), f'{name} {number} is {level}', {}))
+                predictor_node.health, f'{name}_status',
+                lambda name, *_, level=level, number=number: predictor_node.health.Status(
+                    name, predictor_node.health.Level(level), f'{name} {number} is {level}', {}))
         partner.predict(START + number * MS)
         predictor.pipeline.live.restarts['gap'] += 1  # a start is logged at once
         for line in ('prediction', 'tool pose', 'tool twist', 'load'):
@@ -151,7 +151,7 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(partner)
 
 def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, capfd):
     """Log bad quaternions though a silent topic, which is as bad, has just been logged."""
-    monkeypatch.setattr(diagnostics, 'LOGGED_AFTER', 0.0)
+    monkeypatch.setattr(predictor_node, 'LOGGED_AFTER', 0.0)
     predictor = make_predictor()
     for _ in range(2):
         predictor.diagnostics.report()
