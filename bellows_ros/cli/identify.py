@@ -29,8 +29,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.errors import BellowsError
-from bellows_ros.report import column, formatted, listed, many
-from bellows_ros.report.text import print_identification
+from bellows_ros.report import column, formatted, listed, many, print_identification
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 

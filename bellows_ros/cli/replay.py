@@ -40,7 +40,7 @@ from bellows_ros.core.identification.validation import LIMIT
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.report.text import print_replay
+from bellows_ros.report import print_replay
 from bellows_ros.workflows.plot import with_bodies
 from bellows_ros.workflows.replay import replay
 

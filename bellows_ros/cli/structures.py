@@ -18,8 +18,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bellows_ros.core.signals.residuals import MILLI_UNITS
-from bellows_ros.report import formatted
-from bellows_ros.report.text import print_relaxation
+from bellows_ros.report import formatted, print_relaxation
 from bellows_ros.workflows.identification import excitation_json, selection_json
 from bellows_ros.workflows.identify import StructureAdvice, structures
 

@@ -24,8 +24,7 @@ from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.nodes.command import require_ros
 from bellows_ros.plots.recording import prediction_figure
 from bellows_ros.plots.style import write_figure
-from bellows_ros.report import percent
-from bellows_ros.report.text import print_cup
+from bellows_ros.report import percent, print_cup
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load as load_recording

@@ -1,9 +1,27 @@
-"""Results as a reader sees them, in the terminal and on pages: here numbers and lists."""
+"""Results as text: numbers, lists, and what the commands print and the pages show."""
 
 from collections.abc import Sequence
 import math
+from typing import Protocol, TYPE_CHECKING
 
+from bellows_ros.core.identification.result import Fit, UNITS
+from bellows_ros.core.identification.validation import LIMIT
+from bellows_ros.core.model.structure import structure_named
+from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
+from bellows_ros.workflows.recordings import offset_sentence
+
+if TYPE_CHECKING:
+    from bellows_ros.workflows.identification import Identification
+    from bellows_ros.workflows.replay import Observed, Replay
+
+MILLI = 1e3
 MAX_LISTED = 5  # items of a list
+LEGEND = (
+    'RMS and peak: error of a free simulation from start to end. live: RMS error of the live '
+    'predictor, from the messages as they came. noise: RMS error due to measurement noise '
+    'alone. NRMSE: RMS error over motion; * moves too little for a verdict, as noise alone is '
+    'more than 5 % of its motion. one-step: whether the errors are white if every sample corrects '
+    'the model.')
 
 
 def with_error(value: float, error: float, unit: str = '') -> str:
@@ -57,3 +75,166 @@ def listed(items: Sequence[str]) -> str:
 def many(count: int, noun: str) -> str:
     """Return a count with its noun."""
     return f'{count} {noun}{"" if count == 1 else "s"}'
+
+
+class Writer(Protocol):
+    """The console of a command, or a section of a page."""
+
+    def line(self, text: str = '', style: str = '') -> None:
+        """Write a line, or leave one empty."""
+
+    def paragraph(self, *texts: str, style: str = '') -> None:
+        """Write sentences."""
+
+    def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
+        """Write rows in columns."""
+
+    def warn(self, *texts: str) -> None:
+        """Write warnings."""
+
+
+def print_identification(result: 'Identification', out: Writer) -> None:
+    """Print the cup, and the samples and findings behind it."""
+    fit, verdict = result.fit, result.verdict
+    sentences = verdict.sentences if verdict else ()
+    if verdict:
+        out.paragraph(*verdict.cause, *verdict.doubts)
+    out.line(f'Cup identified from {listed(result.bags)}', 'bold')
+    out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
+    out.line()
+    for simulated in verdict.simulated if verdict else ():
+        if not all(map(math.isfinite, simulated.rms)):
+            out.paragraph(simulated.sentence)
+            continue
+        out.table([
+            ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, MILLI_UNITS, strict=True))),
+            *((name, *(f'{1e3 * x:.3g}' for x in values))
+              for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
+            right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
+    print_cup(fit, out)
+    _print_samples(result, out)
+    out.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
+    out.paragraph(*result.findings[len(sentences):])
+    out.paragraph(*result.refusals, style='red')
+    out.warn(*result.warnings)
+
+
+def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
+    """Print K and P with standard errors, a line per direction; with couplings all entries."""
+    structure = structure_named(fit.structure)
+    exact, given = fit.exactly_given, fit.from_given is not None
+    matrices = (('stiffness K', 'K', fit.stiffness, exact.stiffness_std, fit.stiffness_std),
+                ('damping P', 'P', fit.damping, exact.damping_std, fit.damping_std))
+    columns: list[list[str]] = []
+    for title_of, name, *of_name in matrices:
+        ends = [[M[axes[0], axes[0]] for M in of_name] for axes in structure.tied_axes]
+        columns.append([title_of, *(
+            with_error(value, error, UNITS[name][2 * (axes[0] > 2)])
+            for axes, (value, error, _) in zip(structure.tied_axes, ends, strict=True))])
+        columns.append(['with what was given', *(
+            _in_percent(both, value) for value, _, both in ends)])
+    names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
+    for part in (columns[:2], columns[2:]) if given else (columns[::2],):
+        out.table(list(zip(names, *part, strict=True)), title=title)
+    if given:
+        out.paragraph(
+            'The first error is from these recordings alone, the second with what was given '
+            '(package.*_std, cup.length_std, recording.*_std): with mass, inertia, K and P larger '
+            'by one factor the motion is the same.')
+    print_relaxation(fit.relaxation, fit.relaxation_std, out)
+    for _, name, matrix, _, std in matrices if structure.couples else ():
+        linear, coupling, angular = UNITS[name]
+        rows: list[tuple[str, ...]] = [('', *AXES)]
+        for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
+            rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
+                                 for value, error in zip(values, errors, strict=True))))
+        out.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
+
+
+def _in_percent(error: float, value: float) -> str:
+    """Return a standard error as a part of its value, '' where that is not identifiable."""
+    if not (math.isfinite(error) and value):
+        return ''
+    percent = 100.0 * error / abs(value)
+    return f'± {percent:.2g} %' if percent < 99.5 else f'± {percent:.0f} %'
+
+
+def print_relaxation(
+    strengths: tuple[float, float], errors: tuple[float, float], out: Writer
+) -> None:
+    """Print how the rubber relaxes, if it does."""
+    if any(strengths):
+        numbers = ', '.join(f'r{b} = {with_error(r, std, "")}' for b, (r, std) in enumerate(
+            zip(strengths, errors, strict=True), 1))
+        out.paragraph(f'The rubber relaxes: {numbers}. K is the static stiffness.')
+
+
+def _print_samples(result: 'Identification', out: Writer) -> None:
+    """Print how many samples were used, and what was wrong with the poses of each topic."""
+    fit = result.fit
+    out.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
+    for stream in (part.report[name] for part in result.parts
+                   for name in ('tool_pose', 'package_pose')):
+        counts = {f'{reason.replace("_", " ")} message': len(indices)
+                  for reason, indices in stream['refused'].items()}
+        counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps'])}
+        faults = [many(count, what) for what, count in counts.items() if count]
+        if faults:
+            rejected = many(stream['filtered_samples_left_out'], 'filtered sample')
+            out.paragraph(f'  {stream["topic"]}: {", ".join(faults)}; {rejected} near these')
+
+
+def print_replay(result: 'Replay', out: Writer, limit: float = LIMIT) -> None:
+    """Print the errors per axis and their meaning."""
+    rest = result.validation.start == 'equilibrium'
+    out.line(f'Replay of {result.bag}', 'bold')
+    out.paragraph(
+        '(package relative to the tool, predicted minus measured; from '
+        f'{"static equilibrium" if rest else "the measured state"})', style='dim')
+    out.table(_error_rows(result), right=True)
+    out.paragraph(LEGEND, style='dim')
+    out.line()
+    validation = result.validation
+    out.paragraph(
+        validation.verdict(limit),
+        *([f'One-step prediction errors: chi^2 per degree of freedom '
+           f'{validation.one_step.chi2:.3f} (1 if model and noise explain everything).']
+          if validation.one_step else []),
+        f'{validation.scores.samples} samples compared.',
+        *([result.margin.sentence] if result.margin else []),
+        *offset_sentence(result.bag, result.time_offset))
+    if result.live:
+        out.paragraph(
+            'Live, from the messages as they came: '
+            f'{", ".join(f"{count} {name}" for name, count in result.live.counts.items())}.')
+    if result.observed:
+        _print_observed(result.observed, out)
+    out.warn(*result.warnings)
+
+
+def _print_observed(observed: 'Observed', out: Writer) -> None:
+    """Print the gain by measured poses, and alarms."""
+    errors = [column([MILLI * x for x in estimate.scores.rms])
+              for estimate in observed.estimates.values()]
+    out.table([('axis', *observed.estimates), *(
+        (f'{name:2} {MILLI_UNITS[i]}', *(rms[i] for rms in errors))
+        for i, name in enumerate(AXES))], right=True, title=f'With {observed.topic}, RMS error')
+    out.paragraph(observed.sentence)
+    for line in observed.alarm_lines:
+        out.warn(f'Alarm at {line}')
+
+
+def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
+    """Return a row for each axis: errors, the part due to noise, and whether they are white."""
+    validation, live = result.validation, result.live
+    white = validation.one_step.whiteness.verdicts if validation.one_step else ('-',) * 6
+    rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE', 'one-step')]
+    scores = validation.scores
+    errors = [('-',) * 6 if error is None else column([MILLI * x for x in error]) for error in (
+        scores.rms, live.scores.rms if live else None, validation.noise, scores.largest)]
+    for i, name in enumerate(AXES):
+        rows.append((
+            f'{name:2} {MILLI_UNITS[i]}', *(error[i] for error in errors),
+            percent(validation.scores.nrmse[i], 1) + (' ' if validation.moves[i] else '*'),
+            white[i].removesuffix(' white')))
+    return rows

@@ -26,7 +26,7 @@ from bellows_ros.workflows.recordings import values_of_each
 from bellows_ros.workflows.replay import Replay, validated
 import numpy as np
 
-from .text import print_identification, print_replay
+from . import print_identification, print_replay
 
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:
