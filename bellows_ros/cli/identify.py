@@ -38,7 +38,7 @@ from .arguments import STDOUT
 from .console import Console, NOT_USABLE, OK, uninterrupted
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.release import ReleaseResult
+    from bellows_ros.workflows.toss import ReleaseResult
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -92,7 +92,7 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
             f'--release cannot be combined with {", ".join(excluded)}. Leave it out.')
     from bellows_ros.files.parameter_files import write_parameters
     from bellows_ros.files.results import provenance
-    from bellows_ros.workflows.release import identify_release
+    from bellows_ros.workflows.toss import identify_release
 
     with console.progress() as progress:
         result = identify_release(settings, progress)
@@ -109,14 +109,14 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
 
 def _print_release(result: 'ReleaseResult', console: Console) -> None:
     """Print the law with its errors, and how it explains the drops of each mass."""
-    from bellows_ros.workflows.release import UNITS
+    from bellows_ros.workflows.toss import RELEASE_UNITS
 
-    fit, milli, names = result.fit, 1e3, list(UNITS)
+    fit, milli, names = result.fit, 1e3, list(RELEASE_UNITS)
     console.line(
         f'Release identified from {many(len(fit.drops), "drop")} in {listed(result.bags)}', 'bold')
     rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
     for k in fit.free:
-        unit = UNITS[names[k]]
+        unit = RELEASE_UNITS[names[k]]
         factor, unit = (milli, f'm{unit}') if unit in ('s', 'm', 'N s') else (1.0, unit)
         numbers = (fit.law[k], fit.std[k], fit.scatter[k])
         law, *errors = column([factor * x for x in numbers], factor * fit.std[k])

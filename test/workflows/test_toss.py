@@ -7,8 +7,8 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import NoTopicError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load
-from bellows_ros.workflows.release import identify_release
 from bellows_ros.workflows.simulate import simulate_recording
+from bellows_ros.workflows.toss import identify_release
 import numpy as np
 import pytest
 
