@@ -56,8 +56,8 @@ def print_result(result: DesignedMotion, console: Console) -> None:
     for label, unit, value, error, part, *beside in zip(
             result.structure.labels, parameter_units(result.structure), result.guess.tolist(),
             errors.tolist(), parts, *ratios, strict=True):
-        known = error if error <= LARGEST_ERROR * abs(value) or not value else math.inf
-        rows.append([label, with_error(value, known, unit), f'{part} %' if value else '',
+        std = error if error <= LARGEST_ERROR * abs(value) or not value else math.inf
+        rows.append([label, with_error(value, std, unit), f'{part} %' if value else '',
                      *(f'{ratio} times' for ratio in beside)])
     console.table(rows)
     if result.beside:

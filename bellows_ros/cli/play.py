@@ -22,7 +22,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_messages
 from bellows_ros.files.results import with_units
 from bellows_ros.nodes.command import require_ros
-from bellows_ros.workflows.recordings import inside
+from bellows_ros.workflows.recordings import interval_masks
 import numpy as np
 
 from . import options
@@ -44,8 +44,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         progress(f'reading {arguments.bag}')
         messages, notes = read_messages(arguments.bag, renamed)
-        chosen, = inside([np.array([message.log_time_ns for message in messages])],
-                         options.interval_settings(arguments))
+        stamps_ns = np.array([message.log_time_ns for message in messages])
+        chosen, = interval_masks([stamps_ns], options.interval_settings(arguments))
         messages = [messages[k] for k in np.flatnonzero(chosen)]
         names = {m.topic.name: m.topic.name for m in messages} | renamed
         console.warn(*notes)

@@ -19,7 +19,7 @@ PORTS = (7400, 7410)  # of domain 0: multicast discovery, the first participant'
 PORTS_PER_DOMAIN = 250
 
 # What else could let discovery reach other machines.
-_REACHING_OUT = ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER')
+_DISCOVERY_VARIABLES = ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER')
 
 # Held until this process ends, so that of two that look for a domain at once none takes the
 # other's before ROS runs in it.
@@ -28,7 +28,7 @@ _reserved: list[socket.socket] = []
 
 def isolate(log_folder: str) -> None:
     """Give this process and its children an unused ROS domain, on this machine only."""
-    for name in _REACHING_OUT:
+    for name in _DISCOVERY_VARIABLES:
         os.environ.pop(name, None)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(unused_domain())

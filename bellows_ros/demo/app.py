@@ -142,8 +142,8 @@ def _print_result(
     return lost
 
 
-END_TIMEOUT = 10.0
-LAST_LINES = 15
+EXIT_TIMEOUT = 10.0
+LOG_LINES_SHOWN = 15
 
 
 @contextmanager
@@ -172,7 +172,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
 
     def require_alive() -> None:
         if process.poll() is not None:
-            lines = log.read_text(errors='replace').splitlines()[-LAST_LINES:]
+            lines = log.read_text(errors='replace').splitlines()[-LOG_LINES_SHOWN:]
             end = '\n'.join(f'  {line}' for line in lines) or '  (it is empty)'
             raise BellowsError(
                 f'The predictor exited with code {process.returncode}. The end of its log, '
@@ -185,7 +185,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
         if process.poll() is None:
             process.send_signal(signal.SIGINT)  # as Ctrl-C does
         try:
-            process.wait(END_TIMEOUT)
+            process.wait(EXIT_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -89,7 +89,7 @@ class DamagedError(BellowsError):
 
 
 METADATA = 'metadata.yaml'
-STORED = ('.mcap', '.db3', '.zstd')  # last suffixes of storage files
+STORAGE_SUFFIXES = ('.mcap', '.db3', '.zstd')  # last suffixes of storage files
 
 MAX_LISTED = 5
 
@@ -163,7 +163,7 @@ def require_no_input(path: File, inputs: Iterable[File]) -> None:
             target, source = (Path(os.path.realpath(each)) for each in (path, name))
         except (OSError, ValueError) as error:
             raise BellowsError(f"'{path}' or '{name}' is no name of a file: {error}.") from None
-        if source.suffix in STORED and (source.parent / METADATA).exists():
+        if source.suffix in STORAGE_SUFFIXES and (source.parent / METADATA).exists():
             source = source.parent
         if target == source or source in target.parents or target in source.parents:
             raise BellowsError(
@@ -195,7 +195,7 @@ def _listed_files(folder: Path) -> Listing:
 
 def _without_metadata(folder: Path) -> Listing:
     """Return the storage files of a folder whose recorder has not written metadata yet."""
-    names = {p.name for p in folder.iterdir() if p.suffix in STORED and p.is_file()}
+    names = {p.name for p in folder.iterdir() if p.suffix in STORAGE_SUFFIXES and p.is_file()}
     # A file that was being compressed is there twice.
     names -= {f'{name}.zstd' for name in names}
     if not names:

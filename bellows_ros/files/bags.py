@@ -92,10 +92,10 @@ class _Bag:
         """Yield the messages of the wanted topics, file by file."""
         for batches in self.batches(wanted):
             starts = [start for batch in batches for start in batch.starts.tolist()]
-            found = [Message(batch.topic, log_time, data) for batch in batches
-                     for log_time, data in zip(
-                         batch.log_times_ns.tolist(), batch.messages(), strict=True)]
-            yield from (found[i] for i in np.argsort(starts, kind='stable'))
+            stored = [Message(batch.topic, log_time, data) for batch in batches
+                      for log_time, data in zip(
+                          batch.log_times_ns.tolist(), batch.messages(), strict=True)]
+            yield from (stored[i] for i in np.argsort(starts, kind='stable'))
 
     def batches(self, wanted: Wanted) -> Iterator[list[Batch]]:
         """Yield them topic by topic as they are stored together, which is much quicker."""

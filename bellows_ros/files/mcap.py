@@ -23,7 +23,7 @@ MAGIC = b'\x89MCAP0\r\n'
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _STATISTICS, _DATA_END = 0x0B, 0x0F
-_READ = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
+_READ_KINDS = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = np.dtype([
     ('kind', 'u1'), ('size', '<u8'), ('channel', '<u2'), ('number', '<u4'), ('log_time', '<u8'),
@@ -31,12 +31,12 @@ _MESSAGE_HEAD = np.dtype([
 _MIN_MESSAGE_BYTES = _MESSAGE_HEAD.itemsize - _RECORD_HEAD.size
 _CHUNK_CHECKSUM_AT = 24  # behind the first and last time and the size
 _TRUNCATED = 'a record goes beyond its end'
-_CUT_HEAD = 'a message is damaged, as it is shorter than its head'
+_SHORT_MESSAGE = 'a message is damaged, as it is shorter than its head'
 _SKIP_STEP = 2**20
-_TOGETHER = 2**20  # bytes of records outside chunks that are read at once
+_LOOSE_BYTES = 2**20  # bytes of records outside chunks that are read at once
 _MAX_TIME = np.uint64(2**63 - 1)
 
-_BROKEN = (struct.error, UnicodeDecodeError, DamagedError)
+_DAMAGE = (struct.error, UnicodeDecodeError, DamagedError)
 
 Record = tuple[int, bytes]
 
@@ -69,7 +69,7 @@ def scan(
     scanned = _Scan(wanted, counts)
     try:
         yield from scanned.batches(scanned.file_records(file))
-    except _BROKEN as error:
+    except _DAMAGE as error:
         named = isinstance(error, DamagedError)
         reason = str(error) if named else f'a record is damaged ({error})'
         size = file.seek(0, os.SEEK_END)
@@ -109,7 +109,7 @@ class _Scan:
             if not kind:
                 raise DamagedError('a record has no kind')
             before, checksum = checksum, zlib.crc32(head, checksum)
-            if kind not in _READ:
+            if kind not in _READ_KINDS:
                 for at in range(0, size, _SKIP_STEP):
                     checksum = zlib.crc32(_exactly(file, min(size - at, _SKIP_STEP)), checksum)
             elif size > MAX_RECORD_BYTES:
@@ -132,15 +132,15 @@ class _Scan:
         try:
             for kind, body in records:
                 if kind == _MESSAGE and len(body) < _MIN_MESSAGE_BYTES:
-                    raise DamagedError(_CUT_HEAD)
+                    raise DamagedError(_SHORT_MESSAGE)
                 if kind != _CHUNK:
                     loose += _RECORD_HEAD.pack(kind, len(body)) + body
-                if kind == _CHUNK or len(loose) > _TOGETHER:
+                if kind == _CHUNK or len(loose) > _LOOSE_BYTES:
                     together, loose = bytes(loose), bytearray()
                     yield from self._read_chunk(together)
                 if kind == _CHUNK:
                     yield from self._read_chunk(_chunk_data(body))
-        except _BROKEN:
+        except _DAMAGE:
             yield from self._read_chunk(bytes(loose))
             raise
         yield from self._read_chunk(bytes(loose))
@@ -156,14 +156,14 @@ class _Scan:
                     raise DamagedError('a record inside a chunk is damaged')
                 if kind == _MESSAGE:
                     if size < _MIN_MESSAGE_BYTES:
-                        raise DamagedError(_CUT_HEAD)
+                        raise DamagedError(_SHORT_MESSAGE)
                     starts.append(at)
                 else:
                     before, starts = starts, []
                     yield from self._messages(records, before)
                     self._read_other(kind, records[at + head:at + head + size])
                 at += head + size
-        except _BROKEN:
+        except _DAMAGE:
             yield from self._messages(records, starts)
             raise
         yield from self._messages(records, starts)

@@ -27,8 +27,8 @@ _INDENT = '  '
 _WIDTH = 97
 _ROW = 6  # items of a list on one line
 
-# What every ROS node has beside its own parameters; it means nothing to the calculation.
-_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.*')
+# Parameters of every ROS node, without effect on the calculation.
+_ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.*')
 
 # Units of the rows of K and P as comments: linear and angular columns.
 _ROW_UNITS = {
@@ -88,7 +88,7 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     values: dict[str, Value] = {}
     for keys, section in _sections(file, content, node):
         for name, value, where in _flattened(section, keys):
-            if any(fnmatchcase(name, form) for form in _OF_ROS):
+            if any(fnmatchcase(name, form) for form in _ROS_PARAMETERS):
                 continue
             try:
                 checked = validate(name, value)

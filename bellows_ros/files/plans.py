@@ -185,8 +185,8 @@ def _chain_poses(
             continue
         recorded = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
         longest = MAX_GAP_PERIODS * float(np.median(np.diff(link.stamps_ns)))
-        found = resample(recorded, stamps, round(longest))
-        T, valid = lie.transform(found.rotation, found.position) @ T, valid & found.valid
+        at = resample(recorded, stamps, round(longest))
+        T, valid = lie.transform(at.rotation, at.position) @ T, valid & at.valid
     return T, valid
 
 
@@ -216,8 +216,8 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
         MULTI_DOF: plan_messages.decode_multi_dof,
         PATH: lambda data: path_points(decoded(data, PATH)),
         JOINTS: lambda data: plan_messages.joint_plan(decoded(data, JOINTS))}
-    found = messages_of(path, makers, topic)
-    return [(name, makers[kind](data)) for name, kind, _, data in found]
+    return [(name, makers[kind](data))
+            for name, kind, _, data in messages_of(path, makers, topic)]
 
 
 def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:
@@ -267,10 +267,11 @@ def multi_dof(message: Any) -> PlanMessage:
                           for part in ('transforms', 'velocities', 'accelerations'))
     if transforms is None:
         raise BellowsError('The plan has points without transforms; expected one of each.')
-    poses = np.array([_seven(own.translation, own.rotation) for (own,) in transforms])
+    poses = np.array([_seven(each.translation, each.rotation) for (each,) in transforms])
     twists, accelerations = (
         None if lists is None else np.array(
-            [(*_three(own.linear), *_three(own.angular)) for (own,) in lists]) for lists in rates)
+            [(*_three(each.linear), *_three(each.angular)) for (each,) in lists])
+        for lists in rates)
     return PlanMessage(
         ns_of(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
         plan_messages.durations_of(points), poses, twists, accelerations)

@@ -1,8 +1,8 @@
 """
 The result of a fit as a JSON file, with its provenance.
 
-Numbers keep every digit. JSON knows neither NaN nor infinity: a number that is not known, because
-the recording does not determine it, is null. Counts, stamps in ns and rates in Hz say so in
+Numbers keep every digit. JSON knows neither NaN nor infinity: an unknown number, because the
+recording does not determine it, is null. Counts, stamps in ns and rates in Hz say so in
 their keys; all other numbers of a fit have their units beside them, in `units` or `unit`.
 """
 
@@ -87,7 +87,7 @@ def read_result(path: File) -> dict[str, Any]:
     Returns
     -------
     dict
-        At least `KEYS`; None stands for a number that is not known.
+        At least `KEYS`; None stands for an unknown number.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def content_of(*paths: File) -> Iterator[None]:
 
 def _refuse_constant(name: str) -> None:
     """Refuse NaN and infinity, which are not JSON."""
-    raise ValueError(f'{name} is not allowed, null stands for a number that is not known')
+    raise ValueError(f'{name} is not allowed, null stands for an unknown number')
 
 
 def plain(value: Any, units: bool = False) -> Any:
@@ -172,14 +172,14 @@ def plain(value: Any, units: bool = False) -> Any:
     raise BellowsError(f'A result cannot hold {type(value).__name__}: {value!r:.80}.')
 
 
-def with_units(content: Mapping[str, Any], wanted: bool = True) -> dict[str, Any]:
-    """Return a result as plain JSON types, with the units of its numbers beside them if wanted."""
+def with_units(content: Mapping[str, Any], add: bool = True) -> dict[str, Any]:
+    """Return a result as plain JSON types, and add the units of its numbers."""
     for key in content:
         if not isinstance(key, str):
             raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are strings.')
-    items = {key: plain(item, wanted and key not in UNITLESS and UNIT_OF.get(key) != '1')
+    items = {key: plain(item, add and key not in UNITLESS and UNIT_OF.get(key) != '1')
              for key, item in content.items()}  # in a mapping of ratios all are ratios
-    units = {key: UNIT_OF[name] for key, item in content.items() if wanted and item is not None
+    units = {key: UNIT_OF[name] for key, item in content.items() if add and item is not None
              and (name := key.removesuffix('_std')) in UNIT_OF
              and not (isinstance(items[key], dict) and 'units' in items[key])}
     return {**items, 'units': {**units, **content.get('units', {})}} if units else items
@@ -207,7 +207,7 @@ TOOLS = ('numpy', 'scipy', 'numba', 'rosbags')
 
 def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ()) -> dict[str, Any]:
     """
-    Return what a result depends on besides its settings, the same for the same files.
+    Return what a result depends on but its settings, the same for the same files.
 
     Returns
     -------

@@ -287,7 +287,7 @@ class MotiveBody:
     unseen: int
 
 
-def read_motive(path: File, fewest_markers: int = MIN_MARKERS) -> tuple[MotiveBody, ...]:
+def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody, ...]:
     """
     Read the rigid bodies of a Motive CSV export.
 
@@ -295,7 +295,7 @@ def read_motive(path: File, fewest_markers: int = MIN_MARKERS) -> tuple[MotiveBo
     ----------
     path : path
         Exported with header, global coordinates and quaternions; marker quality is used if there.
-    fewest_markers : int
+    min_markers : int
         A pose with fewer markers seen is left out, where the file says how many were.
 
     Raises
@@ -309,7 +309,7 @@ def read_motive(path: File, fewest_markers: int = MIN_MARKERS) -> tuple[MotiveBo
         if file.stat().st_size > MAX_FILE_BYTES:
             raise BellowsError(f"'{path}' is larger than {MAX_FILE_BYTES} bytes. Export a part.")
         with file.open(encoding='utf-8-sig', newline='') as stream:
-            return _bodies(file, stream, fewest_markers)
+            return _bodies(file, stream, min_markers)
     except OSError as error:
         raise BellowsError(f"'{path}' cannot be read: {error.strerror}.") from None
     except (UnicodeDecodeError, csv.Error) as error:
@@ -322,7 +322,7 @@ def is_motive(path: File) -> bool:
         return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
 
 
-def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody, ...]:
+def _bodies(path: Path, stream: TextIO, min_markers: int) -> tuple[MotiveBody, ...]:
     """Return the bodies in an open file."""
     rows = csv.reader(stream)
     about, heads = _head(path, rows)
@@ -339,12 +339,12 @@ def _bodies(path: Path, stream: TextIO, fewest_markers: int) -> tuple[MotiveBody
     bodies = []
     for name, (pose_columns, qualities, positions) in columns.items():
         pose = np.column_stack([table[c] for c in pose_columns])
-        present, markers = np.isfinite(pose).all(axis=1), np.full(len(pose), fewest_markers)
+        present, markers = np.isfinite(pose).all(axis=1), np.full(len(pose), min_markers)
         if qualities:
             markers = np.sum([table[c] >= MIN_MARKER_QUALITY for c in qualities], axis=0)
         elif len(positions) >= MIN_MARKERS:
             markers = np.sum([np.isfinite(table[c]) for c in positions], axis=0)
-        enough = markers >= fewest_markers
+        enough = markers >= min_markers
         usable = present & enough
         bodies.append(MotiveBody(
             name, stamps[usable], np.hstack([scale * pose[usable, 4:], pose[usable, :4]]),

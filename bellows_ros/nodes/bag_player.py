@@ -20,7 +20,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import Channel, Message
-from bellows_ros.workflows.recordings import Progress, silent
+from bellows_ros.workflows.recordings import no_progress, Progress
 from geometry_msgs.msg import PoseStamped
 import numpy as np
 import rclpy
@@ -78,7 +78,7 @@ class Played:
 
 def play(
     messages: Sequence[Message], names: Mapping[str, str], rate: float = 1.0,
-    stamps_now: bool = False, progress: Progress = silent
+    stamps_now: bool = False, progress: Progress = no_progress
 ) -> Played:
     """
     Send recorded messages, byte by byte as they were recorded, in their time.
@@ -246,7 +246,7 @@ class Exchange:
 
 def converse(
     messages: Sequence[Message], names: Mapping[str, str], require_alive: Callable[[], None],
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Exchange:
     """
     Wait for the predictor, play at recorded speed, and wait for its last answer.

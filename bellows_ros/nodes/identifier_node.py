@@ -134,11 +134,11 @@ class IdentifierNode(TableNode):
         client = AsyncParameterClient(self, name)
         deadline = time.monotonic() + PREDICTOR_TIMEOUT
 
-        def wait_for(done: Callable[[], bool], lacking: str) -> Iterator[None]:
+        def wait_for(done: Callable[[], bool], missing: str) -> Iterator[None]:
             while not done():
                 if time.monotonic() > deadline:
                     raise BellowsError(
-                        f"The cup was identified, but could not be set on '{name}': {lacking} "
+                        f"The cup was identified, but could not be set on '{name}': {missing} "
                         f'({PREDICTOR_TIMEOUT:g} s waited). Start the predictor, check its name '
                         'and namespace, or leave the parameter predictor empty.')
                 yield

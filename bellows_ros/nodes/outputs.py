@@ -44,7 +44,7 @@ MAX_LATENESS_NS = 1_000_000_000
 MAX_FACTOR = 1000.0
 """Safety factors are capped here, as many plots cannot show infinity."""
 
-HELD_STATES = ('predicting', 'settling')
+OK_STATES = ('predicting', 'settling')
 """States in which package/ok can be true."""
 
 UNSAFE_DURATION_NS = 1_000_000_000
@@ -247,7 +247,7 @@ class Outputs:
             if state in ('detached', 'lost', 'inactive') and self._markers.subscribed:
                 self._markers.publish(MarkerArray(markers=[
                     Marker(ns=NAMESPACE, action=Marker.DELETEALL)]))
-        self._publish_ok(state in HELD_STATES and time.monotonic_ns() >= self._safe_from_ns)
+        self._publish_ok(state in OK_STATES and time.monotonic_ns() >= self._safe_from_ns)
 
 
 NAMESPACE = 'bellows_ros'

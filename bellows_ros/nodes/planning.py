@@ -266,7 +266,7 @@ class Planning:
             outcome.flips)))
         released = outcome.grip is not None and safety[0] < 1.0
         level = Level.ERROR if released else Level.WARN if message else Level.OK
-        return Status('plan', level, message or 'The plan is within all known limits.', {
+        return Status('plan', level, message or 'The plan is within all given limits.', {
             'left (s)': number(float(outcome.tool.seconds[-1])),
             **{name: number(value) for name, value in outcome.figures().items()}})
 
@@ -403,13 +403,13 @@ class Steering:
         self._steered(_standstill().trajectory())
         gc.freeze()
 
-    def _steered(self, wanted: Trajectory, of_package: bool = False) -> Trajectory:
+    def _steered(self, plan: Trajectory, of_package: bool = False) -> Trajectory:
         """Return a motion of the tool without swing; refuse to work on it for long."""
-        if wanted.seconds[-1] > MAX_STEERED_DURATION:
+        if plan.seconds[-1] > MAX_STEERED_DURATION:
             raise BellowsError(
-                f'It takes {wanted.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
+                f'It takes {plan.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
                 'Split the motion, or use bellows steer.')
-        tool = steer(self._pipeline.live.model, wanted, self._pipeline.values['steer.method'],
+        tool = steer(self._pipeline.live.model, plan, self._pipeline.values['steer.method'],
                      of_package).tool
         if self.answers.worker.stop[0]:
             raise BellowsError('The steering was stopped before its end.')

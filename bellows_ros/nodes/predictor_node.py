@@ -163,14 +163,14 @@ class PredictorNode(ManagedNode):
 
 HARDWARE = 'suction cup'
 TOPIC = '/diagnostics'
-OF_TWISTS = 'twist_'
-LOGGED_AS_ERRORS = ('prediction', 'load')
+TWIST_PREFIX = 'twist_'
+ERROR_LINES = ('prediction', 'load')
 """Lines whose errors are logged as such; those of others are warnings."""
 
-LOGGED_AFTER, LOGGED_EVERY = 5.0, 30.0
+LOG_DELAY, LOG_INTERVAL = 5.0, 30.0
 """Seconds that a fault must last before it is logged, and before it is logged again."""
 
-UPSIDE_DOWN = 0.5
+MIN_UPWARD_GRAVITY = 0.5
 """Above this fraction of gravity along z of the tool the package is above the tool."""
 
 
@@ -220,7 +220,7 @@ class Diagnostics:
         restarts = {reason: new[reason] for reason in live.restarts}
         gravity = gravity_of(pipeline.values)
         down = rotation_matrix(last.tool[1])[2::3] if last else (0.0, 0.0, 0.0)  # z of the tool
-        above = bool(np.dot(down, gravity) > UPSIDE_DOWN * np.linalg.norm(gravity))
+        above = bool(np.dot(down, gravity) > MIN_UPWARD_GRAVITY * np.linalg.norm(gravity))
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
         lines = [health.prediction_status('prediction', health.PredictionReport(
             state, live.phase(time.monotonic_ns()), pipeline.values['cup.name'] or 'cup.*',
@@ -229,8 +229,8 @@ class Diagnostics:
         if state != 'active':
             return lines
         started = tuple(reason for reason, count in restarts.items() if count)
-        self._log(lines[0], above or bool(started), 0.0 if started else LOGGED_AFTER, started)
-        of_twists = {k: n for k, n in live.refused.items() if k.startswith(OF_TWISTS)}
+        self._log(lines[0], above or bool(started), 0.0 if started else LOG_DELAY, started)
+        of_twists = {k: n for k, n in live.refused.items() if k.startswith(TWIST_PREFIX)}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
         poses, twists = pipeline.pose_in.report(of_poses), pipeline.twist_in.report(of_twists)
@@ -239,7 +239,7 @@ class Diagnostics:
             health.twist_status('tool twist', twists, new['poses'], new['alone'])]
         for line, report in zip(lines[1:], (poses, twists), strict=True):
             refused = any(report.refused.values())
-            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOGGED_AFTER,
+            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOG_DELAY,
                       refused)
         others = (
             pipeline.observing.status('measured package'), pipeline.attachment.status('vacuum'),
@@ -254,8 +254,8 @@ class Diagnostics:
         if not wrong:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
         elif now >= self._due.setdefault(key, now + after):
-            self._due[key] = now + LOGGED_EVERY
-            if line.level == health.Level.ERROR and line.name in LOGGED_AS_ERRORS:
+            self._due[key] = now + LOG_INTERVAL
+            if line.level == health.Level.ERROR and line.name in ERROR_LINES:
                 self._node.get_logger().error(line.message)
             else:  # a line of its own: rclpy refuses a second severity from one
                 self._node.get_logger().warning(line.message)

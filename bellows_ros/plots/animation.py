@@ -16,7 +16,7 @@ from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
 from bellows_ros.files.atomic import temporary_folder, write_bytes
 from bellows_ros.workflows.plot import Replayed
-from bellows_ros.workflows.recordings import Progress, silent
+from bellows_ros.workflows.recordings import no_progress, Progress
 from bellows_ros.workflows.steer import SteerReport
 import numpy as np
 
@@ -41,7 +41,7 @@ BOX_FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4
 
 def write_animation(
     path: File, replayed: Replayed, note: str, theme: str = 'light',
-    progress: Progress = silent, speed: float = 1.0,
+    progress: Progress = no_progress, speed: float = 1.0,
 ) -> None:
     """
     Write a replay as a GIF, or as an MP4 where ffmpeg is there.
@@ -88,14 +88,14 @@ def write_steering(path: File, report: SteerReport, note: str, speed: float) -> 
     for name in ('as planned', report.method):
         if motion := report.motions.get(name):
             until_end = motion.along.seconds <= last
-            tool, wanted = motion.along.select(until_end), motion.wanted.select(until_end)
+            tool, outline = motion.along.select(until_end), motion.reference.select(until_end)
             states = motion.states[until_end]
             views.append(View(
                 name, motion.along.seconds[until_end], (tool.position, tool.rotation),
                 (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
-                (wanted.position, wanted.rotation), com, box, values['cup.length'], PLAN_ZOOM))
-    _write(path, views, 'The same way, with and without swing; wanted as an outline', note,
-           'light', silent, speed)
+                (outline.position, outline.rotation), com, box, values['cup.length'], PLAN_ZOOM))
+    _write(path, views, 'As planned and steered; the reference as an outline', note,
+           'light', no_progress, speed)
 
 
 Poses = tuple[Array, Array]

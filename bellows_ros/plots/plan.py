@@ -65,7 +65,7 @@ def plan_figure(report: PlanReport, theme: str = 'light') -> Any:
                 curves.seconds, values[:, 4:6], std[:, 4:6],
                 report.prediction.smallest_safety, report.least), colours)
         else:
-            safety.text(0.5, 0.5, 'not known: set cup.lip_radius and vacuum.holding', ha='center',
+            safety.text(0.5, 0.5, 'unknown: set cup.lip_radius and vacuum.holding', ha='center',
                         transform=safety.transAxes, color=colours.quiet)
         for panel, shown, sigma in (
             (others[0], MILLI * (offset - offset[0]), MILLI * std[:, :3]),

@@ -233,8 +233,8 @@ def prediction_figure(
             ('predicted minus measured', colours.error, 1.0)))
         scores = comparison.scores
         titles = [
-            f'error RMS {two_figures(rms)} {unit}, largest {two_figures(largest)} {unit}, '
-            f'{two_figures(100.0 * nrmse) + " %" if np.isfinite(nrmse) else "-"} of the motion'
+            f'error RMS {two_digits(rms)} {unit}, largest {two_digits(largest)} {unit}, '
+            f'{two_digits(100.0 * nrmse) + " %" if np.isfinite(nrmse) else "-"} of the motion'
             for rms, largest, nrmse, unit in zip(
                 style.MILLI * scores.rms, style.MILLI * scores.largest, scores.nrmse,
                 MILLI_UNITS, strict=True)]
@@ -309,7 +309,7 @@ def whiteness_figure(test: Whiteness, note: str, theme: str = 'light') -> Any:
     ), 'lag (samples)', ('1',) * 6)
 
 
-def two_figures(value: float) -> str:
+def two_digits(value: float) -> str:
     """Return a number with two figures."""
     return f'{value:#.2g}'.removesuffix('.')
 

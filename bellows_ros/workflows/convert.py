@@ -19,14 +19,14 @@ from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import absolute, accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
 from bellows_ros.files.results import attributes
-from bellows_ros.workflows.recordings import FULL_RANGE, inside, part_of
+from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_interval
 import numpy as np
 
 POSE = 'geometry_msgs/msg/PoseStamped'
 TOOL_POSE, PACKAGE_POSE = '/tool_arm/pose', '/package/pose'
 MOTIVE_FRAME = 'motive'
 TEXT_ENDINGS = ('.tum', '.txt')
-EARLIEST_NS = 86_400 * 10**9  # a stamp in the first day of 1970 is no date
+MIN_DATE_NS = 86_400 * 10**9  # a stamp in the first day of 1970 is no date
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Conversion:
 
 def bodies_in_files(
     sources: Sequence[File], names: Sequence[str] = (),
-    fewest_markers: int = trajectory_files.MIN_MARKERS,
+    min_markers: int = trajectory_files.MIN_MARKERS,
 ) -> list[Body]:
     """
     Return the bodies in trajectory files.
@@ -111,7 +111,7 @@ def bodies_in_files(
         files, each a topic.
     names : sequence of str, optional
         Topics, in the order of files and bodies; by default '/NAME/pose'.
-    fewest_markers : int
+    min_markers : int
         Poses of Motive with fewer markers seen are left out.
 
     Raises
@@ -120,7 +120,7 @@ def bodies_in_files(
         If a source cannot be read, or two bodies would have one topic.
 
     """
-    bodies = [body for source in sources for body in _read(Path(source), fewest_markers)]
+    bodies = [body for source in sources for body in _read(Path(source), min_markers)]
     if names and len(names) != len(bodies):
         raise BellowsError(
             f'{len(names)} topics are given for {len(bodies)} bodies: '
@@ -159,7 +159,7 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
     """
     read = joints_or_tf(bag, urdf, tool_link)
     name = absolute(topic or TOOL_POSE)
-    others = _copied(bag, {*accepted_types('pose'), *accepted_types('twist')})
+    others = _copied_topics(bag, {*accepted_types('pose'), *accepted_types('twist')})
     if any(other.topic == name for other in others):
         raise BellowsError(
             f"Topic '{name}' is already in recording '{bag}'. Choose another for the tool with "
@@ -244,10 +244,10 @@ def bodies_in_recording(
         bodies.append(Body(
             as_messages(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
             _refused(stream)))
-    return bodies + _copied(bag, {topic.type_name for topic in counts}, chosen)
+    return bodies + _copied_topics(bag, {topic.type_name for topic in counts}, chosen)
 
 
-def _copied(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
+def _copied_topics(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
     """Return messages of some types in a recording as they are, but those of some topics."""
     grouped: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
     for topic, kind, log_ns, data in messages_of(bag, types):
@@ -288,10 +288,10 @@ def to_bag(
     notes = [f'{body.source} was never tracked; its topic is empty.'
              for body in bodies if not body.poses]
     undated = [body.source for body in bodies
-               if body.poses and body.messages.stamps_ns[0] < EARLIEST_NS]
+               if body.poses and body.messages.stamps_ns[0] < MIN_DATE_NS]
     if undated:
         notes.append(f'{", ".join(undated)}: the file has no date; the stamps start near zero.')
-    masks = inside([body.messages.stamps_ns for body in bodies], span)
+    masks = interval_masks([body.messages.stamps_ns for body in bodies], span)
     parts = tuple(body.at(mask) for body, mask in zip(bodies, masks, strict=True))
     if not any(body.poses for body in parts):
         reasons = '; '.join(
@@ -304,7 +304,7 @@ def to_bag(
     return Conversion(os.fspath(out), parts, world, tuple(notes))
 
 
-def _read(source: Path, fewest_markers: int) -> list[Body]:
+def _read(source: Path, min_markers: int) -> list[Body]:
     """Return the bodies in a file, and what was left out."""
     if not os.path.isfile(source):
         raise BellowsError(
@@ -315,7 +315,7 @@ def _read(source: Path, fewest_markers: int) -> list[Body]:
             f'{source} ({body.name})', {reason: count for reason, count in (
                 ('not tracked', body.missing), ('too few markers', body.unseen)) if count},
             'motive_y_up')
-            for body in trajectory_files.read_motive(source, fewest_markers)]
+            for body in trajectory_files.read_motive(source, min_markers)]
     poses = as_messages(_topic_of(source.stem), POSE, *trajectory_files.read_trajectory(source))
     return [Body(poses, str(source))]
 
@@ -357,7 +357,7 @@ def to_tum(
                 f"Recording '{bag}' has {len(fitting)} topics with poses"
                 f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.')
         topic = fitting[0]
-    stream = part_of(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
+    stream = within_interval(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     trajectory_files.write_tum(out, stream.stamps_ns, values)
     read = as_messages(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)

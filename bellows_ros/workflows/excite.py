@@ -31,7 +31,7 @@ from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import write_euroc, write_urscript
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import read_plan
-from bellows_ros.workflows.recordings import Progress, silent
+from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
 POINT_RATE, UR_RATE = 1000.0, 125.0
@@ -137,7 +137,7 @@ def _rounded_up(factor: float) -> str:
 def excite(
     settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[File] = (), seed: int = 0,
-    progress: Progress = silent, with_series: bool = False, hold: float = motion_design.HOLD,
+    progress: Progress = no_progress, with_series: bool = False, hold: float = motion_design.HOLD,
 ) -> DesignedMotion:
     """
     Design a motion that is most informative on K and P.

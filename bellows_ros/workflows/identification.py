@@ -33,27 +33,27 @@ if TYPE_CHECKING:  # what a plain identification does without
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
 
-OF_THE_CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
-"""Parameters that are always in the cup file ..."""
+CUP_PARAMETERS = ('cup.stiffness', 'cup.damping', 'cup.length')
+"""Parameters that are always in the cup file."""
 
-WITH_THE_CUP = ('cup.relaxation', 'cup.relaxation_times', 'cup.layout')
-"""... and those that are where they are not the default: K and P are found with them."""
+CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.layout')
+"""Parameters in the cup file unless they have the default: K and P depend on them."""
 
 NO_CUP = 'This cup cannot hold a package: see the warnings.'
 """Reason for refusing a fit that no predictor can use."""
 
 NO_VERDICT = (
     'None of the first recordings could be used: the error of a free simulation, and whether the '
-    'given data are right, is not known. Leave these recordings out.')
+    'given data are right, is unknown. Leave these recordings out.')
 """Reason for a missing verdict."""
 
 UNKNOWN_STD = 1e9
 """Standard error in parameter files of an entry that is not identifiable."""
 
-NARROWED = 0.95
+NARROWED_BELOW = 0.95
 """Ratio below which a standard error with standstills, over that without, is mentioned."""
 
-FREED = {
+FREE_PARAMETERS = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
     'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
 """Parameter and unit of each name in fit.free."""
@@ -139,7 +139,7 @@ class Identification:
         return with_standstills(moving, self.static.standstills, self.cup_length)
 
     def cup_values(self) -> dict[str, Any]:
-        """Return the parameters of the run with the cup, and the worlds as they were found."""
+        """Return the parameters of the run with the cup, and the estimated worlds."""
         worlds = [part.package_world for part in self.parts if part.package_world]
         best = min(worlds, key=lambda world: float(np.sum(world.std)), default=None)
         return {
@@ -152,15 +152,15 @@ class Identification:
 
     def parameters(self) -> dict[str, Any]:
         """
-        Return the parameters of the cup file: what was found, and what it was found with.
+        Return the parameters of the cup file: what was estimated, and what that depends on.
 
         Whatever else was set, such as the package, is of the recordings, and of no use to others.
         """
-        names = {*OF_THE_CUP, *(FREED[name][0] for name, *_ in self.fit.freed), *(
+        names = {*CUP_PARAMETERS, *(FREE_PARAMETERS[name][0] for name, *_ in self.fit.freed), *(
             ['recording.package_world'] if any(part.package_world for part in self.parts) else [])}
         values = {
             name: value for name, value in self.cup_values().items()
-            if name in names or (name in WITH_THE_CUP and value != PARAMETERS[name].default)}
+            if name in names or (name in CUP_EXTRAS and value != PARAMETERS[name].default)}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
@@ -168,16 +168,16 @@ class Identification:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Findings beside the cup, in sentences."""
+        """Findings besides K and P, in sentences."""
         spring, consistency = self.static and self.static.spring, self.consistency
         return (
             *(self.verdict.sentences if self.verdict else (NO_VERDICT,)),
             *(text for part in self.parts
               for text in world_sentence(part.name, part.package_world)),
-            *self._offset_sentences(),
+            *self._clock_sentences(),
             *(f'{name} was estimated together with K and P: '
               f'{", ".join(f"{x:.6g} ± {s:.2g}" for x, s in zip(value, std, strict=True))} {unit}.'
-              for name, value, std, unit in self._freed()),
+              for name, value, std, unit in self._free_parameters()),
             *_standstill_sentences(self),
             *((spring.sentence,) if spring else ()),
             *((consistency.verdict,) if consistency and not consistency.differs else ()),
@@ -185,21 +185,21 @@ class Identification:
             *(text for each in self.validations for text in (
                 *offset_sentence(each.bag, each.time_offset), each.sentence)))
 
-    def _freed(self) -> Iterator[tuple[str, list[float], list[float], str]]:
+    def _free_parameters(self) -> Iterator[tuple[str, list[float], list[float], str]]:
         """Yield the parameters that were estimated by fit.free: value, standard error and unit."""
         for name, _, std in self.fit.freed:
-            parameter, unit = FREED[name]
+            parameter, unit = FREE_PARAMETERS[name]
             value = np.atleast_1d(self.values[parameter])[:len(std)]
             relative = value if name in ('mass', 'inertia') else np.ones(len(value))
             yield parameter, value.tolist(), (relative * std).tolist(), unit
 
-    def _offset_sentences(self) -> Iterator[str]:
+    def _clock_sentences(self) -> Iterator[str]:
         """Yield sentences about the clocks of the recordings."""
         offsets = map(TimeOffset, self.fit.delays, self.fit.delays_std)
         for bag, offset in zip(self.bags, offsets, strict=False):
             yield from offset_sentence(bag, offset)
 
-    def _of_the_fit(self) -> tuple[str, ...]:
+    def _fit_warnings(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless given data are their cause."""
         causes = self.verdict.diagnosis.findings[:1] if self.verdict else ()
         if any(cause.material for cause in causes):
@@ -215,7 +215,7 @@ class Identification:
         return (
             *(f"Recording '{bag}' was left out: {reason}" for bag, reason in self.failed),
             *self.assumed,
-            *self._of_the_fit(),
+            *self._fit_warnings(),
             *((consistency.verdict,) if consistency and consistency.differs else ()),
             *(static.warnings if static else ()),
             *(text for part in self.parts for text in part.report['warnings']),
@@ -232,7 +232,7 @@ class Identification:
             'cup_length': self.cup_length,
             'found_parameters': {
                 name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}
-                for name, value, std, unit in self._freed()},
+                for name, value, std, unit in self._free_parameters()},
             'usable': not self.refusals,
             'refusals': self.refusals,
             'verdict': self.verdict,
@@ -261,7 +261,7 @@ class Identification:
         """Raise BellowsError if the cup is refused; with force, if no predictor can take it."""
         if self.refusals and not (force and self.fit.usable):
             causes = self.verdict.sentences[:1] if self.verdict else ()
-            more = () if self.fit.usable else (*self.assumed, *self._of_the_fit())
+            more = () if self.fit.usable else (*self.assumed, *self._fit_warnings())
             raise BellowsError(' '.join([*causes, *self.refusals, *more]))
 
     def header(self) -> list[str]:
@@ -271,7 +271,7 @@ class Identification:
             f'Identified by bellows_ros {__version__} from {", ".join(self.bags)}',
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
-            *self._offset_sentences(),
+            *self._clock_sentences(),
             *(f'REFUSED, but written because of --force: {reason}' for reason in self.refusals)]
 
 
@@ -281,7 +281,7 @@ def _standstill_sentences(result: Identification) -> Iterator[str]:
     if standstills is None or static is None:
         return
     ratios = sorted(zip(standstills.narrowed.tolist(), result.fit.labels, strict=True))[:MAX_NAMED]
-    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in ratios if ratio < NARROWED]
+    parts = [f'{label} {100.0 * ratio:.0f} %' for ratio, label in ratios if ratio < NARROWED_BELOW]
     narrowed = (f'ratio of standard errors with and without them: {", ".join(parts)}' if parts
                 else 'they change no standard error')
     yield (f'{standstills.count} standstills are part of the fit (chi^2 per degree of freedom '

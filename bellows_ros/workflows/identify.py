@@ -30,7 +30,7 @@ from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.recordings import Failed, FULL_RANGE, Progress, silent
+from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.verdict import allowances, FitVerdict, MAX_TESTED, verdict_of
 import numpy as np
 
@@ -49,25 +49,25 @@ FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 CAUSES = 'testing possible causes'
 """The work of a diagnosis, for the progress."""
 
-MAX_ON_A_PAGE = 20
+MAX_PAGE_RECORDINGS = 20
 """Most recordings shown in a report."""
 
-CLOCK_AND_WORLD = {'time_offset', 'package_world'}
-"""Names in fit.free that are parameters of their own."""
+REGISTRATION_NAMES = {'time_offset', 'package_world'}
+"""Names in fit.free for which there is a parameter, too."""
 
-BY_LEAST_SQUARES = {'fit.method': 'least_squares'}
+LEAST_SQUARES = {'fit.method': 'least_squares'}
 """How recordings are fitted whose data are certainly wrong."""
 
-NEEDING_RECORDINGS = ('static.length', 'fit.compare_structures', 'output.report')
+RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 """Parameters that need the recordings themselves, not only their statistics."""
 
-ONLY_QUICK = (
+LEAST_SQUARES_NOTE = (
     'K and P are those of least squares: something given is wrong, so the output error was '
     'not fitted. --force fits it all the same.')
 
 
 def identify(
-    settings: Mapping[str, object], progress: Progress = silent,
+    settings: Mapping[str, object], progress: Progress = no_progress,
     parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
     dask: str = '', force: bool = False
 ) -> identification.Identification:
@@ -109,7 +109,7 @@ def identify(
         static = read_standstills({**values, **FULL_RANGE}, progress)
     effective = {**values, 'cup.length': static.cup_length} if static else values
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
-        values[name] for name in NEEDING_RECORDINGS)
+        values[name] for name in RECORDING_USERS)
 
     def read(values: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
         parts, failed = read_all(values, keep, progress, jobs, dask)
@@ -119,12 +119,12 @@ def identify(
     parts, failed = read(effective)
     notes = _assumed(settings)
     if values['fit.method'] == 'output_error' and not (
-            force or static or set(values['fit.free']) - CLOCK_AND_WORLD) and (
+            force or static or set(values['fit.free']) - REGISTRATION_NAMES) and (
             methods.are_differentiable(parts, values)):
         progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, _recordings(parts), effective['cup.length'], effective)
         if early and early._replace(allowed=allowances(effective)).refusals:
-            effective, notes = {**effective, **BY_LEAST_SQUARES}, (*notes, ONLY_QUICK)
+            effective, notes = {**effective, **LEAST_SQUARES}, (*notes, LEAST_SQUARES_NOTE)
     return _identified(
         values, effective, parts, static, progress, read, failed=tuple(failed), assumed=notes,
         parameter_files=tuple(
@@ -155,7 +155,7 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
 
 def _mistakes(values: Mapping[str, Any]) -> Iterator[tuple[Any, str]]:
     """Yield what is wrong with parameters together, if it is, and what to do about it."""
-    free = sorted(set(values['fit.free']) - CLOCK_AND_WORLD)
+    free = sorted(set(values['fit.free']) - REGISTRATION_NAMES)
     names = f'fit.free: {", ".join(free)}: '
     yield (free and values['fit.method'] == 'least_squares',
            f'{names}they need fit.method: output_error. Set it.')
@@ -173,9 +173,9 @@ def _mistakes(values: Mapping[str, Any]) -> Iterator[tuple[Any, str]]:
     yield (values['static.length'] and not values['static.bags'],
            'static.length is set, but static.bags is empty: the length comes from standstills '
            'with two or more masses. Name their recordings in static.bags.')
-    yield (values['output.report'] and len(bags) > MAX_ON_A_PAGE,
-           f'A report shows at most {MAX_ON_A_PAGE} recordings, got {len(bags)}. Leave the report '
-           'out.')
+    yield (values['output.report'] and len(bags) > MAX_PAGE_RECORDINGS,
+           f'A report shows at most {MAX_PAGE_RECORDINGS} recordings, got {len(bags)}. Leave the '
+           'report out.')
     yield (repeated,
            f"'{', '.join(repeated)}' is both in bags and in validation.bags, but validation needs "
            'a recording that was not used in the fit. Remove it from one.')
@@ -225,7 +225,8 @@ def read_part(
 
 
 def read_all(
-    values: Mapping[str, Any], keep: bool, tell: Progress, jobs: int | None = None, dask: str = ''
+    values: Mapping[str, Any], keep: bool, progress: Progress, jobs: int | None = None,
+    dask: str = ''
 ) -> tuple[list[Any], list[Failed]]:
     """
     Return the recordings, and those that cannot be used.
@@ -239,21 +240,22 @@ def read_all(
     if jobs is None and not dask:
         parts = list[Any]()
         for number, bag, each in work:
-            tell(f'reading {bag}', FIT_BEGINS * number / len(bags))
+            progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
             parts.append(task(bag, each))
-            for _, sentence in reading.repeats((part.name, part.digest) for part in parts):
+            for _, sentence in reading.duplicates((part.name, part.digest) for part in parts):
                 raise BellowsError(sentence)
         return parts, []
     from bellows_ros.workflows.workers import on_cores, on_dask
 
     words = f'reading {len(bags)} recordings'
-    tell(words, 0.0)
+    progress(words, 0.0)
     outcomes: dict[int, Any] = {}
     for number, outcome in on_dask(work, dask, task) if dask else on_cores(work, jobs or 1, task):
         outcomes[number] = outcome
-        tell(words, FIT_BEGINS * len(outcomes) / len(bags))
+        progress(words, FIT_BEGINS * len(outcomes) / len(bags))
     done = [n for n in range(len(bags)) if not isinstance(outcomes[n], Failed)]
-    for place, sentence in reading.repeats((outcomes[n].name, outcomes[n].digest) for n in done):
+    digested = ((outcomes[n].name, outcomes[n].digest) for n in done)
+    for place, sentence in reading.duplicates(digested):
         outcomes[done[place]] = Failed(bags[done[place]], sentence)
     parts, failed = ([each for _, each in sorted(outcomes.items(), key=itemgetter(0))
                       if isinstance(each, Failed) is unusable] for unusable in (False, True))
@@ -266,7 +268,7 @@ def read_all(
 
 def _identified(
     values: Mapping[str, Any], effective: Mapping[str, Any], parts: Sequence[Part],
-    static: 'StaticResult | None', tell: Progress, read: Read, **more: Any,
+    static: 'StaticResult | None', progress: Progress, read: Read, **more: Any,
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
@@ -275,25 +277,25 @@ def _identified(
     estimated of the package or the cup's length replaces what was given, and the recordings are
     read again with it.
     """
-    tell('fitting', FIT_BEGINS)
+    progress('fitting', FIT_BEGINS)
     length = static.length if static and values['static.length'] else None
     result = methods.fit(
         parts, effective,
-        lambda what, part: tell(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
+        lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
         static.standstills if static else (), length.length_std if length else 0.0)
     fit = result.fit
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
         parts, _ = read(effective)
     recordings = _recordings(parts)
-    tell(CAUSES, FIT_ENDS)
+    progress(CAUSES, FIT_ENDS)
     verdict = verdict_of(
         fit, recordings, fit.standstills.length if fit.standstills else effective['cup.length'],
         effective, [entry.label for entry in result.excitation.parameters if entry.identifiable])
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
-        recordings, _consistency(parts, effective, tell), verdict=verdict,
-        selection=(selection(recordings, effective, tell, verdict)
+        recordings, _consistency(parts, effective, progress), verdict=verdict,
+        selection=(selection(recordings, effective, progress, verdict)
                    if values['fit.compare_structures'] else None), **more)
     if static:
         from bellows_ros.workflows.static import with_spring
@@ -301,13 +303,13 @@ def _identified(
         identified = replace(identified, static=with_spring(
             replace(static, cup_length=identified.cup_length), cup_of(identified.cup_values()),
             values['gravity.magnitude']))
-    identified = replace(identified, validations=tuple(_validated(identified, tell)))
-    tell('done', 1.0)
+    identified = replace(identified, validations=tuple(_validated(identified, progress)))
+    progress('done', 1.0)
     return identified
 
 
 def _consistency(
-    parts: Sequence[Part], values: Mapping[str, Any], tell: Progress
+    parts: Sequence[Part], values: Mapping[str, Any], progress: Progress
 ) -> 'Consistency | None':
     """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
     if not values['fit.compare_recordings'] or len(parts) < 2:
@@ -320,19 +322,19 @@ def _consistency(
 
     def alone(part: Part, name: str) -> Fit:
         return methods.fitted(
-            [part], values, lambda what, _: tell(f'{name} alone, {what}', FIT_ENDS))
+            [part], values, lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS))
 
     return same_cup([*map(alone, parts, names)], names)
 
 
 def selection(
-    recordings: Sequence[Recording], values: Mapping[str, Any], tell: Progress,
+    recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress,
     verdict: FitVerdict | None = None,
 ) -> 'StructureSelection':
     """Compare the structures, with a verdict where none fits; that of the fit where given."""
     from bellows_ros.core.identification.structure_selection import select_structure
 
-    tell('comparing structures', FIT_ENDS)
+    progress('comparing structures', FIT_ENDS)
     compared = select_structure(
         [samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings],
@@ -345,12 +347,12 @@ def selection(
     return compared.judged(advised.diagnosis, advised.cause) if advised else compared
 
 
-def _validated(result: identification.Identification, tell: Progress) -> 'Iterator[Replay]':
+def _validated(result: identification.Identification, progress: Progress) -> 'Iterator[Replay]':
     """Yield the free simulations of the validation recordings, if the cup is usable."""
     for bag in result.values['validation.bags'] if result.fit.usable else ():
         from bellows_ros.workflows.replay import replay
 
-        tell(f'validating on {bag}', FIT_ENDS)
+        progress(f'validating on {bag}', FIT_ENDS)
         yield replay(bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})
 
 
@@ -395,7 +397,7 @@ class StructureAdvice:
 
 
 def structures(
-    settings: Mapping[str, object], progress: Progress = silent
+    settings: Mapping[str, object], progress: Progress = no_progress
 ) -> StructureAdvice:
     """
     Find what is identifiable from the recordings of the parameter `bags`; compare structures.

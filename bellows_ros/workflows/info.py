@@ -33,7 +33,7 @@ from bellows_ros.files.bags import accepted_types, Contents, read_contents, Topi
 from bellows_ros.files.messages import BOOL
 from bellows_ros.files.plans import read_transforms, TF
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.recordings import part_of
+from bellows_ros.workflows.recordings import within_interval
 import numpy as np
 
 Stream = PoseStream | TwistStream
@@ -232,7 +232,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
         for kind in ('pose', 'twist') if topic.type_name in accepted_types(kind)}
     contents = read_contents(path, wanted) if wanted else Contents({}, {}, ())
     problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
-    streams = {role: stream for role, stream in part_of(contents.streams, span).items()
+    streams = {role: stream for role, stream in within_interval(contents.streams, span).items()
                if len(stream)}
     start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
     described = tuple(_topic(topic, streams, problems, start_ns) for topic in counts)
@@ -240,7 +240,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
     if not poses and any(topic.type_name == TF and topic.messages for topic in counts):
         notes.append(_frames_note(path))
-    return _assigned(path, described, poses, twists, span, notes)
+    return _with_roles(path, described, poses, twists, span, notes)
 
 
 def _frames_note(path: File) -> str:
@@ -293,7 +293,7 @@ def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
     return quality
 
 
-def _assigned(
+def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
     twists: Mapping[str, TwistStream], span: Mapping[str, Any], notes: list[str]
 ) -> Info:
@@ -316,7 +316,7 @@ def _assigned(
     if any(timing(stream.stamps_ns).rate_hz < LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
-        rest_s = _arrange(pair, streams, path, settings, notes)
+        rest_s = _registration_settings(pair, streams, path, settings, notes)
     else:
         notes.append(
             'An identification needs the poses of tool and package; the tool alone is enough '
@@ -326,7 +326,7 @@ def _assigned(
     return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes))
 
 
-def _arrange(
+def _registration_settings(
     pair: Pair | None, streams: Sequence[PoseStream], path: File, settings: dict[str, Any],
     notes: list[str]
 ) -> float | None:
@@ -334,13 +334,13 @@ def _arrange(
     remarks, (tool, package) = list[str](), streams
     one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2
     error = convention_sentence(tool, package, path) if one_frame else ''
-    apart = '' if error else _reason_apart(pair, tool, package)
-    if apart:
+    separate = '' if error else _why_separate(pair, tool, package)
+    if separate:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
             'fit.time_offset': True, 'fit.free': ('package_marker',)}
         remarks.append(
-            f'{apart} recording.package_world: {ESTIMATE} finds how the world of the package '
+            f'{separate} recording.package_world: {ESTIMATE} finds how the world of the package '
             'lies in that of the tool, best with standstills tilted to several sides at the end; '
             'if you know it, give its seven numbers. The time offset and the marker are '
             'estimated, too: leave out what you know.')
@@ -348,14 +348,14 @@ def _arrange(
         settings['recording.world'] = pair.world
     rest_s = None
     if pair:
-        rest_s, at_rest, more = _initial_rest(pair, tool, package, bool(apart))
+        rest_s, at_rest, more = _initial_rest(pair, tool, package, bool(separate))
         settings |= at_rest
         remarks += more
     notes[:] = [error, *notes] if error else notes + remarks  # an error makes remarks doubtful
     return rest_s
 
 
-def _reason_apart(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
+def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
     """Return why two topics are of two worlds or two clocks, '' where they are not."""
     frames = short(tool.frame_id), short(package.frame_id)
     if all(frames) and frames[0] != frames[1]:
@@ -371,7 +371,7 @@ def _reason_apart(pair: Pair | None, tool: PoseStream, package: PoseStream) -> s
 
 
 def _initial_rest(
-    pair: Pair, tool_poses: PoseStream, package_poses: PoseStream, apart: bool
+    pair: Pair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
 ) -> tuple[float, dict[str, Any], list[str]]:
     """
     Return the duration of the initial standstill, the settings from it, and remarks.
@@ -382,12 +382,12 @@ def _initial_rest(
     tool, package = (alignment.in_world(poses.trajectory(), R)
                      for poses in (tool_poses, package_poses))
     rest = alignment.rest_of(tool, package)
-    aligned = rest.is_turned and not apart
+    aligned = rest.is_turned and not separate
     notes = [text for text, applies in (
         (f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
          'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
          'cup.length plus the depth of package.com if they are those of the centre of mass '
-         '(com).', not apart),
+         '(com).', not separate),
         (f'The standstill at the beginning lasts only {rest.seconds:.1f} s. Start with 2 s of '
          'standstill, so that rotated marker frames can be detected.',
          rest.seconds < alignment.MIN_REST),

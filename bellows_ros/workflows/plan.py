@@ -37,7 +37,7 @@ from bellows_ros.files.plan_messages import JointPlan
 from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import read_trajectory
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.recordings import inside
+from bellows_ros.workflows.recordings import interval_masks
 import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
@@ -45,10 +45,10 @@ YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt', '.kitti', '.csv')
 MOTION_RATE = 500.0
 """Points per second taken from a motion of `bellows simulate`, Hz."""
 
-TIME_ROUNDING = 1.001
-"""Factor on time beside that of a limit, as peaks are sought at points 1 ms apart."""
+TIME_MARGIN = 1.001
+"""Factor on time beyond that of a limit, as peaks are sought at points 1 ms apart."""
 
-AFTER, STANDING_STEP = 1.5, 0.005
+TAIL_SHOWN, STANDSTILL_STEP = 1.5, 0.005
 """Time (s) shown after the end, and the spacing of its points."""
 
 MAX_TILT = 0.02
@@ -126,7 +126,7 @@ class Source:
 
     @cached_property
     def grip(self) -> Grip | None:
-        """Of the cup, where it is known."""
+        """Of the cup; None if unknown."""
         return grip_of(self.values)
 
 
@@ -189,7 +189,7 @@ class PlanReport(CommandResult):
 
     @property
     def holds(self) -> bool:
-        """Whether the cup holds, as far as is known, and a safe time is found where sought."""
+        """Whether the cup holds, as far as is known, and a safe time exists where sought."""
         held = self.prediction.grip is None or self.prediction.smallest_safety[0] >= 1.0
         return held and (self.fastest is not None or not self.sought)
 
@@ -207,14 +207,14 @@ class PlanReport(CommandResult):
         if source.joints is not None:
             factor, limit = joint_excess(
                 source.joints.arm, source.joints.along(tool, source.tool), math.inf)
-            tool = timed(tool, factor * TIME_ROUNDING if limit else 1.0)
+            tool = timed(tool, factor * TIME_MARGIN if limit else 1.0)
         return tool, PlanSimulation(source.model, None, tool, tail=0.0).states(), limit
 
     @cached_property
     def curves(self) -> Curves:
         """What a picture shows, with what follows a plan that ends at rest."""
         prediction, source = self.prediction, self.source
-        after = min(AFTER, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
+        after = min(TAIL_SHOWN, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
         return curves(source.values, source.model, source.grip, standing(source.tool, after))
 
     @property
@@ -330,10 +330,10 @@ def curves(
 
 def standing(tool: Trajectory, seconds: float) -> Trajectory:
     """Return a plan with a standstill of that many seconds added at its end."""
-    count = round(seconds / STANDING_STEP)
+    count = round(seconds / STANDSTILL_STEP)
     if count == 0:
         return tool
-    later = tool.stamps_ns[-1] + np.arange(1, count + 1) * round(STANDING_STEP * NS_PER_S)
+    later = tool.stamps_ns[-1] + np.arange(1, count + 1) * round(STANDSTILL_STEP * NS_PER_S)
     more = ((0, count), (0, 0))
     return Trajectory(
         np.append(tool.stamps_ns, later), np.pad(tool.position, more, 'edge'),
@@ -370,7 +370,7 @@ def read_plan(path: File, values: Mapping[str, Any], urdf: str = '', topic: str 
     source = _read_plan(Path(path), values, urdf, topic)
     plan_messages.require_frame(source.frame_id, values)
     stamps_ns = [source.tool.stamps_ns, source.recorded_ns]
-    chosen = inside([each for each in stamps_ns if each is not None], values)[0]
+    chosen = interval_masks([each for each in stamps_ns if each is not None], values)[0]
     if (points := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '

@@ -18,13 +18,14 @@ from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 from bellows_ros.files.results import with_units
-from bellows_ros.workflows.recordings import load, NO_INERTIA, Progress, silent
+from bellows_ros.workflows.recordings import load, NO_INERTIA, no_progress, Progress
 from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
 import numpy as np
 
 SPECTRUM_SECONDS = 4.0  # of a segment: lines of 0.25 Hz
-TRACKED = {'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
-           'package.com': (0.0, 0.0, 0.0)}
+NO_PACKAGE = {
+    'recording.package_frame': 'com', 'package.mass': 1.0, 'package.inertia': NO_INERTIA,
+    'package.com': (0.0, 0.0, 0.0)}
 """Puts B at the tracked point; a picture of motion needs no mass."""
 
 
@@ -112,14 +113,14 @@ class Loads:
 @dataclass(frozen=True, eq=False)
 class Replayed:
     """
-    A replayed recording with the poses of all bodies, where the tool is known.
+    A replayed recording with the poses of all bodies, where there is one of the tool.
 
     Parameters
     ----------
     seconds : array (N,)
         From the recording's first stamp, s.
     live : Live
-        What the live predictor gives.
+        The live prediction.
     motion : MeasuredMotion
         Measured, at the same times.
     position, rotation : array (N, 3), (N, 3, 3)
@@ -153,7 +154,7 @@ DRAWN_UNITS: Mapping[type, Mapping[str, Any]] = {
         'deflection': POSE_UNITS, 'load': WRENCH_UNITS, 'residual': WRENCH_UNITS,
         'stiffness': [*3 * ['N/m'], *3 * ['N m/rad']]},
     Margins: {'factors': '1', 'std': '1', 'least': '1'}}
-"""Units of what is drawn, beside those that the keys of all results have."""
+"""Units of what is drawn that the keys of other results do not have."""
 
 Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 Group = TypeVar('Group', MeasuredMotion, Loads, Margins, Replayed, Live)
@@ -165,7 +166,7 @@ def motion(bag: File, settings: Mapping[str, object]) -> MeasuredMotion:
 
     Without package.com, B is where the package is tracked.
     """
-    return _motion(load(bag, resolve({**TRACKED, **settings})))
+    return _motion(load(bag, resolve({**NO_PACKAGE, **settings})))
 
 
 def _motion(recording: Recording) -> MeasuredMotion:
@@ -184,7 +185,7 @@ def spectra(bag: File, settings: Mapping[str, object], cup: bool) -> Spectra:
     Samples that are missing are interpolated linearly. Without a cup no package is needed, as for
     `motion`.
     """
-    values: dict[str, Any] = resolve({**TRACKED, **settings})
+    values: dict[str, Any] = resolve({**NO_PACKAGE, **settings})
     recording = load(bag, values)
     shown = _motion(recording)
     rate_hz = uniform_rate_hz(recording.measured_package.stamps_ns)
@@ -231,7 +232,7 @@ def loads(bag: File, settings: Mapping[str, object]) -> Loads:
 
 
 def replayed(
-    bag: File, settings: Mapping[str, object], progress: Progress = silent
+    bag: File, settings: Mapping[str, object], progress: Progress = no_progress
 ) -> Replayed:
     """Return a replay with the poses of all bodies."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
@@ -253,9 +254,9 @@ def with_bodies(values: Mapping[str, Any], recording: Recording, live: Live) -> 
         Its prediction.
 
     """
-    result = _picked(live, np.isfinite(live.predicted[:, 0]))
+    result = _selected(live, np.isfinite(live.predicted[:, 0]))
     index = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
-    measured = _picked(_motion(recording), index)
+    measured = _selected(_motion(recording), index)
     package, length = package_of(values), cup_of(values).length
     position = measured.tool_position + apply(measured.tool_rotation, result.predicted[:, :3])
     bent = exp_so3(result.predicted[:, 3:])
@@ -298,13 +299,13 @@ def within(shown: Timed, first: float, last: float) -> Timed:
             f'recording covers {seconds[0]:.2f} to {seconds[-1]:.2f} s.')
     groups: dict[str, Any] = {}
     if isinstance(shown, Replayed):
-        live = _picked(shown.live, part)
-        groups = {'motion': _picked(shown.motion, part),
+        live = _selected(shown.live, part)
+        groups = {'motion': _selected(shown.motion, part),
                   'live': replace(live, scores=score(live.measured, live.predicted))}
-    return replace(_picked(shown, part), **groups)
+    return replace(_selected(shown, part), **groups)
 
 
-def _picked(group: Group, index: Stamps | Mask) -> Group:
+def _selected(group: Group, index: Stamps | Mask) -> Group:
     """Return a group of arrays at some samples; what is not by sample stays whole."""
     arrays: dict[str, Any] = {
         field.name: value for field in fields(group)

@@ -27,7 +27,7 @@ Progress = Callable[..., None]
 """Called with what is being done and the part (0 to 1) that is done."""
 
 
-def silent(what: str, part: float = 0.0) -> None:
+def no_progress(what: str, part: float = 0.0) -> None:
     """Say nothing of the progress."""
 
 
@@ -36,7 +36,7 @@ NO_OFFSET = (
     'stamps were used unchanged. Record a motion that is richer in all directions.')
 """Used if a time offset is wanted and not identifiable."""
 
-OWN_TOPICS = ' If only some recordings have other topics, give each its own file in package.files.'
+OTHER_TOPICS = ' If the topics of recordings differ, give each a file in package.files.'
 """Remedy for a topic that is missing in one of several recordings."""
 
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
@@ -51,8 +51,8 @@ NO_INERTIA = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
 """Where the parameter files of recordings are named."""
 
-OF_A_RECORDING = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
-"""Parameters, besides the package's, in which recordings of one cup may differ."""
+RECORDING_PREFIXES = ('topics.', 'recording.', 'tool_twist.', 'gravity.direction')
+"""Parameters, other than those of the package, in which recordings of one cup may differ."""
 
 
 class Failed(NamedTuple):
@@ -89,10 +89,10 @@ def load(
     roles = ('tool_pose', 'package_pose', 'tool_twist')
     contents = read_contents(path, {role: values[f'topics.{role}'] for role in roles})
     for problem in contents.problems.values():
-        remedy = OWN_TOPICS if isinstance(problem, NoTopicError) and values['bags'][1:] and (
+        remedy = OTHER_TOPICS if isinstance(problem, NoTopicError) and values['bags'][1:] and (
             name in map(str, values['bags'])) else ''
         raise type(problem)(f'{problem}{remedy}')
-    streams = part_of(contents.streams, values)
+    streams = within_interval(contents.streams, values)
     for stream in streams.values():
         if not len(stream):
             raise BellowsError(
@@ -109,7 +109,7 @@ def load(
         digest=recording_digest(path, files) if with_digest else '')
 
 
-def inside(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
+def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
     """
     Return masks of the stamps from recording.start to recording.end.
 
@@ -141,11 +141,11 @@ def inside(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask
     return chosen
 
 
-def part_of(streams: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return poses and twists by role from recording.start to recording.end; see `inside`."""
+def within_interval(streams: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return streams by role from recording.start to recording.end; see `interval_masks`."""
     if not any(values.get(name) for name in FULL_RANGE):
         return dict(streams)
-    masks = inside([stream.stamps_ns for stream in streams.values()], values)
+    masks = interval_masks([stream.stamps_ns for stream in streams.values()], values)
     return {role: replace(stream, **{
         name: getattr(stream, name)[mask] for name in ARRAYS if hasattr(stream, name)
     }) for (role, stream), mask in zip(streams.items(), masks, strict=True)}
@@ -232,7 +232,7 @@ def _first_guess(
 
 
 def offset_sentence(bag: object, offset: TimeOffset | None) -> list[str]:
-    """Return a sentence about the time offset of a recording, if it is known."""
+    """Return a sentence about the time offset of a recording, unless unknown."""
     if offset is None or not math.isfinite(offset.std):
         return []
     where = 'behind' if offset.value >= 0.0 else 'ahead of'
@@ -255,7 +255,7 @@ def world_sentence(bag: object, estimated: prepared.PackageWorld | None) -> list
         f'{turns} mrad.']
 
 
-def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
+def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
     """
     Yield recordings that occur twice, under any name, each with a sentence.
 
@@ -281,7 +281,7 @@ def repeats(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:
 
 def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Mapping[str, Any]]:
     """
-    Return the parameters for each recording in a parameter of `FILES_OF`, with its own package.
+    Return the parameters for each recording in a parameter of `FILES_OF`, with its package.
 
     Raises
     ------
@@ -298,10 +298,10 @@ def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Map
         values = {'package.inertia': NO_INERTIA, **values}
     each: list[Mapping[str, Any]] = [
         {**values, **{name: value for name, value in read_parameters(file).items()
-                      if name in checks.PACKAGE_PARAMETERS or name.startswith(OF_A_RECORDING)}}
+                      if name in checks.PACKAGE_PARAMETERS or name.startswith(RECORDING_PREFIXES)}}
         for file in files] or [values for _ in bags]
-    for bag, own in zip(bags, each, strict=True):
-        missing = [name for name in checks.RECORDING_PARAMETERS if name not in own]
+    for bag, parameters in zip(bags, each, strict=True):
+        missing = [name for name in checks.RECORDING_PARAMETERS if name not in parameters]
         if missing:
             raise BellowsError(
                 f"For '{bag}' these are not set: {', '.join(missing)}. Set them, or name a "

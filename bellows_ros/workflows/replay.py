@@ -38,16 +38,16 @@ from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import attributes, provenance, with_units
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import curves, NO_GRIP
-from bellows_ros.workflows.recordings import load, Progress, silent
+from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
 
-SAID_BY_VALUES = 'mass', 'inertia'
+CAUSES_IN_VALUES = 'mass', 'inertia'
 """Causes of which `implausible` parameters say so without a recording."""
 
 MAX_LISTED = 3
 """Validity ranges named in a warning."""
 
-ONE_WORLD = np.array([0.0] * 6 + [1.0])
+IDENTITY_POSE = np.array([0.0] * 6 + [1.0])
 """Pose of the package's world in that of the tool where both are one."""
 
 
@@ -118,11 +118,11 @@ class Observed:
     counts : mapping of str to int
         Measured poses that were used, and those that were not, by reason.
     alarms : tuple of (float, Alarm)
-        What was found to be wrong, and when, s from the first pose of the tool.
+        Detected faults, and when, s from the first pose of the tool.
     payload : Payload or None
-        What mass and centre of mass were found to be, where payload.estimate is set.
+        Estimated mass and centre of mass, where payload.estimate is set.
     calibration : Calibration or None
-        By how much the camera was found to be off, where measured.calibrate is set.
+        Estimated errors of the camera, where measured.calibrate is set.
     parameters : mapping
         Parameters that take this into account, with what stays uncertain.
     alarm_calibration : AlarmCalibration or None
@@ -158,11 +158,11 @@ class Observed:
         if payload := self.payload:
             sentences.append(
                 f'Found: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
-                f'{_thousandths(payload.com, payload.com_std)} mm from the lip (± is the bound of '
+                f'{_in_milli(payload.com, payload.com_std)} mm from the lip (± is the bound of '
                 'Cramér and Rao).')
         if self.calibration:
             numbers = iter(self.calibration)
-            shift, turn, latency = map(_thousandths, numbers, numbers)
+            shift, turn, latency = map(_in_milli, numbers, numbers)
             sentences.append(
                 f'The camera is off by {shift} mm and {turn} mrad along and about the axes of the '
                 f'world, its stamps by {latency} ms.')
@@ -172,7 +172,7 @@ class Observed:
 
     @property
     def alarm_lines(self) -> list[str]:
-        """When each cause was found first, and what to do; how often and until when later."""
+        """When each cause was detected first, and what to do; how often and until when later."""
         times: dict[str, list[float]] = {}
         for seconds, alarm in self.alarms:
             times.setdefault(alarm.cause, []).append(seconds)
@@ -201,11 +201,11 @@ class Observed:
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             'calibration': self.calibration,
             'alarm_calibration': self.alarm_calibration,
-            **{f'rms {name}': found.scores.rms for name, found in self.estimates.items()},
+            **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()},
             'units': {f'rms {name}': POSE_UNITS for name in self.estimates}}
 
 
-def _thousandths(values: Any, std: Any) -> str:
+def _in_milli(values: Any, std: Any) -> str:
     """Return numbers with their standard deviations, in thousandths of their unit."""
     return ', '.join(f'{1e3 * value:.2f} ± {1e3 * error:.2g}' for value, error in zip(
         np.atleast_1d(values), np.atleast_1d(std), strict=True))
@@ -271,7 +271,7 @@ class Replay(CommandResult):
         Raises
         ------
         BellowsError
-            If the grip is not known.
+            If the grip is unknown.
 
         """
         smallest, validation = self.margin, self.validation
@@ -324,7 +324,7 @@ class Replay(CommandResult):
 
 
 def replay(
-    bag: File, settings: Mapping[str, object], progress: Progress = silent, observe: str = '',
+    bag: File, settings: Mapping[str, object], progress: Progress = no_progress, observe: str = '',
     calibrate_alarms: bool = False,
 ) -> Replay:
     """
@@ -366,10 +366,10 @@ def replay(
         bag, recording, tool_messages(recording, values), live, values, observe,
         calibrate_alarms) if observe else None
     progress('done', 1.0)
-    return replace(free, live=live, observed=camera, warnings=_without_loss(free, camera))
+    return replace(free, live=live, observed=camera, warnings=_final_warnings(free, camera))
 
 
-def _without_loss(free: Replay, camera: Observed | None) -> tuple[str, ...]:
+def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
     """Return the warnings; a package that is lost explains the errors, instead of their causes."""
     losses = [seconds for seconds, alarm in (camera.alarms if camera else ())
               if alarm.cause == 'lost']
@@ -389,10 +389,10 @@ def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
         validation = validate(cup_of(values), recording)
         is_worse = bool(validation.worse_than_noise)
     except UnstableError as error:
-        raise UnstableError(f'{_why_unstable(values, recording)}{error}') from None
+        raise UnstableError(f'{_mass_hint(values, recording)}{error}') from None
     warnings = [
         *(finding_sentence(cause, values) for cause in corrected(recording)[0]
-          if cause.name not in SAID_BY_VALUES),
+          if cause.name not in CAUSES_IN_VALUES),
         *recording.report.warnings, *validation.warnings]
     valid = parameter_envelope(values)
     outside = beyond(valid, envelope_of(recording, values['cup.length'])) if valid else []
@@ -431,7 +431,7 @@ def _stretch(values: Mapping[str, Any], relative: Array) -> float:
     return float(np.nanmean(-lip[:, 2])) - float(values['cup.length'])
 
 
-def _why_unstable(values: Mapping[str, Any], recording: Recording) -> str:
+def _mass_hint(values: Mapping[str, Any], recording: Recording) -> str:
     """Return the mass that the recorded stretch stands for, where it is another; else ''."""
     relative = residuals.relative_coordinates(
         recording.measured_tool, recording.measured_package)
@@ -446,7 +446,7 @@ def _why_unstable(values: Mapping[str, Any], recording: Recording) -> str:
 
 
 def predicted_live(
-    recording: Recording, values: Mapping[str, Any], tell: Progress = silent
+    recording: Recording, values: Mapping[str, Any], progress: Progress = no_progress
 ) -> Live:
     """
     Send a recording's tool messages through the predictor and compare with its package poses.
@@ -464,7 +464,7 @@ def predicted_live(
             values['tool_twist.frame'])
     live = live_predictor(values)
     start = time.perf_counter()
-    predicted = predictions(live, messages, tell)
+    predicted = predictions(live, messages, progress)
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
     del messages  # of a long recording, tens of megabytes
@@ -554,13 +554,13 @@ def observed(
     """
     stream = read_streams(bag, {'measured': topic})['measured']
     assert isinstance(stream, PoseStream)
-    estimated, pose = recording.report.package_world, ONE_WORLD
+    estimated, pose = recording.report.package_world, IDENTITY_POSE
     if world := values['recording.package_world']:
         pose = estimated.pose if estimated else pose_of(world)
     else:
         require_one_frame(recording.tool_pose, stream)
     R_model_tool = world_rotation(values['recording.world'], values['gravity.direction'])
-    pose = _moved(pose, R_model_tool)
+    pose = _transformed_pose(pose, R_model_tool)
     values = {**values, 'recording.package_world': checks.pose_text(pose)}
     observer = Observer(values)
     covariances = [None] * len(stream) if stream.covariance is None else stream.covariance
@@ -598,7 +598,7 @@ def observed(
             **(allowed.parameters if allowed else {})}, allowed)
 
 
-def _moved(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:
+def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:
     """Return a pose, position and quaternion (7,), shifted and then rotated by R."""
     return np.append(R @ (pose[:3] + shift),
                      lie.rotation_to_quaternion(R @ lie.quaternion_to_rotation(pose[3:])))
@@ -625,7 +625,7 @@ def _calibrated(
     shift, shift_std, turn, turn_std, latency, latency_std = calibration
     return {
         'recording.package_world': checks.pose_text(
-            _moved(pose, R_model_tool.T @ lie.exp_so3(-turn), -shift)),
+            _transformed_pose(pose, R_model_tool.T @ lie.exp_so3(-turn), -shift)),
         'measured.offset_std': (float(shift_std.max()), float(turn_std.max())),
         'measured.latency_std': math.hypot(latency, latency_std)}
 

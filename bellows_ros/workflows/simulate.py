@@ -1,5 +1,5 @@
 """
-Simulate a recording of a known cup: a motion and its faults in, a rosbag2 recording out.
+Simulate a recording of a given cup: a motion and its faults in, a rosbag2 recording out.
 
 What a motion file may hold, with units, stands in config/motion_example.yaml.
 """
@@ -32,7 +32,7 @@ from bellows_ros.files import atomic, File
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.workflows.plan import bending, POSE, read_plan, TWIST
-from bellows_ros.workflows.recordings import Progress, silent
+from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
 SAMPLES_PER_PERIOD = 100.0
@@ -76,7 +76,7 @@ class SimulationReport:
     warnings : tuple of str
         What to know before using the recording.
     margin : Margin or None
-        The smallest safety factor of the grip while the package is held; None if not known.
+        The smallest safety factor of the grip while the package is held; None if unknown.
     tosses : tuple of Thrown
         With valve and blow-off as they were drawn.
 
@@ -96,7 +96,7 @@ class SimulationReport:
 
 def simulate_recording(
     parameters: Mapping[str, object], motion: Mapping[str, object], out: File,
-    progress: Progress = silent, replace: bool = False, plan: File = ''
+    progress: Progress = no_progress, replace: bool = False, plan: File = ''
 ) -> SimulationReport:
     """
     Simulate a held package, and write the recording of a tracking system.

@@ -17,7 +17,7 @@ from bellows_ros.files import File
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import attributes, with_units
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.recordings import NO_INERTIA, Progress, silent
+from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
 import numpy as np
 
 StaticBag = tuple[str, Mapping[str, Any]]
@@ -68,13 +68,13 @@ class StaticResult:
         if not len(creeps):
             return ''
         shift, turn = (np.linalg.norm(part, axis=1).max() for part in np.hsplit(creeps, 2))
-        known = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
-                 if self.instant > 1.0 else '')
+        step = (f'; by cup.relaxation, that of a step is {self.instant:.2f} times it'
+                if self.instant > 1.0 else '')
         return (
             f'The rubber creeps in {len(creeps)} of {len(self.standstills)} standstills, by up to '
             f'{1e3 * shift:.2f} mm and {math.degrees(turn):.2f} degrees. Each counts with the '
             'pose in which it comes to rest, which the static stiffness gives. Right after a move '
-            f'the stiffness is at least {self.after_moves:.2f} times the static one{known}.')
+            f'the stiffness is at least {self.after_moves:.2f} times the static one{step}.')
 
     @property
     def after_moves(self) -> float:
@@ -135,9 +135,9 @@ class StaticResult:
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [
                     attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip', 'creep')
-                    for still in found]}
+                    for still in settled]}
                 for recording in self.recordings
-                for found, failed in [standstills_in(recording)]],
+                for settled, failed in [standstills_in(recording)]],
             'warnings': self.warnings})
 
 
@@ -149,17 +149,17 @@ def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
         raise BellowsError(f'{recording.name}: {error}') from None
 
 
-def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
+def read_standstills(values: Mapping[str, Any], progress: Progress) -> StaticResult:
     """
     Return the result from the recordings in the parameter `static.bags`.
 
-    With static.length, the cup has the length that was found.
+    With static.length, the cup has the estimated length.
 
     Parameters
     ----------
     values : mapping
         All parameters.
-    tell : callable
+    progress : callable
         Called with what is being done and the part (0 to 1) that is done.
 
     Raises
@@ -168,7 +168,7 @@ def read_standstills(values: Mapping[str, Any], tell: Progress) -> StaticResult:
         If a recording is not usable, or static.length asks for one that they do not determine.
 
     """
-    result = _read(static_bags(values), values, lambda what, part: tell(what, 0.0))
+    result = _read(static_bags(values), values, lambda what, part: progress(what, 0.0))
     if not values['static.length']:
         return result
     if result.length is None:
@@ -185,7 +185,7 @@ def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
 
 
 def static_check(
-    bags: Sequence[StaticBag], settings: Mapping[str, object], progress: Progress = silent
+    bags: Sequence[StaticBag], settings: Mapping[str, object], progress: Progress = no_progress
 ) -> StaticResult:
     """
     Find the standstills of recordings and the nominal length, and check the spring.
@@ -196,7 +196,7 @@ def static_check(
         Recordings of one cup with known masses.
     settings : mapping
         Parameters by name. The spring is checked if cup.stiffness is among them; with cup.length,
-        or with the length that was found where that is not among them.
+        or with the estimated length where that is not among them.
     progress : callable, optional
         Called with what is being done and the part (0 to 1) that is done.
 
@@ -210,8 +210,8 @@ def static_check(
     if not bags:
         raise BellowsError('No static recording is given. Name one or more rosbag2 folders.')
     each: list[StaticBag] = [
-        (bag, resolve({'package.inertia': NO_INERTIA, **settings, **own}, PACKAGE_PARAMETERS))
-        for bag, own in bags]
+        (bag, resolve({'package.inertia': NO_INERTIA, **settings, **of_bag}, PACKAGE_PARAMETERS))
+        for bag, of_bag in bags]
     values = each[0][1]
     result = _read(each, values, progress)
     if result.length is not None and 'cup.length' not in settings:
@@ -226,23 +226,25 @@ def static_check(
 
 
 def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
-    """Return the result with a cup's spring checked in every pose, at the length found."""
+    """Return the result with a cup's spring checked in every pose, at its length."""
     cup = Cup(cup.stiffness, cup.damping, result.cup_length)
     return replace(result, spring=statics.check_spring(cup, result.standstills, gravity))
 
 
-def _read(each: Sequence[StaticBag], values: Mapping[str, Any], tell: Progress) -> StaticResult:
+def _read(
+    each: Sequence[StaticBag], values: Mapping[str, Any], progress: Progress
+) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists do not matter at rest."""
     recordings = list[Recording]()
     for number, (bag, parameters) in enumerate(each):
-        tell(f'reading {bag}', number / len(each))
+        progress(f'reading {bag}', number / len(each))
         if parameters['recording.package_world'] == ESTIMATE:
             raise BellowsError(
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "
                 'its seven numbers: they are in the cup file of an identification with a motion.')
         at_rest = {**parameters, 'topics.tool_twist': '', 'fit.time_offset': False}
         recordings.append(reading.load(bag, at_rest, with_digest=True))
-        for _, sentence in reading.repeats((each.name, each.digest) for each in recordings):
+        for _, sentence in reading.duplicates((each.name, each.digest) for each in recordings):
             raise BellowsError(sentence)
     result = StaticResult(tuple(recordings), None, '', values['cup.length'],
                           instant=1.0 + sum(values['cup.relaxation']))
@@ -260,13 +262,13 @@ def save_length(result: StaticResult, path: File) -> None:
     Raises
     ------
     BellowsError
-        If none was found, or the file cannot be written.
+        If none was estimated, or the file cannot be written.
 
     """
     if result.length is None:
         raise BellowsError(result.no_length)
     bags = ', '.join(recording.name for recording in result.recordings)
     header = [
-        f'Nominal length found by bellows_ros {__version__} from {bags}:',
+        f'Nominal length estimated by bellows_ros {__version__} from {bags}:',
         f'{result.length.text}.']
     write_parameters(path, {'cup.length': result.length.length}, header)

@@ -37,21 +37,21 @@ class SteeredMotion(NamedTuple):
     """The tool until `TAIL` after the end, N points."""
     states: Array
     """Of B in the world (N, 13): position, quaternion, body twist."""
-    wanted: Trajectory
-    """Wanted motion of B, N points."""
+    reference: Trajectory
+    """Reference motion of B, N points."""
     expected_swing: float
     """RMS of the remaining swing over the uncertainty of cup and package, rad."""
 
     @property
     def tilt(self) -> Array:
-        """Turn of the package (N,) from the pose that is wanted, rad."""
+        """Turn of the package (N,) from its reference, rad."""
         R = quaternion_to_rotation(self.states[:, 3:7])
-        turn = log_so3(np.swapaxes(self.wanted.rotation, -1, -2) @ R)
+        turn = log_so3(np.swapaxes(self.reference.rotation, -1, -2) @ R)
         return np.asarray(np.linalg.norm(turn, axis=1))
 
     def figures(self) -> dict[str, float]:
         """Return the numbers of a summary, SI units."""
-        off = np.linalg.norm(self.states[:, :3] - self.wanted.position, axis=1)
+        off = np.linalg.norm(self.states[:, :3] - self.reference.position, axis=1)
         return {
             'duration': float(self.tool.seconds[-1]), 'added_time': self.added_time,
             'largest_tilt': float(self.tilt.max()), 'path_error': float(off.max()),
@@ -61,7 +61,7 @@ class SteeredMotion(NamedTuple):
             **demands(self.tool)}
 
 
-OF_EXCITE = (
+EXCITE_SETTINGS = (
     'start', 'joints', 'rotation', 'excitation', 'bending', 'torsion', 'highest_frequency',
     'tracking')
 """Settings in a limits file that only `bellows excite` reads."""
@@ -87,7 +87,7 @@ class SteerReport(CommandResult):
     limit : str
         The limit that required this.
     uncertain : bool
-        Whether the uncertainty of any parameter is known.
+        Whether any parameter has a standard deviation.
 
     """
 
@@ -175,15 +175,15 @@ def steer_plan(
     model, of_package = source.model, source.moves == source.values['frames.package']
     bound = bool(limits) or source.joints is not None
     scale, limit = _scale(source, method, of_package, bounds) if bound else (1.0, '')
-    wanted = timed(source.tool, scale)
-    steered = steer(model, wanted, method, of_package)
-    arrival = float((wanted if method == 'inverse' else steered.tool).seconds[-1])
+    reference = timed(source.tool, scale)
+    steered = steer(model, reference, method, of_package)
+    arrival = float((reference if method == 'inverse' else steered.tool).seconds[-1])
     motions = {method: _motion(source, steered.tool, steered.package, arrival)}
     try:
         planned = tool_above(model, source.tool) if of_package else source.tool
         motions['as planned'] = _motion(source, planned, hanging(model, planned), source.duration)
         if method == 'inverse':
-            other = steer(model, wanted, 'zvd', of_package)
+            other = steer(model, reference, 'zvd', of_package)
             motions['zvd'] = _motion(
                 source, other.tool, other.package, float(other.tool.seconds[-1]))
     except UnstableError:  # as planned the package falls over: the method stands alone
@@ -211,7 +211,7 @@ def read_limits(content: object) -> Limits:
     lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
                     for name, size in (('lower', -NONE), ('upper', NONE)))
     acceleration = settings.number('joint_acceleration', NONE, 'rad/s^2 or m/s^2', above=0.0)
-    settings.done(ignored=OF_EXCITE)
+    settings.done(ignored=EXCITE_SETTINGS)
     if (lower >= upper).any():
         raise settings.error(
             'workspace', f'workspace.lower is {lower.tolist()} and workspace.upper '
@@ -246,7 +246,9 @@ def _scale(source: Source, method: str, of_package: bool, limits: Limits) -> tup
     return stretched(limits, motion)
 
 
-def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float) -> SteeredMotion:
+def _motion(
+    source: Source, tool: Trajectory, reference: Trajectory, arrival: float
+) -> SteeredMotion:
     """Return the effect of a motion of the tool on the package, which arrives then (s)."""
     model = source.model
     run, longer = PlanSimulation(model, source.grip, tool), standing(tool, TAIL)
@@ -255,5 +257,5 @@ def _motion(source: Source, tool: Trajectory, wanted: Trajectory, arrival: float
         lambda changed: float(run.with_model(changed).predict().figures()['swing_left']))
     return SteeredMotion(
         tool, run.predict(), arrival - source.duration, longer,
-        PlanSimulation(model, None, longer, tail=0.0).states(), standing(wanted, TAIL),
+        PlanSimulation(model, None, longer, tail=0.0).states(), standing(reference, TAIL),
         math.sqrt(square))

@@ -31,7 +31,7 @@ from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import UNIT_OF, with_units
 from bellows_ros.workflows import CommandResult, plan
-from bellows_ros.workflows.recordings import load, Progress, silent, values_of_each
+from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
 import numpy as np
 
 RATE = 500.0
@@ -96,7 +96,7 @@ class TossResult(CommandResult):
 
     @property
     def per_millisecond(self) -> float:
-        """By how much (m) each millisecond of the valve moves the landing; 0 if not known."""
+        """By how much (m) each millisecond of the valve moves the landing; 0 if unknown."""
         return next((1e-3 * share.metres / share.std for share in self.shares()
                      if share.name == 'release.delay'), 0.0)
 
@@ -206,7 +206,7 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
 def toss_plan(
     path: plan.MotionSource, parameters: Mapping[str, object], switched: float | None,
     target: tuple[float, float] | None = None, target_rotation: Array | None = None,
-    monte_carlo: int = 0, progress: Progress = silent, urdf: str = '',
+    monte_carlo: int = 0, progress: Progress = no_progress, urdf: str = '',
     topic: str = ''
 ) -> TossResult:
     """
@@ -241,8 +241,8 @@ def toss_plan(
         raise BellowsError(
             'Neither a time nor a target is given. Give --release T or --target.'
             if target_rotation is None else
-            'An orientation is wanted, but no target. Give --target X Y beside '
-            '--target-rotation, or leave it out.')
+            'An orientation is given, but no target. Give --target X Y with --target-rotation, or '
+            'leave it out.')
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
     release, gravity = release_of(source.values), source.gravity
@@ -255,8 +255,8 @@ def toss_plan(
     asked = aim = None
     if target is not None:
         asked = None if switched is None else toss(held, release, switched)
-        wanted = None if target_rotation is None else quaternion_to_rotation(target_rotation)
-        aim = landing.aim(held, release, target, wanted)
+        rotation = None if target_rotation is None else quaternion_to_rotation(target_rotation)
+        aim = landing.aim(held, release, target, rotation)
         switched = aim.switched
     assert switched is not None
     nominal = toss(held, release, switched)
@@ -307,8 +307,8 @@ class ReleaseResult:
         numbers = (f'{RELEASE_NAMES[k]} ({fit.law[k]:.3g} +- {fit.std[k]:.2g} '
                    f'{RELEASE_UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in fixed)
         return tuple(text for text, applies in (
-            (f'Not identifiable from these drops, so that what is given is used, or of a usual '
-             f'cup: {", ".join(numbers)}. Tosses of other masses are less certain; drops of a '
+            (f'Not identifiable from these drops, so the given or default value is used: '
+             f'{", ".join(numbers)}. Tosses of other masses are less certain; drops of a '
              'package of half or twice the mass would determine more.', fixed),
             (f'{count} of {count + len(self.used)} valve-offs are not used: '
              f'{"; ".join(self.left_out)}.', count)) if applies)
@@ -351,7 +351,7 @@ class ReleaseResult:
 
 
 def identify_release(
-    settings: Mapping[str, object], progress: Progress = silent
+    settings: Mapping[str, object], progress: Progress = no_progress
 ) -> ReleaseResult:
     """
     Identify the law of release from the drops in the recordings that `bags` names.
@@ -359,7 +359,7 @@ def identify_release(
     Parameters
     ----------
     settings : mapping
-        Parameters by name; the cup is known, and the package of each recording.
+        Parameters by name, with the cup, and the package of each recording.
     progress : callable
         Called with what is being done and the part (0 to 1) that is done.
 
@@ -409,7 +409,7 @@ def _valves(bag: str, values: Mapping[str, Any]) -> list[int]:
         if (on := decode_bool(data)) is not None) if topic else []
     if not switched:
         raise NoTopicError(
-            f"'{bag}' has no std_msgs/Bool on '{topic}', so that nothing is known of when the "
-            'valve was switched. Record it (false for off), or name its topic with topics.valve.')
+            f"'{bag}' has no std_msgs/Bool on '{topic}', so the times of the "
+            'valve are unknown. Record it (false for off), or name its topic with topics.valve.')
     return [log_ns for k, (log_ns, on) in enumerate(switched)
             if not on and (not k or switched[k - 1][1])]

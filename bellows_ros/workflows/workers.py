@@ -17,7 +17,7 @@ from bellows_ros.errors import BellowsError, install
 from bellows_ros.files.atomic import remove_abandoned
 from bellows_ros.workflows.recordings import Failed
 
-ANSWER_WITHIN = 10.0
+ANSWER_TIMEOUT = 10.0
 """Longest wait (s) for an answer of the Dask scheduler."""
 
 PARENT_CHECK_PERIOD = 0.5
@@ -34,7 +34,7 @@ Outcome = tuple[int, Any]
 def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
     """Yield the results of processes on this machine, as they come."""
     if jobs == 1 or len(work) == 1:
-        yield from (_tried(task, *item) for item in work)
+        yield from (_attempt(task, *item) for item in work)
         return
     joblib = _imported('joblib', 'parallel', '--jobs')
     pending = {item[0]: item for item in work}
@@ -71,7 +71,7 @@ def _in_pool(
     def handed() -> Iterator[Any]:
         for item in work:
             begun.append(item[0])
-            yield joblib.delayed(_watched)(os.getpid(), task, *item)
+            yield joblib.delayed(_attempt_in_child)(os.getpid(), task, *item)
 
     results = parallel(handed())
     try:
@@ -81,14 +81,16 @@ def _in_pool(
         remove_abandoned(tempfile.gettempdir())
 
 
-def _watched(parent: int, task: Task, number: int, bag: str, values: Mapping[str, Any]) -> Outcome:
-    """Return the result of `_tried`, in a process that ends with its parent."""
-    _end_with(parent)
-    return _tried(task, number, bag, values)
+def _attempt_in_child(
+    parent: int, task: Task, number: int, bag: str, values: Mapping[str, Any]
+) -> Outcome:
+    """Return the result of `_attempt`, in a process that ends with its parent."""
+    _exit_with_parent(parent)
+    return _attempt(task, number, bag, values)
 
 
 @cache
-def _end_with(parent: int) -> None:
+def _exit_with_parent(parent: int) -> None:
     """End this process, from a thread, once its parent is gone: even one that was killed."""
     def watch() -> None:
         while os.getppid() == parent:
@@ -98,7 +100,7 @@ def _end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _tried(task: Task, number: int, bag: str, values: Mapping[str, Any], **more: Any) -> Outcome:
+def _attempt(task: Task, number: int, bag: str, values: Mapping[str, Any], **more: Any) -> Outcome:
     """Return the result of a task on a recording, or the reason of any failure."""
     try:
         return number, task(bag, values, **more)
@@ -114,16 +116,16 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
     logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are reported here
     try:
         # A client without a scheduler cannot be closed: look for the scheduler first.
-        asyncio.run(_reach(distributed, address))
-        client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
+        asyncio.run(_require_scheduler(distributed, address))
+        client = distributed.Client(address, timeout=ANSWER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise BellowsError(
             f"No Dask scheduler answers at '{address}': {error}. Start one with 'dask scheduler', "
             'and give the address that it prints.') from None
     with client:
         futures = [
-            client.submit(_tried, task, number, bag, values, path=os.path.abspath(bag), pure=False)
-            for number, bag, values in work]
+            client.submit(_attempt, task, *item, path=os.path.abspath(item[1]), pure=False)
+            for item in work]
         for future, (number, bag, _) in zip(futures, work, strict=True):
             try:
                 result: Outcome = future.result()
@@ -137,9 +139,9 @@ def on_dask(work: Sequence[Work], address: str, task: Task) -> Iterator[Outcome]
             future.release()
 
 
-async def _reach(distributed: Any, address: str) -> None:
+async def _require_scheduler(distributed: Any, address: str) -> None:
     """Connect to a scheduler, and close the connection."""
-    comm = await distributed.comm.connect(address, timeout=ANSWER_WITHIN)
+    comm = await distributed.comm.connect(address, timeout=ANSWER_TIMEOUT)
     await comm.close()
 
 

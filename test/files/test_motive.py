@@ -132,7 +132,7 @@ def test_bodies_are_read_and_bad_frames_left_out(tmp_path):
 
 def test_fewer_markers_may_be_allowed(tmp_path):
     """Keep the pose that was made of two markers."""
-    tool, _ = read_motive(export(tmp_path / 'take.csv'), fewest_markers=2)
+    tool, _ = read_motive(export(tmp_path / 'take.csv'), min_markers=2)
     assert tool.unseen == 0 and len(tool.stamps_ns) == 4
 
 

@@ -80,7 +80,7 @@ def test_every_pair_of_severities_is_reported_and_logged(
     monkeypatch.setattr(predictor_node, 'REPORT_PERIOD', 0.2)
     partner = make_partner(with_twists=False)
     predictor = partner.predictor
-    for name in ('LOGGED_AFTER', 'LOGGED_EVERY'):
+    for name in ('LOG_DELAY', 'LOG_INTERVAL'):
         monkeypatch.setattr(predictor_node, name, 0.0)
     monkeypatch.setattr(predictor.pipeline.load, 'reset', lambda: (
         Safety(0.5, 'peel'), None, 0.0))
@@ -151,7 +151,7 @@ def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(partner)
 
 def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, capfd):
     """Log bad quaternions though a silent topic, which is as bad, has just been logged."""
-    monkeypatch.setattr(predictor_node, 'LOGGED_AFTER', 0.0)
+    monkeypatch.setattr(predictor_node, 'LOG_DELAY', 0.0)
     predictor = make_predictor()
     for _ in range(2):
         predictor.diagnostics.report()

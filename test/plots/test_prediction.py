@@ -4,7 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 
 from bellows_ros.core.signals.residuals import Comparison, score
-from bellows_ros.plots.recording import prediction_figure, two_figures
+from bellows_ros.plots.recording import prediction_figure, two_digits
 from bellows_ros.plots.style import drawing, inline_svg, THEMES
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_each_axis_has_both_curves_and_their_difference(figure, comparison):
         np.testing.assert_allclose(error, predicted - measured)
         unit = 'mm' if axis < 3 else 'mrad'
         assert upper.get_ylabel().endswith(f'({unit})')
-        rms = two_figures(1e3 * comparison.scores.rms[axis])
+        rms = two_digits(1e3 * comparison.scores.rms[axis])
         assert f'{rms} {unit}' in upper.get_title('right')
 
 

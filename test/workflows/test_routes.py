@@ -110,7 +110,7 @@ def test_dask_cluster_gives_the_same(settings, one_result, cluster):
     'nonsense://127.0.0.1:1', 'tcp://127.0.0.1:1'])
 def test_no_scheduler(settings, address, monkeypatch):
     pytest.importorskip('distributed', reason='extra dask')
-    monkeypatch.setattr(workers, 'ANSWER_WITHIN', 0.5)
+    monkeypatch.setattr(workers, 'ANSWER_TIMEOUT', 0.5)
     with pytest.raises(BellowsError, match=f"No Dask scheduler answers at '{address}'"):
         identify(settings, dask=address)
     gc.collect()  # nothing is left that would wait for the scheduler when it is collected
