@@ -84,8 +84,8 @@ setup(
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
-        'py.typed', 'core/parameters/table.toml', 'files/bellows_cup.h', 'files/cup.mjcf',
-        'files/cup.sdf', 'files/motion.script', 'files/units.toml', 'nodes/identifier.toml',
+        'py.typed', 'cli/commands.toml', 'core/parameters/table.toml', 'files/bellows_cup.h',
+        'files/cup.mjcf', 'files/cup.sdf', 'files/motion.script', 'files/units.toml', 'nodes/identifier.toml',
         'nodes/predictor.toml', 'plots/pictures.mplstyle', 'report/page.html',
         'report/style.css']},
     python_requires='>=3.11',

@@ -7,12 +7,12 @@ A command is a module of this package with its name, which has
   shows them;
 - `run(arguments, console)`: its work; returns the exit code.
 
-It is imported only to run; help needs its docstring and the tables in `arguments.py`.
+It is imported only to run; help needs its docstring and `commands.toml`.
 """
 
 import argparse
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 import difflib
 import importlib
 import os
@@ -20,31 +20,12 @@ from pathlib import Path
 import re
 import sys
 import textwrap
-from types import MappingProxyType
 from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
 
-from .arguments import ARGUMENTS, NEGATIVE_RESULTS, Output, STDOUT
+from .arguments import arguments_of, COMMANDS, Output, STDOUT
 from .console import Console, EXIT_CODES, run_guarded, USER_ERROR
-
-COMMANDS: Mapping[str, str] = MappingProxyType({
-    'info': 'list the topics of a recording, and guess which is the tool',
-    'identify': "identify a cup's stiffness and damping from recordings",
-    'structures': 'report what is identifiable from recordings, and recommend a structure',
-    'static': "find the cup's nominal length from standstills, and check its spring alone",
-    'replay': 'predict a recording with a cup, and report how well it does',
-    'compare': 'report what differs between two fits, and whether it matters',
-    'plan': 'predict what a planned motion does to the package, and if it holds',
-    'steer': 'change a planned motion so that the package does not swing',
-    'toss': 'predict where a tossed package lands, and what limits the accuracy',
-    'excite': 'design a motion that identifies a cup best',
-    'simulate': 'simulate a recording of a known cup',
-    'plot': 'draw recordings, fits and predictions',
-    'play': 'play the poses and twists of a recording to ROS',
-    'convert': 'make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or tf',
-    'export': 'write a cup for MuJoCo, as SDF, or as C',
-    'parameters': 'list all parameters, or write a parameter file to fill in'})
 
 DESCRIPTION = (
     'Identify bellows suction cups from recordings (rosbag2), and predict the motion of the '
@@ -138,8 +119,8 @@ def _complete() -> None:
 
     parser = argparse.ArgumentParser('bellows')
     commands = parser.add_subparsers()
-    for name, text in COMMANDS.items():
-        command = commands.add_parser(name, help=text)
+    for name, entry in COMMANDS.items():
+        command = commands.add_parser(name, help=entry['does'])
         add_arguments(command, name)
         for action in command._actions:
             if action.dest == 'overrides':
@@ -150,7 +131,8 @@ def _complete() -> None:
 def _answer(arguments: list[str]) -> NoReturn:
     """Answer --help and --version, and refuse an unknown command."""
     width = max(map(len, COMMANDS))
-    commands = '\n'.join(f'  {name:{width}}  {text}' for name, text in COMMANDS.items())
+    commands = '\n'.join(
+        f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
     parser = Parser(
         'bellows', DESCRIPTION, f'commands:\n{commands}\n\nEach has its own help: bellows '
         f'COMMAND --help\n\n{TRY}\n{EXIT_CODES}', usage='bellows COMMAND [ARGUMENTS]')
@@ -178,7 +160,7 @@ def described(name: str) -> tuple[str, list[tuple[str, str]]]:
 
 def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
     """Add the arguments of a command to a parser."""
-    for argument, settings in ARGUMENTS[name]:
+    for argument, settings in arguments_of(name):
         parser.add_argument(argument, **settings)
 
 
@@ -186,9 +168,10 @@ def command_parser(name: str) -> Parser:
     """Return the parser of a command."""
     text, pairs = described(name)
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in pairs)
-    negative = f'1 if {NEGATIVE_RESULTS[name]}, ' if name in NEGATIVE_RESULTS else ''
+    negative = COMMANDS[name].get('negative')
     ends = textwrap.fill(
-        f'Ends with 0 when done, {negative}2 if something must be put right.', WIDTH)
+        f'Ends with 0 when done, {f"1 if {negative}, " if negative else ""}2 if something must be '
+        'put right.', WIDTH)
     parser = Parser(f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
     add_arguments(parser, name)
     return parser

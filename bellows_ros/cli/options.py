@@ -18,8 +18,11 @@ from bellows_ros.files.bag_folder import require_no_input
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import provenance, write_json
 
-from .arguments import Binary, Folder, INTERVAL, Output, STDOUT
+from .arguments import Binary, Folder, Output, STDOUT
 from .console import Console, NOT_USABLE, OK
+
+INTERVAL = {'from': 'recording.start', 'to': 'recording.end'}
+"""The parameters that options for a part of a recording set."""
 
 INPUTS = ('bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
 """Parameters that name inputs."""

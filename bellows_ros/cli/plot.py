@@ -36,10 +36,10 @@ from bellows_ros.plots.style import FILMS, PICTURES, require_picture, write_figu
 from bellows_ros.workflows.plot import data_json, loads, margins, motion, replayed, spectra, within
 
 from . import options
-from .arguments import FULL_RANGE
 from .console import Console, OK, Progress
 
 WITHOUT_CUP = ('motion', 'spectra', 'path')
+FULL_RANGE = (float('-inf'), float('inf'))  # s
 MAX_SPEED = 100.0  # times real time
 
 

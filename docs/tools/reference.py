@@ -134,8 +134,8 @@ def commands() -> Iterator[str]:
                 'The work of the nodes from a shell, without ROS. Each command has `--help` with '
                 'examples; `eval "$(register-python-argcomplete bellows)"` completes commands, '
                 'options and parameters in the shell (extra `complete`).', '')
-    for name, text in COMMANDS.items():
-        does, examples = described(name)
+    for name, entry in COMMANDS.items():
+        text, (does, examples) = entry['does'], described(name)
         yield from (f'## bellows {name}', '', f'{text[0].upper()}{text[1:]}.', '',
                     ' '.join(does.split()), '')
         rows = [_argument(action) for action in command_parser(name)._actions[1:]]  # not --help
@@ -206,7 +206,7 @@ def results() -> Iterator[str]:
         'and twists are linear first, quaternions x y z w. `K` and `P` are in axes of the lip S; '
         'coordinates of six axes (`rms`, `motion`) are those of the package relative to the tool, '
         'in tool axes; releases and landings are in the world, of the centre of mass B. `null` is '
-        'a number that is not known, `X_std` the standard error of `X`. In a file every mapping '
+        'an unknown number, `X_std` the standard error of `X`. In a file every mapping '
         'has the units of its numbers beside them, in `units` or `unit`; stamps (`_ns`), times '
         '(`_s`), rates (`_hz`) and counts say so in their names. `settings` are '
         '[parameters](parameters.md); `provenance` has files, digests and versions.', '',

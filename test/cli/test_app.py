@@ -17,8 +17,8 @@ def test_help_names_every_command(bellows):
     """List all commands with what they do, and the exit codes."""
     done = bellows('--help')
     assert (done.returncode, done.stderr) == (0, '')
-    for name, text in COMMANDS.items():
-        assert f'{name} ' in done.stdout and text in done.stdout
+    for name, entry in COMMANDS.items():
+        assert f'{name} ' in done.stdout and entry['does'] in done.stdout
     assert 'exit codes' in done.stdout and '130' in done.stdout
     assert bellows('--version').stdout == f'bellows {bellows_ros.__version__}\n'
 
