@@ -1,13 +1,12 @@
 """
 Cups for other programs: MuJoCo (MJCF), SDF and C, and the limits of each.
 
-The simulators put a spring with the diagonals of K and P between the tool tip and the package, in
+The simulators have a spring with the diagonals of K and P between the tool tip and the package, in
 the middle of the cup. None has the energy (3.17) of the thesis, off-diagonal entries, or a damper
 of (3.35). The header in C (bellows_cup.h, and the numbers behind it) is the model itself.
 """
 
 from collections.abc import Callable, Mapping
-from itertools import product
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
@@ -24,9 +23,6 @@ import numpy as np
 # A link of SDF without a mass weighs 1 kg. The tool and the links between single joints have this
 # part of the package's mass and inertia instead.
 DUMMY = 1e-3
-AXES = {'x': '1 0 0', 'y': '0 1 0', 'z': '0 0 1'}
-"""With their unit vectors."""
-
 HEADER = Path(__file__).with_name('bellows_cup.h')
 """The model in C, with placeholders for the numbers."""
 
@@ -74,12 +70,7 @@ def _inertia(package: Package) -> tuple[float, ...]:
 
 def mjcf(cup: Cup, package: Package, *_: Any) -> str:
     """Return a MuJoCo model (XML)."""
-    stiffness, damping = (np.diag(m).tolist() for m in (cup.stiffness, cup.damping))
-    joints = '\n'.join(
-        f'        <joint name="cup_{kind}_{axis}" type="{kind}" axis="{AXES[axis]}" '
-        f'stiffness="{stiffness[i]!r}" damping="{damping[i]!r}"/>'
-        for i, (kind, axis) in enumerate(product(('slide', 'hinge'), AXES)))
-    return _filled('cup.mjcf', cup, package, inertia=_numbers(_inertia(package)), joints=joints)
+    return _filled('cup.mjcf', cup, package, _numbers(_inertia(package)))
 
 
 def sdf(cup: Cup, package: Package, *_: Any) -> str:
@@ -91,31 +82,15 @@ def sdf(cup: Cup, package: Package, *_: Any) -> str:
     moment = DUMMY * float(np.min(np.linalg.eigvalsh(package.inertia)))
     dummy = (f'      <inertial><mass>{DUMMY * package.mass!r}</mass>\n'
              f'        {_tensor((moment,) * 3 + (0.0,) * 3)}\n      </inertial>')
-    between = [f'between_{i}' for i in range(1, 6)]
-    chain = [f'    <link name="{link}"><pose>0 0 {-cup.length / 2.0!r} 0 0 0</pose>\n{dummy}\n'
-             '    </link>' for link in between]
-    kinds = product(('prismatic', 'revolute'), AXES)
-    for parent, child, (kind, axis), stiffness, damping in zip(
-            ['tool', *between], [*between, 'package'], kinds, np.diag(cup.stiffness).tolist(),
-            np.diag(cup.damping).tolist(), strict=True):
-        chain += [
-            f'    <joint name="cup_{kind}_{axis}" type="{kind}">',
-            f'      <parent>{parent}</parent><child>{child}</child>',
-            f'      <axis><xyz>{AXES[axis]}</xyz>',
-            f'        <dynamics><damping>{damping!r}</damping><spring_reference>0'
-            f'</spring_reference><spring_stiffness>{stiffness!r}</spring_stiffness></dynamics>',
-            '        <limit><lower>-1e16</lower><upper>1e16</upper></limit>',
-            '      </axis>',
-            '    </joint>']
-    return _filled('cup.sdf', cup, package, inertia=_tensor(_inertia(package)),
-                   dummy=dummy, chain='\n'.join(chain))
+    return _filled('cup.sdf', cup, package, _tensor(_inertia(package)), dummy)
 
 
-def _filled(name: str, cup: Cup, package: Package, **parts: str) -> str:
-    """Return a template with cup, package and other parts in it."""
+def _filled(name: str, cup: Cup, package: Package, inertia: str, dummy: str = '') -> str:
+    """Return a template with cup and package in it."""
     return Path(__file__).with_name(name).read_text().format(
+        K=np.diag(cup.stiffness).tolist(), P=np.diag(cup.damping).tolist(), dummy=dummy,
         middle=repr(-cup.length / 2.0), com=_numbers(package.com + [0.0, 0.0, -cup.length / 2.0]),
-        mass=repr(package.mass), **parts)
+        mass=repr(package.mass), inertia=inertia)
 
 
 def _tensor(values: tuple[float, ...]) -> str:
@@ -132,7 +107,7 @@ def header(
     """
     Return a header in C99: the model, and the numbers of this cup and package by their name.
 
-    The model has a guard of its own, so that a program may include several cups; two of one name
+    The model has a separate guard, so that a program may include several cups; two of one name
     do not compile. Gravity is in the world, m/s^2.
 
     Raises
