@@ -5,9 +5,9 @@ import importlib.util
 
 class BellowsError(Exception):
     """
-    Report something the user can put right, in words that say how.
+    An error that the user can correct; the message says how.
 
-    The message names what is wrong, what was expected, what was got, and the remedy. Commands
+    The message has what is wrong, what was expected, what was got, and the remedy. Commands
     and nodes print it without a traceback and end with `exit_code`; anything that is not a
     `BellowsError` is a defect of this package and keeps its traceback.
 

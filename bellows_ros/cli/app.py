@@ -170,8 +170,7 @@ def command_parser(name: str) -> Parser:
     examples = '\n'.join(f'  {line}\n      {what}' for line, what in pairs)
     negative = COMMANDS[name].get('negative')
     ends = textwrap.fill(
-        f'Ends with 0 when done, {f"1 if {negative}, " if negative else ""}2 if something must be '
-        'put right.', WIDTH)
+        f'Exit code 0 when done, {f"1 if {negative}, " if negative else ""}2 on an error.', WIDTH)
     parser = Parser(f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
     add_arguments(parser, name)
     return parser

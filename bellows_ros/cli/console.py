@@ -22,7 +22,7 @@ from typing import Any, NoReturn, TextIO
 
 from bellows_ros.errors import BellowsError
 
-# What a command ends with.
+# Exit codes.
 OK = 0
 NOT_USABLE = 1
 USER_ERROR = 2
@@ -30,9 +30,9 @@ PIPE_CLOSED = 141
 
 EXIT_CODES = """exit codes:
   0    done
-  1    done, with a finding that scripts want to know; see the command
-  2    something to put right: the message says what; no output is half written
-  130  interrupted with Ctrl-C, 143 ended by SIGTERM; nothing is left half done
+  1    done, with a negative result; see the command
+  2    error: the message says what to correct; no partial output
+  130  interrupted with Ctrl-C, 143 ended by SIGTERM; no partial output
 """
 
 WIDTH, MIN_WIDTH = 79, 40
@@ -198,7 +198,7 @@ class Progress:
 
 
 def progress_line(stage: str, fraction: float | None, elapsed: float) -> str:
-    """Return a line with a bar, and the time left (s) unless the stage already gives it."""
+    """Return a line with a bar, and the time left (s) unless the stage has it."""
     if fraction is None:
         return f'{stage} ...'
     done = min(max(fraction, 0.0), 1.0)
@@ -322,7 +322,7 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
         number = (*ended, signal.SIGINT)[0]
         how = 'Interrupted' if number == signal.SIGINT else (
             f'Ended by {signal.Signals(number).name}')
-        console.note(f'{how}; nothing was left half done.')
+        console.note(f'{how}; no partial output was left.')
         return 128 + number
 
 

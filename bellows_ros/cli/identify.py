@@ -1,9 +1,9 @@
 r"""
 Identify the stiffness K and damping P of a cup from recordings of the tool arm and the package.
 
-The parameter file gives the known quantities (the package, the cup's length, the topics), the
+The parameter file has the given quantities (the package, the cup's length, the topics), the
 method, and optional inputs: standstills, recordings for validation, a comparison of structures.
---release takes the cup as known and identifies the valve from recordings of tosses.
+--release identifies, with a given cup, the valve from recordings of tosses.
 
 Examples
 --------
@@ -142,7 +142,7 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
 
 
 def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """Return the parameters of files and --set, with those that have an argument of their own."""
+    """Return the parameters of files and --set, with those that have an argument."""
     values = options.read_settings(
         arguments, 'identifier', console if arguments.release else None)
     named = {

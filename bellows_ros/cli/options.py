@@ -173,7 +173,7 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
     for target, other in permutations(targets, 2):
         if target == other or other in target.parents:
             raise BellowsError(
-                f"Two outputs have the same name, or one lies in the other: '{target}'. Rename "
+                f"Two outputs have the same name, or one is in the other: '{target}'. Rename "
                 'one.')
 
 
@@ -209,7 +209,7 @@ def run_plan_command(
     film : callable
         Writes a film of a result as `plot`.
     succeeded : callable
-        Whether the command ends with 0.
+        Whether the exit code is 0.
 
     """
     values = read_settings(arguments, cup_for=console)

@@ -75,7 +75,7 @@ def _excitation_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _parameter_rows(excitation: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return a table, with its head, of what is known of each entry of K and P."""
+    """Return a table, with its head, on each entry of K and P."""
     formats = {'value': '.4g', 'signal_to_noise': '.3g', 'bias': '+.1%'}
     return [('parameter', 'first estimate', 'signal to noise', 'expected bias', 'identifiable'), *(
         (label, *(formatted(entry[key], form) for key, form in formats.items()),

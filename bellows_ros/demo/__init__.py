@@ -4,7 +4,7 @@ The demonstration on the recordings in bags/: `python -m bellows_ros.demo`.
 Identifies a cup, starts the node predictor with it, plays another recording to it over DDS at
 recorded speed, and shows how well the predicted poses meet the measured ones.
 
-Here: how it, and the tests, keep ROS on this machine and in a domain of their own.
+`isolate`, for it and the tests, restricts ROS to this machine and an unused domain.
 """
 
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""The steps of the demonstration, with the node predictor as a process of its own."""
+"""The steps of the demonstration, with the node predictor in another process."""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -65,12 +65,12 @@ def run(bags: Path, out: Path, console: Console) -> int:
                    if not (bags / name).exists()]:
         raise BellowsError(
             f"'{missing[0]}' does not exist. Start in the folder that contains bags, or give it "
-            "with --bags; 'make bags' makes the recordings again.")
+            "with --bags; 'make bags' simulates the recordings again.")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BellowsError(
-            f"Output folder '{out}' cannot be made: {error.strerror}. Give another with --out."
+            f"Output folder '{out}' cannot be created: {error.strerror}. Give another with --out."
         ) from None
     package, bag = read_parameters(bags / PACKAGE), bags / IDENTIFICATION
     console.line(f'1. Identify the cup from {bag}', 'bold')
@@ -106,7 +106,7 @@ def _predict_live(
     """
     Play a recording's tool-arm messages to the node predictor at recorded speed.
 
-    From here on this process has a ROS domain of its own, reached from this machine only.
+    From here on this process has an unused ROS domain, reached from this machine only.
     """
     with tempfile.TemporaryDirectory(prefix='bellows_log_') as logs:
         isolate(logs)
@@ -156,7 +156,7 @@ def predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], No
     parameters : sequence of Path
         Each for --params-file.
     log : Path
-        Gets all that the node says.
+        Gets the node's output.
 
     Yields
     ------

@@ -211,7 +211,7 @@ def _failed(path: File, error: Exception) -> BellowsError:
     """Return the error for output that cannot be written."""
     reason = getattr(error, 'strerror', None) or str(error)
     return BellowsError(
-        f"Output '{os.fspath(path)!s}' cannot be written: {reason}. It is as it was before.")
+        f"Output '{os.fspath(path)!s}' cannot be written: {reason}. Nothing was changed.")
 
 
 PREFIX = '.bellows-'

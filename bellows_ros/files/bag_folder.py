@@ -228,7 +228,7 @@ def _inside(folder: Path, name: str) -> Path:
     if not path.is_file() or path.resolve().parent != folder.resolve():
         raise BellowsError(
             f"Recording '{folder}' lacks '{name[:200]}', which {METADATA} names; files outside "
-            'the folder are not read. Copy it whole.')
+            'the folder are not read. Copy the whole folder.')
     return path
 
 

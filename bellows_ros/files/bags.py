@@ -59,7 +59,7 @@ class Contents(NamedTuple):
     problems : dict of role to BellowsError
         Why the other roles cannot be read.
     notes : tuple of str
-        What is missing in the recording, or differs from what it says of itself.
+        What is missing in the recording, or contradicts its metadata.
 
     """
 
@@ -77,7 +77,7 @@ class _Bag:
     counts : dict
         Every topic, with its number of messages; filled while reading.
     notes : list of str
-        What is missing in it, or differs from what it says of itself; whole once it is read.
+        What is missing in it, or contradicts its metadata; complete once it is read.
 
     """
 
@@ -107,15 +107,15 @@ class _Bag:
             except (DamagedError, bag_folder.ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
-                    'Give a sound copy, or record again.') from None
+                    'Use an undamaged copy, or record again.') from None
             except OSError as error:
                 raise BellowsError(f"File '{file}' cannot be read: {error}.") from None
-            self.notes += [f"File '{file}' is not whole: {what}." for what in losses]
+            self.notes += [f"File '{file}' is incomplete: {what}." for what in losses]
         count, stated = sum(self.counts.values()), self._listed.information.get('message_count')
         if self._listed.information and stated != count:
             self.notes.append(
                 f'The recording has {count} messages, but {bag_folder.METADATA} says '
-                f'{str(stated)[:20]}. Was it copied whole?')
+                f'{str(stated)[:20]}. Is the copy complete?')
 
     def require_messages(self) -> None:
         """Refuse a recording without messages."""
@@ -134,7 +134,7 @@ def topics(path: File, notes: list[str] | None = None) -> list[TopicCount]:
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     notes : list of str, optional
-        Gets what is missing in the recording, or differs from what it says of itself.
+        Gets what is missing in the recording, or contradicts its metadata.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def read_messages(path: File, names: Collection[str] = ()) -> tuple[list[Message
     -------
     list of Message
     list of str
-        What is missing in the recording, differs from what it says of itself, or was left out.
+        What is missing in the recording, contradicts its metadata, or was left out.
 
     Raises
     ------
@@ -368,7 +368,7 @@ class _Collector:
 
 
 def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -> Stream:
-    """Return the stream of a role, by what was collected for it, or say what is wrong."""
+    """Return the stream of a role, from its messages, or raise what is wrong."""
     filled = [each for each in collectors if bag.counts[each.topic]]
     if len(filled) > 1:
         raise BellowsError(
@@ -377,7 +377,7 @@ def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -
     if filled and bag.counts[filled[0].topic] > MAX_MESSAGES:
         raise BellowsError(
             f"Topic '{name}' has more than {MAX_MESSAGES} messages. "
-            'Give a part of the recording.')
+            'Give a shorter recording.')
     if filled:
         return filled[0].stream(bag.path)
     where = f"'{name}' in recording '{bag.path}'"
@@ -405,7 +405,7 @@ def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -
 
 def _plain(batch: Batch) -> Batch:
     """
-    Return messages decompressed where each was compressed on its own.
+    Return messages decompressed where each was compressed.
 
     A damaged one is empty then, which is counted later.
     """
@@ -518,7 +518,7 @@ def scan_database(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Ite
 
 
 def _require_closed(path: Path) -> None:
-    """Refuse a database whose last changes are still in a file beside it."""
+    """Refuse a database whose last changes are still in its journal."""
     for suffix in ('-wal', '-journal'):
         other = path.with_name(path.name + suffix)
         if other.is_file() and other.stat().st_size:

@@ -56,7 +56,7 @@ def scan(
     counts : dict
         Filled while reading: every topic, and at the end its number of messages.
     notes : list of str
-        Filled while reading: what was lost because the recording was not ended.
+        Filled while reading: what was lost because the recording was not closed.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def scan(
         if size >= 2 * len(MAGIC) and file.read() == MAGIC:  # it ends well
             raise DamagedError(reason) from None
         notes.append(
-            f'its recording was not ended, {reason}: {sum(scanned.met.values())} messages were '
+            f'the recording was not closed, {reason}: {sum(scanned.met.values())} messages were '
             f'read; the last {size - scanned.whole} of {size} bytes are damaged or cut short')
     finally:
         scanned.add_counts()

@@ -213,7 +213,7 @@ def _body(values: Mapping[str, Value]) -> Iterator[str]:
 
 
 def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterator[str]:
-    """Yield the lines of one parameter: its sentence, its value, and units beside every line."""
+    """Yield the lines of one parameter: its sentence, its value, and units in every line."""
     for line in textwrap.wrap(parameter.description, _WIDTH - len(indent)):
         yield f'{indent}# {line}'
     if isinstance(value, tuple) and len(value) > _ROW:
@@ -265,7 +265,7 @@ def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
     Return parameter values with those of the cup named by cup.name in the place of cup.*.
 
     What the named cup leaves out is taken from cup.*, but for what the identification of cup.* has
-    seen, envelope.*, which says nothing about another cup.
+    covered, envelope.*, which does not apply to another cup.
 
     Raises
     ------

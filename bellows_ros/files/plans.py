@@ -89,7 +89,7 @@ def poses_in(
     """
     Return stamps (N,), poses (N, 4, 4) of a frame in another one, and the name of that.
 
-    And how many transforms on the way are left out because they are no poses.
+    And how many transforms between them are left out because they are no poses.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def poses_in(
     Raises
     ------
     BellowsError
-        If one is unknown, no way leads from one to the other, or nothing moves on it.
+        If one is unknown, nothing connects them, or nothing moves between them.
 
     """
     frame, world = frame.lstrip('/'), world.lstrip('/')
@@ -115,14 +115,14 @@ def poses_in(
     ends = [links[path[-1]].parent if path else end for path, end in ((up, frame), (down, root))]
     if ends[0] != ends[1]:
         raise BellowsError(
-            f"No way leads from '{frame}' to '{root}' in the transforms of {of}: one ends at "
-            f"'{ends[0]}', the other at '{ends[1]}'. Record what connects them.")
+            f"No transforms of {of} connect '{frame}' and '{root}': one is below "
+            f"'{ends[0]}', the other below '{ends[1]}'. Record those between them.")
     for name in (*up, *down):
         if not len(links[name].stamps_ns):
             raise BellowsError(
                 f"No transform of '{name}' in '{links[name].parent}' of {of} is a pose "
-                f'({links[name].bad} came): numbers are not finite, or the length of the '
-                'quaternion is not 1. Mend what publishes them.')
+                f'({links[name].bad} came): numbers are not finite, or the norm of the '
+                'quaternion is not 1. Correct their publisher.')
     moving = [links[name] for name in (*up, *down) if len(links[name].stamps_ns) > 1]
     if not moving:
         raise BellowsError(f"'{frame}' does not move in '{root}' in the transforms of {of}.")
@@ -155,7 +155,7 @@ def rotations_in_root(links: Mapping[str, Link], frame: str, of: str) -> tuple[A
 
 
 def _chain(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
-    """Return the frames from this one up to below the root; refuse circles."""
+    """Return the frames from this one up to below the root; refuse loops."""
     if frame not in links and frame not in {link.parent for link in links.values()}:
         raise BellowsError(
             f"Frame '{frame}' is not among the transforms of {of}. There are: "
@@ -165,10 +165,10 @@ def _chain(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
         chain.append(frame)
         frame = links[frame].parent
         if frame in chain:
-            circle = ' in '.join(f"'{name}'" for name in [*chain[chain.index(frame):], frame])
+            loop = ' in '.join(f"'{name}'" for name in [*chain[chain.index(frame):], frame])
             raise BellowsError(
-                f'The transforms of {of} go in a circle: {circle}. A frame can have only one '
-                'parent, and none that is below it; record without what publishes one of these.')
+                f'The transforms of {of} form a loop: {loop}. A frame has one parent, which is '
+                'not below it; record without the publisher of one of these.')
     return chain
 
 

@@ -63,7 +63,7 @@ def read_kitti(path: File) -> tuple[Stamps, Array]:
     times = next(filter(Path.is_file, files), None)
     if times is None:
         raise BellowsError(
-            f"'{path}' is of KITTI, without times. Put them into '{files[0]}', one (s) per line.")
+            f"KITTI file '{path}' has no times. Write them to '{files[0]}', one per line, in s.")
     stamps = _stamps(times, _lines(times, None), 's')
     if len(stamps) != len(lines):
         raise BellowsError(
@@ -75,8 +75,8 @@ def read_kitti(path: File) -> tuple[Stamps, Array]:
     bad = np.flatnonzero(~(off < MAX_ROTATION_ERROR) | ~(np.linalg.det(R) > 0.0))
     if len(bad):
         raise BellowsError(
-            f"'{path}', line {lines[bad[0]][0]}: the first three columns are no rotation, by "
-            f'{off[bad[0]]:.2g}. A KITTI line has the rows of [R t], row by row.')
+            f"'{path}', line {lines[bad[0]][0]}: the first three columns are not a rotation, by "
+            f'{off[bad[0]]:.2g} in R^T R. A KITTI line has the rows of [R t], row by row.')
     u, _, v = np.linalg.svd(R)
     return stamps, np.hstack([rows[:, :, 3], rotation_to_quaternion(u @ v)])
 
@@ -307,7 +307,7 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody,
     file = Path(path)
     try:
         if file.stat().st_size > MAX_FILE_BYTES:
-            raise BellowsError(f"'{path}' is larger than {MAX_FILE_BYTES} bytes. Export a part.")
+            raise BellowsError(f"'{path}' is larger than {MAX_FILE_BYTES} bytes. Export less.")
         with file.open(encoding='utf-8-sig', newline='') as stream:
             return _bodies(file, stream, min_markers)
     except OSError as error:
@@ -357,8 +357,8 @@ def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]
     first = next(rows, [])
     if first and first[0].startswith('Format Version;'):
         raise BellowsError(
-            f"'{path}' has semicolons between its cells: a spreadsheet has saved it again. Take "
-            'the file that Motive has written.')
+            f"'{path}' is separated by semicolons, as a spreadsheet saves it. Use the file that "
+            'Motive exported.')
     # By name, as a take's own name or notes may hold commas.
     about = {name: first[first.index(name) + 1] for name in SETTINGS if name in first[:-1]}
     above: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
 """
 Play recorded messages to ROS when they are due, with rclpy but without `ros2 bag`.
 
-`converse` plays to a running predictor, and keeps its answers.
+`converse` plays to a running predictor, and returns its answers.
 """
 
 from collections import Counter

@@ -2,8 +2,8 @@
 Run one node as a command: help, start, spin, and an orderly exit.
 
 ROS is imported only when a node is really to run, so that `--help` answers at once and where no
-ROS is installed. Ctrl-C and SIGTERM end a node in order, with exit code 0; what the user can put
-right is said without a traceback and ends with 2.
+ROS is installed. Ctrl-C and SIGTERM end a node in order, with exit code 0; errors
+that the user can correct are printed without a traceback and end with 2.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ NODES = {
 
 
 def interface(name: str) -> dict[str, Any]:
-    """Return purpose, examples and topics of a node, from the file beside it."""
+    """Return purpose, examples and topics of a node, from the TOML file of its name."""
     return tomllib.loads(Path(__file__).with_name(f'{name}.toml').read_text())
 
 
@@ -84,7 +84,7 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     Returns
     -------
     int
-        The exit code: 0, or 2 where the user can put it right.
+        The exit code: 0, or 2 for an error that the user can correct.
 
     """
     arguments = list(sys.argv[1:] if args is None else args)

@@ -37,8 +37,8 @@ def stamp_to_ns(stamp: Time) -> int:
     """
     Return a stamp as integer nanoseconds.
 
-    A stamp whose nanosec field holds a second or more is none: it gives `NO_STAMP`, which the
-    predictor refuses and counts.
+    For a stamp whose nanosec field holds a second or more this is `NO_STAMP`, which the predictor
+    refuses and counts.
     """
     nanosec: int = stamp.nanosec
     return stamp.sec * NS_PER_S + nanosec if nanosec < NS_PER_S else NO_STAMP

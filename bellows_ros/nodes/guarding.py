@@ -1,5 +1,5 @@
 """
-A node, and a thread beside it, that survive exceptions in callbacks: logged once, counted.
+A node and a worker thread that survive exceptions in callbacks: logged once, then counted.
 
 The node is spun woken by each message, with garbage collection between messages. An executor of
 rclpy that waits builds the list of everything it waits for anew after each callback, which takes
@@ -50,7 +50,7 @@ class GuardedNode(Node):
     failures : collections.Counter
         How often which place in the code failed, and `NEGATIVE_TIME` came.
     workers : list of Worker
-        Those that work beside it.
+        Its threads.
 
     """
 
@@ -91,7 +91,7 @@ class GuardedNode(Node):
         return call
 
     def in_background(self, work: Callable[[], None]) -> None:
-        """Run what takes long, such as compiling, in a thread that ends with the process."""
+        """Run long work, such as compiling, in a thread that ends with the process."""
         Thread(target=self.guarded(work), daemon=True).start()
 
     def create_subscription(
@@ -144,7 +144,7 @@ STOP_TIMEOUT = 0.25
 
 class Worker:
     """
-    Work on requests one after the other, beside the live prediction.
+    A thread that works on requests one after the other, during the live prediction.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class Worker:
     Attributes
     ----------
     stop : array (1,) of bool
-        For the running work: true once its result is not wanted any more.
+        For the running work: true once its result is obsolete.
 
     """
 
@@ -228,8 +228,8 @@ def executor_for(node: Any) -> Any:
     """
     Return an executor for a node, woken by events if possible.
 
-    It came with rclpy 7.1.4. It takes no guard conditions, and not every middleware can call back;
-    it says so with a RuntimeError as soon as it is spun.
+    It came with rclpy 7.1.4. It takes no guard conditions, and raises RuntimeError at its first
+    spin where the middleware cannot call back.
     """
     with suppress(ImportError):
         from rclpy.experimental.events_executor import EventsExecutor

@@ -33,7 +33,7 @@ OUTPUTS = ('output.parameters', 'output.json', 'output.report')
 
 class IdentifierNode(TableNode):
     """
-    Identify a cup once, beside the executor, and offer the result as parameters.
+    Identify a cup once, in a thread, and offer the result as parameters.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class IdentifierNode(TableNode):
         self._steps = self._step_by_step()
         self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    # --------------------------------------------------------- beside the executor
+    # --------------------------------------------------------------- in a thread
 
     def _identify(self, settings: Mapping[str, Any]) -> None:
         """Identify and write the files, in a thread without ROS calls."""

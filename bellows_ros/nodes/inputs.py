@@ -185,7 +185,7 @@ class Attachment:
     Attributes
     ----------
     held : bool
-        Whether the cup holds the package, as far as is known.
+        Whether the cup holds the package, by the newest service call or vacuum signal.
     signal : SensorInput or None
         The vacuum signal, where one is asked for.
     vacuum : Vacuum

@@ -33,7 +33,7 @@ class Observing:
     Attributes
     ----------
     lost_cups : set of int
-        Cups of cup.layout that were found to be lost since the package was attached.
+        Cups of cup.layout that were lost since the package was attached.
 
     """
 

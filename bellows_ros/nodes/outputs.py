@@ -1,5 +1,5 @@
 """
-Outputs of the predictor; beside the pose, each topic only while it has subscribers.
+Outputs of the predictor; other than the pose, each topic only while it has subscribers.
 
 Markers for RViz are the package as a box of its mass and inertia, the cup, and its force; of a
 toss, the path of the flight and the ellipse of the landing.
@@ -102,7 +102,7 @@ class Topic:
             self.publish(self.message)
 
     def publish(self, message: Any) -> None:
-        """Send a message; a failure is noted, and keeps no other topic from being sent."""
+        """Send a message; a failure is noted, and does not stop other topics."""
         try:
             self._publisher.publish(message)
         except Exception as error:  # noqa: BLE001 (of the middleware)

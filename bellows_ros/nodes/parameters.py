@@ -68,7 +68,7 @@ class TableNode(GuardedNode):
     read_only : bool
         True where none of them can change once the node runs.
     results : collection of str
-        Parameters that are not declared before the node has found their values.
+        Parameters that are not declared before the node has their values.
     options
         Keyword arguments of `rclpy.node.Node`.
 
@@ -160,7 +160,7 @@ class TableNode(GuardedNode):
             if not all(p.name for p in changing):
                 raise BellowsError(
                     "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
-            self._checked(changing)  # before rclpy, which says less
+            self._checked(changing)  # before rclpy, whose message is shorter
             return self.set_parameters_atomically(changing)
         except ParameterNotDeclaredException:
             unknown = [p.name for p in changing if not self.has_parameter(p.name)]
@@ -336,7 +336,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Fall silent."""
+        """Stop publishing."""
         self.is_active = False
         return super().on_deactivate(state)
 
@@ -346,7 +346,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Fall silent for good."""
+        """Stop publishing for good."""
         if self.is_active:
             self.on_deactivate(state)
         self.release_resources()

@@ -119,7 +119,7 @@ class Pipeline:
         self.live.pairing.expect = self._twists_exist
 
     def stop(self) -> None:
-        """Fall silent, and drop plans and searches."""
+        """Stop publishing, and drop plans and searches."""
         self.outputs.publish_state('inactive')
         self.latest = None
         self.live.reset()
@@ -164,7 +164,7 @@ class Pipeline:
             self.latest = None
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
-        """Send the predictions of a step; what fails beside their poses does not touch them."""
+        """Send the predictions of a step; other outputs that fail do not affect their poses."""
         was_predicting = self.latest is not None
         for prediction in self.advance(step, *arguments):
             self.latest = prediction

@@ -61,9 +61,9 @@ MAX_STEERED_DURATION = 60.0
 
 class Answers:
     """
-    Answers to messages, of which only the newest counts, made beside the live prediction.
+    Answers to messages, of which only the newest counts, made in a thread.
 
-    The kernels let go of the interpreter, and the rest gives it back soon.
+    The kernels release the interpreter, and the rest returns it soon.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Answers:
     warm_up : callable
         Compiles what answers, in the thread, once a possible publisher appears.
     refuse : callable
-        Takes what is refused, and the BellowsError that says why.
+        Takes what is refused, and the BellowsError that explains it.
 
     Attributes
     ----------
@@ -271,7 +271,7 @@ class Planning:
             **{name: number(value) for name, value in outcome.figures().items()}})
 
     def _on_request(self, request: Header) -> None:
-        """Answer a request for the package at a stamp beside the live prediction."""
+        """Answer a request for the package at a stamp, in a thread."""
         worker = self.plans.worker
         if worker.pending(int) < MAX_PENDING_REQUESTS:
             worker.submit(stamp_to_ns(request.stamp), self._predict_at, stamp_to_ns(request.stamp))

@@ -97,7 +97,7 @@ class PredictorNode(ManagedNode):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Fall silent."""
+        """Stop publishing."""
         assert self.pipeline
         self.pipeline.stop()
         return super().on_deactivate(state)

@@ -25,7 +25,7 @@ from .style import FILMS, picture, require_picture, Theme
 FRAMES_PER_SECOND = {'.gif': 12.0, '.mp4': 30.0}
 SIZE, DPI = (8.0, 4.5), 80
 ARM_LENGTH = 0.10  # m, of the tool that is drawn above its tip
-TIME_AFTER_END = 0.5  # s, that a steered motion is shown after its end
+TAIL_SHOWN = 0.5  # s, that a steered motion is shown after its end
 CUP_ZOOM, REPLAY_ZOOM, PLAN_ZOOM = 1.6, 1.3, 2.0  # the box stays inside, wherever it swings
 VIEW = {'elev': 14.0, 'azim': -60.0}
 
@@ -83,7 +83,7 @@ def write_steering(path: File, report: SteerReport, note: str, speed: float) -> 
     values = report.source.values
     com, box = np.array(values['package.com']), np.array(equivalent_box(values))
     views = []
-    last = TIME_AFTER_END + max(
+    last = TAIL_SHOWN + max(
         float(motion.tool.seconds[-1]) for motion in report.motions.values())
     for name in ('as planned', report.method):
         if motion := report.motions.get(name):
@@ -94,7 +94,7 @@ def write_steering(path: File, report: SteerReport, note: str, speed: float) -> 
                 name, motion.along.seconds[until_end], (tool.position, tool.rotation),
                 (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
                 (outline.position, outline.rotation), com, box, values['cup.length'], PLAN_ZOOM))
-    _write(path, views, 'As planned and steered; the reference as an outline', note,
+    _write(path, views, 'The motion as planned and steered; the reference as an outline', note,
            'light', no_progress, speed)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 import math
+from pathlib import Path
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
@@ -195,7 +196,7 @@ def excite_figure(result: DesignedMotion, theme: str = 'light') -> Any:
     return figure
 
 
-TIME_AFTER_END = 1.0
+TAIL_SHOWN = 1.0
 """Time (s) shown after the end of the last motion."""
 
 
@@ -217,7 +218,7 @@ def steer_figure(report: SteerReport, theme: str = 'light') -> Any:
     """
     motions = report.motions
     note = f'{report.source.path}; dotted: the motion of the tool ends'
-    with picture('The same way, with and without swing', note, theme) as (figure, colours):
+    with picture('The motion as planned and steered', note, theme) as (figure, colours):
         panels = figure.subplots(3, 1, sharex=True, gridspec_kw={
             **BELOW_HEAD, 'hspace': 0.28, 'height_ratios': [2.0, 1.0, 1.0]})
         lines = (colours.predicted, colours.measured, colours.error)
@@ -231,21 +232,21 @@ def steer_figure(report: SteerReport, theme: str = 'light') -> Any:
                 panel.plot(seconds, values, color=colour, linewidth=1.4, label=name)
                 panel.axvline(tool.seconds[-1], color=colour, linewidth=0.8, linestyle=':')
         for panel, title in zip(panels, (
-                'tilt of the package from where it is wanted (degrees)',
-                'way of the tool (m)', 'tilt of the tool (degrees)'), strict=True):
+                'tilt of the package from its reference (degrees)',
+                'distance of the tool (m)', 'tilt of the tool (degrees)'), strict=True):
             name_panel(panel, title)
         longest = max(float(motion.tool.seconds[-1]) for motion in motions.values())
-        panels[0].set_xlim(0.0, longest + TIME_AFTER_END)
+        panels[0].set_xlim(0.0, longest + TAIL_SHOWN)
         panels[0].legend(**ABOVE_PANEL, fontsize=9)
         panels[-1].set_xlabel('time (s)')
     return figure
 
 
 SIZE = (11.0, 7.2)
-GHOSTS, PATH_POINTS = 6, 60
+OUTLINES, PATH_POINTS = 6, 60
 
 
-def toss_figure(result: TossResult, theme: str = 'light', title: str = '') -> Any:
+def toss_figure(result: TossResult, theme: str = 'light') -> Any:
     """
     Draw a toss.
 
@@ -255,8 +256,6 @@ def toss_figure(result: TossResult, theme: str = 'light', title: str = '') -> An
         What is drawn.
     theme : {'light', 'dark'}
         Colours for a light or a dark background.
-    title : str
-        Over the picture; which plan, when left out.
 
     Returns
     -------
@@ -272,7 +271,7 @@ def toss_figure(result: TossResult, theme: str = 'light', title: str = '') -> An
     note = (f'valve {result.case.switched:.3f} s, lets go {toss.release_time:.3f} s, lands '
             f'{toss.landing_time:.3f} s at x {x:.3f} m, y {y:.3f} m ± {spread[0]:.1f}, '
             f'{spread[1]:.1f} mm')
-    title = title or f'Toss of {result.source.path}'
+    title = f'Toss of {Path(result.source.path).name}'
     with picture(title, note, theme, SIZE) as (figure, colours):
         reach = np.vstack([tool.position, path[:, :3]])
         spans = np.ptp(reach, axis=0) + 0.3
@@ -289,7 +288,7 @@ def toss_figure(result: TossResult, theme: str = 'light', title: str = '') -> An
                        label='package, held')
             panel.plot(path[:, i], path[:, j], color=colours.predicted, linewidth=1.2,
                        label='package, flying')
-            _draw_ghosts(panel, path, result.case.release.box, i, j, colours)
+            _draw_outlines(panel, path, result.case.release.box, i, j, colours)
             for o, marker, name in ((valve, 'v', 'valve'), (path[0], 'o', 'lets go')):
                 panel.plot([o[i]], [o[j]], marker, color=colours.text, markersize=6.0,
                            zorder=5, label=name)
@@ -313,10 +312,10 @@ def toss_figure(result: TossResult, theme: str = 'light', title: str = '') -> An
     return figure
 
 
-def _draw_ghosts(panel: Any, path: Array, box: Any, i: int, j: int, colours: Theme) -> None:
+def _draw_outlines(panel: Any, path: Array, box: Any, i: int, j: int, colours: Theme) -> None:
     """Draw the edges of the flying box (half size, middle) at a few places, in two axes."""
     half, middle = map(np.array, box)
-    for k in np.linspace(0, len(path) - 1, GHOSTS).astype(int):
+    for k in np.linspace(0, len(path) - 1, OUTLINES).astype(int):
         last = k == len(path) - 1
         R = quaternion_to_rotation(path[k, 3:7])
         for line in box_corners(path[k, :3] + R @ middle, R, 2.0 * half)[BOX_EDGES]:

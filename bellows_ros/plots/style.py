@@ -114,7 +114,7 @@ def write_figure(path: File, figure: Any) -> None:
 
 def inline_svg(figure: Any) -> str:
     """
-    Return a figure of the light theme as SVG for a page, which gives its colours their values.
+    Return a figure of the light theme as SVG for a page, which defines its colours.
 
     The colours become CSS variables with the names of a `Theme`. The figure's label is read out.
     """
@@ -167,7 +167,7 @@ def picture(
 
 
 def six(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
-    """Return six panels: x, y, z on the left, rx, ry, rz beside, each with its unit."""
+    """Return six panels: x, y, z on the left, rx, ry, rz on the right, each with its unit."""
     panels = list(figure.subplots(
         3, 2, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.26}).T.ravel())
     for axis, panel in enumerate(panels):
@@ -284,7 +284,7 @@ def six_pairs(
     error : array (N, 6)
         Drawn about zero, to a scale of its own.
     titles : sequence of str
-        What is said above each coordinate.
+        Title of each coordinate.
     units : sequence of str
         Of each coordinate.
     below : str

@@ -60,7 +60,7 @@ def write_view(path: File, replayed: Replayed, note: str) -> None:
 
     """
     rr = require_viewer(path)
-    # A recording with a name of its own, without settings of the whole process.
+    # A recording with a name, without settings of the whole process.
     recording = rr.RecordingStream('bellows_ros', send_properties=True)
     recording.send_recording_name(note)
     try:

@@ -300,7 +300,7 @@ def save(
     """
     Write the cup file and the JSON file, unless None or ''.
 
-    With force the file of a cup that is refused is written, too, and says so.
+    With force the file of a refused cup is written, too, with a note in its header.
 
     Raises
     ------

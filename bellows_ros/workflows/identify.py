@@ -180,7 +180,7 @@ def _mistakes(values: Mapping[str, Any]) -> Iterator[tuple[Any, str]]:
            f"'{', '.join(repeated)}' is both in bags and in validation.bags, but validation needs "
            'a recording that was not used in the fit. Remove it from one.')
     yield (validation and missing, f'The package of validation.bags is unknown: set '
-           f'{", ".join(missing)} beside package.files.')
+           f'{", ".join(missing)} in addition to package.files.')
 
 
 def _assumed(settings: Mapping[str, object]) -> tuple[str, ...]:

@@ -392,7 +392,7 @@ def _initial_rest(
          'standstill, so that rotated marker frames can be detected.',
          rest.seconds < alignment.MIN_REST),
         (f'No tilt is held for {MIN_HOLD:g} s, so how far the rubber creeps (cup.relaxation) is '
-         'not seen. Hold one still for 5 to 10 s beside the motion.',
+         'not seen. Hold one still for 5 to 10 s in addition.',
          longest_hold(tool) < MIN_HOLD)) if applies]
     duration = max(0.1, float(np.floor(10.0 * REST_FRACTION * rest.seconds) / 10.0))
     settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
@@ -420,7 +420,7 @@ def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess
         for words, others in ((TOOL_WORDS, PACKAGE_WORDS), (PACKAGE_WORDS, TOOL_WORDS)))
 
     def rest(other: Guess | None) -> Guess | None:
-        return next((Guess(name, ('it is the other',)) for name in poses
+        return next((Guess(name, ('it is the only other topic',)) for name in poses
                      if other and len(poses) == 2 and name != other.topic), None)
 
     return tool or rest(package), package or rest(tool)
@@ -429,7 +429,7 @@ def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess
 def _name_reason(topic: str, words: frozenset[str]) -> tuple[str, ...]:
     """Return the reason that is a name, if some of the words are in it."""
     there = "' and '".join(sorted(words.intersection(re.findall(r'[a-z]+', topic.lower()))))
-    return (f"its name says '{there}'",) if there else ()
+    return (f"its name contains '{there}'",) if there else ()
 
 
 def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:

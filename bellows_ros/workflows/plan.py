@@ -59,8 +59,8 @@ MAX_DRAWN_FACTOR = 1000.0
 
 NO_GRIP = ('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
 BEGINS_IN_MOTION = (
-    'The plan begins in motion: the package is taken to hang as if its first acceleration had '
-    'lasted. What swings from before is unknown.')
+    'The plan begins in motion: the package is assumed to hang as in a constant first '
+    'acceleration. Its swing from before is unknown.')
 ENDS_IN_MOTION = ('The plan ends in motion, so the swing after its end is unknown.')
 
 

@@ -106,7 +106,7 @@ class Margins:
 @dataclass(frozen=True, eq=False)
 class Observed:
     """
-    The recorded package beside three estimates of it, over the same time.
+    The recorded package and three estimates of it, over the same time.
 
     Parameters
     ----------
@@ -157,15 +157,15 @@ class Observed:
                 f'measured.frame, measured.offset and recording.package_world fit {self.topic}.')
         if payload := self.payload:
             sentences.append(
-                f'Found: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
-                f'{_in_milli(payload.com, payload.com_std)} mm from the lip (± is the bound of '
-                'Cramér and Rao).')
+                f'Estimated: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
+                f'{_in_milli(payload.com, payload.com_std)} mm from the lip (± is the '
+                'Cramér-Rao bound).')
         if self.calibration:
             numbers = iter(self.calibration)
             shift, turn, latency = map(_in_milli, numbers, numbers)
             sentences.append(
-                f'The camera is off by {shift} mm and {turn} mrad along and about the axes of the '
-                f'world, its stamps by {latency} ms.')
+                f'Errors of the camera: {shift} mm and {turn} mrad along and about world axes, '
+                f'{latency} ms of its stamps.')
         if self.alarm_calibration:
             sentences.append(self.alarm_calibration.sentence)
         return ' '.join(sentences + ([] if self.alarms else ['No alarm.']))

@@ -79,7 +79,7 @@ class SteerReport(CommandResult):
     method : str
         Of `core.planning.steering.METHODS`.
     motions : mapping
-        The method, 'as planned', and 'zvd' beside the inverse, where these can be predicted.
+        The method, 'as planned', and with the inverse 'zvd', where these can be predicted.
     steered : Steered
         By the method.
     time_scale : float

@@ -46,7 +46,7 @@ def on_cores(work: Sequence[Work], jobs: int, task: Task) -> Iterator[Outcome]:
                     del pending[number]
                     yield number, result
         except BrokenProcessPool:
-            # One of those begun has ended its process; in a pool of its own it ends no other.
+            # One of those begun has ended its process; in another pool it ends no other.
             for item in (pending.pop(number) for number in begun if number in pending):
                 try:
                     yield from _in_pool(joblib, 2, task, [item], [])

@@ -23,7 +23,7 @@ def main() -> None:
     """Draw the picture and print the table."""
     parameters = read_parameters(ROOT / 'bags' / 'tossing.yaml')
     result = toss_plan(PLAN, parameters, 2.95, monte_carlo=500)
-    write_figure(ROOT / 'docs' / 'images' / 'toss.png', toss_figure(result, title='A toss'))
+    write_figure(ROOT / 'docs' / 'images' / 'toss.png', toss_figure(result))
     values = resolve(parameters)
     cup, package, release = cup_of(values), package_of(values), release_of(values)
     tool, grip = read_plan(PLAN, values).tool, grip_of(values)

@@ -25,13 +25,13 @@ def test_help_names_every_command(bellows):
 
 @pytest.mark.parametrize('name', COMMANDS)
 def test_every_command_has_help_with_examples(name, bellows):
-    """Show arguments, examples, and in a line what it ends with."""
+    """Show arguments, examples, and in a line its exit codes."""
     done = bellows(name, '--help')
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.startswith(f'usage: bellows {name}')
     assert 'examples:\n' in done.stdout and f'bellows {name}' in done.stdout.split('examples:')[1]
-    assert done.stdout.count('Ends with 0 when done, ') == 1
-    ends = ' '.join(done.stdout.split('Ends with 0')[1].split())
+    assert done.stdout.count('Exit code 0 when done, ') == 1
+    ends = ' '.join(done.stdout.split('Exit code 0')[1].split())
     found = name in ('compare', 'identify', 'plan', 'replay', 'structures', 'toss')
     assert ('1 if ' in ends) == found
     assert max(map(len, done.stdout.splitlines())) < 100

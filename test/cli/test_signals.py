@@ -77,7 +77,7 @@ def test_a_signal_ends_in_order(number, said, workshop, tmp_path, elsewhere):
     os.killpg(process.pid, number)
     out, err = process.communicate(timeout=WITHIN)
     assert process.returncode == 128 + number
-    assert out == '' and err == f'{said}; nothing was left half done.\n'
+    assert out == '' and err == f'{said}; no partial output was left.\n'
     assert contents(tmp_path) == before
 
 
@@ -113,7 +113,7 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
         for n, handler in before.items():
             signal.signal(n, handler)
     out, err = capsys.readouterr()
-    assert out == '' and 'nothing was left half done' in err
+    assert out == '' and 'no partial output was left' in err
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='there is no /dev/full here')

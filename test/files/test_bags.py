@@ -229,7 +229,7 @@ def test_a_folder_without_metadata_is_read_with_a_note(tmp_path):
     first, last = contents.notes
     assert 'has no metadata.yaml: its recorder has crashed' in first
     assert 'crashed_0.mcap, crashed_1.mcap, crashed_2.mcap, crashed_3.mcap' in first
-    assert 'crashed_11.mcap' in last and 'was not ended' in last
+    assert 'crashed_11.mcap' in last and 'was not closed' in last
     (folder / 'other.db3').write_bytes(b'')
     assert 'files of two storages' in error_of(folder)
 
@@ -243,7 +243,7 @@ def test_other_numbers_of_messages_than_metadata_says_are_noted(tmp_path):
     assert 'has 13 messages, but metadata.yaml says 15.' in note
     notes = []
     topics(folder, notes)
-    assert notes == [note] and 'Was it copied whole?' in note
+    assert notes == [note] and 'Is the copy complete?' in note
 
 
 def test_links_in_a_circle_are_refused(folder):
@@ -260,7 +260,7 @@ def test_an_empty_recording_is_refused(tmp_path, storage):
     assert '1 topics and no message' in error_of(folder)
     assert topics(folder) == [('/a', made.POSE, 0)]
     made.storage_file(folder).write_bytes(b'')
-    assert 'is not whole: it is empty' in error_of(folder)
+    assert 'is incomplete: it is empty' in error_of(folder)
     change_metadata(folder, relative_file_paths=[])
     assert 'is empty' in error_of(folder)
 

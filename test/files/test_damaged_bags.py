@@ -130,7 +130,7 @@ PACK = {'zstd': zstd.compress, 'lz4': lz4.frame.compress}
 
 @pytest.mark.parametrize('whole', [lambda records: [records], lambda records: [chunk(records)]])
 def test_messages_before_one_of_an_unknown_channel_are_read(tmp_path, whole):
-    """Of a recording that was not ended; and the channel has to come before its messages."""
+    """Of a recording that was not closed; and the channel has to come before its messages."""
     records = BASE + message(0) + message(1) + message(2, 7) + channel(7, '/b') + message(3)
     path = write_mcap(tmp_path / 'a.mcap', *whole(records), ended=False)
     found = outcome(path)
@@ -185,7 +185,7 @@ def test_a_recording_that_was_not_ended_is_read_up_to_the_break(tmp_path, compre
     count = len(found.streams['p'])
     assert 1000 < count < 2500
     (note,) = found.notes
-    assert re.search(f'was not ended, a record .* (damaged|end): {count} messages were read', note)
+    assert re.search(f'not closed, a record .* (damaged|end): {count} messages were read', note)
     lost = re.search(r'the last (\d+) of (\d+) bytes are damaged or cut short', note)
     assert lost and int(lost[2]) == len(whole) - 30 > int(lost[1]) > len(pack(last)) - 30
     notes = []
@@ -204,7 +204,7 @@ def test_what_a_file_system_leaves_behind_the_break_is_noted(tmp_path, tail):
 
 def test_a_recording_that_was_not_ended_and_has_nothing_says_so(tmp_path):
     path = write_mcap(tmp_path / 'a.mcap', BASE, ended=False)
-    with pytest.raises(BellowsError, match='no message.* was not ended.* 0 messages were read'):
+    with pytest.raises(BellowsError, match='no message.* was not closed.* 0 messages were read'):
         read_streams(path, WANTED)
 
 

@@ -142,7 +142,7 @@ def test_fewer_markers_may_be_allowed(tmp_path):
     (('Length Units,Meters', 'Length Units,Feet'), 'lengths in Feet'),
     (('Length Units,Meters,', ''), 'lengths in an unknown unit'),
     (('Format Version', 'Version'), 'no CSV export of Motive'),
-    ((',', ';'), 'a spreadsheet has saved it again'),
+    ((',', ';'), 'as a spreadsheet saves it'),
     ((f'3,{3 / RATE:.6f}', '3,1e20'), 'frames without a time in s')])
 def test_other_exports_are_refused(change, words, tmp_path):
     """Say what to change in the export; make no stamp of a time that none can hold."""

@@ -87,7 +87,7 @@ def test_what_is_missing_is_said(tmp_path):
     links = read_transforms(recording(tmp_path / 'tf', [(T0 + 5, 'elsewhere', 'lone', CAMERA)]))
     for frame, world, words in (
         ('tol', '', "'tol' is not among the transforms of it. There are: base"),
-        ('tool', 'elsewhere', "'hall', the other at 'elsewhere'"),
+        ('tool', 'elsewhere', "'hall', the other below 'elsewhere'"),
         ('camera', 'rail', 'does not move'),
     ):
         with pytest.raises(BellowsError, match=words):

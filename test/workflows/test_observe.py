@@ -77,7 +77,7 @@ def test_both_are_better_than_either(filmed):
     assert found.counts['used'] > 300
     assert found.payload.com_std.max() < 1e-3
     assert abs(np.subtract(found.payload.com, (0.0, 0.0, -0.03))).max() < 1e-3
-    assert f'Found: mass {found.payload.mass:.4g} ±' in found.sentence
+    assert f'Estimated: mass {found.payload.mass:.4g} ±' in found.sentence
     assert found.counts['out_of_reach'] + found.counts.get('gate', 0) >= 15
 
 
