@@ -18,7 +18,7 @@ import tomllib
 from typing import Any
 
 STDOUT = '-'
-"""As `files.atomic` takes it."""
+"""As of `files.atomic`."""
 
 
 class Output(str):

@@ -101,9 +101,9 @@ def _require_possible(arguments: argparse.Namespace, text: bool, frames: bool) -
 def print_result(done: Conversion, console: Console) -> None:
     """Print what was converted and what was left out."""
     for body in done.bodies:
-        left = ', '.join(f'{count} {reason}' for reason, count in body.left_out.items())
+        rejected = ', '.join(f'{count} {reason}' for reason, count in body.left_out.items())
         console.line(f'{body.topic}: {body.poses} poses of {body.source}'
-                     + (f'; left out: {left}' if left else ''))
+                     + (f'; left out: {rejected}' if rejected else ''))
     if done.world != 'z_up':
         console.line(f'Its world has y up: set recording.world to {done.world}.')
     console.warn(*done.notes)

@@ -113,7 +113,7 @@ def write_bag(
     Raises
     ------
     BellowsError
-        If there is nothing to record, or something is in the way.
+        If there is nothing to record, or the output exists.
 
     """
     if not any(len(r.stamps_ns) for r in recorded):

@@ -64,7 +64,7 @@ def write_json(path: File, content: Any) -> None:
     path : path
         JSON file.
     content : mapping or result
-        As `plain` takes it.
+        As of `plain`.
 
     Raises
     ------

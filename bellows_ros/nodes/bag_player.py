@@ -260,7 +260,7 @@ def converse(
     require_alive : callable
         Raises BellowsError when the predictor has ended; asked while it is waited for.
     progress : callable
-        As `send_all` takes it.
+        As of `send_all`.
 
     Raises
     ------

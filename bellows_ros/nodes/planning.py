@@ -377,7 +377,7 @@ class Steering:
     reader : PlanReader
         Reads the motions.
     refuse : callable
-        As `Answers` takes it.
+        As of `Answers`.
 
     Attributes
     ----------

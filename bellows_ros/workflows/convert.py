@@ -282,7 +282,7 @@ def to_bag(
     Raises
     ------
     BellowsError
-        If no pose is left, something is in the way, or it cannot be written.
+        If no pose is left, or the output exists or cannot be written.
 
     """
     notes = [f'{body.source} was never tracked; its topic is empty.'

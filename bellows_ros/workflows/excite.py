@@ -247,7 +247,7 @@ def write_motion(
     Raises
     ------
     BellowsError
-        If something is in the way, or cannot be written.
+        If an output exists, or cannot be written.
 
     """
     frame = str(result.values['plan.frame']) or 'world'

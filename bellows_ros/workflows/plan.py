@@ -116,8 +116,8 @@ class Source:
     def gravity(self) -> Array:
         """Acceleration (3,) in the frame of the plan, m/s^2."""
         world = 'z_up' if self.recorded_ns is None else self.values['recording.world']
-        turn = world_rotation(world, self.values['gravity.direction'])
-        return np.asarray(turn.T @ [0.0, 0.0, -self.values['gravity.magnitude']])
+        R_model_plan = world_rotation(world, self.values['gravity.direction'])
+        return np.asarray(R_model_plan.T @ [0.0, 0.0, -self.values['gravity.magnitude']])
 
     @cached_property
     def model(self) -> ModelTuple:
@@ -528,7 +528,7 @@ def write_prediction(
     Raises
     ------
     BellowsError
-        If something is in the way, or it cannot be written.
+        If the output exists, or cannot be written.
 
     """
     frame, axes = source.frame_id or 'world', source.values['tool_twist.frame']

@@ -219,10 +219,10 @@ def loads(bag: File, settings: Mapping[str, object]) -> Loads:
         for position, rotation in zip(o.tolist(), flat, strict=True)])
     moved = apply(np.swapaxes(halfway, 1, 2), middle)
     columns = regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
-    given = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
+    modelled = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
     needed, residual = (
         apply(halfway[:, None], (wrench @ to_middle.T).reshape(-1, 2, 3)).reshape(-1, 6)
-        for wrench in (-at_lip, given - at_lip))
+        for wrench in (-at_lip, modelled - at_lip))
     return Loads(
         seconds=recording.since_start(recording.package.stamps_ns),
         deflection=np.hstack([moved, bending]),

@@ -437,12 +437,12 @@ def _mass_hint(values: Mapping[str, Any], recording: Recording) -> str:
         recording.measured_tool, recording.measured_package)
     stretch = _stretch(values, relative[recording.measured])
     stiffness = cup_of(values).stiffness[2, 2]
-    mass, given = stiffness * stretch / values['gravity.magnitude'], values['package.mass']
-    if not mass > 0.0 or STRETCH_RATIOS[0] < mass / given < STRETCH_RATIOS[1]:
+    mass, stated = stiffness * stretch / values['gravity.magnitude'], values['package.mass']
+    if not mass > 0.0 or STRETCH_RATIOS[0] < mass / stated < STRETCH_RATIOS[1]:
         return ''
     return (
         f'On average the cup is stretched by {1e3 * stretch:.2g} mm, as by {mass:.2g} kg: '
-        f'package.mass is likely that instead of {given:g} kg. ')
+        f'package.mass is likely that instead of {stated:g} kg. ')
 
 
 def predicted_live(
@@ -476,8 +476,8 @@ def predicted_live(
 
 def tool_messages(recording: Recording, values: Mapping[str, Any]) -> Messages:
     """Return the tool's poses and twists in the order of their stamps, in frames of the model."""
-    turn = world_rotation(values['recording.world'], values['gravity.direction'])
-    poses = recording.alignment.tool(in_world(recording.tool_pose.trajectory(), turn))
+    R_model_tool = world_rotation(values['recording.world'], values['gravity.direction'])
+    poses = recording.alignment.tool(in_world(recording.tool_pose.trajectory(), R_model_tool))
     poses = poses.select(recording.report.tool.outliers.good)
     twists, stamps_ns = recording.tool_twist, poses.stamps_ns
     if twists is not None:
@@ -487,7 +487,7 @@ def tool_messages(recording: Recording, values: Mapping[str, Any]) -> Messages:
     numbers[~is_twist, :3] = poses.position
     numbers[~is_twist, 3:] = lie.rotation_to_quaternion(poses.rotation)
     if twists is not None:
-        axes = turn  # of the recorded twists, to those that tool_twist.frame names
+        axes = R_model_tool  # from recorded axes to those of tool_twist.frame
         if values['tool_twist.frame'] == 'tool':
             axes = recording.alignment.R_tool_markers_tool.T
         numbers[is_twist, :3] = lie.apply(axes, twists.linear)

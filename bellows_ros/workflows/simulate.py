@@ -126,7 +126,7 @@ def simulate_recording(
     ------
     BellowsError
         If a parameter or setting is missing, unknown or not allowed, the package cannot be held,
-        or the output is in the way or cannot be written. Nothing is written then.
+        or the output exists or cannot be written. Nothing is written then.
 
     """
     values: dict[str, Any] = resolve(parameters, PACKAGE_PARAMETERS)
@@ -250,12 +250,13 @@ def _recorded(
 
 
 def _truth_bytes(
-    cup: Cup, recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, turn: Array
+    cup: Cup, recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth,
+    R_world_level: Array
 ) -> bytes:
     """
     Return an .npz file with the true motion at the times at which the package was sampled.
 
-    The motion is planned where z is up; `turn` is the rotation (3, 3) from there to the world.
+    The motion is planned where z is up; `R_world_level` (3, 3) turns from there to the world.
     """
     sampled_ns = plans['package'].sampled_ns
     sampled_ns = sampled_ns[truth.at(sampled_ns).tracked]
@@ -263,7 +264,8 @@ def _truth_bytes(
     bodies = {'tool': at.tool, 'package': at.package}
     arrays = {
         name: array for body, motion in bodies.items() for name, array in (
-            (body, transform(turn @ motion.rotation, apply(turn, motion.position))),
+            (body, transform(
+                R_world_level @ motion.rotation, apply(R_world_level, motion.position))),
             (f'{body}_twist', np.asarray(motion.twist)))}
     file = io.BytesIO()
     np.savez(file, t=(sampled_ns - recipe.start_ns) / NS_PER_S, **arrays,  # type: ignore[arg-type]

@@ -157,7 +157,7 @@ def steer_plan(
     Parameters
     ----------
     path, settings, urdf, topic
-        As `workflows.plan.plan` takes them. A plan of what frames.package names is one of B.
+        As of `workflows.plan.plan`. A plan of what frames.package names is one of B.
     method : str
         Of `core.planning.steering.METHODS`.
     limits : path or mapping

@@ -193,7 +193,7 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
     Raises
     ------
     BellowsError
-        If something is in the way, or it cannot be written.
+        If the output exists, or cannot be written.
 
     """
     stamps_ns = sample_stamps(RATE, result.toss.landing_time, int(result.source.tool.stamps_ns[0]))
