@@ -1,28 +1,37 @@
 """
 Subscriptions to sensors: best effort unless overridden, monitored for rate, age and QoS.
 
-The tool's poses and twists, and the vacuum, which attaches and detaches the package as two
-services do.
+The tool's poses and twists; the vacuum, which attaches and detaches the package as two services
+do; and measured poses of the package, which correct the prediction.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
+import gc
 import importlib.util
 import math
 import time
 from typing import Any
 
+from geometry_msgs.msg import InertiaStamped
+import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from .conversions import quaternion_xyzw, stamp_to_ns, vector
+from . import conversions
 from .guarding import GuardedNode
-from ..core.live.health import Arrivals, InputReport, Mismatch, Status, vacuum_status
+from .outputs import Topic
+from ..core.live import health, LivePredictor
 from ..core.live.load import ALL, Vacuum
 from ..core.live.samples import PoseSample
 from ..core.live.transforms import Chain
+from ..core.model.kernels import ModelTuple
+from ..core.observer.alarms import Alarm
+from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
+from ..core.parameters.table import short
 from ..errors import BellowsError
 
 QUEUE = 500
@@ -55,7 +64,7 @@ class SensorInput:
     ) -> None:
         """Listen as to any sensor, without asking for lost messages; QoS can be overridden."""
         self._node, self._type = node, f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
-        self.arrivals = Arrivals()
+        self.arrivals = health.Arrivals()
         self._refused: Mapping[str, int] = {}
         self._subscription = node.create_subscription(
             kind, topic, callback,
@@ -83,7 +92,7 @@ class SensorInput:
             arrival_ns, math.nan if stamp_ns is None else (now_ns - stamp_ns) * 1e-9)
         return arrival_ns
 
-    def report(self, refused: Mapping[str, int]) -> InputReport:
+    def report(self, refused: Mapping[str, int]) -> health.InputReport:
         """Return the statistics since the last call, with the refused messages so far."""
         before, self._refused = self._refused, dict(refused)
         if any(count < before.get(reason, 0) for reason, count in refused.items()):
@@ -91,11 +100,11 @@ class SensorInput:
         last_ns = self.arrivals.last_ns
         silent = (time.monotonic_ns() - last_ns) * 1e-9 if last_ns >= 0 else float('inf')
         publishers = self._node.count_publishers(self.topic)
-        return InputReport(
+        return health.InputReport(
             self.topic, publishers, self._mismatch(publishers), self.arrivals.reset(), silent,
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
-    def _mismatch(self, publishers: int) -> Mismatch | None:
+    def _mismatch(self, publishers: int) -> health.Mismatch | None:
         """Return why a publisher cannot be heard, if there is one."""
         if self._subscription.get_publisher_count() >= publishers:
             return None
@@ -103,12 +112,12 @@ class SensorInput:
         for other in self._node.get_publishers_info_by_topic(self.topic):
             offered = other.qos_profile
             if other.topic_type != self._type:
-                return Mismatch('type', other.topic_type)
+                return health.Mismatch('type', other.topic_type)
             for name, mismatch in (
                     ('reliability', (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)),
                     ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
                 if (getattr(asked, name), getattr(offered, name)) == mismatch:
-                    return Mismatch('qos', name)
+                    return health.Mismatch('qos', name)
         return None
 
 
@@ -158,17 +167,17 @@ class TransformInput(SensorInput):
         for stamped in message.transforms:
             header, transform = stamped.header, stamped.transform
             self._chain.add(header.frame_id, stamped.child_frame_id, PoseSample(
-                stamp_to_ns(header.stamp), vector(transform.translation),
-                quaternion_xyzw(transform.rotation)), static)
+                conversions.stamp_to_ns(header.stamp), conversions.vector(transform.translation),
+                conversions.quaternion_xyzw(transform.rotation)), static)
 
-    def report(self, refused: Mapping[str, int]) -> InputReport:
+    def report(self, refused: Mapping[str, int]) -> health.InputReport:
         """Return the arrivals since the last call, with the poses that lacked a transform."""
         return super().report({**refused, 'no_transform': self._chain.dropped})
 
-    def _mismatch(self, publishers: int) -> Mismatch | None:
+    def _mismatch(self, publishers: int) -> health.Mismatch | None:
         """Return why there is no pose although there is a publisher."""
         missing = self._chain.missing if publishers and self.arrivals.is_empty else ''
-        return Mismatch('frames', missing) if missing else super()._mismatch(publishers)
+        return health.Mismatch('frames', missing) if missing else super()._mismatch(publishers)
 
 
 class Attachment:
@@ -229,7 +238,7 @@ class Attachment:
     def _on_pressure(self, message: FluidPressure) -> None:
         """Follow the pressure in the cup, and go on without cups of a gripper that lose it."""
         assert self.signal
-        self.signal.note(stamp_to_ns(message.header.stamp))
+        self.signal.note(conversions.stamp_to_ns(message.header.stamp))
         vacuum, opened = self.vacuum, self.vacuum.open_cups
         readings = vacuum.update(message.fluid_pressure, message.header.frame_id)
         if isinstance(readings, str):
@@ -253,9 +262,133 @@ class Attachment:
             self.held = held
             self._pipeline.attach(held, 'vacuum')
 
-    def status(self, name: str) -> Status | None:
+    def status(self, name: str) -> health.Status | None:
         """Return the diagnostics line on the vacuum signal, if there is to be one."""
         if self.signal is None:
             return None
         latched = self._kind == 'bool'
-        return vacuum_status(name, self.signal.report(self._refused), self.held, latched)
+        return health.vacuum_status(name, self.signal.report(self._refused), self.held, latched)
+
+
+ALARM_DURATION_NS = 5_000_000_000
+"""How long (ns) an alarm stays in the diagnostics and as the state."""
+
+
+class Observing:
+    """
+    Subscriber to measured poses of the package, and the outputs of the observer.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Takes the poses, and goes on without cups that are lost.
+
+    Attributes
+    ----------
+    lost_cups : set of int
+        Cups of cup.layout that were lost since the package was attached.
+
+    """
+
+    def __init__(self, pipeline: Any) -> None:
+        """Subscribe; nothing changes before the first message."""
+        self._pipeline, node = pipeline, pipeline.node
+        self._live: LivePredictor = pipeline.live
+        kind = pipeline.values['measured.type']
+        self._with_covariance = kind != 'pose'
+        message_type, self._parts = conversions.TOOL_POSES[kind]
+        self._is_warm, self._reported = False, 0
+        self.lost_cups: set[int] = set()
+        self._measured_in = SensorInput(
+            node, message_type, 'package/measured', self._on_measured, self._on_publishers)
+        self._estimated = Topic(node, InertiaStamped, 'package/estimated')
+
+    def use_values(self) -> None:
+        """Use other values; the estimate starts again, alarms stay."""
+        if before := self._observer:
+            self._live.package.observe(observer := Observer(self._pipeline.values))
+            observer.alarms = before.alarms
+
+    @property
+    def _observer(self) -> Observer | None:
+        """The observer that corrects the predictions, if any."""
+        return self._live.package.observer
+
+    def _on_publishers(self, count: int) -> None:
+        """Compile once a possible publisher appears."""
+        if count and not self._is_warm:
+            self._is_warm = True
+            self.warm_up(self._live.model)
+            gc.collect()
+            gc.freeze()  # as `spin` does: what a compiler leaves is never looked at again
+
+    def warm_up(self, model: ModelTuple) -> None:
+        """Compile for a model what corrects it, if a camera may come."""
+        if self._is_warm:
+            warm_up_observer(self._pipeline.values, model)
+
+    def _on_measured(self, message: Any) -> None:
+        """Correct the prediction."""
+        live, node = self._live, self._pipeline.node
+        if live.arrival_ns is None:
+            return
+        if (observer := live.package.observer) is None:
+            live.package.observe(observer := Observer(self._pipeline.values))
+        stamp_ns, frame_id, *pose = conversions.read_pose(message, self._parts)
+        self._measured_in.note(stamp_ns)
+        covariance = np.reshape(message.pose.covariance, (6, 6)) if self._with_covariance else None
+        self._pipeline.advance(live.on_measured, stamp_ns, frame_id, *pose, covariance)
+        if frame_id != live.frame_id and not observer.sensor.has_own_world:
+            node.get_logger().warning(
+                f"package/measured is in frame '{short(frame_id)}', the tool in "
+                f"'{short(live.frame_id)}', so its poses are not used. Set "
+                'recording.package_world to the pose of the first frame in the second, as '
+                'estimated by bellows identify.',
+                throttle_duration_sec=10.0)
+        self.log_alarms()
+        if payload := self._observer and self._observer.payload:
+            self._estimated.send(
+                conversions.write_payload, self._pipeline.values['frames.lip'], payload)
+
+    def on_vacuum(self, held: bool, cup: int) -> None:
+        """Join the vacuum, or that of one cup, with what a camera sees."""
+        self._live.on_vacuum(held, cup)
+        self.log_alarms()
+
+    def log_alarms(self) -> None:
+        """Log the alarms since the last call, and go on without the cups that are lost."""
+        alarms = self._observer.alarms if self._observer else []
+        fresh, self._reported = alarms[self._reported:], len(alarms)
+        for alarm in fresh:
+            self._pipeline.node.get_logger().error(f'Alarm, {alarm.cause}: {alarm.message}')
+        if lost := {alarm.cup for alarm in fresh if alarm.cup >= 0}:
+            self.lost_cups |= lost
+            self._pipeline.use_values()
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """The alarm of the last seconds, if any."""
+        newest = self._observer.alarms[-1] if self._observer and self._observer.alarms else None
+        is_recent = newest and self._live.newest_ns - newest.stamp_ns < ALARM_DURATION_NS
+        return newest if is_recent else None
+
+    def status(self, name: str) -> health.Status | None:
+        """Return the line of the diagnostics; None if no message ever came."""
+        observer = self._observer
+        if observer is None:
+            return None
+        counts, payload = observer.counts, observer.payload
+        more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
+        if payload:
+            more['mass (kg)'] = f'{payload.mass:.4g} ± {payload.mass_std:.2g}'
+            for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
+                more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
+        more |= Counter(f'alarm: {alarm.cause}' for alarm in observer.alarms)
+        status = health.input_status(
+            name, self._measured_in.report({verdict: counts[verdict] for verdict in VERDICTS}))
+        status.values.update({key: str(value) for key, value in more.items()})
+        if self.alarm:
+            return status._replace(level=health.Level.ERROR, message=self.alarm.message)
+        flight = self._live.flight
+        is_held = self._live.attached and not (flight and flight.state)
+        return status if is_held else status._replace(level=min(status.level, health.Level.WARN))

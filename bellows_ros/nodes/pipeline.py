@@ -13,8 +13,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from .conversions import read_pose, stamp_to_ns, TOOL_POSES, vector
-from .inputs import Attachment, SensorInput, TransformInput
-from .observing import Observing
+from .inputs import Attachment, Observing, SensorInput, TransformInput
 from .outputs import Outputs, Tossing
 from .parameters import Values
 from .planning import Planning
