@@ -1,23 +1,15 @@
 """
 Find the command, run it, and turn errors into a message and an exit code.
 
-A command is a module of this package with its name, which has
-
-- a docstring: what it does, and examples, each a command line and what it is for, as `--help`
-  shows them;
-- `run(arguments, console)`: its work; returns the exit code.
-
-It is imported only to run; help needs its docstring and `commands.toml`.
+A command is a module of this package with its name, whose `run(arguments, console)` does the work
+and returns the exit code. It is imported only to run; its help is in `commands.toml`.
 """
 
 import argparse
-import ast
 from collections.abc import Sequence
 import difflib
 import importlib
 import os
-from pathlib import Path
-import re
 import sys
 import textwrap
 from typing import Any, NoReturn
@@ -150,14 +142,6 @@ def _answer(arguments: list[str]) -> NoReturn:
     parser.error(f"'{first}' is not a command. {hint}")
 
 
-def described(name: str) -> tuple[str, list[tuple[str, str]]]:
-    """Return what a command does, and its examples: command lines and what they are for."""
-    source = Path(__file__).with_name(f'{name}.py').read_text()
-    text, _, examples = str(ast.get_docstring(ast.parse(source), clean=False)).partition(
-        '\nExamples\n--------\n')
-    return text, re.findall(r'(bellows (?:.*\\\n)*.*)\n +(.+)', examples)
-
-
 def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
     """Add the arguments of a command to a parser."""
     for argument, settings in arguments_of(name):
@@ -166,11 +150,11 @@ def add_arguments(parser: argparse.ArgumentParser, name: str) -> None:
 
 def command_parser(name: str) -> Parser:
     """Return the parser of a command."""
-    text, pairs = described(name)
-    examples = '\n'.join(f'  {line}\n      {what}' for line, what in pairs)
-    negative = COMMANDS[name].get('negative')
+    entry = COMMANDS[name]
+    examples = '\n'.join(f'  {each["line"]}\n      {each["what"]}' for each in entry['examples'])
+    negative = entry.get('negative')
     ends = textwrap.fill(
         f'Exit code 0 when done, {f"1 if {negative}, " if negative else ""}2 on an error.', WIDTH)
-    parser = Parser(f'bellows {name}', text, f'examples:\n{examples}\n\n{ends}')
+    parser = Parser(f'bellows {name}', entry['text'], f'examples:\n{examples}\n\n{ends}')
     add_arguments(parser, name)
     return parser

@@ -1,17 +1,4 @@
-"""
-Compare two results of bellows identify.
-
-Report the change of each parameter, in percent and in standard errors, whether it is significant,
-and its effect on the predicted motion.
-
-Examples
---------
-bellows compare monday.json friday.json
-    check whether the cup has aged
-bellows compare small.json large.json --json comparison.json
-    write all figures to a file
-
-"""
+"""Report what differs between two fits, and whether it matters."""
 
 import argparse
 from collections.abc import Iterator

@@ -1,27 +1,4 @@
-r"""
-Make a recording (rosbag2) with poses, or write poses of a recording to a text file.
-
-Recordings are made from Motive CSV exports, from TUM, KITTI or EuRoC files, or from a recording
-with joint states or transforms. The text file (TUM) has the poses of one topic, for evo and other
-tools.
-
-Examples
---------
-bellows convert take.csv --out my_recording
-    a Motive export: every rigid body becomes a topic
-bellows convert tool.tum box.tum --topic /tool_arm/pose --topic /package/pose \
-      --out my_recording
-    two TUM trajectories, and a topic for each
-bellows convert bags/validation --topic /package/pose --out package.tum
-    poses of a recording as text
-bellows convert arm_bag --tool-link tool0 --urdf arm.urdf --out with_tool_poses
-    joint states to tool poses; the URDF defaults to /robot_description, else /tf is used
-bellows convert tf_bag --tool-frame tool0 --package-frame box --out with_poses
-    transforms to poses of tool and package
-bellows convert raw --unit mm --quaternion wxyz --out in_metres
-    a recording in millimetres, with w first, to what ROS means by a pose
-
-"""
+"""Make recordings from files of Motive, TUM, EuRoC or KITTI, from joints or tf."""
 
 import argparse
 import os

@@ -1,22 +1,4 @@
-r"""
-Design the motion of the tool that identifies stiffness and damping best.
-
-It stays within the limits of the arm, the cup and the grip. Report the standard errors to expect
-from a recording of it.
-
-Examples
---------
-bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \
-      --out motion
-    a motion of 20 s, based on a guess of the cup, written as a plan in a recording
-bellows excite --params cup_guess.yaml --limits arm.yaml --time 30 --out motion \
-      --urdf arm.urdf --tool-link tool0 --urscript motion.script --plot motion.png
-    within the ranges and speeds of the joints of a Universal Robots arm, with a picture
-bellows excite --params bags/cup.yaml --limits config/limits_example.yaml --time 20 \
-      --out motion --beside bags/identification.yaml
-    compare it with another motion
-
-"""
+"""Design a motion that identifies a cup best."""
 
 import argparse
 import math

@@ -1,19 +1,4 @@
-"""
-Write a cup and its package as a model for a simulator, or as a header in C.
-
-For MuJoCo (MJCF) and any simulator that reads SDF, like Gazebo and Drake. List what the format
-cannot express.
-
-Examples
---------
-bellows export cup.yaml --to mjcf --out cup.xml
-    six joints for MuJoCo
-bellows export cup.yaml --to sdf --out cup.sdf
-    the same for Gazebo and Drake
-bellows export cup.yaml --to c --out cup.h
-    step, equilibrium and safety factor in C
-
-"""
+"""Write a cup for MuJoCo, as SDF, or as C."""
 
 import argparse
 

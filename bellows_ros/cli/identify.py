@@ -1,28 +1,4 @@
-r"""
-Identify the stiffness K and damping P of a cup from recordings of the tool arm and the package.
-
-The parameter file has the given quantities (the package, the cup's length, the topics), the
-method, and optional inputs: standstills, recordings for validation, a comparison of structures.
---release identifies, with a given cup, the valve from recordings of tosses.
-
-Examples
---------
-bellows identify bags/identification --params bags/package.yaml \
-      --out cup.yaml --json fit.json
-    identify a cup; cup.yaml is for the predictor, fit.json contains all figures
-bellows identify first second --params my_cell.yaml --set fit.structure=full
-    from two recordings, without the symmetry of a round cup; only print the result
-bellows identify recordings/* --params my_cell.yaml --jobs -1 --out cup.yaml
-    from hundreds of recordings, on all cores
-bellows identify recording --params my_cell.yaml --set static.bags=m05,m10,m15 \
-      --set static.files=m05.yaml,m10.yaml,m15.yaml --set static.length=true
-    with standstills under three masses, which also give the nominal length
-bellows identify recording --params my_cell.yaml --json - | jq .stiffness
-    use the result in a script
-bellows identify tosses --release --params bags/tossing.yaml --out release.yaml
-    identify delay, tau and blow-off of the valve, and their scatter
-
-"""
+"""Identify a cup's stiffness and damping from recordings."""
 
 import argparse
 from typing import Any, TYPE_CHECKING

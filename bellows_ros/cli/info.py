@@ -1,19 +1,4 @@
-"""
-List the topics of a recording with their rates, gaps and jitter.
-
-Guess which is the tool and which the package, and explain why. Write a parameter file for the
-recording.
-
-Examples
---------
-bellows info bags/identification
-    list and check the contents of a recording
-bellows info recording --write-params my_cell.yaml
-    write a parameter file with its topics; fill in only the package
-bellows info recording --json - | jq .settings
-    use the settings in a script
-
-"""
+"""List the topics of a recording, and guess which is the tool."""
 
 import argparse
 from collections.abc import Iterator

@@ -1,18 +1,4 @@
-"""
-List the parameters of the nodes identifier and predictor.
-
-Parameter files and '--set' of the other commands take them too.
-
-Examples
---------
-bellows parameters
-    all of them
-bellows parameters filter fit
-    parameters whose names begin with these words
-bellows parameters --yaml > my_cell.yaml
-    a parameter file to fill in
-
-"""
+"""List all parameters, or write a parameter file to fill in."""
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence

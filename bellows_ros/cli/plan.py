@@ -1,20 +1,4 @@
-r"""
-Predict, before it moves, what a planned motion of the tool does to the package.
-
-Report how firmly the cup holds, how far it bends, how long the package swings afterwards, and the
-uncertainty of all these. With --fastest, find how short the motion can be.
-
-Examples
---------
-bellows plan bags/transport.yaml --params bags/tossing.yaml --fastest
-    the effect of a motion for bellows simulate, and its shortest safe time
-bellows plan plan_bag --params bags/cup.yaml --json plan.json --plot plan.png \
-    --out predicted
-    a recorded plan, with all figures, a picture, and a recording of tool and package
-bellows plan moveit_bag --params bags/cup.yaml --urdf arm.urdf --tool-link tool0
-    a plan of an arm's joints
-
-"""
+"""Predict what a planned motion does to the package, and if it holds."""
 
 import argparse
 import math

@@ -1,18 +1,4 @@
-"""
-Play the poses and twists of a recording to ROS, unchanged and at recorded speed.
-
-As ros2 bag play does, where ROS comes from wheels only. Needs rclpy.
-
-Examples
---------
-bellows play bags/validation --topic /tool_arm/pose --topic /tool_arm/twist
-    the tool's messages, for a predictor that runs beside it
-bellows play bags/validation --stamps now --rate 0.5
-    at half the speed, with stamps of the current time
-bellows play recording --topic /mocap/tool/pose:=/tool_arm/pose
-    one topic, under another name
-
-"""
+"""Play the poses and twists of a recording to ROS."""
 
 import argparse
 import math

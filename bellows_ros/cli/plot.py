@@ -1,25 +1,4 @@
-r"""
-Draw a picture of a recording, of the fit of a cup, or of its prediction.
-
-Of a recording: motion, spectra, path; of a fit: deflection, residuals; of a prediction: margin,
-prediction, animation.
-
-Examples
---------
-bellows plot motion bags/identification --params bags/package.yaml --out motion.png
-    tool and package on all axes against time
-bellows plot deflection bags/identification --params bags/cup.yaml --out deflection.svg
-    load against deflection, and the cup's stiffness
-bellows plot prediction bags/validation --params bags/cup.yaml --out prediction.png \
-    --theme dark
-    measured and predicted pose of the package
-bellows plot animation bags/validation --params bags/cup.yaml --out replay.gif \
-    --from 3 --to 6
-    tool, cup and package moving
-bellows plot spectra recording --out spectra.svg --json spectra.json
-    with the numbers, for pictures of your own
-
-"""
+"""Draw recordings, fits and predictions."""
 
 import argparse
 from collections.abc import Callable, Mapping

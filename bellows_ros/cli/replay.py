@@ -1,36 +1,4 @@
-r"""
-Predict a recording with a cup, from start to end, from the motion of the tool alone.
-
-Report the error of the package on each axis, the part due to measurement noise, whether the
-residual is white, and the error of the live predictor on the recorded messages. Use a recording
-that the cup was not identified from.
-
-Examples
---------
-bellows replay bags/validation --params bags/cup.yaml
-    check the cup identified before
-bellows replay bags/validation --params bags/cup.yaml --report replay.html
-    also write a page with plots, which needs no network
-bellows replay bags/validation --params bags/cup.yaml \
-      --set topics.tool_twist= --json replay.json
-    without twists, with all figures in a file
-bellows replay bags/validation --params bags/cup.yaml --observe camera/box \
-      --set measured.noise="[0.002, 0.01]"
-    with a camera: prediction alone, camera alone, and both
-bellows replay bags/validation --params bags/cup.yaml --observe camera/box \
-      --set measured.calibrate=true --out camera.yaml
-    find where the camera is, and keep it for the node
-bellows replay sound_work --params bags/cup.yaml --observe camera/box \
-      --calibrate-alarms --out alarms.yaml
-    find what alarms must allow for, and the false alarms to expect
-bellows replay bags/validation --params bags/cup.yaml --view
-    open the viewer Rerun
-bellows replay bags/validation --params bags/cup.yaml --view replay.rrd
-    write a file; 'rerun replay.rrd' opens it on any machine
-bellows replay second --params bags/cup.yaml --limit 5
-    in a script: exit code 1 unless every axis that moves is within 5 %
-
-"""
+"""Predict a recording with a cup, and report how well it does."""
 
 import argparse
 from collections.abc import Mapping

@@ -1,20 +1,4 @@
-r"""
-Simulate a package held by a known cup while the tool moves.
-
-Write what a robot driver and a tracking system would record, with noise, outliers and dropouts.
-
-Examples
---------
-bellows simulate --params bags/cup.yaml --motion bags/static.yaml --out recording
-    a recording of a cup and a motion from files
-bellows simulate --params bags/cup.yaml --set package.mass=2.5 \
-      --motion config/motion_example.yaml --out heavy --force
-    with a heavier package, replacing an existing recording
-bellows simulate --params bags/cup.yaml --motion bags/identification.yaml \
-      --plan motion --out rehearsal
-    a plan of bellows excite, before the arm runs
-
-"""
+"""Simulate a recording of a given cup."""
 
 import argparse
 from collections import Counter

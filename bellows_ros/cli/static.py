@@ -1,21 +1,4 @@
-r"""
-Find the standstills in recordings.
-
-From two or more known masses held vertically, find the cup's nominal length: its length without
-load. With a stiffness in the parameter file, check in every pose whether the package hangs where
-the spring model predicts.
-
-Examples
---------
-bellows static m05 m10 m15 m20 --params my_cell.yaml \
-      --mass 0.5 --mass 1.0 --mass 1.5 --mass 2.0 --out my_cell_l0.yaml
-    the nominal length from four masses, written to a copy of the parameters
-bellows static --params my_cell.yaml
-    with recordings and masses from parameter files: static.bags, static.files
-bellows static bags/static --params bags/cup.yaml
-    check the spring of a cup in several orientations of the tool
-
-"""
+"""Find the cup's nominal length from standstills, and check its spring alone."""
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence

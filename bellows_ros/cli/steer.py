@@ -1,20 +1,4 @@
-r"""
-Change a planned motion of the tool so that the package does not swing.
-
-The inverse moves the package as planned, in no more time. ZV and ZVD shape the motion; they take
-longer and are less sensitive to errors in cup and package.
-
-Examples
---------
-bellows steer bags/transport.yaml --method inverse --params bags/tossing.yaml --out steered
-    the tool motion with which the package moves as planned
-bellows steer plan_bag --method zvd --params bags/cup.yaml --limits limits.yaml \
-    --out steered --json steer.json
-    a shaped motion within limits, with all figures
-bellows steer plan_bag --method inverse --params bags/cup.yaml --plot steer.gif
-    planned and steered motion side by side, at a quarter of the speed
-
-"""
+"""Change a planned motion so that the package does not swing."""
 
 import argparse
 import math

@@ -1,17 +1,4 @@
-"""
-Report, before a fit, what of K and P is identifiable, and which motion is missing.
-
-Then compare the structures of K and P (fit.structure) by the held-out error: how well a cup fitted
-without a part of the recordings simulates that part. Recommend one.
-
-Examples
---------
-bellows structures bags/identification --params bags/package.yaml
-    what is identifiable from a recording, and which fit.structure to take
-bellows structures first second --params my_cell.yaml --json structures.json
-    for two recordings together, with all figures in a file
-
-"""
+"""Report what is identifiable from recordings, and recommend a structure."""
 
 import argparse
 from collections.abc import Mapping

@@ -1,17 +1,4 @@
-"""
-Predict a toss: the valve is switched, the cup lets go, the package flies and lands.
-
-Report the uncertainty of the landing and the largest contribution to it; or find the time of
-release for a target.
-
-Examples
---------
-bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0
-    the landing if the valve is switched 3.0 s after the beginning of the plan
-bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --plot toss.png
-    the time to switch the valve to land at x = 1.8 m, y = 0.149 m, with a picture
-
-"""
+"""Predict where a tossed package lands, and what limits the accuracy."""
 
 import argparse
 import math

@@ -16,7 +16,7 @@ import sys
 import tempfile
 from typing import Any
 
-from bellows_ros.cli.app import command_parser, COMMANDS, described
+from bellows_ros.cli.app import command_parser, COMMANDS
 from bellows_ros.cli.console import EXIT_CODES
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
@@ -135,14 +135,15 @@ def commands() -> Iterator[str]:
                 'examples; `eval "$(register-python-argcomplete bellows)"` completes commands, '
                 'options and parameters in the shell (extra `complete`).', '')
     for name, entry in COMMANDS.items():
-        text, (does, examples) = entry['does'], described(name)
-        yield from (f'## bellows {name}', '', f'{text[0].upper()}{text[1:]}.', '',
-                    ' '.join(does.split()), '')
+        does = entry['does']
+        yield from (f'## bellows {name}', '', f'{does[0].upper()}{does[1:]}.', '',
+                    entry['text'], '')
         rows = [_argument(action) for action in command_parser(name)._actions[1:]]  # not --help
         if rows:
             yield from ('| argument | meaning |', '|---|---|', *rows, '')
-        for line, what in examples:
-            yield from (f'{what[0].upper()}{what[1:]}:', '', '```text', line, '```', '')
+        for example in entry['examples']:
+            what = example['what']
+            yield from (f'{what[0].upper()}{what[1:]}:', '', '```text', example['line'], '```', '')
     yield from ('## Exit codes', '', '| code | meaning |', '|---|---|', *_exit_codes(), '')
 
 
