@@ -46,6 +46,8 @@ def test_two_recordings_of_one_cup(files):
     ({'parameters': {'labels': ['K x'], 'covariance': [[1.0]]}}, 'damaged'),
     ({'provenance': {'recordings': [{'path': 'a', 'files': [{}]}]}}, ''),
     ({'structure': 'a' * 5000}, ''), ({'stiffness': [[None] * 6] * 6}, ''),
+    ({'stiffness': [[1.0] * 5] * 5}, 'shape'), ({'stiffness': [1.0] * 36}, 'shape'),
+    ({'damping': 3}, 'shape'),
 ])
 def test_results_with_other_content_are_refused(files, tmp_path, change, word):
     """Say what is missing, at a length that can be read."""
