@@ -324,7 +324,7 @@ def plan(
         or EuRoC file; a message or a motion as YAML; or the poses of E in a world whose z is up,
         with body twists, or without from rest to rest.
     parameters : mapping or path
-        Package and cup by name, and the grip where it is known; or a file with them.
+        Package and cup by name, and the grip if known; or a file with them.
     urdf, topic : str
         The arm, where its joints are planned; and the plan, where a recording has several.
 
@@ -365,7 +365,7 @@ def fastest(
     Raises
     ------
     BellowsError
-        As `plan`; or if the grip is not known, or the motion is not one from rest to rest.
+        As `plan`; or if the grip is unknown, or the motion is not one from rest to rest.
 
     Examples
     --------

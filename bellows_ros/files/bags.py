@@ -2,7 +2,7 @@
 Reading rosbag2 recordings: SQLite and MCAP, plain and zstd, by folder or by file.
 
 Files are not trusted: sizes are bounded, and whatever is wrong with one is a BellowsError that
-says what to do. What a recorder that crashed has left is read as far as it goes, with a note.
+names the remedy. What a crashed recorder has left is read as far as possible, with a note.
 
 A database (.db3) is opened read-only and immutable, its schema is not trusted, and the work done
 on it is bounded by its size, so that a damaged or hostile file ends in an error and not in an
@@ -103,7 +103,7 @@ class _Bag:
             losses: list[str] = []
             try:
                 for batches in _file_batches(file, wanted, self.counts, losses):
-                    yield [_plain(batch) for batch in batches]
+                    yield [_decompressed(batch) for batch in batches]
             except (DamagedError, bag_folder.ZstdError, EOFError) as error:
                 raise BellowsError(
                     f"File '{file}' cannot be read as a recording: {error}. "
@@ -251,7 +251,7 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     for role, name in roles.items():
         of_role = [of_topic[role] for of_topic in collectors.values() if role in of_topic]
         try:
-            contents.streams[role] = _stream(bag, role, name, of_role)
+            contents.streams[role] = _stream_of_role(bag, role, name, of_role)
         except BellowsError as problem:
             contents.problems[role] = problem
     return contents
@@ -367,7 +367,7 @@ class _Collector:
         return stream
 
 
-def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -> Stream:
+def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -> Stream:
     """Return the stream of a role, from its messages, or raise what is wrong."""
     filled = [each for each in collectors if bag.counts[each.topic]]
     if len(filled) > 1:
@@ -403,7 +403,7 @@ def _stream(bag: _Bag, role: str, name: str, collectors: Sequence[_Collector]) -
         f'For {given_by}, {meant}.')
 
 
-def _plain(batch: Batch) -> Batch:
+def _decompressed(batch: Batch) -> Batch:
     """
     Return messages decompressed where each was compressed.
 

@@ -107,9 +107,9 @@ def poses_in(
 
     """
     frame, world = frame.lstrip('/'), world.lstrip('/')
-    up = _chain(links, frame, of)
+    up = _frames_to_root(links, frame, of)
     root = world or (links[up[-1]].parent if up else frame)
-    down = _chain(links, root, of)
+    down = _frames_to_root(links, root, of)
     while up and down and up[-1] == down[-1]:
         up, down = up[:-1], down[:-1]
     ends = [links[path[-1]].parent if path else end for path, end in ((up, frame), (down, root))]
@@ -147,14 +147,14 @@ def rotations_in_root(links: Mapping[str, Link], frame: str, of: str) -> tuple[A
     All of each link, with the last ones of the others; parameters as of `poses_in`.
     """
     R: Array = np.eye(3)[None]
-    chain = _chain(links, frame, of)
+    chain = _frames_to_root(links, frame, of)
     for name in chain:
         rotations = links[name].poses[:, :3, :3]
         R = np.concatenate([rotations @ R[-1], rotations[-1:] @ R])
     return R, links[chain[-1]].parent if chain else frame
 
 
-def _chain(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
+def _frames_to_root(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
     """Return the frames from this one up to below the root; refuse loops."""
     if frame not in links and frame not in {link.parent for link in links.values()}:
         raise BellowsError(
@@ -267,10 +267,10 @@ def multi_dof(message: Any) -> PlanMessage:
                           for part in ('transforms', 'velocities', 'accelerations'))
     if transforms is None:
         raise BellowsError('The plan has points without transforms; expected one of each.')
-    poses = np.array([_seven(each.translation, each.rotation) for (each,) in transforms])
+    poses = np.array([_pose(each.translation, each.rotation) for (each,) in transforms])
     twists, accelerations = (
         None if lists is None else np.array(
-            [(*_three(each.linear), *_three(each.angular)) for (each,) in lists])
+            [(*_vector(each.linear), *_vector(each.angular)) for (each,) in lists])
         for lists in rates)
     return PlanMessage(
         ns_of(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
@@ -286,7 +286,7 @@ def path_points(message: Any) -> PlanMessage:
             f"The plan is in frame '{message.header.frame_id}', but has poses in "
             f"'{sorted(frames)[0]}'; expected one frame. Transform them before.")
     stamps = np.array([ns_of(pose.header.stamp) for pose in message.poses])
-    poses = np.array([_seven(p.pose.position, p.pose.orientation) for p in message.poses])
+    poses = np.array([_pose(p.pose.position, p.pose.orientation) for p in message.poses])
     return PlanMessage(
         ns_of(message.header.stamp), message.header.frame_id, ('tool',), stamps - stamps[0], poses)
 
@@ -396,11 +396,11 @@ def read_yaml(path: File) -> Mapping[str, Any]:
     return content
 
 
-def _three(vector: Any) -> tuple[float, float, float]:
+def _vector(vector: Any) -> tuple[float, float, float]:
     """Return a vector's numbers."""
     return float(vector.x), float(vector.y), float(vector.z)
 
 
-def _seven(vector: Any, q: Any) -> tuple[float, ...]:
+def _pose(vector: Any, q: Any) -> tuple[float, ...]:
     """Return the numbers of a position and a quaternion."""
-    return (*_three(vector), float(q.x), float(q.y), float(q.z), float(q.w))
+    return (*_vector(vector), float(q.x), float(q.y), float(q.z), float(q.w))

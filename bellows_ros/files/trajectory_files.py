@@ -12,7 +12,7 @@ qualities, where its measured position is not blank. (The positions of a 'Rigid 
 nothing about that: they are where the body expects its markers, and always there.)
 Their layout: a row of settings, name and value in turn; a blank row; rows for Type, Name, ID,
 since format 1.25 Parent, and quantity; the row of axes, which begins with Frame and Time (Seconds)
-and, where the take has one, TimeCode; then a row per frame. Columns are found by these heads, so
+and, where the take has one, TimeCode; then a row per frame. These heads identify columns, so
 their order does not matter.
 """
 
@@ -202,11 +202,11 @@ def _lines(path: File, separator: str | None, fewest: int = 1, most: int = 10**6
     for number, cells in lines:
         if not fewest <= len(cells) <= most:
             wanted = f'{"" if fewest == most else "at least "}{fewest} numbers'
-            raise _unlike(path, number, f'{wanted}, got {len(cells)}')
+            raise _line_error(path, number, f'{wanted}, got {len(cells)}')
     return lines
 
 
-def _unlike(path: File, number: int, what: str) -> BellowsError:
+def _line_error(path: File, number: int, what: str) -> BellowsError:
     """Return the error for a line that does not hold what it must."""
     return BellowsError(
         f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'; "
@@ -224,7 +224,7 @@ def _stamps(path: File, lines: Lines, unit: str) -> Stamps:
         except ArithmeticError:
             valid = False
         if not valid:
-            raise _unlike(path, number, f"a time in {unit}, got '{cell[:40]}'")
+            raise _line_error(path, number, f"a time in {unit}, got '{cell[:40]}'")
         stamps.append(int(time * factor))
     return np.array(stamps, dtype=np.int64)
 
@@ -325,7 +325,7 @@ def is_motive(path: File) -> bool:
 def _bodies(path: Path, stream: TextIO, min_markers: int) -> tuple[MotiveBody, ...]:
     """Return the bodies in an open file."""
     rows = csv.reader(stream)
-    about, heads = _head(path, rows)
+    about, heads = _read_head(path, rows)
     scale = UNITS[about['Length Units'].lower()]
     columns = _body_columns(path, heads)
     needed = sorted({TIME}.union(*(c for of_body in columns.values() for c in of_body)))
@@ -352,7 +352,7 @@ def _bodies(path: Path, stream: TextIO, min_markers: int) -> tuple[MotiveBody, .
     return tuple(bodies)
 
 
-def _head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:
+def _read_head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:
     """Return what the file says about itself, and its column heads, as wide as the row of axes."""
     first = next(rows, [])
     if first and first[0].startswith('Format Version;'):

@@ -173,7 +173,7 @@ def send_all(
 
 @contextmanager
 def player_node(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
-    """Provide a node in a ROS context of its own, and the executor that spins it."""
+    """Provide a node in a separate ROS context, and the executor that spins it."""
     context = Context()
     rclpy.init(args=[], context=context)
     executor = SingleThreadedExecutor(context=context)

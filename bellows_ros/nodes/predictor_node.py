@@ -257,7 +257,7 @@ class Diagnostics:
             self._due[key] = now + LOG_INTERVAL
             if line.level == health.Level.ERROR and line.name in ERROR_LINES:
                 self._node.get_logger().error(line.message)
-            else:  # a line of its own: rclpy refuses a second severity from one
+            else:  # another line of code: rclpy refuses a second severity from one
                 self._node.get_logger().warning(line.message)
 
     def _load(self, load: Load) -> health.Status:

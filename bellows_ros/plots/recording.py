@@ -34,7 +34,7 @@ def motion_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> An
 
     def line(name: str, colour: str, width: float, position: Array, rotation: Array) -> Any:
         turned = log_so3(rotation @ rotation[start].T)
-        moved = style.broken(np.hstack([position - position[start], turned]), motion.valid)
+        moved = style.masked(np.hstack([position - position[start], turned]), motion.valid)
         return style.Line(name, colour, width, motion.seconds, style.MILLI * moved)
 
     figure = style.six_lines('Motion in the world, from the start', note, theme, (
@@ -108,8 +108,8 @@ def path_figure(motion: MeasuredMotion, note: str, theme: str = 'light') -> Any:
         style.legend(figure, (('tool tip E', colours.measured, 3.0),
                               ('package B', colours.predicted, 1.2)))
         space = figure.add_axes((0.02, 0.04, 0.92, 0.86), projection='3d')
-        tool = style.broken(motion.tool_position, motion.valid)
-        package = style.broken(motion.package_position, motion.valid)
+        tool = style.masked(motion.tool_position, motion.valid)
+        package = style.masked(motion.package_position, motion.valid)
         space.plot(*tool.T, color=colours.measured, linewidth=2.4)
         space.plot(*package.T, color=colours.predicted, linewidth=1.0)
         for i in usable[:: max(1, len(usable) // 40)]:  # some forty
@@ -150,7 +150,7 @@ def deflection_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     with style.picture(title, note, theme) as (figure, colours):
         style.legend(figure, (('needed by the motion', colours.measured, 4.0),
                               ('stiffness of the cup', colours.predicted, 1.4)))
-        for axis, panel in enumerate(style.six(figure, UNITS)):
+        for axis, panel in enumerate(style.six_panels(figure, UNITS)):
             x, y = loads.deflection[shown, axis], loads.load[shown, axis]
             kind, scale, unit = (('force', style.MILLI, 'mm') if axis < 3
                                  else ('moment', np.rad2deg(1.0), 'degrees'))
@@ -182,7 +182,7 @@ def residual_figure(loads: Loads, note: str, theme: str = 'light') -> Any:
     matplotlib.figure.Figure
 
     """
-    load, residual = (style.broken(x, loads.valid) for x in (loads.load, loads.residual))
+    load, residual = (style.masked(x, loads.valid) for x in (loads.load, loads.residual))
     title = 'Load on the cup, and the unexplained part'
     with style.picture(title, note, theme) as (figure, colours):
         style.legend(figure, (('needed by the motion', colours.measured, 2.4),
@@ -216,7 +216,7 @@ def prediction_figure(
     seconds : array (N,)
         From the recording's first stamp, s.
     comparison : Comparison
-        What is drawn; each line is interrupted where its own values are missing.
+        What is drawn; each line is interrupted where its values are missing.
     title, note : str
         What is shown, and under which conditions.
     theme : {'light', 'dark'}

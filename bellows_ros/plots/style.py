@@ -166,7 +166,7 @@ def picture(
         yield figure, colours
 
 
-def six(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
+def six_panels(figure: Any, units: Sequence[str] = MILLI_UNITS) -> list[Any]:
     """Return six panels: x, y, z on the left, rx, ry, rz on the right, each with its unit."""
     panels = list(figure.subplots(
         3, 2, gridspec_kw={**BELOW_HEAD, 'hspace': 0.28, 'wspace': 0.26}).T.ravel())
@@ -217,7 +217,7 @@ def six_lines(
     with picture(title, note, theme) as (figure, colours):
         legend(figure, [(line.name, getattr(colours, line.colour), line.width)
                         for line in lines if line.name])
-        for axis, panel in enumerate(six(figure, units)):
+        for axis, panel in enumerate(six_panels(figure, units)):
             for _, colour, width, x, values in lines:
                 panel.plot(x, values[:, axis], color=getattr(colours, colour), linewidth=width)
             if log:
@@ -273,7 +273,7 @@ def six_pairs(
     units: Sequence[str], below: str, labels_at: float = -0.125, **place: float,
 ) -> list[tuple[Any, Any]]:
     """
-    Draw six coordinates over time as `six` places them, each with its error in a strip below it.
+    Draw six coordinates over time, placed as by `six_panels`, and the error of each below it.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def six_pairs(
     lines : sequence of Line
         Over the same times (s), in `units`.
     error : array (N, 6)
-        Drawn about zero, to a scale of its own.
+        Drawn about zero, to another scale.
     titles : sequence of str
         Title of each coordinate.
     units : sequence of str
@@ -329,7 +329,7 @@ def six_pairs(
     return pairs
 
 
-def broken(values: Array, valid: Mask) -> Array:
+def masked(values: Array, valid: Mask) -> Array:
     """Return values with NaN where invalid, so that lines are interrupted."""
     shape = (len(values),) + (1,) * (values.ndim - 1)
     return np.asarray(np.where(valid.reshape(shape), values, np.nan))

@@ -54,7 +54,7 @@ def formatted(
     value: float | None, form: str = '.3g', unit: str = '', factor: float = 1.0,
     unknown: str = '-',
 ) -> str:
-    """Return a number times a factor with its unit, or a dash where it is not known."""
+    """Return a number times a factor with its unit, or a dash if unknown."""
     if value is None or not math.isfinite(value):
         return unknown
     return f'{factor * value:{form}} {unit}'.rstrip()

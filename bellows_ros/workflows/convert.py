@@ -120,7 +120,7 @@ def bodies_in_files(
         If a source cannot be read, or two bodies would have one topic.
 
     """
-    bodies = [body for source in sources for body in _read(Path(source), min_markers)]
+    bodies = [body for source in sources for body in _bodies_in_file(Path(source), min_markers)]
     if names and len(names) != len(bodies):
         raise BellowsError(
             f'{len(names)} topics are given for {len(bodies)} bodies: '
@@ -243,7 +243,7 @@ def bodies_in_recording(
             rotation_to_quaternion(reordered(stream.rotation) if w_first else stream.rotation)])
         bodies.append(Body(
             as_messages(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
-            _refused(stream)))
+            _refused_counts(stream)))
     return bodies + _copied_topics(bag, {topic.type_name for topic in counts}, chosen)
 
 
@@ -304,7 +304,7 @@ def to_bag(
     return Conversion(os.fspath(out), parts, world, tuple(notes))
 
 
-def _read(source: Path, min_markers: int) -> list[Body]:
+def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
     """Return the bodies in a file, and what was left out."""
     if not os.path.isfile(source):
         raise BellowsError(
@@ -360,10 +360,10 @@ def to_tum(
     stream = within_interval(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     trajectory_files.write_tum(out, stream.stamps_ns, values)
-    read = as_messages(stream.name, POSE, stream.stamps_ns, values, stream.frame_id)
-    return Conversion(os.fspath(out), (Body(read, os.fspath(bag), _refused(stream)),))
+    written = Encoded(stream.name, POSE, stream.stamps_ns, ())
+    return Conversion(os.fspath(out), (Body(written, os.fspath(bag), _refused_counts(stream)),))
 
 
-def _refused(stream: PoseStream) -> dict[str, int]:
+def _refused_counts(stream: PoseStream) -> dict[str, int]:
     """Return how many messages of a stream were refused, by reason."""
     return {reason: len(where) for reason, where in stream.refused.items() if len(where)}

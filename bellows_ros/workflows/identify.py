@@ -125,7 +125,7 @@ def identify(
         early = verdict_of(None, _recordings(parts), effective['cup.length'], effective)
         if early and early._replace(allowed=allowances(effective)).refusals:
             effective, notes = {**effective, **LEAST_SQUARES}, (*notes, LEAST_SQUARES_NOTE)
-    return _identified(
+    return _identify(
         values, effective, parts, static, progress, read, failed=tuple(failed), assumed=notes,
         parameter_files=tuple(
             {'path': os.fspath(path), 'files': digests(path)} for path in parameter_files))
@@ -160,8 +160,8 @@ def _mistakes(values: Mapping[str, Any]) -> Iterator[tuple[Any, str]]:
     yield (free and values['fit.method'] == 'least_squares',
            f'{names}they need fit.method: output_error. Set it.')
     yield ({*free} - {'length', 'package_marker'} and values['package.files'],
-           f'{names}package.files gives each recording a package of its own. Fit the recordings '
-           'of one package alone.')
+           f'{names}with package.files each recording has another package. Fit the recordings of '
+           'one package alone.')
     yield ('length' in free and values['static.length'],
            f'{names}static.length estimates the length from standstills. Use one of the two.')
     bags, validation = values['bags'], values['validation.bags']
@@ -266,7 +266,7 @@ def read_all(
     return parts, failed
 
 
-def _identified(
+def _identify(
     values: Mapping[str, Any], effective: Mapping[str, Any], parts: Sequence[Part],
     static: 'StaticResult | None', progress: Progress, read: Read, **more: Any,
 ) -> identification.Identification:

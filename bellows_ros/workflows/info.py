@@ -235,7 +235,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     streams = {role: stream for role, stream in within_interval(contents.streams, span).items()
                if len(stream)}
     start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
-    described = tuple(_topic(topic, streams, problems, start_ns) for topic in counts)
+    described = tuple(_describe_topic(topic, streams, problems, start_ns) for topic in counts)
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
     if not poses and any(topic.type_name == TF and topic.messages for topic in counts):
@@ -255,7 +255,7 @@ def _frames_note(path: File) -> str:
         "--tool-frame FRAME --package-frame FRAME --out with_poses'.")
 
 
-def _topic(
+def _describe_topic(
     topic: TopicCount, streams: Mapping[str, Stream], problems: Mapping[str, str], start_ns: int
 ) -> TopicInfo:
     """Return the description of a topic."""
@@ -268,10 +268,10 @@ def _topic(
         start_ns=int(stream.stamps_ns[0]),
         duration_s=float(stream.stamps_ns[-1] - stream.stamps_ns[0]) / NS_PER_S,
         refused={reason: len(where) for reason, where in stream.refused.items()},
-        **(_quality(stream, start_ns) if len(stream) > 2 else {}))
+        **(_describe_quality(stream, start_ns) if len(stream) > 2 else {}))
 
 
-def _quality(stream: Stream, start_ns: int) -> dict[str, Any]:
+def _describe_quality(stream: Stream, start_ns: int) -> dict[str, Any]:
     """Return rate, gaps, and of poses outliers, noise and motion."""
     time = timing(stream.stamps_ns)
     quality: dict[str, Any] = {
@@ -298,7 +298,7 @@ def _with_roles(
     twists: Mapping[str, TwistStream], span: Mapping[str, Any], notes: list[str]
 ) -> Info:
     """Return the recording with roles, settings and notes."""
-    pairs = [_pair(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
+    pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
     pair = max(filter(None, pairs), key=lambda pair: pair.score, default=None)
     tool, package = (pair.tool, pair.package) if pair else _roles_by_name(poses)
     twist, in_degrees = _twist_of(poses[tool.topic], twists) if tool else (None, False)
@@ -432,7 +432,7 @@ def _name_reason(topic: str, words: frozenset[str]) -> tuple[str, ...]:
     return (f"its name contains '{there}'",) if there else ()
 
 
-def _pair(tool: PoseStream, package: PoseStream) -> Pair | None:
+def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     """Return two topics as tool and package with the reasons; None without a common time."""
     first, last = common_span(tool, package)
     if last <= first:

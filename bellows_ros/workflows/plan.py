@@ -189,7 +189,7 @@ class PlanReport(CommandResult):
 
     @property
     def holds(self) -> bool:
-        """Whether the cup holds, as far as is known, and a safe time exists where sought."""
+        """Whether the cup holds, unless unknown, and a safe time exists where sought."""
         held = self.prediction.grip is None or self.prediction.smallest_safety[0] >= 1.0
         return held and (self.fastest is not None or not self.sought)
 
@@ -215,7 +215,7 @@ class PlanReport(CommandResult):
         """What a picture shows, with what follows a plan that ends at rest."""
         prediction, source = self.prediction, self.source
         after = min(TAIL_SHOWN, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
-        return curves(source.values, source.model, source.grip, standing(source.tool, after))
+        return curves(source.values, source.model, source.grip, extended(source.tool, after))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -328,7 +328,7 @@ def curves(
     return Curves(tool.seconds, tool.position, compute(model), _deviations(values, model, compute))
 
 
-def standing(tool: Trajectory, seconds: float) -> Trajectory:
+def extended(tool: Trajectory, seconds: float) -> Trajectory:
     """Return a plan with a standstill of that many seconds added at its end."""
     count = round(seconds / STANDSTILL_STEP)
     if count == 0:
@@ -387,8 +387,8 @@ def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> 
     if file.suffix.lower() in YAML:
         content = plans.read_yaml(file)
         if 'kind' in content:
-            return _motion(content, values)
-        return _checked(plans.plan_in_yaml(content, os.fspath(file)), values, urdf, '')
+            return _source_of_motion(content, values)
+        return _source_of_plan(plans.plan_in_yaml(content, os.fspath(file)), values, urdf, '')
     if file.suffix.lower() in TEXT:
         stamps, poses = read_trajectory(file)
         return Source(at_tip(plan_of(
@@ -397,10 +397,10 @@ def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> 
     if read:
         notes = ([f"'{file}' has {len(read)} plans; using the first, on {read[0][0]}."]
                  if len(read) > 1 else [])
-        source = replace(_checked(read[0][1], values, urdf, file), notes=tuple(notes))
+        source = replace(_source_of_plan(read[0][1], values, urdf, file), notes=tuple(notes))
         _require_level(file, source.frame_id, values['gravity.direction'])
         return source
-    return _recorded(file, values, urdf, topic)
+    return _source_of_recording(file, values, urdf, topic)
 
 
 def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> None:
@@ -418,7 +418,7 @@ def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> Non
             'gravity has gravity.direction. Transform the plan.')
 
 
-def _checked(
+def _source_of_plan(
     read: plan_messages.PlanMessage | JointPlan, values: Mapping[str, Any], urdf: str,
     recording: Any,
 ) -> Source:
@@ -437,7 +437,7 @@ def _checked(
     return Source(tool, read.frame_id, moves=moves)
 
 
-def _motion(content: Mapping[str, Any], values: Mapping[str, Any]) -> Source:
+def _source_of_motion(content: Mapping[str, Any], values: Mapping[str, Any]) -> Source:
     """Return the tool's motion in a motion file."""
     recipe = read_recipe(content, np.array(values['package.com']))
     R_world_level = levelling(values['gravity.direction']).T  # z of a motion file is up
@@ -455,7 +455,7 @@ def _checked_motion(tool: Trajectory) -> Trajectory:
                    tool.twist, twist_frame='tool', name='The motion')
 
 
-def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
+def _source_of_recording(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
     """Return the tool's motion in a recording, of poses, joints or transforms."""
     wanted = {'tool_pose': topic or values['topics.tool_pose'],
               'tool_twist': values['topics.tool_twist']}
@@ -473,7 +473,7 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
     motion = poses.trajectory()
     if rates is None:
         name = f"Poses '{poses.name}'"
-        motion, rates, axes = _measured(
+        motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
     tool = plan_of(
         motion.stamps_ns, motion.position, rotation_to_quaternion(motion.rotation), rates,
@@ -482,7 +482,7 @@ def _recorded(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> S
                   recorded_ns=poses.stamps_ns)
 
 
-def _measured(
+def _with_rates(
     poses: Trajectory, twists: trajectory.TwistStream | None, values: Mapping[str, Any]
 ) -> tuple[Trajectory, Array, str]:
     """Return measured poses with recorded twists, or with those of the filter, and their axes."""

@@ -242,7 +242,7 @@ def replayed(
 
 def with_bodies(values: Mapping[str, Any], recording: Recording, live: Live) -> Replayed:
     """
-    Return the poses of all bodies of a live prediction, where the tool is known.
+    Return the poses of all bodies of a live prediction, where the tool has poses.
 
     Parameters
     ----------

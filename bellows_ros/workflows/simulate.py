@@ -147,8 +147,8 @@ def simulate_recording(
             generator(recipe.seed, f'{name} plan'))
         for name, sensor in (('tool', recipe.tool), ('package', recipe.package))}
     progress(f'simulating {recipe.motion.duration:g} s')
-    truth = _simulated(values, recipe, plans)
-    recorded = _recorded(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
+    truth = _simulate(values, recipe, plans)
+    recorded = _record(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
     progress(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
     write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
@@ -182,7 +182,7 @@ def _smallest_margin(values: Mapping[str, Any], truth: Truth) -> Margin | None:
     return margin(grip, factors_along(model, grip, tool, package), truth.tool.seconds[truth.held])
 
 
-def _simulated(
+def _simulate(
     values: Mapping[str, Any], recipe: Recipe, plans: Mapping[str, sensing.Schedule]
 ) -> Truth:
     """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
@@ -216,7 +216,7 @@ def _simulated(
         normal @ release_factor(values).T)
 
 
-def _recorded(
+def _record(
     recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, world: Array
 ) -> list[Encoded]:
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""

@@ -43,7 +43,7 @@ class StaticResult:
     cup_length : float
         The length that the cup is taken to have, m.
     spring : SpringCheck or None
-        The spring in every pose; None where no stiffness is known.
+        The spring in every pose; None where no stiffness is given.
     instant : float
         Stiffness that a step meets over the static one, by cup.relaxation.
 

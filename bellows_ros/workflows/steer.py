@@ -19,7 +19,7 @@ from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.plan import MotionSource, NO_GRIP, plan_with_cup, Source, standing
+from bellows_ros.workflows.plan import extended, MotionSource, NO_GRIP, plan_with_cup, Source
 import numpy as np
 
 TAIL = 2.0
@@ -174,17 +174,17 @@ def steer_plan(
     source = plan_with_cup(path, settings, urdf, topic)
     model, of_package = source.model, source.moves == source.values['frames.package']
     bound = bool(limits) or source.joints is not None
-    scale, limit = _scale(source, method, of_package, bounds) if bound else (1.0, '')
+    scale, limit = _slowdown(source, method, of_package, bounds) if bound else (1.0, '')
     reference = timed(source.tool, scale)
     steered = steer(model, reference, method, of_package)
     arrival = float((reference if method == 'inverse' else steered.tool).seconds[-1])
-    motions = {method: _motion(source, steered.tool, steered.package, arrival)}
+    motions = {method: _effect(source, steered.tool, steered.package, arrival)}
     try:
         planned = tool_above(model, source.tool) if of_package else source.tool
-        motions['as planned'] = _motion(source, planned, hanging(model, planned), source.duration)
+        motions['as planned'] = _effect(source, planned, hanging(model, planned), source.duration)
         if method == 'inverse':
             other = steer(model, reference, 'zvd', of_package)
-            motions['zvd'] = _motion(
+            motions['zvd'] = _effect(
                 source, other.tool, other.package, float(other.tool.seconds[-1]))
     except UnstableError:  # as planned the package falls over: the method stands alone
         pass
@@ -219,7 +219,7 @@ def read_limits(content: object) -> Limits:
     return Limits(rates, lower, upper, safety, acceleration)
 
 
-def _scale(source: Source, method: str, of_package: bool, limits: Limits) -> tuple[float, str]:
+def _slowdown(source: Source, method: str, of_package: bool, limits: Limits) -> tuple[float, str]:
     """Return how many times as long the motion takes within limits, and which one needs that."""
     grip = source.grip
     if grip is None and limits.safety_factor > 0.0:
@@ -246,16 +246,16 @@ def _scale(source: Source, method: str, of_package: bool, limits: Limits) -> tup
     return stretched(limits, motion)
 
 
-def _motion(
+def _effect(
     source: Source, tool: Trajectory, reference: Trajectory, arrival: float
 ) -> SteeredMotion:
     """Return the effect of a motion of the tool on the package, which arrives then (s)."""
     model = source.model
-    run, longer = PlanSimulation(model, source.grip, tool), standing(tool, TAIL)
+    run, longer = PlanSimulation(model, source.grip, tool), extended(tool, TAIL)
     square = mean_square(
         source.values, model,
         lambda changed: float(run.with_model(changed).predict().figures()['swing_left']))
     return SteeredMotion(
         tool, run.predict(), arrival - source.duration, longer,
-        PlanSimulation(model, None, longer, tail=0.0).states(), standing(reference, TAIL),
+        PlanSimulation(model, None, longer, tail=0.0).states(), extended(reference, TAIL),
         math.sqrt(square))

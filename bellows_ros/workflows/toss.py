@@ -375,7 +375,7 @@ def identify_release(
     values = resolved(settings)
     bags = tuple(os.fspath(bag) for bag in values['bags'])
     each = values_of_each(values)
-    valves = [_valves(bag, parameters) for bag, parameters in zip(bags, each, strict=True)]
+    valves = [_valve_times(bag, parameters) for bag, parameters in zip(bags, each, strict=True)]
     drops, used, left_out = list[release_fit.Drop](), list[str](), list[str]()
     for number, (bag, parameters) in enumerate(zip(bags, each, strict=True)):
         progress(f'looking for drops in {bag}', 0.5 * number / len(bags))
@@ -401,7 +401,7 @@ def identify_release(
     return result
 
 
-def _valves(bag: str, values: Mapping[str, Any]) -> list[int]:
+def _valve_times(bag: str, values: Mapping[str, Any]) -> list[int]:
     """Return when the valve is switched off, ns as received."""
     topic = values['topics.valve']
     switched = sorted(
