@@ -26,7 +26,7 @@ from .guarding import GuardedNode
 from .outputs import Topic
 from ..core.live import health, LivePredictor
 from ..core.live.load import ALL, Vacuum
-from ..core.live.samples import PoseSample
+from ..core.live.tool_screening import PoseSample
 from ..core.live.transforms import Chain
 from ..core.model.kernels import ModelTuple
 from ..core.observer.alarms import Alarm

@@ -28,8 +28,7 @@ from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vect
 from ..core.live import Prediction
 from ..core.live.flight import Flight, Landing, PATH_POINTS
 from ..core.live.load import deflection, deflection_rotation, equivalent_box, lip_position
-from ..core.live.samples import STILL
-from ..core.live.uncertainty import Uncertainty, UNKNOWN_ROOT, warm_up_uncertainty
+from ..core.live.uncertainty import STILL, Uncertainty, UNKNOWN_ROOT, warm_up_uncertainty
 from ..core.model.cup_package import cup_of
 from ..core.model.kernels import ModelTuple
 from ..core.model.structure import places_of

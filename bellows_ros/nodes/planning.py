@@ -23,8 +23,7 @@ from ..core.geometry.tuples import ZERO
 from ..core.live import LivePredictor, Prediction
 from ..core.live.health import Level, number, Status
 from ..core.live.plan_tracker import MAX_WAIT, PlanTracker, thin_out
-from ..core.live.samples import STILL
-from ..core.live.uncertainty import UNKNOWN_ROOT
+from ..core.live.uncertainty import STILL, UNKNOWN_ROOT
 from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import ToolRows
 from ..core.planning.arm import Arm, read_arm

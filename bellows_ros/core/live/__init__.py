@@ -1,6 +1,6 @@
 """The live predictor without ROS: screening, pairing, propagation."""
 
 from bellows_ros.core.live.predictor import LivePredictor, REFUSALS, RESTARTS, warm_up
-from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.live.uncertainty import Prediction
 
 __all__ = ['LivePredictor', 'Prediction', 'REFUSALS', 'RESTARTS', 'warm_up']

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import scale, ZERO
 from bellows_ros.core.live.payload import MAX_SUBSTEPS
-from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.equilibrium import adapted, largest_step
 from bellows_ros.core.model.grip import Grip, grip_of
 from bellows_ros.core.model.kernels import extrapolated, lip_wrench, ModelTuple, ORIGIN, State

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.payload import prepared
-from bellows_ros.core.live.samples import Prediction, STILL
-from bellows_ros.core.live.uncertainty import Uncertainty
+from bellows_ros.core.live.uncertainty import Prediction, STILL, Uncertainty
 from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple

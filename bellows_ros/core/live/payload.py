@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live.samples import Prediction
-from bellows_ros.core.live.uncertainty import Modes, modes_of, Settling
+from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, Settling
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import Branch, ModelTuple, State, Wrench

@@ -14,8 +14,8 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.live.samples import Prediction
 from bellows_ros.core.live.tool_twist import LEVER
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import row_state, ToolRows, write_row

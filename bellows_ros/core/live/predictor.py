@@ -14,9 +14,9 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, deflection
 from bellows_ros.core.live.payload import LivePayload
-from bellows_ros.core.live.samples import PoseSample, Prediction, TwistSample
-from bellows_ros.core.live.screening import Screen, TwistScreen
+from bellows_ros.core.live.tool_screening import PoseSample, Screen, TwistSample, TwistScreen
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State

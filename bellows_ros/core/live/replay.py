@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.live.predictor import LivePredictor
-from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import compare, Comparison
 from bellows_ros.core.signals.trajectory import frozen, Trajectory

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.live.samples import PoseSample
+from bellows_ros.core.live.tool_screening import PoseSample
 from bellows_ros.core.model.kernels import ORIGIN
 
 QUEUE_LENGTH = 500

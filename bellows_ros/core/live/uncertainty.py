@@ -1,8 +1,8 @@
 """
-Covariance of a prediction from the uncertainty of K and P and from noise on the tool's pose.
+Predictions, and their covariance from uncertain K and P and from noise on the tool's pose.
 
-To first order, with the small motions about the package's rest under the tool as it was at the
-start:
+The covariance is of first order, with the small motions about the package's rest under the tool as
+it was at the start:
 
 - each uncertain entry of K and P drives a sensitivity of the state along the real motion, as the
   wrench is linear in it (4.67);
@@ -24,7 +24,7 @@ the package's modes. Until then it is said to settle (`Settling`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 import math
@@ -34,12 +34,11 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
-from bellows_ros.core.geometry.tuples import rotation_matrix, Vector, ZERO
-from bellows_ros.core.live.samples import Prediction, STILL, Unsettled
+from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector, ZERO
 from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.jacobians import parameter_jacobian
-from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
+from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Strains
 from bellows_ros.core.model.perturbed import deviations_of
 from bellows_ros.core.model.structure import composition, places_of
 from bellows_ros.core.parameters.checks import resolve
@@ -63,6 +62,59 @@ UNKNOWN_ROOT = 1e3 * np.eye(12)
 
 RETRY_NS = 100_000_000
 """Time (ns) until a failed computation, which takes milliseconds, is repeated."""
+
+
+class Unsettled(NamedTuple):
+    """Possible error of the package's state at one time, in each direction."""
+
+    since_ns: int
+    shift: float
+    """m."""
+    turn: float
+    """rad."""
+    speed: float
+    """m/s."""
+    rate: float
+    """rad/s."""
+
+
+class Prediction(NamedTuple):
+    """The package at one stamp; SI units."""
+
+    stamp_ns: int
+    position: Vector
+    """Origin of B in the world, m."""
+    quaternion_xyzw: Quaternion
+    """Orientation of B in the world."""
+    linear: Vector
+    """Linear body twist, R^T do/dt, in B axes, m/s."""
+    angular: Vector
+    """Body rate in B axes, rad/s."""
+    force: Vector
+    """Force of the cup on the package, in lip axes, N."""
+    moment: Vector
+    """Moment of the cup on the package about the lip's centre, in lip axes, N m."""
+    tool: State = ORIGIN
+    """Pose and body twist of the tool used for the prediction."""
+    coasting: bool = False
+    """Whether the tool is extrapolated because no pose has come."""
+    unsettled: Unsettled | None = None
+    """The remaining error of the start or of doubtful poses; None if there is none."""
+    covariance: Callable[[], Array | None] | None = None
+    """Returns the covariance of the state (12, 12), in body axes, if an observer knows it."""
+    strains: Strains = ()
+    """Internal strains of the cup, if it relaxes."""
+    flies: bool = False
+    """Whether the cup has let go of the package."""
+
+    @property
+    def body(self) -> State:
+        """Pose and body twist of the package, as the kernels take them."""
+        return (self.position, self.quaternion_xyzw, self.linear, self.angular, *self.strains)
+
+
+STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
+"""Stands for a package of unknown state."""
 
 
 class Uncertainty:

@@ -4,7 +4,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.live.flight import at_constant_velocity, Flight
-from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import largest_step, moved_by
 from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows

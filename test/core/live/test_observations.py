@@ -7,7 +7,7 @@ from bellows_ros.core.live import health
 from bellows_ros.core.live import load as loads
 from bellows_ros.core.live.health import InputReport, Level, Mismatch, Quantiles, quantiles
 from bellows_ros.core.live.load import ALL, Load, Vacuum
-from bellows_ros.core.live.samples import Prediction
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError

@@ -5,7 +5,7 @@ The estimate is exact on quadratics, and of second order on smooth motions.
 """
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
-from bellows_ros.core.live.samples import PoseSample, TwistSample
+from bellows_ros.core.live.tool_screening import PoseSample, TwistSample
 from bellows_ros.core.live.tool_twist import MAX_QUEUE, Pairing, PoseHistory
 import numpy as np
 from numpy.testing import assert_allclose

@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live.screening import JUMP_RUN, Screen
+from bellows_ros.core.live.tool_screening import JUMP_RUN, Screen
 from bellows_ros.core.signals.screening import BACKWARD_RUN, Verdict
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 """
-Screening of tool poses: a state machine over stamps, frames and values.
+Screening of the tool's poses and twists: a state machine over stamps, frames and values.
 
 Each pose is accepted, refused with a reason, or accepted as a fresh start with a reason. What
 looks wrong once is refused; what goes on in a consistent way is believed after a short run, so
@@ -46,6 +46,22 @@ MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
 
 UNKNOWN = -1.0
 """Period of a pose at which the tool's speed is unknown."""
+
+
+class PoseSample(NamedTuple):
+    """A pose of the tool in the world that has been accepted."""
+
+    stamp_ns: int
+    position: Vector
+    quaternion_xyzw: Quaternion
+
+
+class TwistSample(NamedTuple):
+    """A twist of the tool in the axes its driver uses, m/s and rad/s."""
+
+    stamp_ns: int
+    linear: Vector
+    angular: Vector
 
 
 class PoseStep(NamedTuple):

@@ -4,7 +4,7 @@ from bellows_ros.core.signals.screening import StampScreen, unusable_stamps
 import numpy as np
 import pytest
 
-from .tracking import START
+from ..recording.tracking import START
 
 MS = 1_000_000
 S = 1000 * MS
