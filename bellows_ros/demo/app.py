@@ -13,10 +13,9 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.cli.console import Console, NOT_USABLE, OK, Progress, run_guarded
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.live.replay import compare_recorded
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS, Scores
+from bellows_ros.core.signals.residuals import AXES, compare_recorded, MILLI_UNITS, Scores
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files.bags import read_messages

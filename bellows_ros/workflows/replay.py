@@ -16,7 +16,7 @@ from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.load import ALL, Vacuum
-from bellows_ros.core.live.replay import compare_recorded, Messages, predictions
+from bellows_ros.core.live.predictor import Messages, predicted_trajectory
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.kernels import ModelTuple
@@ -464,11 +464,12 @@ def predicted_live(
             values['tool_twist.frame'])
     live = live_predictor(values)
     start = time.perf_counter()
-    predicted = predictions(live, messages, progress)
+    predicted = predicted_trajectory(live, messages, progress)
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
     del messages  # of a long recording, tens of megabytes
-    compared = compare_recorded(predicted, recording.measured_tool, recording.measured_package)
+    compared = residuals.compare_recorded(
+        predicted, recording.measured_tool, recording.measured_package)
     return Live(
         **vars(compared), counts=_counts(live, recording),
         real_time_factor=recorded / took, took=took)
@@ -572,7 +573,7 @@ def observed(
     def run(by: Observer) -> Trajectory:
         live = live_predictor(values)
         live.package.observe(by)
-        return predictions(live, messages, measured=measured, vacuum=vacuum)
+        return predicted_trajectory(live, messages, measured=measured, vacuum=vacuum)
 
     corrected = run(observer)
     package = recording.measured_package
@@ -590,7 +591,7 @@ def observed(
         stream.covariance is not None) if calibrate_alarms else None
     return Observed(
         topic, prediction, residuals.compare(camera, tool, package),
-        compare_recorded(corrected, tool, package), counts,
+        residuals.compare_recorded(corrected, tool, package), counts,
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) * 1e-9, alarm)
               for alarm in observer.alarms),
         observer.payload, observer.calibration, {

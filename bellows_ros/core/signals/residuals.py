@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -133,6 +134,24 @@ def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Com
     measured[~package.valid] = np.nan
     coordinates = relative_coordinates(tool, predicted) * tracked
     return Comparison(tool.stamps_ns, measured, coordinates, score(measured, coordinates))
+
+
+def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
+    """
+    Compare a prediction with a recording, at the recording's own stamps.
+
+    Parameters
+    ----------
+    predicted : Trajectory
+        Poses of B in the world with body twists, at any stamps.
+    tool, package : Trajectory
+        Measured poses of E and B at common stamps, aligned but not filtered.
+
+    """
+    stamps = package.stamps_ns
+    inside = slice(*np.searchsorted(stamps, predicted.stamps_ns[[0, -1]] + [0, 1]).tolist())
+    at_stamps = resample(predicted, stamps[inside])
+    return compare(at_stamps, tool.select(inside), package.select(inside))
 
 
 SEGMENT_S = 2.0
