@@ -11,10 +11,9 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
-from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model.cup_package import contributions, cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.perturbed import contributions
 from bellows_ros.core.model.simulation import stands, ToolRows
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.table import short

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model.perturbed import deviations_of, mean_square
+from bellows_ros.core.model.cup_package import mean_square, parameter_std
 from bellows_ros.core.parameters.checks import implausible, Settings
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
 from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED
@@ -189,7 +189,7 @@ def steer_plan(
     except UnstableError:  # as planned the package falls over: the method stands alone
         pass
     return SteerReport(
-        source, method, motions, steered, scale, limit, bool(deviations_of(source.values).any()))
+        source, method, motions, steered, scale, limit, bool(parameter_std(source.values).any()))
 
 
 def read_limits(content: object) -> Limits:

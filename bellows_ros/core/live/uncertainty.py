@@ -36,10 +36,9 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector, ZERO
 from bellows_ros.core.model import equilibrium
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, parameter_std
 from bellows_ros.core.model.jacobians import parameter_jacobian
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Strains
-from bellows_ros.core.model.perturbed import deviations_of
 from bellows_ros.core.model.structure import composition, places_of
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
@@ -140,7 +139,7 @@ class Uncertainty:
         self.known = True
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
-        std = deviations_of(values)[:42]  # of the upper triangles of K and of P of one cup
+        std = parameter_std(values)[:42]  # of the upper triangles of K and of P of one cup
         of_gripper = np.kron(np.eye(2), composition(places_of(values)))
         self._factor = (of_gripper * std)[:, std > 0.0]
         self._sensitivity: Array | None = None

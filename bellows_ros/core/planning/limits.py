@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
+from bellows_ros.core.model.cup_package import PERTURBATION, perturbed
 from bellows_ros.core.model.equilibrium import largest_step, nominal_system_matrix
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.perturbed import perturbed, STEP
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.planning.plan import COARSE, PlanSimulation
 from bellows_ros.core.signals.resampling import resample
@@ -233,7 +233,7 @@ def fastest(
         """Return the standard deviation as a part of the safety factor."""
         factors = [_factor(run, scale) for run in spread]
         return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (
-            2.0 * STEP * _factor(quick, scale))
+            2.0 * PERTURBATION * _factor(quick, scale))
 
     speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
     scale = max(MIN_TIME_SCALE, speed / LARGEST_SPEED)

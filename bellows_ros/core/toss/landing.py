@@ -14,7 +14,13 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model import perturbed
+from bellows_ros.core.model.cup_package import (
+    contributions,
+    model_with,
+    PARAMETER_NAMES,
+    parameter_std,
+    parameter_vector,
+)
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.structure import places_of
 from bellows_ros.core.toss import release as toss_release
@@ -127,10 +133,10 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
 def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
     until = nominal.release_time + MARGIN
-    names, parts = perturbed.contributions(
+    names, parts = contributions(
         case.values, case.held.model,
         lambda model: case.error(case.with_numbers(model, case.release, until), nominal))
-    std = [perturbed.deviations_of(case.values)[perturbed.NAMES.index(name)] for name in names]
+    std = [parameter_std(case.values)[PARAMETER_NAMES.index(name)] for name in names]
     factor, count = release_factor(case.values), len(names)
     of_law = np.linalg.norm(factor, axis=1)
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
@@ -163,11 +169,11 @@ class MonteCarlo(NamedTuple):
 def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
     """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
-    numbers, std = perturbed.parameter_vector(case.values), perturbed.deviations_of(case.values)
+    numbers, std = parameter_vector(case.values), parameter_std(case.values)
     factor = release_factor(case.values)
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):
-        model = perturbed.model_with(
+        model = model_with(
             case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = changed(case.release, factor @ rng.standard_normal(8))
         try:

@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3, transform
-from bellows_ros.core.model.cup_package import cup_of
+from bellows_ros.core.model.cup_package import cup_of, model_with, parameter_std, parameter_vector
 from bellows_ros.core.model.grip import grip_of, least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.core.model.perturbed import deviations_of, model_with, parameter_vector
 from bellows_ros.core.model.structure import composition, places_of, UPPER
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
@@ -104,7 +103,7 @@ def test_the_covariance_is_that_of_one_cups_entries():
     model = (cup.as_tuple, (2.0, (0.0,) * 3, (1.0,) * 9, (1.0,) * 9), (0.0,) * 3)
     assert_allclose(
         np.array(model_with(model, numbers, places)[0][2]), np.array(cup.as_tuple[2]), rtol=1e-14)
-    step = deviations_of(values)[:21] * rng.standard_normal(21)
+    step = parameter_std(values)[:21] * rng.standard_normal(21)
     other = model_with(model, numbers + np.append(step, np.zeros(31)), places)[0][2]
     K = np.block([[np.reshape(other[0], (3, 3)), np.reshape(other[1], (3, 3))],
                   [np.reshape(other[1], (3, 3)).T, np.reshape(other[2], (3, 3))]])

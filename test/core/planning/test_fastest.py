@@ -1,8 +1,15 @@
 """The shortest safe time against an exhaustive scan; standard deviations against Monte Carlo."""
 
 
-from bellows_ros.core.model import perturbed
-from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.cup_package import (
+    contributions,
+    Cup,
+    model_tuple,
+    model_with,
+    parameter_std,
+    parameter_vector,
+    perturbed,
+)
 from bellows_ros.core.planning.limits import fastest
 from bellows_ros.core.planning.plan import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, timed
@@ -46,7 +53,7 @@ def smallest(model, plan, scale):
 
 def lower_end(values, model, plan, scale):
     """Return the smallest safety factor minus two standard deviations."""
-    _, parts = perturbed.contributions(values, model, lambda m: smallest(m, plan, scale))
+    _, parts = contributions(values, model, lambda m: smallest(m, plan, scale))
     return smallest(model, plan, scale) - 2 * np.linalg.norm(parts)
 
 
@@ -83,9 +90,9 @@ def test_nothing_helps_a_package_that_is_too_heavy():
 
 
 def test_each_number_is_changed_in_its_place():
-    names = [name for name, _, _ in perturbed.perturbed(VALUES, MODEL)]
+    names = [name for name, _, _ in perturbed(VALUES, MODEL)]
     assert len(names) == 12 + 1 + 3 + 3
-    for name, up, down in perturbed.perturbed(VALUES, MODEL):
+    for name, up, down in perturbed(VALUES, MODEL):
         if name == 'package.com[y]':
             assert_allclose((up[1][1], down[1][1]), [(0, 5e-4, -0.03), (0, -5e-4, -0.03)])
             assert up[0] == down[0] == MODEL[0]
@@ -96,8 +103,8 @@ def test_each_number_is_changed_in_its_place():
 
 def test_an_entry_of_which_nothing_is_known_counts_whole():
     unknown = {**EXACT, 'cup.stiffness_std': np.full(36, 1e9)}
-    assert_allclose(perturbed.deviations_of(unknown)[0], 5400.0)
-    assert_allclose(perturbed.deviations_of(unknown)[2], np.sqrt(5400.0 * 9200.0))
+    assert_allclose(parameter_std(unknown)[0], 5400.0)
+    assert_allclose(parameter_std(unknown)[2], np.sqrt(5400.0 * 9200.0))
 
 
 @pytest.mark.parametrize(('count', 'within'), [
@@ -113,9 +120,9 @@ def test_standard_deviations_are_those_of_monte_carlo(count, within):
         found = run.with_model(model).predict().figures()
         return np.array([found[name] for name in names])
 
-    _, parts = perturbed.contributions(VALUES, MODEL, figures)
+    _, parts = contributions(VALUES, MODEL, figures)
     rng = np.random.default_rng(8)
-    std = perturbed.deviations_of(VALUES)
-    draws = perturbed.parameter_vector(VALUES) + std * rng.standard_normal((count, 52))
-    spread = np.std([figures(perturbed.model_with(MODEL, numbers)) for numbers in draws], axis=0)
+    std = parameter_std(VALUES)
+    draws = parameter_vector(VALUES) + std * rng.standard_normal((count, 52))
+    spread = np.std([figures(model_with(MODEL, numbers)) for numbers in draws], axis=0)
     assert_allclose(np.linalg.norm(parts, axis=0), spread, rtol=within)

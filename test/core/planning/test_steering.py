@@ -3,8 +3,14 @@
 import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, transform
-from bellows_ros.core.model import perturbed
-from bellows_ros.core.model.cup_package import Cup, model_tuple
+from bellows_ros.core.model.cup_package import (
+    Cup,
+    mean_square,
+    model_tuple,
+    model_with,
+    parameter_std,
+    parameter_vector,
+)
 from bellows_ros.core.model.simulation import rest, tool_rows
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import demands
@@ -209,7 +215,7 @@ def test_the_expected_swing_is_that_of_monte_carlo():
         return run.with_model(model).predict().figures()['swing_left']
 
     rng = np.random.default_rng(3)
-    std = perturbed.deviations_of(VALUES)
-    draws = perturbed.parameter_vector(VALUES) + std * rng.standard_normal((100, 52))
-    drawn = math.sqrt(np.mean([swing(perturbed.model_with(MODEL, each)) ** 2 for each in draws]))
-    assert_allclose(math.sqrt(perturbed.mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)
+    std = parameter_std(VALUES)
+    draws = parameter_vector(VALUES) + std * rng.standard_normal((100, 52))
+    drawn = math.sqrt(np.mean([swing(model_with(MODEL, each)) ** 2 for each in draws]))
+    assert_allclose(math.sqrt(mean_square(VALUES, MODEL, swing)), drawn, rtol=0.15)
