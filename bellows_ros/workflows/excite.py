@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.excitation import fisher, motion_design
+from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.arm_limits import limits_from
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
@@ -87,7 +87,7 @@ class DesignedMotion(CommandResult):
     @property
     def errors(self) -> Array:
         """Expected standard error of each entry, (2 n,)."""
-        return fisher.standard_errors(self.design.information)
+        return motion_design.standard_errors(self.design.information)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -191,7 +191,7 @@ def excite(
         for each in motion_design.cups_near(cup)], grip_of(values))
 
     def errors_of(tool: Trajectory) -> Array:
-        return fisher.standard_errors(fisher.motion_information(
+        return motion_design.standard_errors(motion_design.motion_information(
             cup, package, gravity, tool, tracking, structure))
 
     plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
@@ -213,7 +213,7 @@ def excite(
     return DesignedMotion(design, structure, guess, compared, series, values, hold)
 
 
-def tracking_from(settings: checks.Settings) -> fisher.Tracking:
+def tracking_from(settings: checks.Settings) -> motion_design.Tracking:
     """
     Return how tool and package are tracked, of blocks as in a motion file.
 
@@ -233,7 +233,7 @@ def tracking_from(settings: checks.Settings) -> fisher.Tracking:
                 'noise of a recording.')
         numbers += [1.0 / sensor.rate_hz, Noise(sensor.position_noise, sensor.rotation_noise)]
     settings.done()
-    return fisher.Tracking(*numbers)
+    return motion_design.Tracking(*numbers)
 
 
 def write_motion(

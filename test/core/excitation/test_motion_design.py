@@ -4,8 +4,13 @@ from dataclasses import replace
 
 from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
-from bellows_ros.core.excitation.fisher import response, standard_errors
-from bellows_ros.core.excitation.motion_design import Checks, FourierMotion, MotionObjective
+from bellows_ros.core.excitation.motion_design import (
+    Checks,
+    FourierMotion,
+    MotionObjective,
+    response,
+    standard_errors,
+)
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, rpy_rotation
 from bellows_ros.core.model.cup_package import model_tuple
@@ -20,7 +25,16 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .test_fisher import cup_of, expected, model_of, PACKAGE, stamps, STRUCTURE, TRACKING, TRUTH
+from .test_information import (
+    cup_of,
+    expected,
+    model_of,
+    PACKAGE,
+    stamps,
+    STRUCTURE,
+    TRACKING,
+    TRUTH,
+)
 from .. import oracle
 from ...conftest import ROOT
 

@@ -1,7 +1,7 @@
 """The information of a motion, against the scatter of estimates."""
 
-from bellows_ros.core.excitation import fisher
-from bellows_ros.core.excitation.fisher import Tracking
+from bellows_ros.core.excitation import motion_design
+from bellows_ros.core.excitation.motion_design import Tracking
 from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
@@ -42,8 +42,8 @@ def stamps(rate_hz, duration, first=0.0):
 
 
 def expected(tool):
-    return fisher.standard_errors(
-        fisher.motion_information(cup_of(TRUTH), PACKAGE, 9.81, tool, TRACKING, STRUCTURE))
+    return motion_design.standard_errors(
+        motion_design.motion_information(cup_of(TRUTH), PACKAGE, 9.81, tool, TRACKING, STRUCTURE))
 
 
 def estimates(mover, duration, draws):
@@ -72,4 +72,4 @@ def test_estimates_scatter_as_expected(draws, within):
 
 
 def test_without_information_there_is_no_standard_error():
-    assert fisher.standard_errors(np.diag([1.0, 0.0])).tolist() == [1.0, np.inf]
+    assert motion_design.standard_errors(np.diag([1.0, 0.0])).tolist() == [1.0, np.inf]
