@@ -192,7 +192,7 @@ def _registered(
         ('package_marker', marked)) if free]
     if not names:
         return recording
-    from bellows_ros.core.identification.registration import registered
+    from bellows_ros.core.identification.output_error import registered
 
     changes = dict[str, Any]()
     result = registered(recording, given_structure(values), one_cup_of(values), names)
@@ -223,9 +223,7 @@ def _first_guess(
         return pose, None
     poses = tool.trajectory(), package.trajectory(), values['cup.length']
     if marked:
-        from bellows_ros.core.identification.registration import hand_eye  # late: rare
-
-        guess, grip = hand_eye(*poses, com)
+        guess, grip = frames.hand_eye(*poses, com)
         return guess if estimate else pose, grip
     return frames.closed_form(
         *poses, np.zeros(3) if settings.package_frame == 'lip' else -com), None

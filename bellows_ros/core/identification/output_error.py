@@ -1,9 +1,14 @@
-"""Output error: K and P by simulation, with their uncertainty and what would explain the rest."""
+"""
+Output error: K and P by simulation, with their uncertainty and what would explain the rest.
+
+Also two clocks, two worlds and a marker anywhere on the package, from one recording.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
@@ -15,6 +20,7 @@ from bellows_ros.core.identification.quantities import anything, Free, KINDS
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR, without
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
+    measured_segments,
     MeasuredSegment,
     Minimum,
     Search,
@@ -23,7 +29,8 @@ from bellows_ros.core.identification.search import (
 )
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import BodyNoise
+from bellows_ros.core.recording.alignment import Alignment
+from bellows_ros.core.recording.recording import BodyNoise, Recording, TimeOffset
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
@@ -367,3 +374,72 @@ def _unidentifiable(
                 f'error is {100.0 * error:.2g} % of its size. {1e2 * less:.0f} % of the noise '
                 f'would do, or {less**-2:.2g} times as long a recording'
                 f'{", or one of one cup alone" if search.structure.places else ""}.')
+
+
+class Registered(NamedTuple):
+    """
+    Estimates beside K and P from one recording, None where not wanted or not identifiable.
+
+    The motion of the package's world (6,) about a point (3,), with its standard errors (6,), the
+    alignment with which the streams are to be filtered again, and the time offset.
+    """
+
+    world: Array | None
+    world_std: Array
+    middle: Array
+    alignment: Alignment
+    offset: TimeOffset | None
+
+    def require_world(self) -> None:
+        """Refuse a world that is not identifiable, for a method that takes it as exact."""
+        if np.any(self.world_std > KINDS['package_world'].known):
+            each = [f'{1e3 * x:.2g}' for x in self.world_std]
+            raise UndeterminedError(
+                'recording.package_world is not identifiable from this recording: the standard '
+                f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} mrad. Tilt '
+                'and turn the tool more, best with three standstills tilted to different sides, '
+                'or set its seven numbers.')
+
+
+def registered(
+    recording: Recording, structure: Structure, start: Cup, names: Sequence[str]
+) -> Registered:
+    """
+    Find what is free beside K and P by simulation; leave out a clock that is not identifiable.
+
+    First guesses come from what needs no cup: both bodies turn alike, and at about the same
+    distance (see `recording.alignment`). Then all is free beside K and P, whatever the method.
+
+    Raises
+    ------
+    UndeterminedError
+        If the search ends nowhere, and not for the clock alone.
+
+    """
+    measured = measured_segments(recording)
+    search = Search(list(map(Segment, measured)), structure, start, anything(names))
+    minimum = search.minimum()
+    middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
+    if not minimum.converged and list(names) == ['time_offset']:
+        return Registered(None, np.zeros(6), middle, alignment, None)
+    if not minimum.converged:
+        raise UndeterminedError(
+            f'{", ".join(names)} cannot be found: the search did not converge. Check package.mass '
+            'and package.com, and tilt and turn the tool more.')
+    estimates = {name: search.estimate(minimum, name) for name in search.places}
+    if 'package_marker' in estimates:
+        alignment = _with_marker_moved(alignment, *np.split(estimates['package_marker'][0], 2))
+    offset = None
+    if 'time_offset' in estimates:
+        (seconds,), (std,) = estimates['time_offset']
+        if std < KINDS['time_offset'].known:
+            offset = TimeOffset(float(seconds), float(std))
+    world, world_std = estimates.get('package_world', (None, np.zeros(6)))
+    return Registered(world, world_std, middle, alignment, offset)
+
+
+def _with_marker_moved(alignment: Alignment, shift: Array, turn: Array) -> Alignment:
+    """Return an alignment with B moved (m) and turned (rad) in its own axes."""
+    R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
+    return replace(alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
+                   origin_to_com=R.T @ (alignment.origin_to_com + shift))

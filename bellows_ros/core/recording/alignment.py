@@ -452,6 +452,41 @@ def closed_form(
     return np.concatenate([position, lie.rotation_to_quaternion(R)])
 
 
+def hand_eye(
+    tool: Trajectory, package: Trajectory, length: float, com: Array
+) -> tuple[Array, Alignment]:
+    """
+    Return first guesses of the pose (7,) of the package's world, and of the marker's alignment.
+
+    The slowest poses are taken for those of one rigid body.
+
+    Parameters
+    ----------
+    tool, package : Trajectory
+        Poses of E, and of the marker, each in its own world.
+    length : float
+        Of the cup, m.
+    com : ndarray (3,)
+        Of B in the lip frame, m.
+
+    Raises
+    ------
+    BellowsError
+        If the tool turns too little.
+
+    """
+    hand, eye = slow_poses(tool, package)
+    R = turn_of(hand.rotation, eye.rotation)
+    R_marker_lip = lie.mean_rotation(np.swapaxes(eye.rotation, 1, 2) @ R.T @ hand.rotation)
+    # o + R o_M + R_E c = o_E + R_E (below + com)
+    A = np.concatenate([np.tile(np.eye(3), (len(hand), 1, 1)), hand.rotation], axis=2)
+    b = (hand.position + lie.apply(hand.rotation, com - [0.0, 0.0, length])
+         - lie.apply(R, eye.position))
+    x = np.linalg.lstsq(A.reshape(-1, 6), b.ravel(), rcond=1e-6)[0]
+    return np.concatenate([x[:3], lie.rotation_to_quaternion(R)]), Alignment(
+        np.eye(3), R_marker_lip, x[3:], np.zeros(3))
+
+
 def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Array) -> Array:
     """
     Return a pose (7,) of a world after a small motion theta (6,) of it.
