@@ -267,16 +267,16 @@ def verdict_of(
     if fit is None:
         return FitVerdict((), diagnosis, given)
     expected, uncertain = allowances(values), stated(given_std(values))
-    allowed = {name: std for name, std in expected.items() if name in fit.found}
+    allowed = {name: std for name, std in expected.items() if name in fit.nuisances}
     log_inertia_ratio = float(
-        np.mean(fit.found['inertia']) - np.mean(fit.found.get('mass', 0.0))) if (
-        'inertia' in fit.found) else 0.0
-    length += float(fit.found['length'][0, 0]) if 'length' in fit.found else 0.0
+        np.mean(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
+        'inertia' in fit.nuisances) else 0.0
+    length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
                      given_structure(given).places)
     others = [] if fit.robust_chi2 is None else _drawn(fit, cup, given_structure(given))
     verdict = FitVerdict(
-        tuple(_simulated(cup, as_found(recording, fit.found, number), others)
+        tuple(_simulated(cup, as_found(recording, fit.nuisances, number), others)
               for number, recording in enumerate(tested) if fit.usable),
         diagnosis, given, fit.robust_chi2, allowed, expected, log_inertia_ratio)
     if fit.method == 'output_error' and not fit.causes and verdict.is_at_noise:

@@ -144,4 +144,4 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
     if not refused:
         off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
         assert np.all(off < 4.0)
-        assert abs(found.found['com'][0, 0] + aside) < 0.1 * aside
+        assert abs(found.nuisances['com'][0, 0] + aside) < 0.1 * aside

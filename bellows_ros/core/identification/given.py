@@ -148,7 +148,7 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
     recording : Recording
         As it was given.
     found : mapping
-        See `Fit.found`.
+        See `Fit.nuisances`.
     number : int
         Of the recording in the fit.
 
@@ -301,7 +301,7 @@ class _Freed(NamedTuple):
 def _freed(search: Search, minimum: Minimum, name: str, noise: list[Array]) -> _Freed:
     """Return the search from a minimum with one quantity more, and what that explains."""
     _restore(search, minimum, noise)
-    wide = search.with_free(minimum.theta, quantities.anything([name]))
+    wide = search.with_free(minimum.theta, quantities.weak_prior([name]))
     again = wide.minimum(near=wide.transferred(search, minimum.theta))
     gain = _gain(minimum, again) if again.converged else -np.inf
     return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
@@ -322,7 +322,7 @@ def _gain(minimum: Minimum, again: Minimum) -> float:
 
 def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, float]:
     """Return by how much the squares would fall with each quantity free."""
-    wide = search.with_free(minimum.theta, quantities.anything(names))
+    wide = search.with_free(minimum.theta, quantities.weak_prior(names))
     _, H, g = wide.system(wide.transferred(search, minimum.theta))
     base = np.arange(len(search.units))
     gain = np.linalg.solve(H[np.ix_(base, base)], np.column_stack([H[base], g[base]]))

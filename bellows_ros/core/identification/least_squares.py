@@ -122,13 +122,13 @@ def solution(R: Array, structure: Structure) -> Solution:
     largest = np.array([sizes[kinds == kind].max() for kind in kinds])
     unit = np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
     U, singular, Vt = np.linalg.svd(R[:-1, :-1] / unit)
-    known = singular > singular[0] / MAX_CONDITION
-    inverse = (Vt[known].T / singular[known]) @ U[:, known].T / unit[:, None]
+    determined = singular > singular[0] / MAX_CONDITION
+    inverse = (Vt[determined].T / singular[determined]) @ U[:, determined].T / unit[:, None]
     return Solution(
         inverse @ R[:-1, -1],
         inverse,
-        ~np.any(np.abs(Vt[~known]) > IN_NULL_SPACE, axis=0),
-        int(np.count_nonzero(known)),
+        ~np.any(np.abs(Vt[~determined]) > IN_NULL_SPACE, axis=0),
+        int(np.count_nonzero(determined)),
         float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
     )
 
@@ -178,13 +178,13 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used)
     covariance, squares = _uncertainty(parts, whitening, x, inverse, gain)
     std = np.sqrt(np.diag(covariance))
-    known = identifiable & (std <= LARGEST_ERROR * structure.sizes(*structure.matrices(x)))
+    significant = identifiable & (std <= LARGEST_ERROR * structure.sizes(*structure.matrices(x)))
     residual_rms = np.sqrt(squares / used)
     return Fit(
         method='least_squares',
         structure=structure.name,
         parameters=x,
-        covariance=without(covariance, ~known),
+        covariance=without(covariance, ~significant),
         samples_used=used,
         samples_rejected=rejected,
         condition_number=condition,
@@ -192,7 +192,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         residual_rms=residual_rms,
         noise_rms=noise_rms,
         bias=bias,
-        notes=() if known.any() else (TOO_SHORT,),
+        notes=() if significant.any() else (TOO_SHORT,),
         misfit=_misfit(residual_rms, noise_rms, whitening),
     )
 
@@ -205,15 +205,16 @@ def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None
     """
     structure = parts[0].structure
     whitening = whitening_of(joined(part.moments for part in parts).covariance(structure))
-    known = [part.noise for part in parts if part.noise is not None]
-    R = r_factor((own.stacked for own in _rows(parts, whitening)), 2 * structure.size + 1)
+    noises = [part.noise for part in parts if part.noise is not None]
+    rows = (equations.stacked for equations in _rows(parts, whitening))
+    R = r_factor(rows, 2 * structure.size + 1)
     return (whitening, solution(R, structure),
-            np.sum(known, axis=0) if len(known) == len(parts) else None)
+            np.sum(noises, axis=0) if len(noises) == len(parts) else None)
 
 
 def _rows(parts: Sequence[Statistics], whitening: Array) -> Iterator[SampleEquations]:
     """Return the whitened rows of all parts."""
-    return (own.whitened(whitening) for part in parts for own in part.rows())
+    return (equations.whitened(whitening) for part in parts for equations in part.rows())
 
 
 def _uncertainty(
@@ -242,10 +243,10 @@ def _uncertainty(
         whitened += np.sum(r**2, axis=0)
         products += np.transpose(Z, (1, 2, 0)) @ np.swapaxes(Z, 0, 1)
         for part in clusters:
-            own = Z[part].reshape(-1, size)
-            share, V = np.linalg.eigh(np.eye(size) - own.T @ own)
+            Z_cluster = Z[part].reshape(-1, size)
+            share, V = np.linalg.eigh(np.eye(size) - Z_cluster.T @ Z_cluster)
             root = V / np.sqrt(np.maximum(share, MIN_SHARE))
-            scores.append(root @ (V.T @ (own.T @ r[part].ravel())))
+            scores.append(root @ (V.T @ (Z_cluster.T @ r[part].ravel())))
     u = np.array(scores)
     if gain is not inverse:
         u = u - u.mean(axis=0)
@@ -311,7 +312,7 @@ T = TypeVar('T', bound=Recording | Reduced)
 SIGNIFICANT = 13.8
 """Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""
 
-MOST_LEFT = 0.2
+MAX_REMAINING_SHARE = 0.2
 """Part of what noise does not explain without relaxation that may be left with it: rubber leaves
 some percent, and where something else is wrong with a recording more than half is."""
 
@@ -354,19 +355,19 @@ def relaxation_of(
         return NO_RELAXATION
     _, unexplained = _minimum(products, structure.size, ())
     for free in ((0, 1), (0,), (1,)):
-        found, left = _minimum(products, structure.size, free)
-        if min(found.strengths) >= 0.0:
+        estimate, remaining = _minimum(products, structure.size, free)
+        if min(estimate.strengths) >= 0.0:
             break
     else:
         return NO_RELAXATION
-    index, own = np.ix_(free, free), np.array(found.strengths)[list(free)]
-    distance = own @ np.linalg.solve(found.covariance[index], own)
-    if distance <= SIGNIFICANT or left > MOST_LEFT * unexplained:
+    index, strengths = np.ix_(free, free), np.array(estimate.strengths)[list(free)]
+    distance = strengths @ np.linalg.solve(estimate.covariance[index], strengths)
+    if distance <= SIGNIFICANT or remaining > MAX_REMAINING_SHARE * unexplained:
         return NO_RELAXATION
-    if 0.0 < found.std[1] <= LARGEST_ERROR * max(found.strengths):
-        return found
-    alone, left = _minimum(products, structure.size, (0,), DEFAULT_RATIO)
-    if left > MOST_LEFT * unexplained:
+    if 0.0 < estimate.std[1] <= LARGEST_ERROR * max(estimate.strengths):
+        return estimate
+    alone, remaining = _minimum(products, structure.size, (0,), DEFAULT_RATIO)
+    if remaining > MAX_REMAINING_SHARE * unexplained:
         return NO_RELAXATION
     unknown = np.diag([0.0, (RATIO_STD * alone.strengths[0]) ** 2])
     return alone._replace(covariance=alone.covariance + unknown, assumed=True)
@@ -382,22 +383,22 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
         If fit.relaxation is 'on' and they do not show any.
 
     """
-    whole = [own for own in recordings if isinstance(own, Recording)]
+    whole = [recording for recording in recordings if isinstance(recording, Recording)]
     if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
         return list(recordings)
     structure = given_structure(values)
     simplest = structure if structure.places else next(
         iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
-    found = relaxation_of(
-        [samples_of(own).thinned(MAX_STORED) for own in whole], [own.noise for own in whole],
-        values['cup.length'], simplest)
+    relaxation = relaxation_of(
+        [samples_of(recording).thinned(MAX_STORED) for recording in whole],
+        [recording.noise for recording in whole], values['cup.length'], simplest)
     if simplest is not structure:
-        found = found._replace(by=simplest.within(structure) @ found.by)
-    if not any(found.strengths):
+        relaxation = relaxation._replace(by=simplest.within(structure) @ relaxation.by)
+    if not any(relaxation.strengths):
         if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
             raise UndeterminedError(NOT_RELAXING)
         return list(recordings)
-    return [replace(own, relaxation=found) for own in recordings]  # type: ignore[arg-type]
+    return [replace(each, relaxation=relaxation) for each in recordings]  # type: ignore[arg-type]
 
 
 def _relaxing_rows(
@@ -405,11 +406,11 @@ def _relaxing_rows(
 ) -> Iterator[tuple[Array, list[slice]]]:
     """Yield rows [L, L1, L2, c] (N, 6, q), L_b by r_b K, and the clusters, block by block."""
     n = structure.size
-    for own, *others in zip(*(
+    for static, *others in zip(*(
             samples.relaxing(r).lip.equations(cup_length, structure)
             for r in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))), strict=True):
-        of_branches = [other.A[..., :n] - own.A[..., :n] for other in others]
-        yield np.dstack([own.A, *of_branches, own.b]), own.clusters
+        of_branches = [other.A[..., :n] - static.A[..., :n] for other in others]
+        yield np.dstack([static.A, *of_branches, static.b]), static.clusters
 
 
 def _products(
@@ -432,10 +433,10 @@ def _products(
         some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(ENOUGH), draws(1)
         part = max(some.count, 1) / max(samples.count, 1)
         for block in some.blocks():
-            for (own, _), (other, _) in zip(*(
+            for (clean, _), (noisy, _) in zip(*(
                     _relaxing_rows(each, cup_length, structure)
                     for each in (block, with_noise(block, noise, draw))), strict=True):
-                added += _square(whitening @ (other - own)) / part
+                added += _square(whitening @ (noisy - clean)) / part
     products = np.array(clusters)
     return products, products.sum(axis=0) - added
 

@@ -9,7 +9,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares, R2_ASSUMED
-from bellows_ros.core.identification.quantities import anything
+from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
@@ -86,66 +86,66 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    parts = [reduced(own, values) for own in recordings]
-    found = fitted(recordings, values, progress)
-    excitation = excitation_of(parts, found.method, (found.parameters, found.covariance))
-    unknown = [own.name for own in found.freed if not np.all(np.isfinite(own.std))]
-    if found.converged and unknown:
+    parts = [reduced(recording, values) for recording in recordings]
+    result = fitted(recordings, values, progress)
+    excitation = excitation_of(parts, result.method, (result.parameters, result.covariance))
+    unknown = [freed.name for freed in result.freed if not np.all(np.isfinite(freed.std))]
+    if result.converged and unknown:
         raise BellowsError(
             f'fit.free: {", ".join(unknown)} cannot be estimated from these recordings; the '
             'standard errors are too large. Leave out what you know best (mass and inertia are '
             'never identifiable together, nor com and cup.length along z with poses of the '
             'centre of mass), or record a richer motion.')
-    std = dict(zip(found.labels, np.sqrt(np.diag(found.covariance)), strict=True))
-    largest = MAX_DAMPING_STD if found.method == 'output_error' else math.inf
-    explained = (found.robust_chi2 or 0.0) <= MISFIT**2 and not any(
-        own.certain for own in found.causes)  # else errors are of the misfit
-    if found.converged and explained and not any(
-            own.identifiable and std[own.label] <= largest * abs(own.value)
-            for own in excitation.parameters
-            if own.label[0] == 'P' or own.label == UNLOADED and not _rest(recordings)):
+    std = dict(zip(result.labels, np.sqrt(np.diag(result.covariance)), strict=True))
+    largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
+    explained = (result.robust_chi2 or 0.0) <= MISFIT**2 and not any(
+        cause.certain for cause in result.causes)  # else errors are of the misfit
+    if result.converged and explained and not any(
+            parameter.identifiable and std[parameter.label] <= largest * abs(parameter.value)
+            for parameter in excitation.parameters if parameter.label[0] == 'P'
+            or parameter.label == UNLOADED and not _rest(recordings)):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED}, which no weight loads. Move the tool in all directions at 1-3 Hz, '
             "and along the cup at 4-6 Hz; standstills are for 'bellows static' and static.bags."
         )
-    if found.method == 'least_squares':
-        found = _with_relaxation(
-            replace(found, notes=(*found.notes, *_noise_warning(recordings))), recordings)
+    if result.method == 'least_squares':
+        result = _with_relaxation(
+            replace(result, notes=(*result.notes, *_noise_warning(recordings))), recordings)
     if values['fit.time_offset']:
-        found = _with_offsets(found, [part.time_offset for part in parts])
+        result = _with_offsets(result, [part.time_offset for part in parts])
     if standstills:
         from bellows_ros.core.identification.statics import (  # late: rare
             joined_with_standstills,
             Length,
         )
 
-        jacobian = np.zeros(len(found.labels))
+        jacobian = np.zeros(len(result.labels))
         if length_std > 0.0:
             jacobian = _length_jacobian(_whole(recordings), values)
         length = Length(values['cup.length'], length_std, jacobian)
-        found = joined_with_standstills(
-            found, standstills, length, values['gravity.magnitude'], one_cup_of(values).stiffness,
+        result = joined_with_standstills(
+            result, standstills, length, values['gravity.magnitude'], one_cup_of(values).stiffness,
             given_structure(values).places)
-    return Result(found, excitation)
+    return Result(result, excitation)
 
 
 def _rest(recordings: Sequence[Recording | Reduced]) -> bool:
     """Return whether tool and package stand still for most of the time, as far as is known."""
     still = total = 0.0
-    for own in _whole(recordings):
-        total += float(np.ptp(own.measured_package.stamps_ns)) / NS_PER_S
+    for recording in _whole(recordings):
+        total += float(np.ptp(recording.measured_package.stamps_ns)) / NS_PER_S
         with suppress(BellowsError):  # no standstill
-            still += sum(each.duration for each in standstills_of(own)[0])
+            still += sum(each.duration for each in standstills_of(recording)[0])
     return still >= MIN_REST_SHARE * total
 
 
 def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
     """Yield a sentence if correlated noise biases least squares."""
     names = [
-        own.name for own in recordings if isinstance(own, Recording) and any(
+        recording.name for recording in recordings if isinstance(recording, Recording) and any(
             noise.correlation > 0.0 and noise.size > least
-            for body in own.ar1_noise for noise, least in zip(body, MIN_NOISE, strict=True))]
+            for body in recording.ar1_noise for noise, least in zip(body, MIN_NOISE, strict=True))]
     if names:
         yield (
             f'The noise of {", ".join(names)} is correlated in time: motion capture smoothing? '
@@ -169,17 +169,22 @@ def fitted(
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
-        return least_squares([reduced(own, values).statistics for own in recordings])
+        return least_squares([reduced(recording, values).statistics for recording in recordings])
     return _by_output_error(_whole(recordings), values, progress)
 
 
-def _told(progress: Progress | None) -> Callable[[Iteration], None]:
-    """Return what tells of the steps of a fit."""
-    tell = progress or (lambda what, part: None)
-    return lambda own: tell(
-        f'step {own.number + 1}: chi^2 {own.chi2:.4g}; K {_diagonal(own.stiffness, 4)}, '
-        f'P {_diagonal(own.damping, 3)}',
-        (own.number + 1) / (own.number + 1 + TYPICAL_STEPS))
+def _reporter(progress: Progress | None) -> Callable[[Iteration], None] | None:
+    """Return what reports the steps of a fit."""
+    if progress is None:
+        return None
+
+    def report(iteration: Iteration) -> None:
+        step = iteration.number + 1
+        K, P = _diagonal(iteration.stiffness, 4), _diagonal(iteration.damping, 3)
+        progress(f'step {step}: chi^2 {iteration.chi2:.4g}; K {K}, P {P}',
+                 step / (step + TYPICAL_STEPS))
+
+    return report
 
 
 def _by_output_error(
@@ -193,50 +198,52 @@ def _by_output_error(
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast
     start = replace(one_cup_of(values), relaxation=strengths)
-    measured = [motion for number, own in enumerate(recordings)
-                for motion in measured_segments(own, number)]
-    if all(own.report.package.timing.rate_hz >= LOW_RATE_HZ for own in recordings):
-        start = start_cup([reduced(own, values).statistics for own in recordings], start)
-    named = dict.fromkeys(values['fit.free'])
-    reports = [own.report for own in recordings]
+    measured = [motion for number, recording in enumerate(recordings)
+                for motion in measured_segments(recording, number)]
+    reports = [recording.report for recording in recordings]
+    if all(report.package.timing.rate_hz >= LOW_RATE_HZ for report in reports):
+        statistics_of = (reduced(recording, values).statistics for recording in recordings)
+        start = start_cup(list(statistics_of), start)
     estimated = {
         'time_offset': values['fit.time_offset'],
-        'package_world': any(own.package_world for own in reports),
-        'package_marker': 'package_marker' in named}
-    named |= dict.fromkeys(name for name, wanted in estimated.items() if wanted)
+        'package_world': any(report.package_world for report in reports),
+        'package_marker': 'package_marker' in values['fit.free']}
+    named = dict.fromkeys((*values['fit.free'], *(
+        name for name, is_wanted in estimated.items() if is_wanted)))
     free = [*named, *(['relaxation'] if any(strengths) else [])]
     return output_error(
-        measured, structure, start, _told(progress), anything(free), tuple(named),
+        measured, structure, start, _reporter(progress), weak_prior(free), tuple(named),
         values['fit.relaxation'], given_std(values))
 
 
-def _with_relaxation(found: Fit, recordings: Sequence[Recording | Reduced]) -> Fit:
+def _with_relaxation(result: Fit, recordings: Sequence[Recording | Reduced]) -> Fit:
     """Return a fit with the relaxation of the recordings, whose errors reach K and P."""
-    relaxation = next((own.relaxation for own in recordings if isinstance(own, Recording)), None)
-    if relaxation is None or not any(relaxation.strengths):
-        return found
+    whole = _whole(recordings)
+    if not whole or not any(whole[0].relaxation.strengths):
+        return result
+    relaxation = whole[0].relaxation
     notes = (R2_ASSUMED,) if relaxation.assumed else ()
-    known = np.isfinite(np.diag(found.covariance))
+    finite = np.isfinite(np.diag(result.covariance))
     more = relaxation.by @ relaxation.covariance @ relaxation.by.T
     return replace(
-        found, covariance=found.covariance + np.where(np.outer(known, known), more, 0.0),
+        result, covariance=result.covariance + np.where(np.outer(finite, finite), more, 0.0),
         relaxation=relaxation.strengths, relaxation_std=relaxation.std,
-        notes=(*found.notes, *notes))
+        notes=(*result.notes, *notes))
 
 
 def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
     """Return recordings, of which none is reduced."""
-    return [own for own in recordings if isinstance(own, Recording)]
+    return [recording for recording in recordings if isinstance(recording, Recording)]
 
 
-def _with_offsets(found: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
-    """Return a fit with the total time offsets: those removed before, and the fit's own."""
-    taken = [offset or TimeOffset(0.0, math.inf) for offset in offsets]
-    if not found.delays:
-        values, errors = zip(*taken, strict=True)
-        return replace(found, delays=values, delays_std=errors)
-    delays = tuple(own + offset.value for own, offset in zip(found.delays, taken, strict=True))
-    return replace(found, delays=delays)
+def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
+    """Return a fit with the total time offsets: those removed before, and those of the fit."""
+    removed = [offset or TimeOffset(0.0, math.inf) for offset in offsets]
+    if not result.delays:
+        values, errors = zip(*removed, strict=True)
+        return replace(result, delays=values, delays_std=errors)
+    return replace(result, delays=tuple(
+        delay + offset.value for delay, offset in zip(result.delays, removed, strict=True)))
 
 
 def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any]) -> Array:
@@ -251,31 +258,32 @@ def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any])
 
 def with_freed(values: Mapping[str, Any], freed: Sequence[Freed]) -> dict[str, Any]:
     """Return parameters with the estimates of fit.free."""
-    change = {own.name: own.change for own in freed}
-    found = {**values, 'cup.length': values['cup.length'] + sum(change.pop('length', ()))}
+    change = {quantity.name: quantity.change for quantity in freed}
+    result = {**values, 'cup.length': values['cup.length'] + sum(change.pop('length', ()))}
     if change:
-        held = varied(package_of(values), **change)
-        entries = held.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        found |= {'package.mass': held.mass, 'package.com': tuple(held.com.tolist()),
-                  'package.inertia': tuple(entries.tolist())}
-    return found
+        package = varied(package_of(values), **change)
+        entries = package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        result |= {
+            'package.mass': package.mass, 'package.com': tuple(package.com.tolist()),
+            'package.inertia': tuple(entries.tolist())}
+    return result
 
 
-def start_cup(parts: Sequence[Statistics], known: Cup) -> Cup:
+def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
     """
     Return the cup that the output error starts from, by least squares of few parameters.
 
-    What is not identifiable, or below zero, is that of a known cup.
+    What is not identifiable, or below zero, is that of the given cup.
     """
-    found = least_squares([replace(part, noise=None) for part in parts])
+    result = least_squares([replace(part, noise=None) for part in parts])
     stiffness, damping = (
         np.where(np.isfinite(error) & (value >= 0.0), value, instead)
         for value, error, instead in (
-            (found.stiffness, found.stiffness_std, known.stiffness),
-            (found.damping, found.damping_std, known.damping),
+            (result.stiffness, result.stiffness_std, given.stiffness),
+            (result.damping, result.damping_std, given.damping),
         )
     )
-    return Cup(stiffness, damping, known.length, known.relaxation)
+    return Cup(stiffness, damping, given.length, given.relaxation)
 
 
 def _diagonal(matrix: Array, digits: int) -> str:

@@ -88,8 +88,8 @@ class Ensemble:
 
     def varied(self, vary: Variation, theta: Array) -> 'Ensemble':
         """Return them with what was given varied by some numbers."""
-        return Ensemble(tuple(vary(own, theta) for own in self.given), tuple(
-            tuple(vary(own, theta) for own in draw) for draw in self.noisier))
+        return Ensemble(tuple(vary(recording, theta) for recording in self.given), tuple(
+            tuple(vary(recording, theta) for recording in draw) for draw in self.noisier))
 
 
 def ensemble_of(
@@ -111,7 +111,7 @@ def ensemble_of(
 
     return Ensemble(
         tuple(map(given, recordings)),
-        tuple(tuple(given(own, draw) for own in recordings) for draw in draws(DRAWS)))
+        tuple(tuple(given(recording, draw) for recording in recordings) for draw in draws(DRAWS)))
 
 
 def _stretches(samples: Samples, most: float) -> Samples:
@@ -157,7 +157,7 @@ def _bins(stamps_ns: Stamps) -> Stamps:
 def equations(given: Given) -> Array:
     """Return means (N, 6, p + 1) of the rows [L c]."""
     lip = given.samples.lip
-    L = np.concatenate([own.A for own in lip.equations(given.length, given.structure)])
+    L = np.concatenate([block.A for block in lip.equations(given.length, given.structure)])
     rows = np.dstack([L, *_extra(given, L), lip.wrench])
     bins = _bins(lip.stamps_ns)
     starts = np.unique(bins, return_index=True)[1]
@@ -174,44 +174,44 @@ def extra_entries(structure: Structure, name: str) -> list[int]:
 
 def _extra(given: Given, L: Array) -> list[Array]:
     """Return columns of a cup that drifts, is not linear, or has friction."""
-    lip, own = given.samples.lip, extra_entries(given.structure, given.extra)
+    lip, entries = given.samples.lip, extra_entries(given.structure, given.extra)
     if given.extra == 'drift':
         since = (lip.stamps_ns - lip.stamps_ns[0]) / NS_PER_S
-        return [(since / since[-1] - 0.5)[:, None, None] * L[:, :, own]]
+        return [(since / since[-1] - 0.5)[:, None, None] * L[:, :, entries]]
     if given.extra == 'cubic':
         size = sizes(lip.displacement(given.length))
-        leads = [given.structure.leads[i][0] for i in own]
+        leads = [given.structure.leads[i][0] for i in entries]
         square = (size[:, leads] / size[:, leads].max(axis=0)) ** 2
-        return [part[:, None, :] * L[:, :, own] for part in (square, square**2)]
+        return [part[:, None, :] * L[:, :, entries] for part in (square, square**2)]
     if given.extra == 'friction':
         columns = []
         for z in _dragged(given):
             there = replace(lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
                             rotation=exp_so3(z[lip.index, 3:]))
             parts = there.equations(given.length, given.structure)
-            columns.append(np.concatenate([part.A[:, :, own] for part in parts]))
+            columns.append(np.concatenate([part.A[:, :, entries] for part in parts]))
         return columns
     return []
 
 
 def _dragged(given: Given) -> Array:
     """Return the displacements (2, N, 6) of two sliders that the lip drags along (Dahl, 1968)."""
-    own = given.samples
-    position, rotation, _ = lip_relative(own.tool, own.package, own.payload.com)
-    way = np.hstack([position + [0.0, 0.0, given.length], log_so3(rotation)])
-    steps = np.nan_to_num(np.diff(way, axis=0, prepend=way[:1]))
-    most = sizes(way[own.valid] - way[own.valid].mean(axis=0)).max(axis=0)
-    keeps = 1.0 / (1.0 + sizes(steps) / np.multiply.outer(
-        SLIPS, np.maximum(most, 1e-12))[:, None])
-    z, dragged = np.zeros((len(SLIPS), 6)), np.empty_like(keeps)
+    samples = given.samples
+    position, rotation, _ = lip_relative(samples.tool, samples.package, samples.payload.com)
+    displacement = np.hstack([position + [0.0, 0.0, given.length], log_so3(rotation)])
+    steps = np.nan_to_num(np.diff(displacement, axis=0, prepend=displacement[:1]))
+    valid = displacement[samples.valid]
+    amplitude = np.maximum(sizes(valid - valid.mean(axis=0)).max(axis=0), 1e-12)
+    retained = 1.0 / (1.0 + sizes(steps) / np.multiply.outer(SLIPS, amplitude)[:, None])
+    z, dragged = np.zeros((len(SLIPS), 6)), np.empty_like(retained)
     for k, step in enumerate(steps):
-        z = dragged[:, k] = (z + step) * keeps[:, k]
+        z = dragged[:, k] = (z + step) * retained[:, k]
     # Seen through a filter, as accelerations are.
-    rate_hz = NS_PER_S / float(np.median(np.diff(own.tool.stamps_ns)))
-    half_window = max(round(0.5 * own.window * rate_hz), 1)
+    rate_hz = NS_PER_S / float(np.median(np.diff(samples.tool.stamps_ns)))
+    half_window = max(round(0.5 * samples.window * rate_hz), 1)
     W = weights(half_window, min(FILTER_ORDER, 2 * half_window), rate_hz)[:1]
     ends = np.pad(dragged, ((0, 0), (half_window, half_window), (0, 0)), mode='edge')
-    index = np.arange(half_window, half_window + len(way))
+    index = np.arange(half_window, half_window + len(displacement))
     return np.concatenate([filtered(z, W, index) for z in ends])
 
 
@@ -238,25 +238,25 @@ class Objective:
         wrong; unless it is sound, they count up to a multiple of those of the thesis' cup.
         """
         parts = [equations(given) for given in ensemble.given]
-        wrench = np.concatenate([own[:, :, -1] for own in parts])
+        wrench = np.concatenate([clean[:, :, -1] for clean in parts])
         structure = ensemble.given[0].structure
         spread = np.diag(regular(Moments.of(wrench).covariance(structure)))
         first = cls(1.0 / np.sqrt(spread))
         x = first.solved(ensemble).x
         if not sound:
-            most = MAX_CUP_FACTOR * structure.parameters(
+            limit = MAX_CUP_FACTOR * structure.parameters(
                 np.diag(THESIS_STIFFNESS), np.diag(THESIS_DAMPING))
-            x = np.clip(x[:len(most)], -most, most)
+            x = np.clip(x[:len(limit)], -limit, limit)
         noise = np.zeros(6)
         for draw in ensemble.noisier:
             added = np.concatenate(
-                [equations(n) - own for n, own in zip(draw, parts, strict=True)])
+                [equations(n) - clean for n, clean in zip(draw, parts, strict=True)])
             noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noisier)
         return cls(1.0 / np.sqrt(noise + MODEL_ERROR**2 * spread))
 
     def rows(self, given: Sequence[Given]) -> Array:
         """Return the weighted rows [A b] (N, p + 1) of recordings."""
-        rows = np.concatenate([equations(own) for own in given]) * self.weight[:, None]
+        rows = np.concatenate([equations(recording) for recording in given]) * self.weight[:, None]
         return rows.reshape(-1, rows.shape[2])
 
     def solved(self, ensemble: Ensemble) -> 'Solved':
@@ -270,15 +270,15 @@ class Objective:
             added = self.rows(draw) / scale - full
             noise += added.T @ added / len(ensemble.noisier)
         U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
-        known = s > MIN_SINGULAR_VALUE * s[0]
-        root = Vt[known].T / s[known]
+        determined = s > MIN_SINGULAR_VALUE * s[0]
+        root = Vt[determined].T / s[determined]
         share, V = np.linalg.eigh(root.T @ noise[:-1, :-1] @ root)
         root = root @ V / np.sqrt(np.maximum(1.0 - share, MIN_SIGNAL_SHARE))
         slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
         left = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
         x = root @ slope / scale[:-1] * scale[-1]
         root = root / scale[:-1, None]
-        return Solved(rows, x, left * scale[-1] ** 2 / len(rows), U[:, known], root @ root.T)
+        return Solved(rows, x, left * scale[-1] ** 2 / len(rows), U[:, determined], root @ root.T)
 
 
 class Solved(NamedTuple):
@@ -347,7 +347,7 @@ class Refined(NamedTuple):
 
 
 def refine(
-    objective: Objective, ensemble: Ensemble, own: Hypothesis, start: Array | None = None,
+    objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis, start: Array | None = None,
     rounds: int = ROUNDS,
 ) -> Refined:
     """
@@ -357,22 +357,23 @@ def refine(
     the better minimum is returned. Where K is far too small, steps are too long: they are halved
     as long as less is left.
     """
-    steps = np.array(own.steps)
+    steps = np.array(hypothesis.steps)
 
     def at(theta: Array) -> Solved:
         """Return the residuals at given unknowns."""
-        return objective.solved(ensemble.varied(own.vary, theta))
+        return objective.solved(ensemble.varied(hypothesis.vary, theta))
 
     if start is None:
-        near = _first(objective, ensemble, own)
+        near = _first(objective, ensemble, hypothesis)
         starts = [near, np.zeros_like(near)] if near.any() else [near]
-        return min((refine(objective, ensemble, own, begin, rounds) for begin in starts),
-                   key=lambda found: found.solved.excess)
+        return min((refine(objective, ensemble, hypothesis, begin, rounds) for begin in starts),
+                   key=lambda refined: refined.solved.excess)
     theta, here = start, at(start)
     for _ in range(rounds):
         gradient, D = _derivatives(at, theta, here, steps)
         step = -_pseudo_inverse(D) @ gradient
-        step *= min(1.0, float(np.min(own.furthest * steps / np.maximum(np.abs(step), 1e-300))))
+        largest = hypothesis.furthest * steps
+        step *= min(1.0, float(np.min(largest / np.maximum(np.abs(step), 1e-300))))
         best, taken = here, np.zeros_like(step)
         for shorter in np.outer(0.5 ** np.arange(HALVINGS), step):
             further = at(theta + shorter)
@@ -386,11 +387,12 @@ def refine(
     return Refined(theta, covariance, here)
 
 
-def _first(objective: Objective, ensemble: Ensemble, own: Hypothesis) -> Array:
+def _first(objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis) -> Array:
     """Return the numbers among the starts of a hypothesis that explain most, 0 without any."""
     quiet = Ensemble(ensemble.given, ())
-    starts = [np.zeros(len(own.steps)), *own.starts(ensemble.given[0])]
-    return min(starts, key=lambda theta: objective.solved(quiet.varied(own.vary, theta)).excess)
+    starts = [np.zeros(len(hypothesis.steps)), *hypothesis.starts(ensemble.given[0])]
+    return min(starts, key=lambda theta: objective.solved(
+        quiet.varied(hypothesis.vary, theta)).excess)
 
 
 def _derivatives(

@@ -16,7 +16,7 @@ from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import causes, moved_between, scores, stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
-from bellows_ros.core.identification.quantities import anything, Free, KINDS
+from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
 from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR, without
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
@@ -146,10 +146,10 @@ def _with_relaxation(
     """Return the search with strengths of relaxation where they are significant, else as it is."""
     (score,) = scores(search, minimum, ['relaxation']).values()
     if score > least_squares.SIGNIFICANT:
-        more = search.with_free(minimum.theta, anything(['relaxation']))
+        more = search.with_free(minimum.theta, weak_prior(['relaxation']))
         again = more.minimum(note, more.transferred(search, minimum.theta))
         noise = MAX_NOISE_CHI2 * again.residual_count
-        limit = max(least_squares.MOST_LEFT * (minimum.squares - noise), 0.0)
+        limit = max(least_squares.MAX_REMAINING_SHARE * (minimum.squares - noise), 0.0)
         if again.converged and again.squares - noise <= limit and _relaxes(more, again):
             return more, again
         search.accept(minimum.parts)
@@ -259,8 +259,9 @@ def _fit(
             for name, (place, *_) in search.places.items()
             if name in named and not KINDS[name].each),
         causes=reasons,
-        found={name: x[place] for name, place in search.places.items()
-               if name != 'relaxation' and (KINDS[name].each or name not in named)},
+        nuisances={
+            name: x[place] for name, place in search.places.items()
+            if name != 'relaxation' and (KINDS[name].each or name not in named)},
         relaxation=(r1, r2),
         relaxation_std=(r1_std, r2_std),
     )
@@ -294,7 +295,7 @@ def _identifiable(
     largest = np.full(len(std), np.inf)
     largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name in named:
-        largest[search.places[name]] = KINDS[name].known
+        largest[search.places[name]] = KINDS[name].max_std
     identifiable = (std <= largest) & (shares <= MAX_ERROR_SHARE) & minimum.converged
     errors = std / (largest / LARGEST_ERROR)
     notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
@@ -392,7 +393,7 @@ class Registered(NamedTuple):
 
     def require_world(self) -> None:
         """Refuse a world that is not identifiable, for a method that takes it as exact."""
-        if np.any(self.world_std > KINDS['package_world'].known):
+        if np.any(self.world_std > KINDS['package_world'].max_std):
             each = [f'{1e3 * x:.2g}' for x in self.world_std]
             raise UndeterminedError(
                 'recording.package_world is not identifiable from this recording: the standard '
@@ -417,7 +418,7 @@ def registered(
 
     """
     measured = measured_segments(recording)
-    search = Search(list(map(Segment, measured)), structure, start, anything(names))
+    search = Search(list(map(Segment, measured)), structure, start, weak_prior(names))
     minimum = search.minimum()
     middle, alignment = np.asarray(measured[0].middle)[:3], recording.alignment
     if not minimum.converged and list(names) == ['time_offset']:
@@ -432,7 +433,7 @@ def registered(
     offset = None
     if 'time_offset' in estimates:
         (seconds,), (std,) = estimates['time_offset']
-        if std < KINDS['time_offset'].known:
+        if std < KINDS['time_offset'].max_std:
             offset = TimeOffset(float(seconds), float(std))
     world, world_std = estimates.get('package_world', (None, np.zeros(6)))
     return Registered(world, world_std, middle, alignment, offset)

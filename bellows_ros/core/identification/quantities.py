@@ -22,20 +22,20 @@ class Kind(NamedTuple):
         Size in which it is searched for: s, m, or a logarithm.
     size : int
         How many there are.
-    known : float
+    max_std : float
         With a larger standard error it is not identifiable.
     each : bool
         Whether each recording has its own.
-    wide : float
-        Standard deviation of what may be anything.
+    prior_std : float
+        Standard deviation of a weak prior.
 
     """
 
     unit: float
     size: int
-    known: float
+    max_std: float
     each: bool = False
-    wide: float = np.inf
+    prior_std: float = np.inf
 
 
 KINDS: Mapping[str, Kind] = {
@@ -79,9 +79,9 @@ Free = Mapping[str, Array]
 """Values by name, for one recording."""
 
 
-def anything(names: Iterable[str]) -> dict[str, Array]:
-    """Return the standard deviations of what may be anything, by name."""
-    return {name: np.full(KINDS[name].size, KINDS[name].wide) for name in names}
+def weak_prior(names: Iterable[str]) -> dict[str, Array]:
+    """Return the standard deviations of weak priors on quantities, by name."""
+    return {name: np.full(KINDS[name].size, KINDS[name].prior_std) for name in names}
 
 
 def payload_of(payload: Package, free: Free) -> Package:

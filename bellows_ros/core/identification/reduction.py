@@ -82,9 +82,10 @@ def noise_products(
     products = np.zeros((6 * size, 6 * size))
     draw = np.random.default_rng(seed)
     some = recording.thinned(ENOUGH)
-    for block, own in zip(some.blocks(), some.lip.equations(cup_length, structure), strict=False):
+    rows = some.lip.equations(cup_length, structure)
+    for block, clean in zip(some.blocks(), rows, strict=False):
         noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure)
-        added = (next(noisy).stacked - own.stacked).reshape(-1, 6 * size)
+        added = (next(noisy).stacked - clean.stacked).reshape(-1, 6 * size)
         products += added.T @ added
     part = max(some.count, 1) / max(recording.count, 1)
     return products.reshape(6, size, 6, size) / part

@@ -48,8 +48,8 @@ def covariance_of(information: Array) -> Array:
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     null = vectors[:, values <= ROUNDING * values[-1]]
-    known = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
-    return without(inverse_of(information, known), ~known)
+    identifiable = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
+    return without(inverse_of(information, identifiable), ~identifiable)
 
 
 def information_of(covariance: Array) -> Array:
@@ -68,11 +68,11 @@ def inverse_of(matrix: Array, used: Mask) -> Array:
     return inverse
 
 
-def without(covariance: Array, unknown: Mask) -> Array:
+def without(covariance: Array, unidentifiable: Mask) -> Array:
     """Return a covariance in which some parameters (n,) are unknown."""
-    known = ~unknown
-    result = np.where(np.outer(known, known), covariance, 0.0)
-    result[np.diag_indices_from(result)] = np.where(known, np.diag(covariance), np.inf)
+    identifiable = ~unidentifiable
+    result = np.where(np.outer(identifiable, identifiable), covariance, 0.0)
+    result[np.diag_indices_from(result)] = np.where(identifiable, np.diag(covariance), np.inf)
     return result
 
 
@@ -176,9 +176,9 @@ class Fit:
         What would explain what output error leaves, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
         Covariance that what was given adds, by its own standard deviations; None for none.
-    found : mapping
-        What else output error has found beside K and P, by names of `KINDS`: changes, SI units, a
-        row for each recording or one for all; without what `freed` has.
+    nuisances : mapping
+        What else output error has estimated beside K and P, by names of `KINDS`: changes, SI
+        units, a row for each recording or one for all; without what `freed` has.
 
     """
 
@@ -207,7 +207,7 @@ class Fit:
     relaxation_std: tuple[float, float] = (0.0, 0.0)
     causes: tuple[Any, ...] = ()
     from_given: Array | None = None
-    found: Mapping[str, Array] = field(default_factory=dict)
+    nuisances: Mapping[str, Array] = field(default_factory=dict)
 
     @cached_property
     def _matrices(self) -> tuple[Array, Array]:

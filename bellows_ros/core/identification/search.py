@@ -398,7 +398,7 @@ class Parametrization:
         for (name, std), shape, first in zip(free.items(), shapes, ends[:-1], strict=True):
             kind, place = KINDS[name], first + np.arange(math.prod(shape)).reshape(shape)
             self.places[name], self.units[place] = place, kind.unit
-            self.max_std[place] = kind.known / kind.unit
+            self.max_std[place] = kind.max_std / kind.unit
             self.weights[place] = (np.asarray(std) / kind.unit) ** -2
         self.fixing = np.zeros((ends[-1],) * 2)  # more information on the start
         self.start = np.pad(structure.parameters(start.stiffness, start.damping) / units, more)

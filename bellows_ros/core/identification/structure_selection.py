@@ -108,9 +108,10 @@ class StructureSelection:
 
     def judged(self, diagnosis: Diagnosis, causes: Sequence[str]) -> 'StructureSelection':
         """Return it with the verdict that none fits, by what noise leaves, and sentences why."""
-        best = next(own for own in self.candidates if own.structure == self.advised)
+        best = next(each for each in self.candidates if each.structure == self.advised)
         excess = diagnosis.excess
-        has_cause = any(own.likely and own.name != 'structure' for own in diagnosis.findings[:1])
+        has_cause = any(
+            cause.likely and cause.name != 'structure' for cause in diagnosis.findings[:1])
         if best.usable and best.held_out < UNEXPLAINED and (excess < DOUBTED or not has_cause):
             return self
         size = (f', and held-out motion is simulated with an error of {best.held_out:.0%} of its '
@@ -151,11 +152,11 @@ def select_structure(
     added = [noise_products(samples, noise, cup_length, structures[-1], SEED + 1)
              / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
     candidates = [_candidate(recordings, cup_length, added, each) for each in structures]
-    if all(own.refused for own in candidates):
+    if all(candidate.refused for candidate in candidates):
         raise BellowsError(f'No structure can be fitted. {candidates[0].refused}')
     advised, advice = _advice(candidates)
     return StructureSelection(
-        tuple(candidates), sum(own.count for own in recordings), advised, advice)
+        tuple(candidates), sum(samples.count for samples in recordings), advised, advice)
 
 
 def _candidate(
@@ -176,8 +177,8 @@ def _candidate(
         ends = np.linspace(0, len(samples.tool), FOLDS + 1).astype(int)
         for fold, part, first, end in zip(folds, parts, ends, ends[1:], strict=False):
             fold.append(samples.select(slice(first, end)))
-            own = statistics(fold[-1], cup_length, structure)
-            part.append(replace(own, noise=own.used * noise))
+            reduced = statistics(fold[-1], cup_length, structure)
+            part.append(replace(reduced, noise=reduced.used * noise))
     size = 2 * structure.size
     try:
         usable = least_squares(sum(parts, [])).usable
@@ -240,20 +241,20 @@ def _segments(samples: Samples) -> Iterator[Samples]:
 
 def _advice(candidates: list[Candidate]) -> tuple[str, tuple[str, ...]]:
     """Return the structure to take, and why."""
-    able = [own for own in candidates if own.usable and np.isfinite(own.held_out)]
+    eligible = [each for each in candidates if each.usable and np.isfinite(each.held_out)]
     sentences = [
-        f'{own.structure} cannot be fitted: {own.refused}' if own.refused else
-        f'{own.structure} gives no usable cup: K or P is not definite.' if not own.usable else
-        f'{own.structure} gives a cup whose simulation diverges on held-out parts.'
-        for own in candidates if own not in able]
-    if not able:
+        f'{each.structure} cannot be fitted: {each.refused}' if each.refused else
+        f'{each.structure} gives no usable cup: K or P is not definite.' if not each.usable else
+        f'{each.structure} gives a cup whose simulation diverges on held-out parts.'
+        for each in candidates if each not in eligible]
+    if not eligible:
         return candidates[0].structure, (
             *sentences,
             'No structure gives a cup that can be simulated. Check frames, alignment, '
             'package.mass and package.com, and record a richer motion.')
-    best = min(able, key=lambda own: own.held_out)
-    advised = next(own for own in able if own is best or _is_as_good(own, best))
-    errors = ', '.join(f'{own.structure} {own.held_out:.2%}' for own in able)
+    best = min(eligible, key=lambda candidate: candidate.held_out)
+    advised = next(each for each in eligible if each is best or _is_as_good(each, best))
+    errors = ', '.join(f'{each.structure} {each.held_out:.2%}' for each in eligible)
     why = ('It has the smallest held-out error' if advised is best else
            f'It is the simplest with a held-out error as small as that of {best.structure}')
     sentences.insert(0, f'Use fit.structure: {advised.structure}. {why} (error over motion: '

@@ -117,7 +117,7 @@ class Validation(residuals.Comparison):
     @cached_property
     def noise(self) -> Array:
         """RMS error (6,) that measurement noise of package and tool alone makes, m and rad."""
-        tool, body = (own.select(slice(ENOUGH)) for own in (self.tool, self.package))
+        tool, body = (each.select(slice(ENOUGH)) for each in (self.tool, self.package))
         poses, settings = self.recording.aligned_tool, self.recording.settings
         rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(SEED)
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
@@ -128,7 +128,7 @@ class Validation(residuals.Comparison):
             moved = simulate(
                 self.cup, self.recording.payload, noisy, self.state, settings.gravity)
             squares.append(np.mean(np.subtract(*(
-                residuals.relative_coordinates(tool, own) for own in (moved, body)))**2, axis=0))
+                residuals.relative_coordinates(tool, each) for each in (moved, body)))**2, axis=0))
         return np.asarray(np.sqrt(np.mean(squares, axis=0) + self.recording.body_noise[1].std**2))
 
     @cached_property
@@ -160,7 +160,7 @@ class Validation(residuals.Comparison):
             parts = measured_segments(self.recording)
         except BellowsError:
             return None
-        segment = Segment(_middle(max(parts, key=lambda own: len(own.package))))
+        segment = Segment(_middle(max(parts, key=lambda part: len(part.package))))
         search = Search([segment], STRUCTURES['full'], self.cup, {})
         for _ in range(MOTION_ROUNDS):
             (part,), _, _ = search.system(search.start)
@@ -232,7 +232,7 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
         not stay finite.
 
     """
-    key = (tuple(np.asarray(getattr(cup, own.name)).tobytes() for own in fields(cup)), most)
+    key = (tuple(np.asarray(getattr(cup, each.name)).tobytes() for each in fields(cup)), most)
     return recording.cached(('validated', key), lambda: _validated(cup, recording, most))
 
 

@@ -8,7 +8,7 @@ from bellows_ros.core.identification import search as module_of_search
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.quantities import anything, KINDS
+from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
@@ -64,7 +64,7 @@ def test_a_step_to_a_cup_shorter_than_nothing_is_rejected():
     own = measured(3, duration=6.0, package_hz=60.0)
     higher = replace(own.package, position=own.package.position + [0.0, 0.0, 0.06])
     search = Search([Segment(replace(own, package=higher))], AXISYMMETRIC, TRUTH,
-                    anything(['length']))
+                    weak_prior(['length']))
     length = (search.units * search.minimum().theta)[-1]
     assert -TRUTH.length < length < -0.02
 
@@ -132,7 +132,7 @@ def test_every_derivative_is_that_of_the_differences():
     own = measured(4, package_noise=(1e-4, 5e-4), tool_hz=125.0, duration=4.0, silent=True,
                    cup=cup)
     search = Search([Segment(own)], AXISYMMETRIC, cup, {
-        name: np.full(kind.size, kind.wide) for name, kind in KINDS.items()})
+        name: np.full(kind.size, kind.prior_std) for name, kind in KINDS.items()})
     slopes = settled(search, 3)[0].jacobian  # with the first state
     for number in range(len(search.units)):
         size = np.abs(slopes[:, number]).max()
@@ -328,7 +328,7 @@ def test_a_kelvin_voigt_cup_shows_no_relaxation():
     assert_allclose(auto.covariance, off.covariance, rtol=1e-6)
     again = output_error(  # as least squares, which noise disturbs, may begin
         [own], AXISYMMETRIC, replace(scaled(1.5), relaxation=(0.02, 0.02)),
-        free=anything(['relaxation']), relaxation='auto')
+        free=weak_prior(['relaxation']), relaxation='auto')
     assert again.relaxation == (0.0, 0.0)
     apart = np.abs(again.parameters - off.parameters)
     assert np.all(apart < 0.1 * np.sqrt(np.diag(off.covariance)))
@@ -343,7 +343,7 @@ def test_causes_of_one_minimum_are_not_said_of_another(factor, named, monkeypatc
         size = search.count // 2
         theta = found.theta.copy()
         theta[:size] *= factor
-        wide = search.with_free(theta, anything(['com']))
+        wide = search.with_free(theta, weak_prior(['com']))
         return wide, found._replace(theta=wide.start), np.zeros((len(wide.units),) * 2)
 
     monkeypatch.setattr(module, 'with_given', with_given)
