@@ -4,7 +4,7 @@ import argparse
 import math
 from pathlib import Path
 
-from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
+from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR, parameter_units
 from bellows_ros.files.safe_yaml import load
 from bellows_ros.report import column, with_error
 from bellows_ros.workflows.excite import DesignedMotion, excite, write_motion
@@ -38,7 +38,7 @@ def print_result(result: DesignedMotion, console: Console) -> None:
     for label, unit, value, error, part, *beside in zip(
             result.structure.labels, parameter_units(result.structure), result.guess.tolist(),
             errors.tolist(), parts, *ratios, strict=True):
-        std = error if error <= LARGEST_ERROR * abs(value) or not value else math.inf
+        std = error if error <= MAX_RELATIVE_ERROR * abs(value) or not value else math.inf
         rows.append([label, with_error(value, std, unit), f'{part} %' if value else '',
                      *(f'{ratio} times' for ratio in beside)])
     console.table(rows)
@@ -73,7 +73,7 @@ def _print_series(result: DesignedMotion, console: Console) -> None:
             *(errors for _, errors in result.series.values()), strict=True):
         if value:
             rows.append([label, *(
-                f'{100.0 * part:.3g} %' if part <= LARGEST_ERROR else '-'
+                f'{100.0 * part:.3g} %' if part <= MAX_RELATIVE_ERROR else '-'
                 for part in (error / abs(value) for error in errors))])
     console.table(rows, right=True)
     console.paragraph('Each column is for this recording alone, with the nominal length known; '

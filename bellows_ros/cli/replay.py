@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from bellows_ros.core.identification.validation import LIMIT
+from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.parameter_files import write_parameters
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with console.progress() as progress:
         result = replay(
             arguments.bag, settings, progress, arguments.observe, arguments.calibrate_alarms)
-    limit = LIMIT if arguments.limit is None else arguments.limit / PERCENT
+    limit = MAX_NRMSE if arguments.limit is None else arguments.limit / PERCENT
     with options.naming_partial_output() as written:
         if result.observed and arguments.out:
 

@@ -195,7 +195,7 @@ STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
 MAX_URDF_BYTES = 2**26
 MAX_YAML_BYTES = 2**27
-"""Largest files, in bytes; as much YAML holds `MOST_POINTS` with all their digits."""
+"""Largest files, in bytes; as much YAML holds `MAX_POINTS` with all their digits."""
 
 
 class NoArmError(BellowsError):

@@ -28,7 +28,7 @@ from ..core.model.grip import grip_of, safety_sentence
 from ..core.model.simulation import ToolRows
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.limits import NO_LIMITS, stretched
-from ..core.planning.plan import COARSE, PlanPrediction, PlanSimulation
+from ..core.planning.plan import COARSE_STEP_FACTOR, PlanPrediction, PlanSimulation
 from ..core.planning.points import joint_excess, JointPath, Joints, plan_of_joints, rows_of, timed
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
@@ -160,7 +160,7 @@ class Planning:
 
     def use_values(self) -> None:
         """Go on with other values."""
-        self._coarse = COARSE * largest_step(self._live.model)
+        self._coarse = COARSE_STEP_FACTOR * largest_step(self._live.model)
         # poses come at their rate
         self._period_ns = round(0.9e9 / self._pipeline.values['plan.rate'])
 

@@ -225,7 +225,7 @@ class Diagnostics:
         lines = [health.prediction_status('prediction', health.PredictionReport(
             state, live.phase(time.monotonic_ns()), pipeline.values['cup.name'] or 'cup.*',
             pipeline.compute.reset(), {**live.counts, **failures}, restarts,
-            live.tool.check.verdict, pipeline.outputs.uncertainty.known, above))]
+            live.tool.check.verdict, pipeline.outputs.uncertainty.available, above))]
         if state != 'active':
             return lines
         started = tuple(reason for reason, count in restarts.items() if count)
@@ -264,7 +264,7 @@ class Diagnostics:
         """Return the line on the load; a safety factor that became too small is logged too."""
         safety, distance, bending = load.reset()
         status = health.load_status(
-            'load', safety, distance, bending, load.grip is not None, load.envelope_known,
+            'load', safety, distance, bending, load.grip is not None, load.has_envelope,
             load.required)
         self._log(status, safety is not None and safety.factor < load.required)
         return status

@@ -5,7 +5,7 @@ import math
 from typing import Protocol, TYPE_CHECKING
 
 from bellows_ros.core.identification.result import Fit, UNITS
-from bellows_ros.core.identification.validation import LIMIT
+from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 from bellows_ros.workflows.recordings import offset_sentence
@@ -184,7 +184,7 @@ def _print_samples(result: 'Identification', out: Writer) -> None:
             out.paragraph(f'  {stream["topic"]}: {", ".join(faults)}; {rejected} near these')
 
 
-def print_replay(result: 'Replay', out: Writer, limit: float = LIMIT) -> None:
+def print_replay(result: 'Replay', out: Writer, limit: float = MAX_NRMSE) -> None:
     """Print the errors per axis and their meaning."""
     rest = result.validation.start == 'equilibrium'
     out.line(f'Replay of {result.bag}', 'bold')

@@ -11,7 +11,7 @@ from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.arm_limits import limits_from
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.identification.result import LARGEST_ERROR, parameter_units
+from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR, parameter_units
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.grip import grip_of
 from bellows_ros.core.model.structure import fitted_structure, Structure
@@ -105,7 +105,7 @@ class DesignedMotion(CommandResult):
             f'longer; a higher limit of {limit} helps most.'
             for label, value, error in zip(
                 self.structure.labels, self.guess.tolist(), self.errors.tolist(), strict=True)
-            if value and (factor := error / (LARGEST_ERROR * abs(value))) > 1.0)
+            if value and (factor := error / (MAX_RELATIVE_ERROR * abs(value))) > 1.0)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, SI units."""

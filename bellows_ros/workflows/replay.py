@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.causes import corrected, finding_sentence
 from bellows_ros.core.identification.reduction import envelope_of
 from bellows_ros.core.identification.result import POSE_UNITS
-from bellows_ros.core.identification.validation import LIMIT, SEED, validate, Validation
+from bellows_ros.core.identification.validation import MAX_NRMSE, SEED, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
@@ -294,7 +294,7 @@ class Replay(CommandResult):
                 f'{validation.verdict()}')
 
     def as_json(
-        self, limit: float = LIMIT, parameter_files: Sequence[File] = ()
+        self, limit: float = MAX_NRMSE, parameter_files: Sequence[File] = ()
     ) -> dict[str, Any]:
         """Return the content of the JSON file."""
         validation = self.validation

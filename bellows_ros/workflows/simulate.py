@@ -20,7 +20,7 @@ from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.recording.alignment import levelling
-from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED
+from bellows_ros.core.signals.screening import MAX_TOOL_RATE, MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
@@ -200,11 +200,11 @@ def _simulate(
     tool = motion.trajectory(stamps_ns, recipe.start_ns)
     speed, rate = (float(np.max(np.linalg.norm(part, axis=1)))
                    for part in np.hsplit(np.asarray(tool.twist), 2))
-    if speed > LARGEST_SPEED or rate > LARGEST_RATE:
+    if speed > MAX_TOOL_SPEED or rate > MAX_TOOL_RATE:
         raise BellowsError(
             f'The tool reaches {speed:.3g} m/s and {rate:.3g} rad/s; expected at most '
-            f'{LARGEST_SPEED:g} and {LARGEST_RATE:g}, as no arm is faster. Check the units of the '
-            'motion: m, rad and s.')
+            f'{MAX_TOOL_SPEED:g} and {MAX_TOOL_RATE:g}, as no arm is faster. Check the units of '
+            'the motion: m, rad and s.')
     if not recipe.releases:
         always = np.ones(len(tool), dtype=bool)
         hanging = simulate(cup, package, tool, gravity=values['gravity.magnitude'])

@@ -11,7 +11,7 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square, parameter_std
 from bellows_ros.core.parameters.checks import implausible, Settings
 from bellows_ros.core.planning.limits import demands, Limits, NONE, read_rates, stretched
-from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED
+from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -127,8 +127,9 @@ class SteerReport(CommandResult):
         finding = (
             'Given the uncertainty of cup and package, the inverse is expected to leave '
             f'{swings[0]:.2g} degrees and ZVD {swings[1]:.2g}, in {longer:.0f} ms more.')
-        best = 'the inverse' if inverse.expected_swing <= max(SETTLED, zvd.expected_swing) else (
-            'zvd, or identify cup and package better')
+        best = 'zvd, or identify cup and package better'
+        if inverse.expected_swing <= max(SETTLED_ANGLE, zvd.expected_swing):
+            best = 'the inverse'
         return f'{finding} Use {best}.'
 
     def as_json(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes
 from bellows_ros.core.identification.given import as_found, given_std, stated
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
-from bellows_ros.core.identification.methods import are_differentiable, MISFIT
+from bellows_ros.core.identification.methods import are_differentiable, MAX_MISFIT_TO_NOISE
 from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
@@ -62,7 +62,8 @@ class Simulated(NamedTuple):
     @property
     def largest(self) -> Array:
         """Largest RMS errors (6,) that noise and the standard errors of K and P explain."""
-        return np.asarray(np.hypot(MISFIT * self.noise, SIGMAS * np.asarray(self.uncertainty)))
+        return np.asarray(np.hypot(
+            MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty)))
 
     @property
     def sentence(self) -> str:
@@ -190,7 +191,8 @@ class FitVerdict(NamedTuple):
                     'noise, more than the standard errors of K and P allow, so model or data are '
                     'wrong. Check package.mass, package.com, package.inertia and the frames, or '
                     'use a richer fit.structure.')
-        if self.simulated and not reasons and self.chi2 is not None and self.chi2 > MISFIT**2:
+        if self.simulated and not reasons and self.chi2 is not None and (
+                self.chi2 > MAX_MISFIT_TO_NOISE**2):
             reasons.append(
                 f'What the fit leaves of each pose is {np.sqrt(self.chi2):.1f} times the noise '
                 f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '

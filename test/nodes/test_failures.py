@@ -175,5 +175,5 @@ def test_an_envelope_without_a_mass_is_watched(live, make_partner):
     if live:
         set_on(partner.predictor, 'envelope.deflection_low', [-0.01] * 6)
     load = partner.predictor.pipeline.load
-    partner.wait(lambda: load.envelope_known and load._distance is not None)
+    partner.wait(lambda: load.has_envelope and load._distance is not None)
     assert not partner.predictor.failures

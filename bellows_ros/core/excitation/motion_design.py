@@ -57,7 +57,7 @@ STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
 STARTS = 3
 """Number of random starts; the criterion has several maxima."""
 
-POINTS_PER_PERIOD, MEMORY, MIN_GAIN = 8, 20, 1e-6
+POINTS_PER_PERIOD, LBFGS_MEMORY, MIN_GAIN = 8, 20, 1e-6
 LOAD_EXPONENT = 1.4
 """Exponent of the correction for loads: part of a load does not shrink with the amplitude."""
 
@@ -495,7 +495,7 @@ def design(
             shape = rng.standard_normal(2 * search.size.size)
             search.allowed = np.ones_like(search.allowed)
         shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
-            'maxiter': most, 'maxfun': 2 * most, 'maxcor': MEMORY, 'ftol': MIN_GAIN}).x
+            'maxiter': most, 'maxfun': 2 * most, 'maxcor': LBFGS_MEMORY, 'ftol': MIN_GAIN}).x
         coefficients, now = search.within(shape, power)
         moved = replace(still, coefficients=coefficients)
         worst = checks.loads(moved).ravel()
@@ -571,7 +571,7 @@ def _within(motion: FourierMotion, checks: Checks) -> tuple[FourierMotion, dict[
     raise _not_within('No motion meets the limits', 'even at rest', ratios)
 
 
-STANDSTILL, STOPS = 3.0, (0.0, 0.3)
+STANDSTILL, STOP_DURATIONS = 3.0, (0.0, 0.3)
 """Durations (s): one standstill, and the stops between moves."""
 
 WORKSPACE_SHARE = 0.9
@@ -580,7 +580,7 @@ WORKSPACE_SHARE = 0.9
 SMOOTH_STEP_PEAKS = (1.875, 5.7736, 60.0)
 """Peak speed, acceleration and jerk of the smooth step from 0 to 1 within one second."""
 
-SLOWER, MAX_SLOWER = 1.15, 30
+SLOWING_FACTOR, MAX_SLOWINGS = 1.15, 30
 
 
 def standstills(checks: Checks) -> Waypoints:
@@ -607,12 +607,12 @@ def everyday(checks: Checks, duration: float, seed: int) -> Waypoints:
         WORKSPACE_SHARE * limits.turn * draw[3:])) for draw in draws]
 
     def slowed(factor: float) -> Waypoints:
-        whole = _through(poses, limits, factor, itertools.cycle(STOPS))
+        whole = _through(poses, limits, factor, itertools.cycle(STOP_DURATIONS))
         ends = REST + np.cumsum([s.move + s.hold for s in whole.segments])
         count = max(1, int(np.searchsorted(ends, duration - 1.0)))
         back = [*poses[:count], limits.start]
         return _through(back, limits, factor, itertools.chain(
-            itertools.islice(itertools.cycle(STOPS), count), [1.0]))
+            itertools.islice(itertools.cycle(STOP_DURATIONS), count), [1.0]))
 
     return _slowed_within(slowed, checks)
 
@@ -634,8 +634,8 @@ def _through(
 
 def _slowed_within(slowed: Callable[[float], Waypoints], checks: Checks) -> Waypoints:
     """Return the first of ever slower motions that is within the limits."""
-    for n in range(MAX_SLOWER):
-        motion = slowed(SLOWER**n)
+    for n in range(MAX_SLOWINGS):
+        motion = slowed(SLOWING_FACTOR**n)
         ratios = checks.ratios(motion)
         if max(ratios.values()) <= 1.0:
             return motion

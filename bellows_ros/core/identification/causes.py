@@ -20,7 +20,7 @@ from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions
 from bellows_ros.core.recording.preparation import lasting_steps, prepare
-from bellows_ros.core.recording.recording import ENOUGH, Recording
+from bellows_ros.core.recording.recording import NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
@@ -356,10 +356,10 @@ def _twists(recording: Recording) -> Finding | None:
     measured, half_window = recording.measured_tool, recording.filters[1].half_window
     if measured.twist is None or len(measured) <= 2 * half_window:
         return None
-    if len(measured) > ENOUGH:  # those in which it moves most
+    if len(measured) > NOISE_SAMPLES:  # those in which it moves most
         moved = np.cumsum(np.sum(measured.twist**2, axis=1))
-        first = int(np.argmax(moved[ENOUGH:] - moved[:-ENOUGH]))
-        measured = measured.select(slice(first, first + ENOUGH))
+        first = int(np.argmax(moved[NOISE_SAMPLES:] - moved[:-NOISE_SAMPLES]))
+        measured = measured.select(slice(first, first + NOISE_SAMPLES))
     tool = savgol(measured, half_window, recording.filters[1].order)
     measured = measured.between(*tool.stamps_ns[[0, -1]]).select(tool.valid)
     assert measured.twist is not None and tool.twist is not None

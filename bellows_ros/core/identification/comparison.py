@@ -31,7 +31,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
 
-SIGNIFICANT = 0.05
+SIGNIFICANT_P_VALUE = 0.05
 """p-value below which a difference is significant."""
 
 TILT = 0.35
@@ -50,7 +50,7 @@ By units: the smallest material change of a pose, which is the resolution of mot
 the smallest relative one of a natural frequency and of a damping ratio.
 """
 
-COINCIDE = 0.02
+MIN_FREQUENCY_SEPARATION = 0.02
 """Natural frequencies closer than this fraction have no unique mode shapes."""
 
 AXES_PART = 1e-6
@@ -134,7 +134,7 @@ class Change:
     @property
     def significant(self) -> bool:
         """Whether chance does not explain it."""
-        return self.p_value < SIGNIFICANT
+        return self.p_value < SIGNIFICANT_P_VALUE
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class FitComparison:
     @property
     def significant(self) -> bool:
         """Whether chance does not explain the changes of the parameters together."""
-        return self.p_value < SIGNIFICANT
+        return self.p_value < SIGNIFICANT_P_VALUE
 
     @property
     def shake_matters(self) -> bool:
@@ -280,7 +280,7 @@ def modes(cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ())
 def _shapes(stiffness: Array, damping: Array) -> Array:
     """Return orthonormal eigenvectors of the stiffness; of equal ones those of the damping."""
     squares, vectors = np.linalg.eigh(stiffness)
-    apart = np.diff(squares) > 2.0 * COINCIDE * np.abs(squares[1:])
+    apart = np.diff(squares) > 2.0 * MIN_FREQUENCY_SEPARATION * np.abs(squares[1:])
     axes = np.diag(np.arange(6.0)) * AXES_PART * float(np.trace(damping))
     for group in np.split(np.arange(6), np.flatnonzero(apart) + 1):
         inside = vectors[:, group]
@@ -365,13 +365,13 @@ def _errors_of(values: Callable[[Cup], Array], fit: Fitted) -> Array:
     return _deviations(_spread(jacobian, fit.covariance))
 
 
-DIFFERENT_BELOW = 0.01
+DIFFERENCE_P_VALUE = 0.01
 """p-value below which the cups differ."""
 
 SIGNIFICANT_ERRORS = 3.0
 """Standard errors above which the difference of a single parameter is significant."""
 
-MATERIAL = 0.05
+MATERIAL_DIFFERENCE = 0.05
 """Smallest material relative difference of a parameter from the mean."""
 
 
@@ -402,7 +402,7 @@ class Consistency:
     @property
     def differs(self) -> bool:
         """Whether the cups differ significantly and materially."""
-        return self.probability < DIFFERENT_BELOW
+        return self.probability < DIFFERENCE_P_VALUE
 
 
 def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
@@ -462,18 +462,21 @@ def _verdict(
     if np.isnan(p):
         return ('No parameter is identifiable from two of the recordings, so the cups cannot be '
                 'compared.')
-    if p >= DIFFERENT_BELOW:
+    if p >= DIFFERENCE_P_VALUE:
         return ('The fits are consistent with one cup: K and P are the same for '
                 f'{" and ".join(names)} (probability of larger differences by chance: {p:.2g}).')
     row, column = divmod(int(np.argmax(np.abs(deviations))), deviations.shape[1])
     size = float(relative[row, column])
-    differ = [name for name, chance in zip('KP', parts, strict=True) if chance < DIFFERENT_BELOW]
+    differ = [name for name, p_value in zip('KP', parts, strict=True)
+              if p_value < DIFFERENCE_P_VALUE]
     which = f'{differ[0]} is' if len(differ) == 1 else 'K and P are'
-    is_material = np.any(np.abs(relative[np.abs(deviations) > SIGNIFICANT_ERRORS]) > MATERIAL)
+    significant = relative[np.abs(deviations) > SIGNIFICANT_ERRORS]
+    is_material = np.any(np.abs(significant) > MATERIAL_DIFFERENCE)
     return (
         f'The fits are not of one cup (chance {p:.1g}): {which} not the same for '
         f'{" and ".join(names)}; {labels[column]} of {names[row]} is '
         f'{abs(size) * 100:.2g} % {"above" if size > 0 else "below"} the common value, '
         f'{abs(deviations[row, column]):.1f} standard errors. ' + (
             'The model of stiffness and damping may not hold over this range.' if is_material else
-            f'The significant differences are below {MATERIAL * 100:g} %, which hardly matters.'))
+            f'The significant differences are below {MATERIAL_DIFFERENCE * 100:g} %, which hardly '
+            'matters.'))

@@ -19,7 +19,7 @@ from bellows_ros.core.identification.reduction import MAX_STORED, Reduced, Stati
 from bellows_ros.core.identification.result import (
     Fit,
     IN_NULL_SPACE,
-    LARGEST_ERROR,
+    MAX_RELATIVE_ERROR,
     without,
     WRENCH_UNITS,
 )
@@ -36,9 +36,9 @@ from bellows_ros.core.identification.samples import (
 )
 from bellows_ros.core.model.structure import given_structure, Structure, STRUCTURES
 from bellows_ros.core.recording.recording import (
-    ENOUGH,
     FilterNoise,
     NO_RELAXATION,
+    NOISE_SAMPLES,
     Recording,
     Relaxation,
 )
@@ -74,7 +74,7 @@ TOO_SHORT = (
     'window are correlated, and too few windows are left. The standard errors are infinite. '
     'Record longer.')
 
-UNEXPLAINED, OF_THE_WRENCH = 1.5, 0.1
+MAX_RESIDUAL_TO_NOISE, MAX_RESIDUAL_TO_WRENCH = 1.5, 0.1
 """Residuals are too large beyond this multiple of noise and this fraction of the wrench."""
 
 
@@ -178,7 +178,8 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used)
     covariance, squares = _uncertainty(parts, whitening, x, inverse, gain)
     std = np.sqrt(np.diag(covariance))
-    significant = identifiable & (std <= LARGEST_ERROR * structure.sizes(*structure.matrices(x)))
+    sizes = structure.sizes(*structure.matrices(x))
+    significant = identifiable & (std <= MAX_RELATIVE_ERROR * sizes)
     residual_rms = np.sqrt(squares / used)
     return Fit(
         method='least_squares',
@@ -292,7 +293,7 @@ def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
         return ''
     spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)
     excess = np.sqrt(np.maximum(left**2 - by_noise**2, 0.0)) / spread
-    doubtful = (left > UNEXPLAINED * by_noise) & (excess > OF_THE_WRENCH)
+    doubtful = (left > MAX_RESIDUAL_TO_NOISE * by_noise) & (excess > MAX_RESIDUAL_TO_WRENCH)
     if not doubtful.any():
         return ''
     worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
@@ -309,7 +310,7 @@ def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
 
 T = TypeVar('T', bound=Recording | Reduced)
 
-SIGNIFICANT = 13.8
+MIN_SQUARED_DISTANCE = 13.8
 """Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""
 
 MAX_REMAINING_SHARE = 0.2
@@ -362,9 +363,9 @@ def relaxation_of(
         return NO_RELAXATION
     index, strengths = np.ix_(free, free), np.array(estimate.strengths)[list(free)]
     distance = strengths @ np.linalg.solve(estimate.covariance[index], strengths)
-    if distance <= SIGNIFICANT or remaining > MAX_REMAINING_SHARE * unexplained:
+    if distance <= MIN_SQUARED_DISTANCE or remaining > MAX_REMAINING_SHARE * unexplained:
         return NO_RELAXATION
-    if 0.0 < estimate.std[1] <= LARGEST_ERROR * max(estimate.strengths):
+    if 0.0 < estimate.std[1] <= MAX_RELATIVE_ERROR * max(estimate.strengths):
         return estimate
     alone, remaining = _minimum(products, structure.size, (0,), DEFAULT_RATIO)
     if remaining > MAX_REMAINING_SHARE * unexplained:
@@ -430,7 +431,7 @@ def _products(
         for rows, parts in _relaxing_rows(samples, cup_length, structure):
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
-        some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(ENOUGH), draws(1)
+        some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES), draws(1)
         part = max(some.count, 1) / max(samples.count, 1)
         for block in some.blocks():
             for (clean, _), (noisy, _) in zip(*(

@@ -39,7 +39,7 @@ Or of the stiffness that no weight loads, where tool or package moves: at rest i
 MIN_REST_SHARE = 0.5
 """Part of the time that recordings of standstills stand still, at least."""
 
-MISFIT = 2.0
+MAX_MISFIT_TO_NOISE = 2.0
 """Times the noise by which output error may be off: a free simulation, and what it leaves."""
 
 LENGTH_STEP = 1e-5
@@ -98,7 +98,7 @@ def fit(
             'centre of mass), or record a richer motion.')
     std = dict(zip(result.labels, np.sqrt(np.diag(result.covariance)), strict=True))
     largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
-    explained = (result.robust_chi2 or 0.0) <= MISFIT**2 and not any(
+    explained = (result.robust_chi2 or 0.0) <= MAX_MISFIT_TO_NOISE**2 and not any(
         cause.certain for cause in result.causes)  # else errors are of the misfit
     if result.converged and explained and not any(
             parameter.identifiable and std[parameter.label] <= largest * abs(parameter.value)

@@ -17,7 +17,13 @@ from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import causes, moved_between, scores, stated, with_given
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
-from bellows_ros.core.identification.result import Fit, Freed, Iteration, LARGEST_ERROR, without
+from bellows_ros.core.identification.result import (
+    Fit,
+    Freed,
+    Iteration,
+    MAX_RELATIVE_ERROR,
+    without,
+)
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
     measured_segments,
@@ -145,7 +151,7 @@ def _with_relaxation(
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else as it is."""
     (score,) = scores(search, minimum, ['relaxation']).values()
-    if score > least_squares.SIGNIFICANT:
+    if score > least_squares.MIN_SQUARED_DISTANCE:
         more = search.with_free(minimum.theta, weak_prior(['relaxation']))
         again = more.minimum(note, more.transferred(search, minimum.theta))
         noise = MAX_NOISE_CHI2 * again.residual_count
@@ -159,7 +165,7 @@ def _with_relaxation(
 def _relaxes(search: Search, minimum: Minimum) -> bool:
     """Return whether strengths of relaxation are significant."""
     r, covariance = _strengths(search, minimum, covariance_of(search, minimum)[0])
-    return bool(r @ np.linalg.solve(covariance, r) > least_squares.SIGNIFICANT)
+    return bool(r @ np.linalg.solve(covariance, r) > least_squares.MIN_SQUARED_DISTANCE)
 
 
 def _strengths(search: Search, minimum: Minimum, covariance: Array) -> tuple[Array, Array]:
@@ -293,19 +299,19 @@ def _identifiable(
         search, minimum, noise_information(search, minimum) if minimum.converged else None)
     cup, std = search.cup(minimum.theta), np.sqrt(np.diag(covariance))
     largest = np.full(len(std), np.inf)
-    largest[:size] = LARGEST_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
+    largest[:size] = MAX_RELATIVE_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name in named:
         largest[search.places[name]] = KINDS[name].max_std
     identifiable = (std <= largest) & (shares <= MAX_ERROR_SHARE) & minimum.converged
-    errors = std / (largest / LARGEST_ERROR)
+    errors = std / (largest / MAX_RELATIVE_ERROR)
     notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
     vague = identifiable[:size] & (total > 1.0)
     notes += [
         f'{search.structure.labels[i]} is not identifiable with what was given: its standard '
-        f'error is {100.0 * LARGEST_ERROR * total[i]:.2g} % of its size, and '
-        f'{100.0 * LARGEST_ERROR * std[i] / largest[i]:.2g} % with exact package, cup.length and '
-        f'markers. {ALSO_GIVEN}; or '
+        f'error is {100.0 * MAX_RELATIVE_ERROR * total[i]:.2g} % of its size, and '
+        f'{100.0 * MAX_RELATIVE_ERROR * std[i] / largest[i]:.2g} % with exact package, cup.length '
+        f'and markers. {ALSO_GIVEN}; or '
         f'{remedy_for(search.structure.labels[i].split()[1], search.structure)}.'
         for i in np.flatnonzero(vague)]
     identifiable[:size] &= ~vague
@@ -361,7 +367,7 @@ def _unidentifiable(
     for label, error, share, is_identifiable in zip(
             search.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
             identifiable.tolist(), strict=True):
-        less = LARGEST_ERROR / error
+        less = MAX_RELATIVE_ERROR / error
         how = remedy_for(label.split()[1], search.structure)
         if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             yield (f'{label} is not identifiable: {share:.0%} of its standard error is of noise '

@@ -31,8 +31,8 @@ from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.recording import (
-    ENOUGH,
     FilterNoise,
+    NOISE_SAMPLES,
     PackageWorld,
     Recording,
     TimeOffset,
@@ -48,17 +48,17 @@ MAX_STORED = 50_000
 MAX_ATTENUATION = 0.013
 """Largest fraction of a velocity that a suitable filter removes; automatic filters reach 6 Hz."""
 
-RESOLUTION = 0.05
+BAND_RESOLUTION = 0.05
 """Resolution (Hz) of the end of a pass band."""
 
-LOST, STANDS_OUT = 0.03, 5.0
+MAX_LOST_VELOCITY, MIN_POWER_TO_NOISE = 0.03, 5.0
 """
 A direction is too fast if the filter takes more than this part of its velocities.
 
 Velocities count as so many times the power of the noise at least, which is known to some percent.
 """
 
-NO_FLOOR = 1e-3
+MIN_NOISE_TRANSMISSION = 1e-3
 """Transmission of white noise below which the spectrum shows no noise floor."""
 
 ENVELOPE_BAND = 0.95
@@ -81,7 +81,7 @@ def noise_products(
     size = 2 * structure.size + 1
     products = np.zeros((6 * size, 6 * size))
     draw = np.random.default_rng(seed)
-    some = recording.thinned(ENOUGH)
+    some = recording.thinned(NOISE_SAMPLES)
     rows = some.lip.equations(cup_length, structure)
     for block, clean in zip(some.blocks(), rows, strict=False):
         noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure)
@@ -207,13 +207,13 @@ def transmission(weights: Array, rate_hz: float, frequency: Array) -> Array:
     """Return what a filter lets pass (F,) for velocities at frequencies (F,) in Hz."""
     half_window = weights.shape[1] // 2
     time = np.arange(-half_window, half_window + 1) / rate_hz
-    omega = 2.0 * np.pi * np.maximum(frequency, RESOLUTION)
+    omega = 2.0 * np.pi * np.maximum(frequency, BAND_RESOLUTION)
     return np.asarray(np.sin(omega[:, None] * time) @ weights[1] / omega)
 
 
 def pass_band(weights: Array, rate_hz: float) -> float:
     """Return the frequency (Hz) up to which a filter with weights (3, 2n+1) follows."""
-    frequency = np.arange(RESOLUTION, 0.5 * rate_hz, RESOLUTION)
+    frequency = np.arange(BAND_RESOLUTION, 0.5 * rate_hz, BAND_RESOLUTION)
     beyond = transmission(weights, rate_hz, frequency) < 1.0 - MAX_ATTENUATION
     return float(frequency[np.argmax(beyond)]) if beyond.any() else 0.5 * rate_hz
 
@@ -243,7 +243,7 @@ class PassBand(NamedTuple):
         part = transmission(noise.package_weights, rate_hz, twist.frequency)
         white = (part * twist.frequency) ** 2
         end = pass_band(noise.package_weights, rate_hz)
-        beyond = (twist.frequency > 2.0 * end) & (white > NO_FLOOR * white.max())
+        beyond = (twist.frequency > 2.0 * end) & (white > MIN_NOISE_TRANSMISSION * white.max())
         back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the sample before
         colour = np.abs(1.0 - np.multiply.outer(back, noise.correlation)) ** -2.0
         seen = white[:, None] * np.repeat(colour, 3, axis=1)
@@ -254,7 +254,7 @@ class PassBand(NamedTuple):
         lost = (twist.frequency[1] * (1.0 - part) @ twist.density
                 - (1.0 - part) @ seen / seen.sum(axis=0) * variance)
         return cls(
-            lost, LOST * np.maximum(moving, STANDS_OUT * variance), end,
+            lost, MAX_LOST_VELOCITY * np.maximum(moving, MIN_POWER_TO_NOISE * variance), end,
             (noise.tool_half_window, noise.package_weights.shape[1] // 2))
 
 
@@ -305,7 +305,7 @@ def movement_of(
         Without valid samples.
 
     """
-    some = samples.thinned(ENOUGH)
+    some = samples.thinned(NOISE_SAMPLES)
     seen = np.array([some.lip.displacement(cup_length), some.lip.twist])
     noise_seen, passed = np.empty((2, 0, 6)), None
     if noise is not None:

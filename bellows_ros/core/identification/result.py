@@ -28,7 +28,7 @@ def parameter_units(structure: Structure) -> tuple[str, ...]:
         for matrix in 'KP' for row, column in structure.leads)
 
 
-LARGEST_ERROR = 0.5
+MAX_RELATIVE_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
 
 ROUNDING = 1e-12

@@ -32,10 +32,10 @@ CLUSTER_WINDOWS = 4
 SEED = 20210801
 """Seed of the added noise: the same recording always gives the same result."""
 
-LEVER = 0.01
+MOMENT_LEVER = 0.01
 """Moments are compared with forces at this lever, m."""
 
-NO_WRENCH, FLOOR = 1e-10, 1e-8
+MIN_RELATIVE_VARIANCE, ADDED_VARIANCE = 1e-10, 1e-8
 """Relative variance below which a component of the wrench is zero, and what is then added."""
 
 NO_HISTORY: Array = np.empty((0, 2, 9))
@@ -400,10 +400,10 @@ def regular(covariance: Array) -> Array:
     """Return a covariance (6, 6) of wrenches, made regular in directions without a wrench."""
     force, moment = (float(np.mean(np.diag(covariance)[part]))
                      for part in (slice(0, 3), slice(3, 6)))
-    scale = np.repeat([max(force, moment), max(moment, LEVER**2 * force)], 3)
+    scale = np.repeat([max(force, moment), max(moment, MOMENT_LEVER**2 * force)], 3)
     if not scale[0] > 0.0:
         return np.eye(6)
     unit = np.sqrt(np.outer(scale, scale))
-    if np.linalg.eigvalsh(covariance / unit)[0] > NO_WRENCH:
+    if np.linalg.eigvalsh(covariance / unit)[0] > MIN_RELATIVE_VARIANCE:
         return covariance
-    return np.asarray(covariance + FLOOR * np.diag(scale))
+    return np.asarray(covariance + ADDED_VARIANCE * np.diag(scale))

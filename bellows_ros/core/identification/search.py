@@ -25,7 +25,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.identification.least_squares import DEFAULT_RATIO, RATIO_STD
 from bellows_ros.core.identification.quantities import Free, KINDS
-from bellows_ros.core.identification.result import LARGEST_ERROR
+from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
 from bellows_ros.core.identification.samples import sizes
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
@@ -71,7 +71,7 @@ REST_SIGMAS = 3.0
 MIN_STRENGTH, TYPICAL_STRENGTH = 1e-6, 0.05
 """Strengths of relaxation: the smallest one in a search for them, and that of soft rubber."""
 
-SIMULTANEOUS = 2e-4
+SIMULTANEITY_TOLERANCE = 2e-4
 """Poses of the package this close (s) to a sample of the tool count as simultaneous, so that a
 small change of the clock does not change which comes first. The twist bridges the rest."""
 
@@ -276,7 +276,7 @@ class Segment:
         grid, poses = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
         after = np.clip(np.searchsorted(grid, poses), 1, len(grid) - 1)
         nearest = np.where(2 * poses < grid[after - 1] + grid[after], grid[after - 1], grid[after])
-        tolerance = np.min(np.diff(poses) // 4, initial=round(SIMULTANEOUS * NS_PER_S))
+        tolerance = np.min(np.diff(poses) // 4, initial=round(SIMULTANEITY_TOLERANCE * NS_PER_S))
         stamps = np.where(np.abs(poses - nearest) <= tolerance, nearest, poses)
         used = (stamps >= grid[0]) & (stamps <= grid[-1])
         if not used.any():
@@ -393,7 +393,7 @@ class Parametrization:
         ends = np.cumsum([len(units), *map(math.prod, shapes)])
         self.count, more = len(units), (0, ends[-1] - len(units))
         self.units, self.weights = np.pad(units, more), np.zeros(ends[-1])
-        self.max_std = np.full(ends[-1], LARGEST_ERROR)  # of what is identifiable
+        self.max_std = np.full(ends[-1], MAX_RELATIVE_ERROR)  # of what is identifiable
         self.places = dict[str, Places]()
         for (name, std), shape, first in zip(free.items(), shapes, ends[:-1], strict=True):
             kind, place = KINDS[name], first + np.arange(math.prod(shape)).reshape(shape)

@@ -40,13 +40,13 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from scipy.special import chdtrc
 
-UPRIGHT_WITHIN = np.radians(2.0)
+UPRIGHT_TOLERANCE = np.radians(2.0)
 """Largest angle (rad) of the cup's axis from the vertical for measuring the nominal length."""
 
-SAME_LOAD_WITHIN = 1e-2
+LOAD_TOLERANCE = 1e-2
 """Loads (N) closer than this, of masses 1 g apart, count as one."""
 
-STRAIGHT, CUBIC = 1, 3
+LINEAR_DEGREE, CUBIC_DEGREE = 1, 3
 """Degrees of length against load (4.2)."""
 
 CUBIC_GAIN = 0.8
@@ -55,17 +55,17 @@ CUBIC_GAIN = 0.8
 MAX_SCATTER = 0.25
 """Scatter about the line, as a part of what the loads lengthen the cup, above which none fits."""
 
-LINEAR_WITHIN = 0.05
+LINEARITY_TOLERANCE = 0.05
 """The linear range ends where the polynomial deviates from its tangent by this fraction."""
 
 MIN_STIFFNESS, MAX_STIFFNESS = 100.0, 1e6
 """Axial stiffness of cups, N/m."""
 
-PROPORTIONAL_WITHIN, MASS_FACTOR = 0.2, (0.7, 1.4)
+PROPORTIONALITY_TOLERANCE, MASS_FACTOR = 0.2, (0.7, 1.4)
 """Deflections are a multiple of those predicted if the residual is below this part of them; a
 wrong mass makes multiples outside this range."""
 
-MISFIT = 0.01
+MISFIT_P_VALUE = 0.01
 """p-value of the polynomial's residuals below which a misfit is reported."""
 
 MIN_REPEATED_PICKS = 3
@@ -74,10 +74,10 @@ MIN_REPEATED_PICKS = 3
 MAX_LENGTH_STD = 1e-4
 """Largest acceptable standard error of the nominal length, m."""
 
-GOOD_WITHIN = 0.05
+EQUILIBRIUM_TOLERANCE = 0.05
 """An equilibrium is met within this fraction of the deflection, or within noise."""
 
-ERRORS_OF_NOISE = 3.0
+NOISE_DEVIATIONS = 3.0
 """Standard errors of a mean that count as noise."""
 
 
@@ -133,7 +133,7 @@ class NominalLength:
     def _warnings(self) -> Iterator[str]:
         """Yield the warnings."""
         freedom, masses = self.degrees_of_freedom, len(set(_groups(self.loads).tolist()))
-        if freedom and chdtrc(freedom, self.chi2) < MISFIT:
+        if freedom and chdtrc(freedom, self.chi2) < MISFIT_P_VALUE:
             size = float(np.sqrt(self.chi2 / freedom))
             yield (
                 f'The lengths are off the line by {size:.2g} times their scatter from pick to '
@@ -143,9 +143,9 @@ class NominalLength:
         if not np.isfinite(self.length_std):
             yield ('With two masses the nominal length has no standard error, and a wrong mass '
                    'would go unnoticed. Add a third mass.')
-        elif masses < CUBIC + 2:
+        elif masses < CUBIC_DEGREE + 2:
             yield (f'With {masses} different masses, a straight line is fitted to length against '
-                   f'load; {CUBIC + 2} or more show where the cup stops being linear.')
+                   f'load; {CUBIC_DEGREE + 2} or more show where the cup stops being linear.')
         if MAX_LENGTH_STD < self.length_std < np.inf:
             yield (f'The nominal length is uncertain by {self.length_std * 1e3:.2f} mm. Add '
                    f'masses lighter than {self.loads.min():.3g} N, or hold each for longer.')
@@ -176,7 +176,7 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
     """
     measured = np.reshape([
         (still.payload.mass * gravity, -still.lip[2], max(still.error.position, 1e-9))
-        for still in standstills if still.tilt <= UPRIGHT_WITHIN], (-1, 3))
+        for still in standstills if still.tilt <= UPRIGHT_TOLERANCE], (-1, 3))
     loads, lengths, errors = measured.T
     groups = _groups(loads)
     different = len(set(groups.tolist()))
@@ -188,11 +188,11 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
         )
     pick = _pick_scatter(measured, groups)
     scattered = np.column_stack([loads, lengths, np.hypot(errors, np.nan_to_num(pick))])
-    degree = STRAIGHT
-    if different >= CUBIC + 2:
+    degree = LINEAR_DEGREE
+    if different >= CUBIC_DEGREE + 2:
         straight, cubic = (_cross_validation_error(scattered, groups, order)
-                           for order in (STRAIGHT, CUBIC))
-        degree = CUBIC if cubic < CUBIC_GAIN * straight else STRAIGHT
+                           for order in (LINEAR_DEGREE, CUBIC_DEGREE))
+        degree = CUBIC_DEGREE if cubic < CUBIC_GAIN * straight else LINEAR_DEGREE
     coefficients, std, chi2, freedom = _polynomial(scattered, degree)
     fitted = polyval(loads, coefficients)
     scatter, stretch = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
@@ -219,7 +219,7 @@ def _groups(loads: Array) -> Places:
     """Return the number (N,) of the group of like loads that each is in, in their order."""
     order = np.argsort(loads)
     number = np.empty(len(loads), dtype=np.int64)
-    number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order][:1]) > SAME_LOAD_WITHIN)
+    number[order] = np.cumsum(np.diff(loads[order], prepend=loads[order][:1]) > LOAD_TOLERANCE)
     return number
 
 
@@ -268,7 +268,7 @@ def _linear_range(coefficients: Array, largest: float) -> float:
     """Return the load (N) up to which a polynomial stays near its tangent at no load."""
     loads = np.linspace(0.0, largest, 1001)[1:]
     tangent = coefficients[0] + coefficients[1] * loads
-    bent = np.abs(polyval(loads, coefficients) - tangent) > LINEAR_WITHIN * np.abs(
+    bent = np.abs(polyval(loads, coefficients) - tangent) > LINEARITY_TOLERANCE * np.abs(
         coefficients[1] * loads)
     return float(loads[int(np.argmax(bent))]) if bent.any() else largest
 
@@ -343,12 +343,13 @@ def _likely_cause(poses: Sequence[PoseCheck]) -> str:
     mass = poses[0].standstill.payload.mass
     if all(pose.verdict == 'no equilibrium' for pose in poses):
         return f'It carries {mass:g} kg in none of them: package.mass is likely in another unit.'
-    measured, predicted = np.reshape([
-        (pose.measured[2], pose.predicted[2]) for pose in poses
-        if pose.standstill.tilt <= UPRIGHT_WITHIN and pose.verdict != 'no equilibrium'], (-1, 2)).T
+    upright = [pose for pose in poses if pose.standstill.tilt <= UPRIGHT_TOLERANCE
+               and pose.verdict != 'no equilibrium']
+    measured, predicted = np.reshape(
+        [(pose.measured[2], pose.predicted[2]) for pose in upright], (-1, 2)).T
     factor = float(measured @ predicted / max(predicted @ predicted, 1e-18))
     residual = np.linalg.norm(measured - factor * predicted)
-    if residual < PROPORTIONAL_WITHIN * np.linalg.norm(measured) and not (
+    if residual < PROPORTIONALITY_TOLERANCE * np.linalg.norm(measured) and not (
             MASS_FACTOR[0] < factor < MASS_FACTOR[1]):
         return (
             f'Hanging straight the cup is stretched {factor:.2g} times as far as predicted: '
@@ -373,8 +374,8 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
         lie.quaternion_to_rotation(np.array([q])))).lip - nominal
     off, size = (np.linalg.norm(each.reshape(2, 3), axis=1)
                  for each in (predicted - measured, measured))
-    is_beyond = off > ERRORS_OF_NOISE * np.sqrt(3.0) * np.array(still.error)
-    is_off = is_beyond & (off > GOOD_WITHIN * size)
+    is_beyond = off > NOISE_DEVIATIONS * np.sqrt(3.0) * np.array(still.error)
+    is_off = is_beyond & (off > EQUILIBRIUM_TOLERANCE * size)
     return PoseCheck(still, measured, predicted, (
         'off' if is_off.any() else 'good' if is_beyond.any() else 'within noise'))
 

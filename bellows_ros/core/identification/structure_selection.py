@@ -37,13 +37,13 @@ DIVERGED: Array = np.array([[np.inf, np.inf], [0.0, 0.0]])
 MAX_DISTANCE = 1e3
 """Distance (m) of a simulated package from the origin beyond which it has diverged."""
 
-UNEXPLAINED = 0.2
+MAX_HELD_OUT_ERROR = 0.2
 """Error of held-out motion, in its size, with which no structure fits, whatever the cause."""
 
-AS_GOOD_WITHIN = 0.02
+ERROR_TOLERANCE = 0.02
 """A simpler structure is as good if its held-out error is larger by less than this fraction ..."""
 
-NEGLIGIBLE = 5e-3
+NEGLIGIBLE_ERROR = 5e-3
 """... or if it adds less than this to a simulation without errors: filters add as much."""
 
 
@@ -112,7 +112,8 @@ class StructureSelection:
         excess = diagnosis.excess
         has_cause = any(
             cause.likely and cause.name != 'structure' for cause in diagnosis.findings[:1])
-        if best.usable and best.held_out < UNEXPLAINED and (excess < DOUBTED or not has_cause):
+        is_accurate = best.usable and best.held_out < MAX_HELD_OUT_ERROR
+        if is_accurate and (excess < DOUBTED or not has_cause):
             return self
         size = (f', and held-out motion is simulated with an error of {best.held_out:.0%} of its '
                 'size' if best.usable and np.isfinite(best.held_out) else '')
@@ -266,5 +267,5 @@ def _is_as_good(candidate: Candidate, best: Candidate) -> bool:
     """Return whether a candidate is as good as the best, as far as the folds resolve."""
     worse = candidate.simulated**2 - best.simulated**2
     error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
-    small = (1.0 + AS_GOOD_WITHIN) ** 2 - 1.0
-    return bool(np.mean(worse) <= max(error, small * best.held_out**2, NEGLIGIBLE**2))
+    small = (1.0 + ERROR_TOLERANCE) ** 2 - 1.0
+    return bool(np.mean(worse) <= max(error, small * best.held_out**2, NEGLIGIBLE_ERROR**2))

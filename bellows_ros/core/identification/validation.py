@@ -22,7 +22,7 @@ from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.alignment import rest_of
-from bellows_ros.core.recording.recording import ENOUGH, Recording
+from bellows_ros.core.recording.recording import NOISE_SAMPLES, Recording
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import AXES, Spectrum, Whiteness
@@ -34,7 +34,7 @@ import numpy as np
 LIGHT_HALF_WINDOW, LIGHT_ORDER = 1 / 60, 4
 """Half window (s) and order of the light smoothing of the tool, which passes up to 20 Hz."""
 
-LIMIT = 0.05
+MAX_NRMSE = 0.05
 """NRMSE that the thesis asks for."""
 
 NOISE_FACTOR = 3.0
@@ -117,7 +117,7 @@ class Validation(residuals.Comparison):
     @cached_property
     def noise(self) -> Array:
         """RMS error (6,) that measurement noise of package and tool alone makes, m and rad."""
-        tool, body = (each.select(slice(ENOUGH)) for each in (self.tool, self.package))
+        tool, body = (each.select(slice(NOISE_SAMPLES)) for each in (self.tool, self.package))
         poses, settings = self.recording.aligned_tool, self.recording.settings
         rate_hz, rng = uniform_rate_hz(poses.stamps_ns), np.random.default_rng(SEED)
         W, squares = weights(half_window_of(poses), LIGHT_ORDER, rate_hz), []
@@ -173,7 +173,7 @@ class Validation(residuals.Comparison):
     @property
     def moves(self) -> Mask:
         """Which axes move enough for noise alone to stay within the limit (6,)."""
-        return np.asarray(self.scores.motion * LIMIT > self.noise)
+        return np.asarray(self.scores.motion * MAX_NRMSE > self.noise)
 
     @property
     def model_error(self) -> Array:
@@ -183,7 +183,7 @@ class Validation(residuals.Comparison):
         np.divide(excess, self.scores.motion, out=ratio, where=self.scores.motion > 0.0)
         return ratio
 
-    def failing(self, limit: float = LIMIT) -> tuple[str, ...]:
+    def failing(self, limit: float = MAX_NRMSE) -> tuple[str, ...]:
         """Return the names of the axes that move and whose NRMSE is above a limit."""
         above = self.moves & ~(self.scores.nrmse <= limit)
         return tuple(AXES[i] for i in np.flatnonzero(above))
@@ -194,7 +194,7 @@ class Validation(residuals.Comparison):
         beyond = self.scores.rms > NOISE_FACTOR * self.noise
         return tuple(name for name in self.failing() if beyond[AXES.index(name)])
 
-    def verdict(self, limit: float = LIMIT) -> str:
+    def verdict(self, limit: float = MAX_NRMSE) -> str:
         """Return in a sentence whether the axes that move are within a limit."""
         part = f'{100.0 * limit:g} % of the motion'
         if failing := self.failing(limit):

@@ -302,7 +302,7 @@ class PredictionReport(NamedTuple):
     restarts: Mapping[str, int]
     """Since the last report."""
     twist_verdict: str
-    covariance_known: bool = True
+    has_covariance: bool = True
     """Whether the odometry's covariance is one."""
     above: bool = False
     """Whether z of the tool points down, so that the package is above it."""
@@ -343,7 +343,7 @@ def _judge_prediction(report: PredictionReport) -> tuple[Level, str]:
         return Level.WARN, PHASE_MESSAGES[phase]
     if report.twist_verdict in TWIST_MESSAGES:
         return Level.WARN, TWIST_MESSAGES[report.twist_verdict]
-    if not report.covariance_known:
+    if not report.has_covariance:
         return Level.WARN, (
             'The covariance of package/odometry is unknown, because the package has no stable '
             'equilibrium under the tool. Check package.com, and that z of the tool points from '
@@ -353,15 +353,15 @@ def _judge_prediction(report: PredictionReport) -> tuple[Level, str]:
 
 def load_status(
     name: str, safety: Safety | None, excess: Distance | None, bending: float,
-    grip_known: bool, envelope_known: bool, required: float,
+    has_grip: bool, has_envelope: bool, required: float,
 ) -> Status:
     """Return the status of the cup's load: safety factor and validity range."""
     factor, mode = safety or Safety(math.nan, 'nothing')
     values = {
-        'safety factor': number(factor) if grip_known else 'not known',
+        'safety factor': number(factor) if has_grip else 'not known',
         'limited by': mode,
         'distance from envelope': number(
-            excess.value if excess else math.nan) if envelope_known else 'not known',
+            excess.value if excess else math.nan) if has_envelope else 'not known',
         'largest bending (rad)': number(bending)}
     level, message = Level.OK, 'Within all known limits.'
     if factor < required:
@@ -374,7 +374,7 @@ def load_status(
             f'The cup bends by {bending:.2g} rad, where its restoring moment hardly grows.')
     elif excess is not None and excess.outside:
         level, message = Level.WARN, excess.text
-    elif not (grip_known or envelope_known):
+    elif not (has_grip or has_envelope):
         message = ('The limits of the cup are unknown. Set cup.lip_radius with vacuum.holding, '
                    'and envelope.*.')
     elif safety is None and excess is None:

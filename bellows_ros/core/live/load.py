@@ -114,7 +114,7 @@ class Load:
         self.grip = grip_of(self._values, below)
 
     @property
-    def envelope_known(self) -> bool:
+    def has_envelope(self) -> bool:
         """Whether the validity range is known."""
         return self._envelope is not None
 

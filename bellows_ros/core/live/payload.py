@@ -239,8 +239,8 @@ class LivePayload:
             if self.observer is None:
                 body, wrench, sound = advance_and_hold(
                     self._row, self._branches, body, start, end, duration, substeps, self._reach)
-            elif stored_ns and (found := self.observer.follow(stored_ns, start, end)):
-                body, wrench, sound = found
+            elif stored_ns and (estimate := self.observer.follow(stored_ns, start, end)):
+                body, wrench, sound = estimate
             else:
                 body = (self.observer.body if stored_ns
                         else self.observer.drifted(body, start, end, duration))

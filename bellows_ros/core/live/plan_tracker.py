@@ -14,7 +14,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.live.tool_twist import LEVER
+from bellows_ros.core.live.tool_twist import ROTATION_LEVER
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.kernels import State
@@ -29,7 +29,7 @@ MAX_DELAY = 0.1
 MAX_WAIT = 10.0
 """A plan that begins later than this (s) is not ahead yet, and one that should have ended longer
 ago begins with the tool, as its stamp may be of another clock."""
-SAME_PLACE = 2e-4
+PLACE_TOLERANCE = 2e-4
 """Places of the plan within this distance (m) of the tool are distinguished by the clock."""
 MAX_DEVIATION = 0.05
 """A tool farther than this (m) from the plan does not follow it."""
@@ -50,17 +50,17 @@ SPACING = 0.01
 
 @kernel
 def pose_distance(row: Any, o: Vector, q: Quaternion) -> float:
-    """Return how far (m) a tool is from a point of a plan, turns counted as by `LEVER`."""
+    """Return the distance (m) of a tool from a point of a plan, turns at `ROTATION_LEVER`."""
     x, y, z = row[0] - o[0], row[1] - o[1], row[2] - o[2]
     same = abs(row[3] * q[0] + row[4] * q[1] + row[5] * q[2] + row[6] * q[3])
-    turned = LEVER * LEVER * 4.0 * max(0.0, 2.0 - 2.0 * same)
+    turned = ROTATION_LEVER * ROTATION_LEVER * 4.0 * max(0.0, 2.0 - 2.0 * same)
     return math.sqrt(x * x + y * y + z * z + turned)
 
 
 @kernel
 def along(v: Vector, w: Vector, linear: Vector, angular: Vector) -> float:
-    """Return the product of two twists, turns counted as by `LEVER`."""
-    return t3.dot(v, linear) + LEVER * LEVER * t3.dot(w, angular)
+    """Return the product of two twists, turns counted as by `ROTATION_LEVER`."""
+    return t3.dot(v, linear) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, angular)
 
 
 @kernel
@@ -89,7 +89,7 @@ def locate(
     index, difference = first, math.inf
     for i in range(first, end):
         if (abs(seconds[i] - expected) < difference
-                and pose_distance(rows[i], o, q) <= max(nearest, SAME_PLACE) + reach[i]):
+                and pose_distance(rows[i], o, q) <= max(nearest, PLACE_TOLERANCE) + reach[i]):
             index, difference = i, abs(seconds[i] - expected)
     point = row_state(rows[index])
     speed = along(point[2], point[3], point[2], point[3])
@@ -108,7 +108,7 @@ def departure_index(rows: Any, reach: Any) -> int:
     """Return the index of the first point at which the tool is seen to have left, or the last."""
     start = row_state(rows[0])
     for i in range(len(rows)):
-        if pose_distance(rows[i], start[0], start[1]) > SAME_PLACE + reach[i]:
+        if pose_distance(rows[i], start[0], start[1]) > PLACE_TOLERANCE + reach[i]:
             return i
     return len(rows) - 1
 
@@ -197,7 +197,7 @@ class PlanTracker:
         self._stamp_ns = stamp_ns
         self.plan = ToolRows(plan.stamps_ns, simulation.tool_rows(plan))
         self._seconds, self._rows = self.plan.seconds, self.plan.rows
-        speed = np.linalg.norm(self._rows[:, 7:] * np.repeat([1.0, LEVER], 3), axis=1)
+        speed = np.linalg.norm(self._rows[:, 7:] * np.repeat([1.0, ROTATION_LEVER], 3), axis=1)
         gaps = np.diff(self._seconds)
         reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
         self._inputs = as_inputs(self._rows, self._seconds, reach)

@@ -35,7 +35,7 @@ MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
 SUSPECT_ACCELERATION, SUSPECT_TOLERANCE = (40.0, 400.0), (0.015, 0.15)
 """The same, for doubting the arm's motion or the tracker."""
 
-AFTER_JUMPS = 0.2
+SUSPICION_AFTER_JUMPS = 0.2
 """Fraction of that limit at which doubt begins after refused poses."""
 
 JITTER = 0.025
@@ -44,7 +44,7 @@ JITTER = 0.025
 MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
 """To a complete stop within one sample (m/s^2, rad/s^2), and its noise (m, rad)."""
 
-UNKNOWN = -1.0
+UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
 
 
@@ -133,10 +133,10 @@ def _pose_step(
     jitter, turn_jitter = JITTER * speed, JITTER * turn_speed
     squared = 0.5 * (seconds + shorter) * shorter
     excess = max(
-        t3.norm(shift) / (SHIFT_TOLERANCE + screening.LARGEST_SPEED * seconds),
-        t3.norm(turn) / (TURN_TOLERANCE + screening.LARGEST_RATE * seconds))
+        t3.norm(shift) / (SHIFT_TOLERANCE + screening.MAX_TOOL_SPEED * seconds),
+        t3.norm(turn) / (TURN_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
     suspicion = 0.0
-    if period != UNKNOWN:
+    if period != UNKNOWN_PERIOD:
         excess = max(
             excess, jump / (JUMP_TOLERANCE[0] + jitter + MAX_ACCELERATION[0] * squared),
             turn_jump / (JUMP_TOLERANCE[1] + turn_jitter + MAX_ACCELERATION[1] * squared))
@@ -185,7 +185,7 @@ class TwistScreen:
     ) -> str:
         """Return why a twist (m/s, rad/s) cannot be used, or ''; a frame that lasts is taken."""
         speed, rate = math.hypot(*linear), math.hypot(*angular)
-        if not (speed <= screening.LARGEST_SPEED and rate <= screening.LARGEST_RATE):  # nor NaN
+        if not (speed <= screening.MAX_TOOL_SPEED and rate <= screening.MAX_TOOL_RATE):  # nor NaN
             finite = all(map(math.isfinite, (*linear, *angular)))
             return 'twist_too_fast' if finite else 'twist_nan'
         if frame_id != self._frame_id is not None and (
@@ -299,7 +299,7 @@ class Screen(StampScreen):
             last = last._replace(period=(stamp_ns - last.stamp_ns) * 1e-9)
         self._step = step = last.step_to(stamp_ns, o, q)
         if step.excess <= 1.0 and not (is_doubted and self._is_elsewhere(stamp_ns, o, q)):
-            self.suspect = step.suspicion > (AFTER_JUMPS if is_doubted else 1.0)
+            self.suspect = step.suspicion > (SUSPICION_AFTER_JUMPS if is_doubted else 1.0)
             return screening.GOOD
         self._note_elsewhere(stamp_ns, o, q)
         if self._elsewhere_run >= JUMP_RUN:
@@ -317,7 +317,7 @@ class Screen(StampScreen):
 
     def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:
         """Count poses that can come one after the other, far from the last accepted."""
-        before, self._elsewhere = self._elsewhere, Reference(stamp_ns, o, q, UNKNOWN, REST)
+        before, self._elsewhere = self._elsewhere, Reference(stamp_ns, o, q, UNKNOWN_PERIOD, REST)
         if before is not None and stamp_ns > before.stamp_ns:
             step = before.step_to(stamp_ns, o, q)
             if step.excess <= 1.0:

@@ -218,7 +218,7 @@ def smoothed(mean: float, value: float) -> float:
 HISTORY = 5
 """Number of poses from which a missing twist is estimated."""
 
-LEVER = 0.1
+ROTATION_LEVER = 0.1
 """Distance (m) that counts as much as a rotation by 1 rad."""
 
 MIN_DETERMINANT = 1e-4
@@ -324,7 +324,7 @@ PERIOD_NS = 20_000_000
 LATER_POSES = 2
 """So many poses after one are needed to know its slope well."""
 
-MEMORY = 0.98
+FORGETTING = 0.98
 """Forgetting factor: about 50 comparisons count, 1 s."""
 
 MIN_COMPARISONS = 20
@@ -366,8 +366,8 @@ def misfits(
 
 @kernel
 def squared(v: Vector, w: Vector) -> float:
-    """Return the square of a twist, turns counted as by `LEVER`."""
-    return t3.dot(v, v) + LEVER * LEVER * t3.dot(w, w)
+    """Return the square of a twist, turns counted as by `ROTATION_LEVER`."""
+    return t3.dot(v, v) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, w)
 
 
 class TwistCheck:
@@ -407,14 +407,15 @@ class TwistCheck:
         self._due_ns = pose.stamp_ns + PERIOD_NS
         before, (energy, world, tool) = self._squares, misfits(*self._recent[0], v, w)
         self._squares = (
-            MEMORY * before[0] + energy, MEMORY * before[1] + world, MEMORY * before[2] + tool)
+            FORGETTING * before[0] + energy, FORGETTING * before[1] + world,
+            FORGETTING * before[2] + tool)
         self._count += 1
 
     @property
     def verdict(self) -> str:
         """'unknown', 'fits', 'other_axes' or 'does_not_fit'."""
         energy, *misfit = self._squares
-        weight = (1.0 - MEMORY ** self._count) / (1.0 - MEMORY)
+        weight = (1.0 - FORGETTING ** self._count) / (1.0 - FORGETTING)
         if self._count < MIN_COMPARISONS or not MIN_SQUARED_SPEED * weight < energy < math.inf:
             return 'unknown'
         chosen, other = misfit if self._in_world else misfit[::-1]

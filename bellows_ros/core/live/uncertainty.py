@@ -53,7 +53,7 @@ DOUBLINGS = 15
 TERMS = 14
 """Of the series of exp, of matrices whose norm is at most a half."""
 
-COASTING = np.tile(np.repeat([5.0, 25.0], 3), 2)
+COASTING_STD = np.tile(np.repeat([5.0, 25.0], 3), 2)
 """Standard deviations (m/s^2, rad/s^2) of what an unobserved arm may do, for pose and twist."""
 
 UNKNOWN_ROOT = 1e3 * np.eye(12)
@@ -129,14 +129,14 @@ class Uncertainty:
 
     Attributes
     ----------
-    known : bool
+    available : bool
         False where the last factor was `UNKNOWN_ROOT`.
 
     """
 
     def __init__(self, model: ModelTuple, values: Mapping[str, Any]) -> None:
         """Set the uncertainties; the model is linearised at the first prediction."""
-        self.known = True
+        self.available = True
         self._model = model
         self._noise = np.repeat([values['tool_noise.position'], values['tool_noise.rotation']], 3)
         std = parameter_std(values)[:42]  # of the upper triangles of K and of P of one cup
@@ -166,15 +166,15 @@ class Uncertainty:
                 self._period_ns = 1000 * 2 ** round(math.log2(max(interval, 1000) / 1000))
             self._measured_ns = stamp_ns
         observed = prediction.covariance and prediction.covariance()
-        if observed is None and not self.known and abs(stamp_ns - self._tried_ns) < RETRY_NS:
+        if observed is None and not self.available and abs(stamp_ns - self._tried_ns) < RETRY_NS:
             return UNKNOWN_ROOT
         try:
             root = self._root(prediction) if observed is None else np.asarray(
                 np.linalg.cholesky(observed))
-            self.known = bool(np.isfinite(root).all())
+            self.available = bool(np.isfinite(root).all())
         except (BellowsError, ArithmeticError, ValueError):  # no rest, or not definite by rounding
-            self.known = False
-        if self.known:
+            self.available = False
+        if self.available:
             return root
         if observed is None:
             self._sensitivity, self._tried_ns = None, stamp_ns
@@ -186,7 +186,7 @@ class Uncertainty:
         parts.append(self._noise_root(self._period_ns * 1e-9)[:12])
         if prediction.coasting:
             seconds = (prediction.stamp_ns - self._measured_ns) * 1e-9
-            parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING)
+            parts.append(np.diag([0.5 * seconds ** 2] * 6 + [seconds] * 6) * COASTING_STD)
         if prediction.unsettled is not None:
             parts.append(self._settling_error(prediction.unsettled, prediction.stamp_ns))
         turn = np.eye(12)  # a twist's error follows the error phi of its axes: v x phi

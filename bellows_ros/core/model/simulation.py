@@ -27,14 +27,14 @@ def state_row(
     return (o[0], o[1], o[2]), (q[0], q[1], q[2], q[3]), (v[0], v[1], v[2]), (v[3], v[4], v[5])
 
 
-STILL = (1e-3, 1e-2)
+MAX_REST_RATES = (1e-3, 1e-2)
 """A tool that is faster (m/s, rad/s) moves."""
 
 
 def stands(row: Array) -> bool:
     """Return whether the tool of a row (13,) stands still."""
     speed, rate = np.linalg.norm(row[7:10]), np.linalg.norm(row[10:])
-    return bool(speed <= STILL[0] and rate <= STILL[1])
+    return bool(speed <= MAX_REST_RATES[0] and rate <= MAX_REST_RATES[1])
 
 
 def rest(model: ModelTuple, row: Array, guess: State | None = None) -> State:

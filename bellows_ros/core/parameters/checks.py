@@ -22,7 +22,7 @@ PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
 RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
 """Required to read a recording."""
 
-UNIT_WITHIN = 1e-3
+WRITTEN_UNIT_TOLERANCE = 1e-3
 """Tolerance of the length of a quaternion written with few digits."""
 
 ESTIMATE = 'estimate'
@@ -176,7 +176,7 @@ def convert(parameter: Parameter, value: object) -> Value:
     items = _items(parameter, value)
     if parameter.kind == 'string_array':
         return tuple(_text(parameter, x, f' at index {i}') for i, x in enumerate(items))
-    if parameter.length not in (None, table.ANY, len(items)):
+    if parameter.length not in (None, table.ANY_LENGTH, len(items)):
         raise _refuse(parameter, f'{len(items)} of them')
     return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
 
@@ -198,7 +198,8 @@ def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
     except (TypeError, ValueError):
         pose = np.empty(0)
     length = float(np.linalg.norm(pose[3:]))
-    if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1.0) > UNIT_WITHIN:
+    if pose.shape != (7,) or not np.isfinite(pose).all() or (
+            abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE):
         raise BellowsError(
             f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
             f"length 1, {f'or {ESTIMATE}, ' if estimated else ''}or '', got {table.short(value)}. "

@@ -25,8 +25,8 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 OTHER_WORDS = MappingProxyType({
     'weight': 'package.mass', 'payload': 'package.mass', 'center_of_mass': 'package.com',
     'centre_of_mass': 'package.com', 'spring': 'cup.stiffness', 'nominal_length': 'cup.length'})
-ALIKE, CERTAIN = 0.75, 0.9
-ANY = 0
+MIN_SIMILARITY, SURE_SIMILARITY = 0.75, 0.9
+ANY_LENGTH = 0
 """Length of an array that may have any."""
 
 
@@ -55,7 +55,8 @@ class Parameter:
     choices : tuple of str
         The allowed strings, when not empty.
     length : int, optional
-        How many numbers an array has, `ANY` for any; else as many as the default, if there is one.
+        How many numbers an array has, `ANY_LENGTH` for any; else as many as the default, if there
+        is one.
     required_text : bool
         True where the empty string is refused.
     read_only : bool
@@ -85,7 +86,7 @@ class Parameter:
     def __post_init__(self) -> None:
         """Take the kind, and the length of an array, from the default."""
         if self.kind == 'double_array' and self.default == ():
-            object.__setattr__(self, 'length', ANY)
+            object.__setattr__(self, 'length', ANY_LENGTH)
         elif isinstance(self.default, tuple) and self.default:
             if self.length is None:
                 object.__setattr__(self, 'length', len(self.default))
@@ -212,24 +213,24 @@ def _hint(name: str, named: re.Match[str] | None) -> str:
     return _nearest(name, [*PARAMETERS, *SHORT_FORMS])
 
 
-def _nearest(name: str, known: Sequence[str]) -> str:
-    """Return the nearest known name, the names of the same group, or the groups."""
+def _nearest(name: str, names: Sequence[str]) -> str:
+    """Return the nearest of the names, those of the same group, or the groups."""
     name = name[:80]
     group, _, leaf = name.rpartition('.')
-    inside = [other for other in known if other.startswith(f'{name}.')]
-    in_group = inside or [other for other in known if group and other.startswith(f'{group}.')]
-    words = {word: other for word, other in OTHER_WORDS.items() if other in known}
-    leaves = {} if in_group else {o.rpartition('.')[2]: o for o in reversed(known)}
-    similar = get_close_matches(name, known, 1, CERTAIN) if group else []
-    similar += [words[word] for word in get_close_matches(leaf, words, 1, ALIKE)]
-    similar += [] if inside else get_close_matches(name, in_group, 1, ALIKE)
-    similar += [] if inside else get_close_matches(name, known, 1, ALIKE)
+    inside = [other for other in names if other.startswith(f'{name}.')]
+    in_group = inside or [other for other in names if group and other.startswith(f'{group}.')]
+    words = {word: other for word, other in OTHER_WORDS.items() if other in names}
+    leaves = {} if in_group else {o.rpartition('.')[2]: o for o in reversed(names)}
+    similar = get_close_matches(name, names, 1, SURE_SIMILARITY) if group else []
+    similar += [words[word] for word in get_close_matches(leaf, words, 1, MIN_SIMILARITY)]
+    similar += [] if inside else get_close_matches(name, in_group, 1, MIN_SIMILARITY)
+    similar += [] if inside else get_close_matches(name, names, 1, MIN_SIMILARITY)
     similar += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
     if similar:
         return f"Did you mean '{similar[0]}'?"
     if in_group:
         return f'Known there are: {", ".join(in_group)}.'
-    groups = dict.fromkeys(f'{other.partition(".")[0]}.*' for other in known if '.' in other)
+    groups = dict.fromkeys(f'{other.partition(".")[0]}.*' for other in names if '.' in other)
     return f"Known are {', '.join(groups)}; 'bellows parameters' lists them all."
 
 

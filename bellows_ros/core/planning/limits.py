@@ -14,9 +14,9 @@ from bellows_ros.core.model.equilibrium import largest_step, nominal_system_matr
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.parameters.checks import Settings
-from bellows_ros.core.planning.plan import COARSE, PlanSimulation
+from bellows_ros.core.planning.plan import COARSE_STEP_FACTOR, PlanSimulation
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.screening import LARGEST_SPEED
+from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -29,7 +29,7 @@ RATES = {
 SPACING_NS = 1_000_000
 """Spacing (ns) of the points that accelerations and jerks are computed from, as in drives."""
 
-MAX_STRETCH, MIN_STRETCH, RESOLUTION = 20.0, 1.02, 1.001
+MAX_STRETCH, MIN_STRETCH, STRETCH_RESOLUTION = 20.0, 1.02, 1.001
 """The time is sought up to this factor, in steps of at least this factor, and to this factor."""
 STEEPNESS = 4
 """What is asked of the tool falls at most with so many powers of the time more than for a rigid
@@ -150,7 +150,7 @@ def stretched(
                 'duration. Check the limits.')
         below, reason = scale, limit
         scale = min(scale * max(factor, MIN_STRETCH), MAX_STRETCH)
-    while scale > RESOLUTION * below:
+    while scale > STRETCH_RESOLUTION * below:
         middle = math.sqrt(scale * below)
         _, limit = needed(middle)
         below, scale, reason = (middle, scale, limit) if limit else (below, middle, reason)
@@ -220,7 +220,7 @@ def fastest(
     thin = tool.select(np.unique([*first, len(tool) - 1]))  # with its ends
     slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
     tail = min(MAX_TAIL, 2.0 * math.pi / slowest)
-    quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE * longest)
+    quick = PlanSimulation(model, grip, thin, tail=tail, longest=COARSE_STEP_FACTOR * longest)
     spread = [quick.with_model(each) for _, *both in perturbed(values, model) for each in both]
     fine = PlanSimulation(model, grip, tool, tail=tail, longest=longest)
 
@@ -236,7 +236,7 @@ def fastest(
             2.0 * PERTURBATION * _factor(quick, scale))
 
     speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
-    scale = max(MIN_TIME_SCALE, speed / LARGEST_SPEED)
+    scale = max(MIN_TIME_SCALE, speed / MAX_TOOL_SPEED)
     part, updated_at, past = 0.0, 0.0, [-1.0, -1.0]
     while scale < MAX_TIME_SCALE:
         excess = margin(scale, part, quick)

@@ -26,18 +26,18 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 
-SETTLED = math.radians(0.5)
+SETTLED_ANGLE = math.radians(0.5)
 """The package has settled when its rotation from rest stays below this (rad) ..."""
 SETTLING_TIME, MAX_TAIL = 2.0, 30.0
 """... for this time (s); the wait ends at the latest this long (s) after the end."""
 
-OVERTURNED = 1.5
+OVERTURN_ANGLE = 1.5
 """The swing after the end is not followed beyond this rotation (rad): no cup goes so far."""
 
 TAIL_STEP = 4e-3
 """Longest integration step (s) after the end, where only the swing matters ..."""
 
-COARSE = 3.0
+COARSE_STEP_FACTOR = 3.0
 """... or this multiple of the normal step, if shorter: still accurate to 1e-4."""
 
 PEAK_MOMENT_BENDING = 0.25 * math.pi
@@ -46,10 +46,10 @@ PEAK_MOMENT_BENDING = 0.25 * math.pi
 PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
 """Quantities whose peaks are kept: loads, rad, m, N, N m, N m, rad."""
 
-SAME_TILT = 0.05
+TILT_TOLERANCE = 0.05
 """The package hangs nearly alike if gravity turns by less than this in tool axes (rad)."""
 
-NEVER = np.zeros(1, np.bool_)
+NO_ABORT = np.zeros(1, np.bool_)
 """Does not stop a prediction."""
 
 Extremes = tuple[Array, Array, Array]
@@ -174,7 +174,7 @@ class PlanSimulation:
     def __init__(
         self, model: ModelTuple, grip: Grip | None, tool: Trajectory | simulation.ToolRows,
         start: State | None = None, tail: float = MAX_TAIL, longest: float = 0.0,
-        stop: Mask = NEVER,
+        stop: Mask = NO_ABORT,
     ) -> None:
         """Take the plan, and find where the package rests."""
         self.tool, self._model, self._grip = tool, model, grip
@@ -236,7 +236,7 @@ class PlanSimulation:
 
     def _simulate_decay(self, ceiling: float) -> float:
         """Continue after the end; return the time (s) until the package has settled."""
-        h = max(self._longest, min(TAIL_STEP, COARSE * self._longest))
+        h = max(self._longest, min(TAIL_STEP, COARSE_STEP_FACTOR * self._longest))
         return float(self._run(
             _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
             self._seconds, h, math.ceil(self._tail / h), ceiling, self._extremes))
@@ -264,7 +264,7 @@ def rest_after(
     (o, q, *_), (o_end, q_end, *_) = simulation.row_state(first), simulation.row_state(last)
     R, R_end = t3.rotation_matrix(q), t3.rotation_matrix(q_end)
     tilt = t3.subtract(t3.apply_transposed(R, model[2]), t3.apply_transposed(R_end, model[2]))
-    if t3.norm(tilt) <= SAME_TILT * t3.norm(model[2]):
+    if t3.norm(tilt) <= TILT_TOLERANCE * t3.norm(model[2]):
         shift = t3.apply_transposed(R, t3.subtract(start[0], o))
         turn = t3.quaternion_product(t3.quaternion_conjugate(q), start[1])
         guess = (t3.add(o_end, t3.apply(R_end, shift)), t3.quaternion_product(q_end, turn),
@@ -403,7 +403,7 @@ def _simulate_decay(
     """
     Let the package swing under a tool at rest, until a load is above the ceiling.
 
-    Return after what time (s) it is turned from rest by less than `SETTLED`.
+    Return after what time (s) it is turned from rest by less than `SETTLED_ANGLE`.
     """
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
@@ -415,12 +415,12 @@ def _simulate_decay(
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, extremes)
         turn = t3.norm(t3.turn_between(hanging, body[1]))
         update_peak(extremes, 7, t + since, turn)
-        if load > ceiling or turn > OVERTURNED or stop[0]:
+        if load > ceiling or turn > OVERTURN_ANGLE or stop[0]:
             return math.inf
-        if turn > SETTLED:
+        if turn > SETTLED_ANGLE:
             settled = math.inf
-        elif before > SETTLED:
-            settled = since - h * (SETTLED - turn) / (before - turn)
+        elif before > SETTLED_ANGLE:
+            settled = since - h * (SETTLED_ANGLE - turn) / (before - turn)
         elif since > settled + SETTLING_TIME:
             break
-    return settled if turn <= SETTLED else math.inf
+    return settled if turn <= SETTLED_ANGLE else math.inf

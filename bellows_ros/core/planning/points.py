@@ -17,12 +17,12 @@ from bellows_ros.core.model.kernels import ORIGIN
 from bellows_ros.core.model.simulation import tool_rows, ToolRows, write_row
 from bellows_ros.core.planning.arm import Arm
 from bellows_ros.core.signals.resampling import resample, subdivided
-from bellows_ros.core.signals.screening import LARGEST_RATE, LARGEST_SPEED, UNIT_WITHIN
+from bellows_ros.core.signals.screening import MAX_TOOL_RATE, MAX_TOOL_SPEED, UNIT_TOLERANCE
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-MOST_POINTS, MAX_TIME = 100_000, 600.0
+MAX_POINTS, MAX_TIME = 100_000, 600.0
 """Most points of a plan, and its longest duration (s)."""
 
 MAX_NUMBER = 1e9
@@ -34,7 +34,7 @@ MAX_GAP_NS = 10_000_000
 JUMP_TOLERANCE = (1e-3, 1e-2)
 """Points closer than this (m, rad) are no jump, however short the time."""
 
-MIN_FITTED_POINTS, MISFIT = 20, 0.5
+MIN_FITTED_POINTS, MAX_VELOCITY_MISFIT = 20, 0.5
 """With this many points, velocities that deviate from the steps by this fraction are wrong."""
 
 
@@ -83,8 +83,8 @@ def rows_of(
     given_twist = np.zeros((len(poses), 6)) if twist is None else np.array(twist)
     _write_motion(
         *as_inputs(poses, given_twist, durations), twist_frame == 'world', rows, sizes, fit)
-    _refuse(np.abs(sizes[:, 0] - 1.0) > UNIT_WITHIN, name,
-            'has a quaternion that is not of unit length', f'length 1 to {UNIT_WITHIN:g}',
+    _refuse(np.abs(sizes[:, 0] - 1.0) > UNIT_TOLERANCE, name,
+            'has a quaternion that is not of unit length', f'length 1 to {UNIT_TOLERANCE:g}',
             'Are its numbers x, y, z, w in this order?')
     _require_reachable(durations, sizes, name)
     if twist is None:
@@ -241,9 +241,9 @@ def timed(plan: Trajectory, factor: float) -> Trajectory:
 
 def require_count(count: int, name: str) -> None:
     """Refuse a plan without a motion, and one that is no plan any more."""
-    if not 2 <= count <= MOST_POINTS:
+    if not 2 <= count <= MAX_POINTS:
         raise BellowsError(
-            f'{name} has {count} point{"" if count == 1 else "s"}; expected 2 to {MOST_POINTS}. '
+            f'{name} has {count} point{"" if count == 1 else "s"}; expected 2 to {MAX_POINTS}. '
             + ('Give where the motion ends, too.' if count < 2 else 'Thin it out, or split it.'))
 
 
@@ -320,23 +320,23 @@ def _write_motion(
 def _require_reachable(durations: Array, sizes: Array, name: str) -> None:
     """Refuse a motion that no arm can follow; sizes as in `_write_motion`."""
     moved, turned = sizes[:-1, 1], sizes[:-1, 2]
-    jump = (moved > JUMP_TOLERANCE[0] + LARGEST_SPEED * durations) | (
-        turned > JUMP_TOLERANCE[1] + LARGEST_RATE * durations)
+    jump = (moved > JUMP_TOLERANCE[0] + MAX_TOOL_SPEED * durations) | (
+        turned > JUMP_TOLERANCE[1] + MAX_TOOL_RATE * durations)
     if jump.any():
         i = int(np.argmax(jump))
         raise BellowsError(
             f'{name} jumps between points {i} and {i + 1}: by {moved[i]:.4g} m and '
-            f'{turned[i]:.3g} rad in {durations[i]:.3g} s; expected at most {LARGEST_SPEED:g} m/s '
-            f'and {LARGEST_RATE:g} rad/s, as no arm is faster. Check units and times.')
-    _refuse((sizes[:, 3] > LARGEST_SPEED) | (sizes[:, 4] > LARGEST_RATE), name,
-            'is faster than any arm', f'at most {LARGEST_SPEED:g} m/s and {LARGEST_RATE:g} rad/s',
-            'Check the units.')
+            f'{turned[i]:.3g} rad in {durations[i]:.3g} s; expected at most {MAX_TOOL_SPEED:g} '
+            f'm/s and {MAX_TOOL_RATE:g} rad/s, as no arm is faster. Check units and times.')
+    _refuse((sizes[:, 3] > MAX_TOOL_SPEED) | (sizes[:, 4] > MAX_TOOL_RATE), name,
+            'is faster than any arm',
+            f'at most {MAX_TOOL_SPEED:g} m/s and {MAX_TOOL_RATE:g} rad/s', 'Check the units.')
 
 
 def _require_fitting(fit: Array, name: str) -> None:
     """Refuse velocities that are not those of the poses; as `_write_motion` has it, but RMS."""
     for what, (size, miss) in (('velocities', fit[:2]), ('angular velocities', fit[2:])):
-        if miss > MISFIT * size + JUMP_TOLERANCE[0]:
+        if miss > MAX_VELOCITY_MISFIT * size + JUMP_TOLERANCE[0]:
             raise BellowsError(
                 f'{name}: its {what} do not fit its poses: they differ by {miss:.3g} from steps '
                 f'of {size:.3g} (RMS, m/s or rad/s); expected the same motion. Check '

@@ -35,7 +35,7 @@ METHODS = ('inverse', 'zv', 'zvd')
 GRID = 0.001
 """Spacing (s) of the resulting motion."""
 
-SPACING, JUMP, RELATIVE_JUMP = 0.005, 100.0, 0.1
+SPACING, SNAP_TOLERANCE, RELATIVE_SNAP_TOLERANCE = 0.005, 100.0, 0.1
 """Spacing (s) at which the fourth derivative is evaluated, and changes that are none: of this size
 (m/s^4), or this part of it."""
 SUBDIVISION = 5
@@ -54,12 +54,12 @@ ARRIVAL_TOLERANCE = (2e-5, 1e-4)
 """The tool has arrived when this is left to go (m, rad)."""
 MAX_ARRIVAL = 12.0
 """Longest wait for the arrival, in the cup's longest relaxation times."""
-FADE = 0.02
+FADE_TIME = 0.02
 """After it the motion fades out over this time (s), without a step of twist or acceleration."""
 
-SWINGING = planning.SETTLED
+MIN_RESIDUAL_SWING = planning.SETTLED_ANGLE
 """Modes that the plan leaves swinging by more than this (rad) are shaped ..."""
-MERGE_WITHIN = 0.05
+MERGE_TOLERANCE = 0.05
 """... and modes whose frequencies differ by less than this fraction are shaped as one."""
 
 
@@ -145,9 +145,9 @@ def _invert_kernel(
     Write the states of tool and package along a motion; return how many there are.
 
     The reference of the package (N, 19) is half a step of h (s) apart; then it rests. Once the
-    tool is slower than speed (m/s) and rate (rad/s), it stops over `FADE`.
+    tool is slower than speed (m/s) and rate (rad/s), it stops over `FADE_TIME`.
     """
-    still, faded, fading = t3.ZERO, 0, math.ceil(FADE / h)
+    still, faded, fading = t3.ZERO, 0, math.ceil(FADE_TIME / h)
     for k in range(len(out)):
         do, ds, sum_o, sum_s, stage = still, still, still, still, tool
         dz = sum_z = kernels.moved_strains(tool[4:], -1.0, tool[4:])
@@ -246,7 +246,7 @@ def inverse(
     duration = float(reference.seconds[-1])
     count = math.ceil(duration / min(GRID, RATE_PER_STEP / rates[-1]) - 1e-9)
     h = duration / count
-    arrival = (MAX_ARRIVAL / rates[0] + FADE) / h
+    arrival = (MAX_ARRIVAL / rates[0] + FADE_TIME) / h
     simulation.require_steps(count + 2.0 * arrival, MAX_STEPS)
     if start is None:
         start = _tool_above(model, rows[0])
@@ -320,7 +320,7 @@ def _tool_above(model: ModelTuple, body: Array) -> State:
     shift = resting_on_tool(model, kernels.ORIGIN)[0]
     o = body[:3] - lie.quaternion_to_rotation(body[3:]) @ shift
     h = min(GRID, RATE_PER_STEP / rates[-1])
-    out = np.empty((2, 2 + round((2.0 * MAX_ARRIVAL / rates[0] + FADE) / h), 13))
+    out = np.empty((2, 2 + round((2.0 * MAX_ARRIVAL / rates[0] + FADE_TIME) / h), 13))
     count = _invert(model, simulation.state_row(o, body[3:]), np.pad(body, (0, 12))[None], h,
                     1e-4 * rates[0] * np.array(ARRIVAL_TOLERANCE), *out)
     return simulation.state_row(out[0, count - 1, :3], out[0, count - 1, 3:7])
@@ -367,7 +367,8 @@ def is_smooth(curve: Any) -> bool:
     fine, coarse = (np.diff(rows[::every], 4, axis=0) * (count / (every * duration)) ** 4
                     for every in (1, 2))
     change, before = (np.abs(np.diff(d, axis=0)).max() for d in (fine, coarse))
-    return bool(change < max(JUMP, RELATIVE_JUMP * np.abs(fine).max()) or change < 0.7 * before)
+    tolerance = max(SNAP_TOLERANCE, RELATIVE_SNAP_TOLERANCE * np.abs(fine).max())
+    return bool(change < tolerance or change < 0.7 * before)
 
 
 # -------------------------------------------------------------------------------------- shaping
@@ -415,14 +416,14 @@ def to_shape(modes: Sequence[SwingMode], method: str) -> list[SwingMode]:
     """
     Return the modes that swing; similar ones are merged, weighted by their swing.
 
-    Those are left out whose swing decays below `SWINGING` sooner than their shaper ends.
+    Those are left out whose swing decays below `MIN_RESIDUAL_SWING` sooner than their shaper ends.
     """
     groups: list[list[SwingMode]] = []
     for mode in modes:
-        if mode.tilt <= SWINGING or math.log(mode.tilt / SWINGING) < (
+        if mode.tilt <= MIN_RESIDUAL_SWING or math.log(mode.tilt / MIN_RESIDUAL_SWING) < (
                 2.0 * math.pi * mode.frequency * mode.damping * impulses([mode], method)[0][-1]):
             continue
-        if groups and mode.frequency < (1.0 + MERGE_WITHIN) * groups[-1][-1].frequency:
+        if groups and mode.frequency < (1.0 + MERGE_TOLERANCE) * groups[-1][-1].frequency:
             groups[-1].append(mode)
         else:
             groups.append([mode])
@@ -481,7 +482,7 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
 
     """
     twist = np.abs(np.asarray(plan.twist)[[0, -1]])
-    if (twist > np.repeat(simulation.STILL, 3)).any():
+    if (twist > np.repeat(simulation.MAX_REST_RATES, 3)).any():
         raise BellowsError(
             f'The plan begins or ends in motion, at up to {twist[:, :3].max():.3g} m/s and '
             f'{twist[:, 3:].max():.3g} rad/s; expected rest. Give a plan from rest to rest.')

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in a world with z up."""
 
-PARALLEL = 1e-12
+PARALLEL_SINE = 1e-12
 """Sine below which two directions are parallel."""
 
 # The rotation part of A_H_M (4.1): Motive's y is up, and its x points the other way.
@@ -322,7 +322,7 @@ def levelling(direction: ArrayLike) -> Array:
     down = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
     axis = np.cross(down, DOWN)
     sine, cosine = float(np.linalg.norm(axis)), float(down @ DOWN)
-    if sine < PARALLEL:
+    if sine < PARALLEL_SINE:
         return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
     return np.asarray(lie.exp_so3(axis / sine * np.arctan2(sine, cosine)))
 

@@ -45,7 +45,7 @@ import numpy as np
 AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
 # poses repeated in motion (part of them), travel (m) that is no cell's, but millimetres.
-LATERAL_WARNED, LATERAL_COM_WARNED, REPEATS_WARNED, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
+MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
 MAX_GAP_FRACTION = 0.5  # of the time; poses with more come in bursts
 # A step that a slow camera sees at least as often as the rest (%) in the motion is none.
 MOTION_PERCENTILE = 99.0
@@ -237,10 +237,10 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
     return [warning for is_due, warning in (
-        (aside > LATERAL_WARNED,
+        (aside > MAX_LATERAL_OFFSET,
          f'The package was picked up {aside * 1e3:.1f} mm beside its middle. The alignment '
          'corrects this, but not package.com and package.inertia: check them.'),
-        (settings.align_at_rest and lateral_com > LATERAL_COM_WARNED,
+        (settings.align_at_rest and lateral_com > MAX_LATERAL_COM,
          f'The centre of mass lies {lateral_com * 1e3:.1f} mm beside the axis of the cup, so '
          'the cup is bent at rest, but the alignment takes this pose as unbent. Set '
          'recording.align_at_rest to false if the poses are already those of E and S.')) if is_due]
@@ -272,10 +272,10 @@ def stream_warnings(
         (time.rate_hz < LOW_RATE_HZ,
          f"Topic '{name}' has only {time.rate_hz:.0f} Hz, too few for twists of a cup's modes. "
          f'Output error can fit such poses; the other methods need {LOW_RATE_HZ:.0f} Hz.'),
-        (repeats > REPEATS_WARNED * len(recorded),
+        (repeats > MAX_REPEAT_FRACTION * len(recorded),
          f"Topic '{name}' repeats its pose {repeats} times in motion: it is published faster "
          'than it is measured, so its actual rate is lower.'),
-        (time.jitter_s * time.rate_hz > resampling.JITTER_WARNED,
+        (time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER,
          f"The stamps of topic '{name}' jitter by {time.jitter_s * 1e3:.2g} ms at "
          f'{time.rate_hz:.5g} Hz. The stamps are used as they are; if they are arrival times, '
          'stamp the poses when they are measured.')) if is_due]

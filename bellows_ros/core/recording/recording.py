@@ -27,7 +27,7 @@ import numpy as np
 HALF_WINDOW, ORDER = 4, 4
 """A quartic through nine samples follows any motion of a package; its residual is noise."""
 
-ENOUGH = 20_000
+NOISE_SAMPLES = 20_000
 """Windows or samples that determine the noise to a percent; slightly more are used."""
 
 TOOL_HALF_WINDOW, TOOL_ORDER = 6, 6
@@ -42,7 +42,7 @@ PLACES = 8
 """Interpolation points between two tool poses that represent all others."""
 
 
-CLIPPED_AT = 5.0
+CLIP_DEVIATIONS = 5.0
 """Residuals are clipped at this many typical deviations, so that outliers do not count."""
 
 LOW_RATE_HZ = 100.0
@@ -85,7 +85,7 @@ def ripple(poses: Trajectory) -> tuple[Array, Array]:
     """
     n = HALF_WINDOW
     whole = ~trajectory.any_within(~poses.valid, 2 * n + 1)
-    step = max(len(whole) // ENOUGH, 1)
+    step = max(len(whole) // NOISE_SAMPLES, 1)
     centres = n + step * np.flatnonzero(whole[::step])
     if not len(centres):
         raise UndeterminedError(
@@ -131,7 +131,7 @@ def noise_at_rest(poses: Trajectory) -> Array:
 
 def _clipped_rms(residuals: Array) -> Array:
     """Return the RMS (6,) of residuals (N, 6), in which outliers do not count."""
-    limit = CLIPPED_AT * MAD_TO_STD * np.median(np.abs(residuals), axis=0)
+    limit = CLIP_DEVIATIONS * MAD_TO_STD * np.median(np.abs(residuals), axis=0)
     return np.asarray(np.sqrt(np.mean(np.minimum(residuals**2, limit**2), axis=0)))
 
 

@@ -34,7 +34,7 @@ MEAN_RANGE = (0.8, 2.5)
 # Standard deviation of a normal distribution per median absolute deviation.
 MAD_TO_STD = 1.4826
 
-JITTER_WARNED = 0.1
+MAX_RELATIVE_JITTER = 0.1
 """Jitter in parts of the period that is worth a look."""
 
 GAP_SAMPLES, MAX_GAPS, LOST_PERIODS = 30, 200, 0.65
@@ -219,7 +219,7 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
     if len(stream) < 4 * GAP_SAMPLES:
         return stream, None
     recorded = timing(stream.stamps_ns)
-    if recorded.jitter_s * recorded.rate_hz < JITTER_WARNED:
+    if recorded.jitter_s * recorded.rate_hz < MAX_RELATIVE_JITTER:
         return stream, None
     sampled = sampling_stamps(stream.stamps_ns)
     if sampled is None:

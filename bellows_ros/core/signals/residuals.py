@@ -245,10 +245,10 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
 LAGS = 20
 """Lags of the portmanteau test."""
 
-CONFIDENT = 0.01
+WHITENESS_P_VALUE = 0.01
 """p-value below which a residual is not white."""
 
-SMALL = 0.1
+NEGLIGIBLE_CORRELATION = 0.1
 """Autocorrelation below which colour is negligible: it explains 1 % of the next residual."""
 
 
@@ -284,7 +284,7 @@ class Whiteness:
     @property
     def verdicts(self) -> tuple[str, ...]:
         """'white', 'nearly white' or 'coloured' for each channel."""
-        small = self.largest < SMALL
+        small = self.largest < NEGLIGIBLE_CORRELATION
         return tuple(
             'white' if white else 'nearly white' if little else 'coloured'
             for white, little in zip(self.white.tolist(), small.tolist(), strict=True))
@@ -292,7 +292,7 @@ class Whiteness:
     @property
     def white(self) -> Mask:
         """Which channels pass the test of whiteness (C,)."""
-        return ~(self.p_value < CONFIDENT)
+        return ~(self.p_value < WHITENESS_P_VALUE)
 
     @property
     def largest(self) -> Array:

@@ -15,13 +15,13 @@ from bellows_ros.core.geometry.arrays import Mask, Stamps
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 import numpy as np
 
-LARGEST_SPEED = 20.0
+MAX_TOOL_SPEED = 20.0
 """Largest speed of an arm, m/s."""
 
-LARGEST_RATE = 60.0
+MAX_TOOL_RATE = 60.0
 """Largest angular speed of an arm, rad/s."""
 
-UNIT_WITHIN = 0.01
+UNIT_TOLERANCE = 0.01
 """A quaternion whose length is off by more is refused; otherwise it is normalised."""
 
 
@@ -38,7 +38,7 @@ LEAP_NS = 20_000_000
 LEAP_PERIODS = 4
 """Lead (periods) over earlier stamps relative to arrival that makes a stamp a leap."""
 
-SETTLED_AFTER = 10
+MIN_DELAY_SAMPLES = 10
 """Poses needed to know the delay between stamps and arrivals."""
 
 ACCEPTED = ''
@@ -63,7 +63,7 @@ def why_no_pose(o: Vector, q: Quaternion) -> str:
         return 'nan'
     if squared < 1e-12:
         return 'zero_quaternion'
-    if abs(squared - 1.0) > 2.0 * UNIT_WITHIN:
+    if abs(squared - 1.0) > 2.0 * UNIT_TOLERANCE:
         return 'not_unit'
     return ''
 
@@ -145,7 +145,7 @@ class StampScreen:
     def _leaps_alone(self, stamp_ns: int, age_ns: int) -> bool:
         """Return whether a stamp, unlike the previous one, lies in the future."""
         ahead_ns = self._least_age_ns - age_ns
-        if ahead_ns <= LEAP_NS or self._accepted < SETTLED_AFTER:
+        if ahead_ns <= LEAP_NS or self._accepted < MIN_DELAY_SAMPLES:
             self._leap_ns = -1
             return False
         if ahead_ns <= LEAP_PERIODS * self._period_ns:
@@ -226,11 +226,11 @@ def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
     bad = np.logical_or.reduce(list(unusable.values()))
     before = np.maximum.accumulate(np.where(bad, -1, stamps_ns))
     after = np.minimum.accumulate(np.where(bad, np.iinfo(np.int64).max, stamps_ns)[::-1])[::-1]
-    found: Mask = unusable['backward_stamp'] & (before < stamps_ns) & (stamps_ns < after)
-    stamps = stamps_ns[found]
+    in_place: Mask = unusable['backward_stamp'] & (before < stamps_ns) & (stamps_ns < after)
+    stamps = stamps_ns[in_place]
     largest_before = np.maximum.accumulate(np.concatenate([[-1], stamps]))[:-1]
-    found[found] = stamps > largest_before
-    return found
+    in_place[in_place] = stamps > largest_before
+    return in_place
 
 
 def _is_rather_lost(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:

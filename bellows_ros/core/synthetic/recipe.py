@@ -22,7 +22,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, quaternion_to_rotation
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.simulation import STILL, write_row
+from bellows_ros.core.model.simulation import MAX_REST_RATES, write_row
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -535,7 +535,7 @@ def _require_rest(tool: Trajectory) -> None:
     """Refuse a tool that moves where a package is picked up."""
     assert tool.twist is not None
     speed, rate = (float(np.linalg.norm(part)) for part in np.split(tool.twist[0], 2))
-    if speed > STILL[0] or rate > STILL[1]:
+    if speed > MAX_REST_RATES[0] or rate > MAX_REST_RATES[1]:
         raise BellowsError(
             f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, but picks up '
             'packages only at rest. Change release.pickup, or let the tool wait.')

@@ -54,7 +54,7 @@ the numbers of the law of release (standard deviations)."""
 OPENING_STEP = 1e-3
 """Longest integration step (s) of a cup that opens."""
 
-TAUS = 6.0
+MAX_TAUS = 6.0
 """A cup that does not open lets go within the delay and this many tau."""
 
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
@@ -617,7 +617,7 @@ def latest_release(law: Law) -> float:
     delay, tau, _, blow_off, _, opening, _, sticking = law
     if opening > 0.0 and blow_off > sticking:
         return delay + tau * math.log((1.0 + blow_off) / (blow_off - sticking))
-    return delay + TAUS * tau
+    return delay + MAX_TAUS * tau
 
 
 def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:

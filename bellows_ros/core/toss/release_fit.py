@@ -42,13 +42,13 @@ FREE_FALL_BELOW, MIN_FALL = 3.0, 0.012
 IMPACT_ACCELERATION = 80.0
 """Specific force (m/s^2) of a landing; that of a cup that opens is some 30."""
 
-BEFORE, AFTER = 0.15, 0.3
+TIME_BEFORE_VALVE, TIME_AFTER_FALL = 0.15, 0.3
 """Part of a drop used, before the valve and after the beginning of its fall, s."""
 
 MAX_FALL_DELAY, MAX_START_DELAY = 1.0, 0.01
 """Longest time (s) from the valve to the fall, and to the first pose."""
 
-STANDS, RECOIL = (1e-3, 0.01), 3.0
+REST_TOLERANCE, RECOIL_FACTOR = (1e-3, 0.01), 3.0
 """A body stands still while it stays this close (m, rad); the tool, which recoils as the package
 parts, within so many times that."""
 
@@ -58,7 +58,7 @@ WINDOW, ORDER = 1.0 / 60.0, 3
 MIN_NOISE, VELOCITY_SCALE = (1e-4, 5e-4), 40.0
 """Errors (m, rad) that count as one, at least, and of velocities over those of positions, 1/s."""
 
-SCATTER = {0: 2.5e-3, 2: 0.01}
+PRIOR_SCATTER = {0: 2.5e-3, 2: 0.01}
 """A priori scatter of the instant (s) and of the impulse (N s), by number of the law."""
 
 OFFSET_STD, STATE_STD = np.repeat([1e-3, 0.02], 3), np.repeat([1e-3, 1e-2, 1e-2, 1e-1], 3)
@@ -71,7 +71,7 @@ than the noise, by chi^2 per pose."""
 LINEAR_TAU = 0.5
 """A fall of suction with this tau (s) is as good as linear over the time of a release."""
 
-MAX_LACK = 4.0
+MAX_COMMON_RESIDUAL = 4.0
 """A law lacks something if its drops have so many times as much left in common, by mass, as
 their scatter explains."""
 
@@ -89,7 +89,7 @@ MAX_RELATIVE_ERROR, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0
 """A number is identifiable if its standard error is less than this part of it, or of one that is
 small; one that is given without a standard deviation is known to this part."""
 
-FIRST_DROPS, MAX_ITERATIONS, STATE_EVERY = 12, 20, 5
+FIRST_DROPS, MAX_ITERATIONS, STATE_UPDATE_STEPS = 12, 20, 5
 """Drops from which a law is chosen, about, most steps of a fit, and after how many of them the
 derivatives by the state of a drop, which hardly change, are renewed."""
 
@@ -191,9 +191,9 @@ class Explained:
     mass: float
     """kg."""
     released: float
-    """From the valve to letting go, with the drop's own instant, s; NaN where it does not."""
+    """From the valve to the release, at the drop's instant, s; NaN without a release."""
     own_delay: float
-    """The drop's own instant, from that of all, s."""
+    """Of the drop's instant from that of all drops, s."""
     position: float
     """Root mean square, m, along the gravity."""
     velocity: float
@@ -261,16 +261,17 @@ class ReleaseFit:
     def explains(self) -> bool:
         """Whether the law explains the drops."""
         latest = max(abs(drop.own_delay) for drop in self.drops)
-        return latest <= 5.0 * SCATTER[0] and (self.position <= MAX_RMS or (
-            self.chi2 <= MAX_CHI2 and (self.lack <= MAX_LACK or self.common <= MAX_RMS)))
+        return latest <= 5.0 * PRIOR_SCATTER[0] and (self.position <= MAX_RMS or (
+            self.chi2 <= MAX_CHI2
+            and (self.lack <= MAX_COMMON_RESIDUAL or self.common <= MAX_RMS)))
 
 
 def parameters_of(fit: ReleaseFit) -> dict[str, Any]:
     """Return the parameters `release.*` of a fit, with the scatter from drop to drop."""
     covariance = fit.covariance + np.diag(fit.scatter**2)
     std = np.sqrt(np.diag(covariance))
-    known = np.where(std > 0.0, std, 1.0)
-    correlation = covariance / np.outer(known, known)
+    scale = np.where(std > 0.0, std, 1.0)
+    correlation = covariance / np.outer(scale, scale)
     np.fill_diagonal(correlation, 1.0)
     masses = [drop.mass for drop in fit.drops]
     return {
@@ -314,7 +315,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
     if has_grip and best.std[1] > 0.5 * best.law[1]:
         closed[1] = given[1]
         best = _fitted(subset, closed, (0, 2))
-    if not best.explains or best.lack > MAX_LACK:
+    if not best.explains or best.lack > MAX_COMMON_RESIDUAL:
         openings = [_fitted(subset, start, OPENING) for start in _openings(subset, fall)]
         opened = min(openings, key=_squares)
         if not best.explains or _squares(opened) < MAX_SQUARES_RATIO * _squares(best):
@@ -334,9 +335,9 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW, given_std: Law = NO_
         f'No law of release explains the drops: it leaves {1e3 * best.position:.2g} mm of their '
         f'positions (rms, chi2 per pose {best.chi2:.3g}), {1e3 * best.common:.2g} mm of it in all '
         f'drops of a mass alike, with instants that scatter by {1e3 * best.scatter[0]:.2g} ms; '
-        f'expected less than {1e3 * MAX_RMS:g} mm, and {1e3 * SCATTER[0]:g} ms. The likeliest '
-        'cause is a wrong package.mass, cup.stiffness or cup.length, or a valve stamped by '
-        'another clock; check the first with bellows static.')
+        f'expected less than {1e3 * MAX_RMS:g} mm, and {1e3 * PRIOR_SCATTER[0]:g} ms. The '
+        'likeliest cause is a wrong package.mass, cup.stiffness or cup.length, or a valve stamped '
+        'by another clock; check the first with bellows static.')
 
 
 def _identifiable(
@@ -532,8 +533,8 @@ class _DropFit:
         self.drop, self.free = drop, free
         noise = np.maximum(drop.noise, MIN_NOISE)
         self.sizes = np.repeat([noise[0], VELOCITY_SCALE * noise[0], noise[1]], 3)[:, None]
-        self._scattered = [k for k in free if k in SCATTER]
-        self._scatter = np.array([SCATTER[k] for k in self._scattered])
+        self._scattered = [k for k in free if k in PRIOR_SCATTER]
+        self._scatter = np.array([PRIOR_SCATTER[k] for k in self._scattered])
         self.nuisance = np.zeros(len(self._scatter) + (6 if drop.stands else 12))
         self._count = 0
 
@@ -572,8 +573,8 @@ class _DropFit:
             changed = law + 1e-3 * SCALES * np.eye(8)[k]
             J[:, i] = (self.residuals(changed, self.nuisance) - residuals) / 1e-3
         for i, k in enumerate(self._scattered):
-            J[:, n + i] = SCATTER[k] / SCALES[k] * J[:, self.free.index(k)]
-        if self._count % STATE_EVERY == 0:
+            J[:, n + i] = PRIOR_SCATTER[k] / SCALES[k] * J[:, self.free.index(k)]
+        if self._count % STATE_UPDATE_STEPS == 0:
             self._by_state = np.transpose([
                 (self.residuals(law, self.nuisance + change) - residuals) / 1e-3
                 for change in 1e-3 * np.eye(m)[lead:]])
@@ -641,7 +642,7 @@ def drops_of(
     """
     drops, left_out = list[Drop](), list[str]()
     for number, valve_ns in enumerate(valves_ns):
-        later_ns = valve_ns + round((MAX_FALL_DELAY + AFTER) * NS_PER_S)
+        later_ns = valve_ns + round((MAX_FALL_DELAY + TIME_AFTER_FALL) * NS_PER_S)
         until_ns = min([later_ns, *valves_ns[number + 1:number + 2]])
         try:
             drops.append(_drop(recording, model, grip or NO_GRIP, valve_ns, until_ns))
@@ -658,12 +659,12 @@ def _drop(
     package = _tracked(recording.aligned_package, valve_ns, until_ns)
     tool = _tracked(recording.aligned_tool, valve_ns, int(package.stamps_ns[-1]))
     before = slice(0, max(int(np.searchsorted(package.stamps_ns, valve_ns)), 1))
-    stands = _stands(tool, RECOIL) and _stands(package.select(before))
+    stands = _stands(tool, RECOIL_FACTOR) and _stands(package.select(before))
     if not stands:  # the tool is known at the common stamps
         package = _tracked(recording.measured_package, valve_ns, until_ns)
     after = int(np.searchsorted(package.stamps_ns, valve_ns))
     first, last = free_fall_samples(package.position[after:], package.seconds[after:], model[2])
-    fallen = package.seconds[after + first] + AFTER
+    fallen = package.seconds[after + first] + TIME_AFTER_FALL
     package = package.select(slice(0, min(
         after + last + 1, int(np.searchsorted(package.seconds, fallen, 'right')))))
     if stands:
@@ -687,7 +688,7 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
     """Return poses from before a valve to a stamp, as far as none is missing."""
     stamps_ns = poses.stamps_ns
     at, end = (int(np.searchsorted(stamps_ns, ns)) for ns in (valve_ns, until_ns))
-    begin = int(np.searchsorted(stamps_ns, valve_ns - round(BEFORE * NS_PER_S)))
+    begin = int(np.searchsorted(stamps_ns, valve_ns - round(TIME_BEFORE_VALVE * NS_PER_S)))
     wrong = np.flatnonzero(~poses.valid)
     begin = max([begin, *(wrong[wrong < at][-1:] + 1)])
     end = min([end, *wrong[wrong >= at][:1]])
@@ -697,7 +698,8 @@ def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:
 
 
 def _stands(poses: Trajectory, times: float = 1.0) -> bool:
-    """Return whether poses stay where they are, within so many times `STANDS`."""
+    """Return whether poses stay where they are, within so many times `REST_TOLERANCE`."""
     turn = lie.log_so3(np.swapaxes(poses.rotation[:1], -1, -2) @ poses.rotation)
-    return bool(np.abs(poses.position - poses.position.mean(axis=0)).max() < times * STANDS[0]
-                and np.abs(turn).max() < times * STANDS[1])
+    shift = poses.position - poses.position.mean(axis=0)
+    return bool(np.abs(shift).max() < times * REST_TOLERANCE[0]
+                and np.abs(turn).max() < times * REST_TOLERANCE[1])

@@ -92,7 +92,7 @@ def test_smallest_margin_and_largest_distance_are_kept():
         'envelope.rates': [1.0] * 6, 'envelope.frequencies': [0.0, 9.0, 0.0, 9.0],
         'envelope.mass': [2.0, 2.0]})
     load = Load(values)
-    assert load.grip and load.envelope_known
+    assert load.grip and load.has_envelope
     for case in (prediction(), prediction((0.0, 0.0, 30.0)), prediction(moment=(0.0, 0.05, 0.0))):
         load.watch_force(MODEL, case)
     load.watch_deflection(MODEL, prediction(tilt=0.2))
@@ -104,7 +104,7 @@ def test_smallest_margin_and_largest_distance_are_kept():
     assert load.reset() == (None, None, 0.0)
     unknown = Load(resolve(PACKAGE))
     unknown.watch_force(MODEL, prediction())
-    assert not unknown.grip and not unknown.envelope_known and unknown.reset()[0] is None
+    assert not unknown.grip and not unknown.has_envelope and unknown.reset()[0] is None
 
 
 def test_box_of_an_inertia_is_the_box():
@@ -172,7 +172,7 @@ def of_load(factor, bending):
     (of_prediction(restarts={'gap': 2}), Level.WARN, '2 x'),
     (of_prediction(restarts={'no_equilibrium': 1}), Level.ERROR, 'package.mass'),
     (of_prediction(twist_verdict='other_axes'), Level.WARN, 'tool_twist.frame'),
-    (of_prediction(covariance_known=False), Level.WARN, 'package/odometry'),
+    (of_prediction(has_covariance=False), Level.WARN, 'package/odometry'),
     (of_load(None, 0.1), Level.OK, 'cup.lip_radius'), (of_load(2.0, 0.1), Level.OK, 'Within'),
     (of_load(1.234, 0.1), Level.WARN, '1.23 (peel), below safety.least, 1.5'),
     (of_load(0.8, 0.1), Level.ERROR, '0.80 (peel)'), (of_load(2.0, 0.7), Level.WARN, '0.7 rad'),

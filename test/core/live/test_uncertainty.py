@@ -127,7 +127,7 @@ def test_a_package_that_hangs_from_a_tool_that_points_down_has_a_covariance():
            for p in live.on_pose(START + k * PERIOD, 'world', (0.0, 0.0, 0.0), down)]
     uncertainty = Uncertainty(live.model, values(0.1 * THESIS.stiffness, position=1e-4))
     sizes = [np.sqrt(np.diag(uncertainty.covariance(p))[:6]).max() for p in out][SETTLED:]
-    assert uncertainty.known and len(out) > 400
+    assert uncertainty.available and len(out) > 400
     assert 1e-5 < min(sizes) and max(sizes) < 1e-2
 
 
@@ -139,9 +139,9 @@ def test_a_covariance_that_is_not_known_says_so_and_comes_back():
     fallen = LivePredictor(THESIS, top_heavy, 9.81)
     uncertainty = Uncertainty(fallen.model, values(0.1 * THESIS.stiffness, position=1e-4))
     assert_allclose(uncertainty.root(out[0]._replace(tool=upside_down)), UNKNOWN_ROOT)
-    assert not uncertainty.known
+    assert not uncertainty.available
     assert_allclose(uncertainty.root(out[1]), UNKNOWN_ROOT)  # not tried again at once
-    assert np.isfinite(uncertainty.covariance(out[60])).all() and uncertainty.known
+    assert np.isfinite(uncertainty.covariance(out[60])).all() and uncertainty.available
 
 
 def test_pose_covariance_is_turned_into_fixed_axes():
@@ -166,7 +166,7 @@ def test_a_covariance_is_positive_semidefinite_whatever_the_damping(damping, dow
             for C in (uncertainty.covariance(p), in_world_axes(root[:6], p.quaternion_xyzw)):
                 assert np.array_equal(C, C.T) and np.all(np.diag(C) >= 0.0)
                 assert np.linalg.eigvalsh(C)[0] >= -1e-14 * np.abs(C).max()
-    assert uncertainty.known
+    assert uncertainty.available
 
 
 @pytest.mark.parametrize(('start', 'twists'), [(200, False), (500, True)])
@@ -213,6 +213,6 @@ def test_covariance_of_an_observer_that_rounding_has_spoilt_is_unknown():
     spoilt = sound - 2.0 * np.diag([0.0] * 11 + [1e-3])
     found = uncertainty.covariance(out[1]._replace(covariance=lambda: spoilt))
     assert_allclose(found, UNKNOWN_ROOT @ UNKNOWN_ROOT.T)
-    assert not uncertainty.known
+    assert not uncertainty.available
     assert_allclose(uncertainty.covariance(out[2]._replace(covariance=lambda: sound)), sound)
-    assert uncertainty.known
+    assert uncertainty.available

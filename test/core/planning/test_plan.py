@@ -6,7 +6,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.simulation import state_row
-from bellows_ros.core.planning.plan import PlanSimulation, SETTLED
+from bellows_ros.core.planning.plan import PlanSimulation, SETTLED_ANGLE
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
@@ -81,7 +81,7 @@ def test_states_and_figures_are_those_of_an_independent_integrator():
         if t > end - 1e-9:
             turn = float(np.linalg.norm(lie.log_so3(rest.T @ T[0, :3, :3])))
             turns.append(turn)
-            settled = t - end if turn > SETTLED else settled
+            settled = t - end if turn > SETTLED_ANGLE else settled
     T = np.array(T_world_package[:len(plan)])
     assert np.abs(found.states[:, :3] - T[:, :3, 3]).max() < 0.2e-6
     turn = lie.log_so3(

@@ -1,7 +1,7 @@
 """From points to a plan: splines against known motions, and what no arm does refused."""
 
 from bellows_ros.core.geometry.lie import log_so3, rotation_to_quaternion
-from bellows_ros.core.planning.points import MOST_POINTS, plan_of
+from bellows_ros.core.planning.points import MAX_POINTS, plan_of
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -70,7 +70,7 @@ def changed(index, where, value):
 
 @pytest.mark.parametrize(('parts', 'words'), [
     ([part[:1] for part in points()], 'has 1 point; expected 2 to 100000'),
-    ([np.repeat(part[:1], MOST_POINTS + 1, axis=0) for part in points()],
+    ([np.repeat(part[:1], MAX_POINTS + 1, axis=0) for part in points()],
      'has 100001 points; expected 2 to 100000. Thin it out'),
     (changed(1, (7, 0), np.nan), 'point 7 .* holds NaN.*, as 1 of 201 do'),
     (changed(2, 9, [0.0, 0.0, 0.0, 2.0]), 'point 9 .* quaternion that is not of unit length'),

@@ -106,9 +106,9 @@ def test_residuals_that_all_drops_have_in_common_refute_a_law():
         return release_fit._in_common(problem, np.array(LAW))
 
     wrong, size = lack(1.0, 1.0)
-    assert wrong > release_fit.MAX_LACK and size == pytest.approx(
+    assert wrong > release_fit.MAX_COMMON_RESIDUAL and size == pytest.approx(
         float(np.sqrt(np.mean(wave**2))), rel=0.3)
-    assert lack(0.0, 1.0)[0] < release_fit.MAX_LACK
+    assert lack(0.0, 1.0)[0] < release_fit.MAX_COMMON_RESIDUAL
     fit = release_fit.ReleaseFit(
         LAW, (0,), np.eye(8), np.zeros(8),
         (release_fit.Explained(0.8, 0.1, 0.0, 3e-3, 0.0, 1.0, 1.1),), wrong, size)
