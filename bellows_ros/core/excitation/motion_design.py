@@ -49,7 +49,7 @@ GUESS_FACTORS = (1.0, 0.7, 1.3)
 """The true K relative to the guess: as guessed, and as much softer and stiffer as it may be."""
 
 PRIOR = 1.0
-"""Prior information on each parameter, relative to its size: known to a factor of about 2."""
+"""Prior information on each parameter, relative to its size: accurate to a factor of about 2."""
 
 STAGES = ((8, 500), (16, 500), (32, 500), *((64, 400),) * 5)
 """Exponent of the norm that approximates the largest ratio to a limit, and most steps with it."""
@@ -130,7 +130,7 @@ class Response(NamedTuple):
     Parameters
     ----------
     package : ndarray (F, 6, 6)
-        Displacement of B (m, rad, its own axes) by that of E (its own axes).
+        Displacement of B (m, rad, body axes) by that of E (body axes).
     changes : ndarray (n, F, 6, 6)
         Its derivatives by parameters, in units of the spread of a pose's innovation there.
     constant : ndarray (n, n)
@@ -280,7 +280,7 @@ class FourierMotion(Vibration):
 
 
 class Checks(NamedTuple):
-    """Limits of a motion, the models of which each may be right, and the grip if it is known."""
+    """Limits of a motion, the models of which each may be right, and the grip, if any."""
 
     limits: ArmLimits
     models: Sequence[ModelTuple]
@@ -537,7 +537,7 @@ def load_rows(
     """
     Return what makes the `LOADS`, in parts of their limits, of lines of the tool: (4, F, 4, 6).
 
-    Three numbers whose length counts, and one that adds to it. Without a grip two loads are known.
+    Three numbers whose length counts, and one that adds to it. Without a grip model two loads.
     """
     mass, com, inertia, _ = model[1]
     c, g = hat(com), hat(limits.start.rotation.T @ model[2])

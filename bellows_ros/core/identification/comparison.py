@@ -1,7 +1,7 @@
 """
 Comparison of two fits of a cup: differences, their significance, and whether they matter.
 
-And of several, each of a recording of its own: whether they are of the same cup.
+And of several, each of another recording: whether they are of the same cup.
 
 A difference is significant where the standard errors of both fits do not explain it; it matters
 where it changes the predicted motion: rest poses, natural frequencies, damping, response to a
@@ -247,7 +247,7 @@ def modes(cup: Cup, package: Package, gravity: float, like: Sequence[Mode] = ())
     the modes scaled to unit modal mass, the damping ratio is phi^T C phi / (2 omega): exact where
     damping is proportional, and to first order otherwise. The name is that of the direction, at
     the middle of the cup where its spring is (3.13), in which most of the elastic energy is.
-    Modes whose frequencies coincide have no shapes of their own: they get those in which damping
+    Modes whose frequencies coincide have no unique shapes: they get those in which damping
     does not couple them.
     """
     model = model_tuple(cup, package, gravity)
@@ -385,7 +385,7 @@ class Consistency:
     probability : float
         Of a larger Wald's chi^2 if all cups are the same.
     deviations : ndarray (n, p)
-        Of each fit from the weighted mean, in its own standard errors; 0 where it does not know.
+        Of each fit from the weighted mean, in its standard errors; 0 where not identifiable.
     probability_stiffness, probability_damping : float
         The same probability for K alone, and for P alone; NaN where nothing can be compared.
     verdict : str
@@ -407,7 +407,7 @@ class Consistency:
 
 def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     """
-    Test whether independent fits of one structure found the same K and P.
+    Test whether independent fits of one structure have the same K and P.
 
     Parameters
     ----------

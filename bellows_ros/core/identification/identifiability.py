@@ -2,8 +2,8 @@
 Which parts of a cup are identifiable from recordings, before anything is fitted.
 
 What the motion changes in the direction of a parameter is information on it. Noise of the sensors
-looks like motion there, too, and makes least squares find too little (errors in variables): the
-bias that it compensates where the noise is known.
+looks like motion there, too, and biases least squares towards zero (errors in variables): the
+bias that it compensates where the noise is given.
 """
 
 from collections.abc import Iterator, Sequence
@@ -56,14 +56,14 @@ class Axis:
     name : str
         'x' to 'rz'.
     strain, motion : float
-        RMS of the lip's displacement in the tool from the nominal pose, and from its own mean; m
+        RMS of the lip's displacement in the tool from the nominal pose, and from its mean; m
         or rad.
     twist : float
         RMS of its velocity, m/s or rad/s.
     band_hz : (float, float)
         Frequencies between which 90 % of the velocity's power lies; nan where nothing moves.
     strain_noise, twist_noise : float
-        Standard deviation of the noise in them after filtering; nan where it is not known.
+        Standard deviation of the noise in them after filtering; nan where it is not given.
 
     """
 
@@ -89,7 +89,7 @@ class Identifiability:
         An estimate, SI; nan where it is not identifiable.
     noise_share : float
         Part (0 to 1) of least squares' information on it that is nothing but measurement noise;
-        nan where the noise is not known, or for another method, 1 where there is no other.
+        nan where the noise is not given, or for another method, 1 where there is no other.
     bias : float
         Expected error of least squares that comes from noise, as a part of the value; nan where
         the noise share is.
@@ -243,7 +243,7 @@ def excitation_of(
     """
     Return the identifiability of K and P from recordings.
 
-    Where there is a fit its own standard errors say what is. Before, it is what has less
+    Where there is a fit its standard errors decide. Before, it is what has less
     information from noise than from motion.
 
     Parameters
@@ -252,9 +252,9 @@ def excitation_of(
         What each recording was reduced to.
     method : str
         Of the fit: of what biases least squares of filtered motion, noise and what is too fast
-        for the filter, is said nothing where it is another.
+        for the filter, is not judged where it is another.
     fit : (ndarray (2 n,), ndarray (2 n, 2 n)), optional
-        Parameters and their covariance, where they are found already.
+        Parameters and their covariance, where they are estimated already.
 
     Raises
     ------
@@ -293,8 +293,8 @@ def _noise_effects(noise: Array, whitening: Array, solution: Solution) -> tuple[
     """
     Return the share of noise (6, q, 6, q) in the information on each parameter, and its bias.
 
-    The share is the noise's energy in a parameter's own column, over the energy of the part of
-    that column that no other parameter explains. The bias is at most the parameter's own size.
+    The share is the noise's energy in a parameter's column, over the energy of the part of
+    that column that no other parameter explains. The bias is at most the parameter's size.
     """
     energy = np.einsum('ij,ipjp->p', whitening.T @ whitening, noise)[:-1]
     bias, *_ = noise_bias(noise, whitening, solution.x, solution.inverse)

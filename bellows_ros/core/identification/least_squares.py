@@ -3,7 +3,7 @@ Weighted linear least squares on accelerations (4.66-4.81).
 
 Sufficient statistics of the recordings are weighted and joined by QR factorisations: the normal
 equations of the raw data are never formed. Noise in the equations adds M to A^T A and m to A^T b
-on average; where it is known both are subtracted (compensated least squares).
+on average; where it is given both are subtracted (compensated least squares).
 
 The internal strains of a cup that relaxes follow from the measured strain alone, so that the
 wrench is linear in K, P and r_b K, too: K, P and r are the minimum of the same weighted squares.
@@ -148,7 +148,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         K and P with standard errors that allow for the correlation that the filter's window puts
         into the residuals, and are infinite where a parameter is not identifiable. Where the noise
         is known, the bias that it causes is taken out. A result that is not positive definite is
-        returned as it is, with a warning that says so.
+        returned as it is, with a warning.
 
     Raises
     ------
@@ -376,7 +376,7 @@ def relaxation_of(
 
 def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[T]:
     """
-    Return recordings of one cup with its relaxation, where fit.relaxation lets it be looked for.
+    Return recordings of one cup with its relaxation, where fit.relaxation asks for it.
 
     Raises
     ------

@@ -31,7 +31,7 @@ MIN_NOISE = Noise(1e-5, 5e-5)
 
 MAX_DAMPING_STD, UNLOADED = 0.25, 'K rz'
 """
-Standard error of the best known damping, in its size, with which a cup counts as moved.
+Standard error of the most certain damping, in its size, with which a cup counts as moved.
 
 Or of the stiffness that no weight loads, where tool or package moves: at rest it is of noise.
 """
@@ -131,7 +131,7 @@ def fit(
 
 
 def _rest(recordings: Sequence[Recording | Reduced]) -> bool:
-    """Return whether tool and package stand still for most of the time, as far as is known."""
+    """Return whether tool and package stand still for most of the recorded time."""
     still = total = 0.0
     for recording in _whole(recordings):
         total += float(np.ptp(recording.measured_package.stamps_ns)) / NS_PER_S

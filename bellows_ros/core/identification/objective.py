@@ -4,7 +4,7 @@ How well a cup explains a recording, as a function of what was given with it.
 The wrench that the motion needs is linear in K and P (4.67), so that these are eliminated: the
 residual is a function of the few quantities that were given (variable projection). Means over
 short times lose hardly any motion and most of the noise of accelerations. What noise adds on
-average is seen by adding noise of the same kind once more, and is subtracted: of noise alone
+average is estimated by adding noise of the same kind once more, and is subtracted: of noise alone
 nothing remains.
 """
 
@@ -353,7 +353,7 @@ def refine(
     """
     Return the numbers of a hypothesis with which noise explains most.
 
-    The search begins at a start. Without one it begins at 0 and at the best of its own starts, and
+    The search begins at a start. Without one it begins at 0 and at the best of its starts, and
     the better minimum is returned. Where K is far too small, steps are too long: they are halved
     as long as less is left.
     """

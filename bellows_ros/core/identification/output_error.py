@@ -48,10 +48,10 @@ MAX_NOISE_SHARE, MAX_ERROR_SHARE = 0.9, 0.5
 """Most noise in information that errors allow for, and in the error of what is identifiable."""
 
 MIN_SHIFT = 0.2
-"""Part by which K moves to another minimum, which has causes of its own."""
+"""Part by which K moves to another minimum, which has other causes."""
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
-"""Of the noise with which that is looked at, and its sizes in that of the poses."""
+"""Of the noise that tests this, and its sizes in that of the poses."""
 
 MAX_CHI2 = 1.2
 """Chi^2 per degree of freedom above this triggers a warning."""
@@ -353,7 +353,7 @@ def noise_information(search: Search, minimum: Minimum) -> Array:
 def _noisier(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
-    """Return poses with noise of a size in their own."""
+    """Return poses with more noise, in units of theirs."""
     e = size * noise.std * correlated(draw.standard_normal((len(body), 6)), noise.correlation)
     return replace(body, position=body.position + e[:, :3],
                    rotation=body.rotation @ exp_so3(e[:, 3:]))
@@ -446,7 +446,7 @@ def registered(
 
 
 def _with_marker_moved(alignment: Alignment, shift: Array, turn: Array) -> Alignment:
-    """Return an alignment with B moved (m) and turned (rad) in its own axes."""
+    """Return an alignment with B moved (m) and turned (rad) in body axes."""
     R = exp_so3(turn)  # origin_to_com is in axes of the lip, which has turned by R
     return replace(alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
                    origin_to_com=R.T @ (alignment.origin_to_com + shift))

@@ -25,7 +25,7 @@ class Kind(NamedTuple):
     max_std : float
         With a larger standard error it is not identifiable.
     each : bool
-        Whether each recording has its own.
+        Whether each recording has another value.
     prior_std : float
         Standard deviation of a weak prior.
 
@@ -94,7 +94,7 @@ def poses_of(
     package: Trajectory, free: Free, moves: Array, middle: Array | None = None
 ) -> Trajectory:
     """
-    Return the poses of B, and its twists where they are known, for given free quantities.
+    Return the poses of B, and its twists if there are any, for given free quantities.
 
     Moves (3,) is 1 for the components of the centre of mass that B moves with, else 0. The world
     turns about a middle, see `middle_of`, that of the poses where none is given.
@@ -154,7 +154,7 @@ def pose_changes(
     name: str, package: Trajectory, moves: Array, middle: Array | None = None
 ) -> Array:
     """
-    Return the derivatives of poses (M, 6, count) by a quantity, in their own axes.
+    Return the derivatives of poses (M, 6, count) by a quantity, in body axes.
 
     By the offset of the clocks in units of the twist.
     """

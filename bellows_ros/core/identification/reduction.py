@@ -6,10 +6,10 @@ reduced; what is stored can be weighted later. For a fit that are sufficient sta
 cluster the rows [L c] of each wrench component, reduced by QR to an R factor with the same inner
 products. Where W couples the components six R factors would not do and those of all products would
 be larger than the samples, so that these themselves are stored. With them is stored what noise
-adds to the products on average, seen by adding it once more; how the lip moved, hence what of the
-cup the motion has seen (its validity range); and whether the filter follows it: of a fast motion
-it leaves less, and of each derivative another part, so that K and P of least squares are off,
-which their standard errors do not know. All is added up over recordings, wherever they were made.
+adds to the products on average, estimated by adding it once more; how the lip moved, hence the
+validity range of the fit; and whether the filter follows: it attenuates fast motion, and each
+derivative differently, which biases K and P of least squares beyond their standard errors. All is
+added up over recordings, wherever they were made.
 """
 
 from collections.abc import Iterator, Mapping
@@ -55,7 +55,7 @@ MAX_LOST_VELOCITY, MIN_POWER_TO_NOISE = 0.03, 5.0
 """
 A direction is too fast if the filter takes more than this part of its velocities.
 
-Velocities count as so many times the power of the noise at least, which is known to some percent.
+Velocities count as so many times the power of the noise at least, which is exact to some percent.
 """
 
 MIN_NOISE_TRANSMISSION = 1e-3
@@ -75,7 +75,7 @@ def noise_products(
     """
     Return the expected contribution of noise to the products of [L c] (6, q, 6, q), q = p + 1.
 
-    They are sums over all valid samples, of each two components of the wrench, seen by adding
+    They are sums over all valid samples, of each two components of the wrench, by adding
     noise of the same kind once more. Those of several recordings can be added.
     """
     size = 2 * structure.size + 1
@@ -112,7 +112,7 @@ class Statistics:
     lip : LipMotion or None
         There instead, the motion of the lip itself.
     noise : ndarray (6, q, 6, q) or None
-        What noise adds to the products of the rows (see `noise_products`), where it is known.
+        What noise adds to the products of the rows (see `noise_products`), where it is given.
 
     """
 
@@ -151,7 +151,7 @@ def statistics(
     structure : Structure
         Which entries of K and P are free.
     noise : FilterNoise, optional
-        Of the recording; without it nothing is known of the bias that it causes.
+        Of the recording; without it the bias that it causes is not estimated.
 
     """
     size = 2 * structure.size + 1
@@ -268,11 +268,11 @@ class Movement:
     strain, twist : Moments
         Of its displacement from nominal (m, rad) and of its twist (m/s, rad/s).
     strain_noise, twist_noise : Moments
-        Of the noise in them; of nothing where the noise is not known.
+        Of the noise in them; of nothing without noise.
     bands_hz : ndarray (2, 6)
         Frequencies between which most of the twist's power lies; nan where nothing moves.
     passed : PassBand or None
-        What the filter leaves of the twist; None where its noise is not known.
+        What the filter leaves of the twist; None without its noise.
 
     """
 
@@ -297,7 +297,7 @@ def movement_of(
     cup_length : float
         Nominal length l0, m.
     noise : FilterNoise, optional
-        Of the recording; without it nothing is known of what noise adds.
+        Of the recording; without it the effect of noise is not estimated.
 
     Raises
     ------
@@ -333,9 +333,9 @@ class Reduced:
     payload : Package
         The package in it.
     time_offset : TimeOffset or None
-        What was taken from the tool's stamps, where that was wanted and could be found.
+        What was taken from the tool's stamps, where that was wanted and identifiable.
     package_world : PackageWorld or None
-        The transform between two worlds, where it was to be found.
+        The transform between two worlds, where it was to be estimated.
     statistics : Statistics
         What least squares needs.
     movement : Movement

@@ -42,7 +42,7 @@ def covariance_of(information: Array) -> Array:
     """
     Return the covariance (n, n) of parameters with this information.
 
-    What is not known has inf on the diagonal and 0 beside it; the rest is as if it were left out.
+    What is not identifiable has inf on the diagonal and 0 beside it; the rest is that without it.
     """
     diagonal = np.diag(information)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -125,7 +125,7 @@ class StandstillPart:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
-    K and P found from recordings.
+    K and P estimated from recordings.
 
     Parameters
     ----------
@@ -147,35 +147,35 @@ class Fit:
     residual_rms : ndarray (6,)
         RMS of what the fit leaves unexplained: of the wrench (N, N m), or of the pose (m, rad).
     notes : tuple of str
-        What a user must know of how it was found, in sentences.
+        Warnings on how it was estimated, in sentences.
     misfit : str
         That model and white noise do not explain the recordings; '' where they do.
     converged : bool
-        Whether the minimum was found; if not, all standard errors are infinite.
+        Whether the search converged; if not, all standard errors are infinite.
     chi2, robust_chi2 : float or None
         Chi^2 per degree of freedom of the whitened differences, and the same from their median,
         which outliers and heavy tails do not move; None for least squares.
     iterations : tuple of Iteration
-        How the minimum was found; empty for least squares.
+        The steps to the minimum; empty for least squares.
     delays, delays_std : tuple of float
         Times (s) by which each recording's tool stamps are behind the package's, where wanted, and
         their standard errors; inf where it is not identifiable.
     freed : tuple of Freed
-        What else was found: com and length as changes, m, inertia and mass as logarithms of
+        Other estimates: com and length as changes, m, inertia and mass as logarithms of
         factors; inf as the standard error of what is not identifiable.
     standstills : StandstillPart or None
         What standstills have added, where there were any.
     noise_rms : ndarray (6,) or None
-        RMS of the wrench that noise alone would leave, N and N m; None where it is not known.
+        RMS of the wrench that noise alone would leave, N and N m; None without noise.
     relaxation, relaxation_std : (float, float)
         Strengths r1, r2 of the cup's relaxation, and their standard errors; zeros without it.
     bias : ndarray (2 n,) or None
         Error of the parameters from noise in the motions that least squares has taken out; None
-        where the noise is not known.
+        where the noise is not given.
     causes : tuple of Finding
         What would explain what output error leaves, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
-        Covariance that what was given adds, by its own standard deviations; None for none.
+        Covariance that what was given adds, by its standard deviations; None for none.
     nuisances : mapping
         What else output error has estimated beside K and P, by names of `KINDS`: changes, SI
         units, a row for each recording or one for all; without what `freed` has.

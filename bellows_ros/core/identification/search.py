@@ -92,7 +92,7 @@ FORGETTING_RATE = 30.0
 """What the unknown acceleration forgets per second while a start approaches; nothing then."""
 
 APPROACH_DAMPING, MAX_FINAL_DAMPING = 1e-2, 1e-2
-"""Smallest damping of the approach, in which noise would carry away what is hardly known, and
+"""Smallest damping of the approach, in which noise would carry away what is hardly determined, and
 largest of the last step: a damped step is short wherever the minimum is."""
 
 PRIOR_LOG_STD, APPROACH_LOG_STD = (2.0, 1.0), 0.3
@@ -139,7 +139,7 @@ MAX_RISE = 1.2
 @dataclass(frozen=True, eq=False)
 class MeasuredSegment:
     """
-    A part of a recording in which the tool is known.
+    A part of a recording in which the tool is measured.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ class Segment:
         self.set_path(np.zeros((len(self.variance), 6)))
 
     def set_path(self, change: Array) -> None:
-        """Smooth the path through the tool's samples after changes (S, 6) in own axes."""
+        """Smooth the path through the tool's samples after changes (S, 6) in body axes."""
         tool, shift = self.tool, np.zeros((len(self.tool), 6))
         shift[self.inner] = change
         self.path = savgol(Trajectory(
@@ -481,7 +481,7 @@ class Parametrization:
         return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
 
     def prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
-        """Return information (m, m) and slope (m,) of what was known before."""
+        """Return information (m, m) and slope (m,) of the prior."""
         H = np.diag(self.weights) + self.fixing
         g = H @ (self.start - theta)
         size = self.count // 2
@@ -763,7 +763,7 @@ def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Arr
     """
     Return the change after steps before this one, and how far the search went after each.
 
-    Mixed by Anderson's method (1965). Where K and P are known badly, derivatives have noise and
+    Mixed by Anderson's method (1965). Where K and P are inaccurate, derivatives have noise and
     change from step to step: a step is too short, or so long that the next turns back.
     """
     if not history:

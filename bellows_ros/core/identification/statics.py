@@ -389,7 +389,7 @@ NEWTON_STEPS, MAX_NEWTON_STEP = 6, 0.05
 """Newton steps to an equilibrium near a measured pose, and the longest one (m, rad)."""
 
 NO_EFFECT = 1e-3
-"""A change of an entry by its own size that moves poses by fewer standard errors has no effect."""
+"""An entry has no effect if a change by its size moves poses by fewer standard errors."""
 
 MIN_POSE_STD = (1e-7, 1e-6)
 """Smallest standard error of a mean pose (m, rad): rounding, and the error of the model."""
@@ -456,7 +456,7 @@ def joined_with_standstills(
     places: tuple[tuple[float, ...], ...] = (),
 ) -> Fit:
     """
-    Return a fit of motions combined with standstills, each by its own covariance.
+    Return a fit of motions combined with standstills, each by its covariance.
 
     With the information J of the motions about their estimate x0 + s (l - l0), it minimises
     |x - x0 - s (l - l0)|^2 in J, |b - A x - g (l - l0)|^2 and (l - l0)^2 over its variance

@@ -149,7 +149,7 @@ def select_structure(
 
     """
     structures = [*([of_gripper] if of_gripper else ()), *STRUCTURES.values()]
-    # With other draws than those of a fit, which subtracts what it sees in its own.
+    # With other draws than those of a fit, which subtracts its own.
     added = [noise_products(samples, noise, cup_length, structures[-1], SEED + 1)
              / max(samples.count, 1) for samples, noise in zip(recordings, noises, strict=True)]
     candidates = [_candidate(recordings, cup_length, added, each) for each in structures]
@@ -230,7 +230,7 @@ def _simulated_errors(cup: Cup, segments: Sequence[Samples]) -> Array:
 
 
 def _segments(samples: Samples) -> Iterator[Samples]:
-    """Yield the segments with a known tool, from a package pose on."""
+    """Yield the segments with a measured tool, from a package pose on."""
     edges = np.flatnonzero(np.diff(samples.tool.valid, prepend=False, append=False))
     for first, last in edges.reshape(-1, 2).tolist():
         is_measured = samples.package.valid[first:last]

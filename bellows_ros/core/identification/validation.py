@@ -3,7 +3,7 @@ Validation of a cup on a recording that it was not identified from.
 
 The model runs freely through the whole recording: it sees the tool's motion and never again the
 package. The tool is smoothed lightly, as its noise drives the package, and what the noise of both
-bodies does to the comparison is known from simulation too: an error beyond that is the model's.
+bodies does to the comparison is simulated too: an error beyond that is the model's.
 """
 
 from dataclasses import dataclass, fields, replace

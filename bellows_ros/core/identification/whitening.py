@@ -2,7 +2,7 @@
 Whitened differences between measured poses of the package and those that the model simulates.
 
 The package is simulated from a path of the tool near the measured one. What separates it from the
-true package is a small state x (12,) in its own axes, as in `jacobians`. It follows the linearised
+true package is a small state x (12,) in body axes, as in `jacobians`. It follows the linearised
 model, and is driven by what separates the tool's path from its measured poses, and by their noise:
 a sample d of the tool (m, rad) acts as long as it is held,
 
@@ -119,8 +119,8 @@ class Poses(NamedTuple):
     Measured poses of B.
 
     Their numbers at the nodes (M,), -1 for none; the poses (N, 8) with the little time (s) that
-    each is after its node; minus their derivatives (N, 6, p) in own axes by the unknowns, by the
-    delay per unit of the simulated twist; the variances (6,) of white noise in own axes, m^2 and
+    each is after its node; minus their derivatives (N, 6, p) in body axes by the unknowns, by the
+    delay per unit of the simulated twist; the variances (6,) of white noise in body axes, m^2 and
     rad^2, and of correlated noise, with its correlation (M - 1,) from node to node.
     """
 

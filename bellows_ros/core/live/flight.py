@@ -49,12 +49,12 @@ class Landing(NamedTuple):
 
 
 def _after_now(tool: ToolRows | None) -> tuple[Array, Array]:
-    """Return rows and seconds of a tool after the present, without any if no more is known."""
+    """Return rows and seconds of a tool after the present, without any if there is no more."""
     return (np.empty((0, 13)), np.empty(0)) if tool is None else (tool.rows[1:], tool.seconds[1:])
 
 
 def at_constant_velocity(now: Prediction, tool: ToolRows | None, duration: float) -> ToolRows:
-    """Return the tool for a time (s) at least: as known, then straight on and turning steadily."""
+    """Return the tool for a time (s) at least: as planned, then at a constant twist."""
     tool = tool or ToolRows(np.zeros(1, np.int64), np.array([np.concatenate(now.tool)]))
     left_ns = round(duration * 1e9) - int(tool.stamps_ns[-1])
     if left_ns <= 0:
@@ -73,8 +73,8 @@ class Flight:
     values : mapping
         Parameters by name.
     future : callable
-        From a prediction to the tool's motion from then on, which begins at 0 ns, or None where it
-        is not known. After it the tool goes on steadily.
+        From a prediction to the tool's motion from then on, which begins at 0 ns, or None without
+        a plan. After it the tool keeps its twist.
     grip : callable, optional
         Returns the grip of the held package, as `grip_of` does; that of the values when left out.
 
@@ -84,7 +84,7 @@ class Flight:
         'released' (the valve is switched, the cup still holds), 'flying', 'landed', or '' where
         the package is held.
     has_size : bool
-        Whether the size of the package is known; without it there is no landing.
+        Whether the size of the package is given; without it there is no landing.
 
     """
 
@@ -250,7 +250,7 @@ class Flight:
         prediction : Prediction
             Of the held package.
         covariance : callable
-            From it to the covariance (12, 12) of its state, in its own axes.
+            From it to the covariance (12, 12) of its state, in body axes.
 
         """
         longest = STEP_FACTOR * self._longest_step(model)

@@ -89,7 +89,7 @@ class Load:
     pressure : float or None
         As last measured.
     grip : tuple or None
-        By that pressure, or by vacuum.holding; None where too little is known.
+        By that pressure, or by vacuum.holding; None without a grip model.
 
     """
 
@@ -115,13 +115,13 @@ class Load:
 
     @property
     def has_envelope(self) -> bool:
-        """Whether the validity range is known."""
+        """Whether there is a validity range."""
         return self._envelope is not None
 
     def watch_force(
         self, model: ModelTuple, prediction: Prediction
     ) -> tuple[float, float] | None:
-        """Record the safety factors of a prediction; return those of the worst cup if known."""
+        """Record the safety factors of a prediction; return those of the worst cup."""
         if self.grip is None:
             return None
         f, m = prediction.force, prediction.moment
@@ -241,7 +241,7 @@ def check_live(values: Mapping[str, Any]) -> None:
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
             'seven numbers, from the file of bellows identify --out.')
     model = prepared(cup_of(values), package_of(values), gravity_of(values))[0]
-    load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is known yet
+    load = Load(values, values['vacuum.ambient'])  # compiled even if no vacuum is measured yet
     try:
         with np.errstate(all='ignore'):
             load.watch_force(model, STILL)

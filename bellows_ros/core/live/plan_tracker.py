@@ -105,7 +105,7 @@ def locate(
 
 @kernel
 def departure_index(rows: Any, reach: Any) -> int:
-    """Return the index of the first point at which the tool is seen to have left, or the last."""
+    """Return the index of the first point at which the tool has left, or the last."""
     start = row_state(rows[0])
     for i in range(len(rows)):
         if pose_distance(rows[i], start[0], start[1]) > PLACE_TOLERANCE + reach[i]:
@@ -208,7 +208,7 @@ class PlanTracker:
 
     @property
     def progress(self) -> float:
-        """Time in the plan at which the tool was seen last, s."""
+        """Time in the plan of the last pose of the tool, s."""
         return self._anchor[1]
 
     @property
@@ -258,7 +258,7 @@ class PlanTracker:
         """
         stored_ns, progress, rate = self._anchor
         wait = 0.0
-        if progress > 0.0:  # the poses seen last and now need not be the same
+        if progress > 0.0:  # the last pose and this one need not be the same
             progress = min(self._expected(now.stamp_ns), float(self._seconds[-1]))
         elif self._wait(now.stamp_ns) < math.inf:
             wait = max(0.0, self._wait(now.stamp_ns))

@@ -125,9 +125,9 @@ class LivePredictor:
     >>> package = bellows_ros.read_package('bags/package.yaml')
     >>> predictor = bellows_ros.LivePredictor(cup, package, gravity=9.81)
     >>> for k in range(1, 4):
-    ...     found = predictor.on_pose(
+    ...     predictions = predictor.on_pose(
     ...         k * 2_000_000, 'world', (0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0))
-    >>> [round(x, 5) for x in found[0].position]
+    >>> [round(x, 5) for x in predictions[0].position]
     [0.0, 0.0, 0.42208]
 
     """

@@ -30,7 +30,7 @@ SHIFT_TOLERANCE, TURN_TOLERANCE = 0.05, 0.3
 """Tolerance (m, rad) of a pose about where an arm could be."""
 
 MAX_ACCELERATION, JUMP_TOLERANCE = (100.0, 1000.0), (0.02, 0.2)
-"""Of an arm (m/s^2, rad/s^2), and tolerance of a pose besides (m, rad)."""
+"""Of an arm (m/s^2, rad/s^2), and tolerance of a pose in addition (m, rad)."""
 
 SUSPECT_ACCELERATION, SUSPECT_TOLERANCE = (40.0, 400.0), (0.015, 0.15)
 """The same, for doubting the arm's motion or the tracker."""

@@ -146,7 +146,7 @@ class Pairing:
             if twist is None and self.expect and not sparse:
                 overdue = (self._newest_ns - pose.stamp_ns > MAX_WAIT_NS
                            or len(self._poses) > MAX_QUEUE)
-                if not (overdue or self._twists):  # a newer twist says that this one is lost
+                if not (overdue or self._twists):  # a newer twist shows that this one is lost
                     return
                 self._lost_in_a_row += 1
                 self.expect = not overdue and self._lost_in_a_row < LOST_RUN
@@ -337,7 +337,7 @@ MIN_SQUARED_SPEED = 1e-3
 """Mean square speed (m^2/s^2) below which noise dominates and there is no verdict."""
 
 MAX_JERK, SHIFT_TOLERANCE = 5e3, 0.015
-"""Largest jerk of an arm (m/s^3), and tolerance of a position besides (m)."""
+"""Largest jerk of an arm (m/s^3), and tolerance of a position in addition (m)."""
 
 MAX_ANGULAR_JERK, ANGLE_TOLERANCE = 5e4, 0.15
 """The same for rotations (rad/s^3, rad)."""
@@ -377,7 +377,7 @@ class TwistCheck:
     Parameters
     ----------
     in_world : bool
-        True where the twists are said to be in world axes, False in tool axes.
+        True where the twists count as in world axes, False as in tool axes.
 
     """
 

@@ -21,8 +21,8 @@ class Chain:
     """
     The links of a tree from one frame to another, which need not be above it.
 
-    Each link has its own stamps. A pose is returned for each stamp of the moving link that is next
-    to the tool, as soon as the others reach it; these are interpolated.
+    The links have different stamps. A pose is returned for each stamp of the moving link next to
+    the tool, as soon as the others reach it; these are interpolated.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class Chain:
         return f"the transforms of '{slow}' are {behind:.3g} s behind those of '{self._first}'"
 
     def due(self) -> Iterator[PoseSample]:
-        """Yield the tool's poses in the world that have become known."""
+        """Yield the tool's poses in the world that are newly determined."""
         others = [samples for link, samples in self._moving.items() if link != self._first]
         while self._waiting and all(o and o[-1].stamp_ns >= self._waiting[0] for o in others):
             stamp_ns = self._waiting.popleft()

@@ -13,13 +13,13 @@ it was at the start:
 
 Rotation of the axes during the motion is neglected. All in body axes: displacement, rotation,
 linear and angular twist. Every part is kept as a root (12, n), whose product with its transpose is
-the covariance: positive semidefinite, whatever is rounded. Where the package has no stable rest it
-is not known, and says so. The internal strains of a cup that relaxes are 12 states more; noise of
-the tool is too quick for them.
+the covariance: positive semidefinite, whatever is rounded. Without a stable rest of the package
+there is none (`available`). The internal strains of a cup that relaxes are 12 states more; noise
+of the tool is too quick for them.
 
 A package is started at rest, hanging from its tool. Where the tool moves then, or where its poses
 are thrown about later as no arm moves, the prediction is wrong by an amount that dies away with
-the package's modes. Until then it is said to settle (`Settling`).
+the package's modes. Until then it settles (`Settling`).
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Uncertainty:
         return np.asarray(root @ root.T)
 
     def root(self, prediction: Prediction) -> Array:
-        """Return a factor (12, n) of the covariance, `UNKNOWN_ROOT` where it is not known."""
+        """Return a factor (12, n) of the covariance, `UNKNOWN_ROOT` where it is not defined."""
         stamp_ns = prediction.stamp_ns
         if not prediction.coasting:
             interval = stamp_ns - self._measured_ns
@@ -290,7 +290,7 @@ def in_world_axes(root: Array, quaternion_xyzw: tuple[float, float, float, float
 
 
 SPAN_NS = 100_000_000
-"""Time (ns) after a start, in two halves, in which the tool's motion becomes known."""
+"""Time (ns) after a start, in two halves, in which the tool's motion is estimated."""
 
 UNOBSERVED_MOTION = 0.5, 1.0, 5.0, 25.0
 """What a tool may do before it is observed: m/s, rad/s, m/s^2, rad/s^2."""
@@ -344,11 +344,11 @@ class Settling:
     def clear(self) -> None:
         """Forget the package."""
         self.now: Unsettled | None = None
-        self._samples: list[tuple[int, State]] = []  # after a start, until its motion is known
+        self._samples: list[tuple[int, State]] = []  # after a start, until its motion is estimated
         self._until_ns = 0
 
     def begin(self, stamp_ns: int, tool: State) -> None:
-        """Start at rest below a tool whose motion is not yet known."""
+        """Start at rest below a tool whose motion is not yet estimated."""
         self._samples = [(stamp_ns, tool)]
         self.now = self._error_at_rest(stamp_ns, *UNOBSERVED_MOTION)
 

@@ -382,7 +382,7 @@ def contributions(
     names : list of str
         M, of the uncertain numbers.
     parts : array (M, ...)
-        Derivative times standard deviation; the root of their squares' sum is a figure's own.
+        Derivative times standard deviation; a figure's is the root of their squares' sum.
 
     """
     parts = {name: (compute(up) - compute(down)) / (2.0 * PERTURBATION)

@@ -42,7 +42,7 @@ def adapted(model: ModelTuple, tool: State, body: State) -> State:
 
 @kernel
 def displaced(body: State, delta: Vector, phi: Vector) -> State:
-    """Return the body at rest, moved by R delta and rotated by exp(phi) in its own axes."""
+    """Return the body at rest, moved by R delta and rotated by exp(phi) in body axes."""
     move = t3.apply(t3.rotation_matrix(body[1]), delta)
     turned = t3.quaternion_product(body[1], t3.exp_quaternion(phi))
     return t3.add(body[0], move), turned, *body[2:]
@@ -50,7 +50,7 @@ def displaced(body: State, delta: Vector, phi: Vector) -> State:
 
 @kernel
 def moved(body: State, shift: Vector, turn: Vector, linear: Vector, angular: Vector) -> State:
-    """Return a state displaced in its own axes, with its twist changed."""
+    """Return a state displaced in body axes, with its twist changed."""
     perturbed = displaced(body, shift, turn)
     perturbed = kernels.with_rotation(perturbed, t3.normalised(perturbed[1]))
     return kernels.with_twist(
@@ -76,8 +76,7 @@ class Jacobian(NamedTuple):
     """
     Derivatives (6, 6) of the package's acceleration about a state.
 
-    By displacements (m, rad) and by twists (m/s, rad/s) of the body and of the tool, each in its
-    own axes.
+    By displacements (m, rad) and by twists (m/s, rad/s) of body and tool, each in body axes.
     """
 
     body_pose: Array
@@ -130,7 +129,7 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
     """
     Return the matrix (12, 12) of small motions about a state at rest.
 
-    The state is displacement and twist of B in its own axes; its eigenvalues are the package's
+    The state is displacement and twist of B in body axes; its eigenvalues are the package's
     modes (rad/s). Internal strains of a cup that relaxes are 12 states more (24, 24).
     """
     by = linearise(model, tool, body)
@@ -150,7 +149,7 @@ def largest_step(model: ModelTuple, A: Array | None = None) -> float:
     """
     Return the longest integration step (s) that keeps RK4 accurate for the fastest mode.
 
-    A is its `nominal_system_matrix`, where it is known.
+    A is its `nominal_system_matrix`, if available.
     """
     A = nominal_system_matrix(model) if A is None else A
     fastest = float(np.abs(np.linalg.eigvals(A)).max())

@@ -92,7 +92,7 @@ def wrench_at(
     one: CupTuple, a: Vector, o: Vector, R: Matrix, v: Vector, w: Vector, strains: Strains
 ) -> Wrench:
     """
-    Return the wrench of one cup of a gripper on the package, at its own lip in S axes.
+    Return the wrench of one cup of a gripper on the package, at its lip in S axes.
 
     It stands at a; pose and twist are those of S, and the internal strains of the gripper.
     """

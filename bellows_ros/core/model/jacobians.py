@@ -120,7 +120,7 @@ def spring_jacobian(
     """
     Return the derivative of `spring_wrench` by shift and turn of S1.
 
-    -1/4 J^T K J, and what J's own change makes of s = K h: with q = R^T o
+    -1/4 J^T K J, and what the change of J makes of s = K h: with q = R^T o
     -1/4 [[0, (R^T s_o)^], [s_o^, s_o^ q^ - s_R h_R^T + R s_R^]].
     """
     h_now = kernels.strain(o, R)

@@ -422,7 +422,7 @@ class Settings:
         Raises
         ------
         BellowsError
-            Naming the unknown setting and the nearest known one.
+            Naming the unknown setting and the nearest allowed one.
 
         """
         for name in self._values:

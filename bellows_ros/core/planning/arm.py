@@ -34,7 +34,7 @@ class Joint(NamedTuple):
     origin: Array
     """(4, 4), of the joint in its parent."""
     axis: Array
-    """(3,), of unit length, in the joint's own frame."""
+    """(3,), of unit length, in the joint's frame."""
     lower: float = -math.inf
     upper: float = math.inf
     """Ends of its range, rad or m."""
@@ -82,7 +82,7 @@ class Arm:
         Raises
         ------
         BellowsError
-            If one is missing; `of` says what has the names.
+            If one is missing; `of` names what has the joints.
 
         """
         missing = [name for name in self.moving if name not in names]
@@ -108,7 +108,7 @@ class Arm:
         return T, twist if velocity is None else lie.apply(self._columns(T, axes), velocity)
 
     def jacobian(self, position: Array) -> Array:
-        """Return the derivative (N, 6, M) of the tool's displacement in its own axes."""
+        """Return the derivative (N, 6, M) of the tool's displacement in body axes."""
         return self._columns(*self._chain(position))
 
     def _chain(self, position: Array) -> tuple[Array, list[tuple[bool, Array, Array]]]:

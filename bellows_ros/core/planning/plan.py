@@ -61,7 +61,7 @@ UNKNOWN_GRIP: Grip = (1.0, 1.0, 1.0)
 
 
 def flip_sentence(angle: float, since: str = '') -> str:
-    """Return what is said of a cup that bends by an angle (rad) beyond that of the peak moment."""
+    """Return the warning on a cup that bends by an angle (rad) beyond that of the peak moment."""
     return (
         f'The cup bends by up to {math.degrees(angle):.0f} degrees{since}. Beyond '
         f'{math.degrees(PEAK_MOMENT_BENDING):.0f} the modelled restoring moment falls and the '
@@ -82,7 +82,7 @@ class PlanPrediction:
     wrench : array (N, 6)
         Of the cup on the package at S, in S axes, N and N m.
     loads : array (N, 2)
-        1 / safety factor against peel and slip; meaningless where the grip is not known.
+        1 / safety factor against peel and slip; meaningless without a grip model.
     peaks : array (8, 3)
         Largest value of each of `PEAKS` and when it is reached, s since the plan's first point; of
         the loads also whose they are, as a row of the grip.
@@ -93,7 +93,7 @@ class PlanPrediction:
     rates : array (6,)
         Largest absolute twist of the lip in the tool, m/s and rad/s.
     grip : tuple or None
-        None where the safety factor is not known.
+        None without a safety factor.
     ends_at_rest : bool
 
     """
@@ -119,7 +119,7 @@ class PlanPrediction:
 
     @property
     def flips(self) -> str:
-        """What is said of a cup that bends too far, or ''."""
+        """The warning on a cup that bends too far, or ''."""
         angle = float(self.peaks[PEAKS.index('bending'), 0])
         return flip_sentence(angle) if angle > PEAK_MOMENT_BENDING else ''
 

@@ -1,7 +1,7 @@
 """
 Conversion of the points of a plan to a trajectory of the tool, with checks, and of its joints.
 
-The joints along a path of the tool are found by inverse kinematics, with rates and limits.
+The joints along a path of the tool follow from inverse kinematics, with rates and limits.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,8 +1,8 @@
 """
 Tool motions that leave the package without swing: the inverse, and input shaping.
 
-The cup carries all six axes, so the package's pose is a flat output: its motion says what wrench
-the cup must give, and the damper, linear in the relative twist, how the tool must move for that.
+The cup carries all six axes, so the package's pose is a flat output: its motion determines the
+wrench of the cup, and with the damper, linear in the relative twist, the motion of the tool.
 Input shaping (Singer and Seering) adds up delayed copies of a motion, whose swings cancel.
 """
 
@@ -42,7 +42,7 @@ SUBDIVISION = 5
 """Smoothing uses points this many times closer ..."""
 SMOOTHED_PART, MAX_SMOOTHING = 0.12, 0.2
 """... over this part of its duration, but no longer than this (s): a longer time makes the rest so
-quick that a cup known to 5 % swings, a shorter one the tool jerk."""
+quick that a cup with errors of 5 % swings, a shorter one the tool jerk."""
 
 RATE_PER_STEP = 0.4
 """Relaxation rate of the cup times step; RK4 is then accurate to 1e-4."""

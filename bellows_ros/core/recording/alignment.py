@@ -7,7 +7,7 @@ and S lies below E: what differs from that at the standstill at the beginning is
 constant rigid transformations of each body. Poses that need no such correction go through the
 same transformations, with the identity in them.
 
-How much two clocks are apart is seen from when two bodies turn alike.
+The offset of two clocks follows from when two bodies turn alike.
 
 Where tool and package are tracked in two worlds, the transform between these brings the package's
 poses into the frame of the tool's before anything else is done with them.
@@ -270,7 +270,7 @@ class Rest(NamedTuple):
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
-    """Return how both bodies begin, from where both are known; poses in the world, z up."""
+    """Return how both bodies begin, from where both are measured; poses in the world, z up."""
     begin, _ = common_span(tool, package)
     spans = [body.between(begin, begin + int(BEGINNING_SECONDS * NS_PER_S))
              for body in (tool, package)]
@@ -347,7 +347,7 @@ def turn_correlation(
     Return lags (K,), s, of the tool's stamps behind the package's, and how alike turns are (K,).
 
     Their sizes are compared, or turns in axes of the world, where it is one for both. Empty where
-    a body hardly turns, or is seen too shortly.
+    a body hardly turns, or is recorded too shortly.
     """
     turns = []
     for body in (tool, package):
@@ -432,7 +432,7 @@ def closed_form(
     Parameters
     ----------
     tool, package : Trajectory
-        Each in its own frame.
+        Each in the frame of its world.
     length : float
         Of the cup, m.
     origin_to_lip : ndarray (3,)
@@ -463,7 +463,7 @@ def hand_eye(
     Parameters
     ----------
     tool, package : Trajectory
-        Poses of E, and of the marker, each in its own world.
+        Poses of E, and of the marker, each in the frame of its world.
     length : float
         Of the cup, m.
     com : ndarray (3,)
@@ -508,7 +508,7 @@ def motion_of(pose: Array, middle: Array) -> Array:
 
 
 def motion_sentence(theta: Array, std: Array | None = None) -> str:
-    """Return by how much the worlds differ (6,), m and rad, with standard errors (6,) if known."""
+    """Return by how much the worlds differ (6,), m and rad, with standard errors (6,) if given."""
     sizes = []
     for part, scale, unit in ((slice(3, 6), np.rad2deg(1.0), 'degrees'), (slice(0, 3), 1e3, 'mm')):
         size = float(np.linalg.norm(theta[part]))

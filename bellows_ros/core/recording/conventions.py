@@ -117,7 +117,7 @@ def spread(values: Array) -> float:
 def convention_sentence(
     tool: PoseStream, package: PoseStream, bag: str | os.PathLike[str] = ''
 ) -> str:
-    """Return what is said of two streams that fit in other conventions, with commands, or ''."""
+    """Return the warning on two streams that fit in other conventions, with commands, or ''."""
     wrong: dict[Convention, list[str]] = {}
     for convention, stream in zip(conventions_of(tool, package), (tool, package), strict=True):
         if convention.words:

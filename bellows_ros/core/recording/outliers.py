@@ -4,7 +4,7 @@ Detection of tracking errors: excursions, steps and frozen poses (appendix H).
 Jumps of a pose that cancel each other enclose an excursion, of which all samples are marked; in
 axes of the world or of the body. A jump over a gap is one as well, as far as the motion lets it be
 known. What nothing cancels is a step, or, near an end of the recording, the one end of an
-excursion that can be seen. Exact repeats of a pose are marked where the body moved.
+excursion that is visible. Exact repeats of a pose are marked where the body moved.
 
 A body with finite speed cannot jump. How far it does is the least distance, over the time between
 two samples, of two straight continuations: of the samples before, and of the samples after. Honest
@@ -81,7 +81,7 @@ def increments_of(poses: Trajectory | PoseStream) -> Array:
 
 def short_window(increments: Array, step_ns: Stamps, gap: Mask) -> Jumps:
     """
-    Return the jumps seen from two samples on each side, at any stamps.
+    Return the jumps between two samples on each side, at any stamps.
 
     The end of an interval is predicted with the velocity before it, the start with the velocity
     after it; the first and the last interval have only one of both.
@@ -123,7 +123,7 @@ def _bends(increment: Array, jump: Array, strength: Array, gap: Mask) -> Indices
 
 
 def long_window(increments: Array, breaks: Mask) -> Jumps:
-    """Return the jumps seen from lines through `LONG_SIDE` samples without breaks on each side."""
+    """Return the jumps between lines through `LONG_SIDE` samples without breaks on each side."""
     m = LONG_SIDE
     start, end = np.zeros((2, *increments.shape))
     misfit, unobserved = np.zeros(increments.shape[:2]), np.full(len(breaks), True)
@@ -245,7 +245,7 @@ class Edge(NamedTuple):
 
 
 def edges_seen(poses: Trajectory, short: Jumps, long: Jumps, certain: Mask) -> list[Edge]:
-    """Return the jumps that may be ends of excursions, in both looks, but not those over gaps."""
+    """Return the jumps that may be ends of excursions, by both windows, but none over gaps."""
     from_short, from_long = short.strength, long.strength
     strength = np.maximum(from_short, from_long)
     at = np.flatnonzero(certain | (strength >= PARTNER_STRENGTH))
@@ -441,7 +441,7 @@ def _sum(first: Array, second: Array) -> Array:
 def _cancels(edge: Edge, last: Edge, summed: Array, within: float = MAX_REMAINDER) -> bool:
     """Return whether a jump and others to a last one cancel when summed, in the best form."""
     threshold = np.maximum(edge.thresholds, last.thresholds) if last.lasting is None else (
-        edge.thresholds)  # over a gap less is known
+        edge.thresholds)  # over a gap it is less certain
     allowed = np.where(
         edge.sizes >= edge.thresholds, within * edge.sizes + NOISE_PART * edge.thresholds,
         MAX_NOISE_SUM * threshold)

@@ -191,7 +191,7 @@ def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filte
 
 
 def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStream]) -> Stamps:
-    """Return the package's stamps at which the tool is known."""
+    """Return the package's stamps at which the tool is measured."""
     common: Stamps = package[(package >= tool[0]) & (package <= tool[-1])]
     if not len(common):
         covered = ', '.join(

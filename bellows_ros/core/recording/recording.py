@@ -35,7 +35,7 @@ TOOL_HALF_WINDOW, TOOL_ORDER = 6, 6
 Polynomials through so many of the tool's poses give its pose and twist beside poses as measured.
 
 At 125 Hz a motion of 3 Hz is off by 1e-5. Shorter windows leave more noise in the twists, whose
-products with the noise of the poses (not seen by linearised noise models) then bias the damping.
+products with the noise of the poses (which linearised noise models neglect) then bias the damping.
 """
 
 PLACES = 8
@@ -75,7 +75,7 @@ def ripple(poses: Trajectory) -> tuple[Array, Array]:
     Returns
     -------
     array (M, 6), array (M, 3, 3)
-        Position in the world (m) and rotation vector in own axes (rad); of valid windows.
+        Position in the world (m) and rotation vector in body axes (rad); of valid windows.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def ripple_part(ar1: Array | float) -> Array:
 
 def pose_noise(poses: Trajectory, ar1: float) -> Array:
     """
-    Return the standard deviations (6,) of poses at a uniform rate, in own axes, m and rad.
+    Return the standard deviations (6,) of poses at a uniform rate, in body axes, m and rad.
 
     Of first-order noise that keeps a part of itself from pose to pose. Errors as of `ripple`.
     """
@@ -121,7 +121,7 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
 
 
 def noise_at_rest(poses: Trajectory) -> Array:
-    """Return the standard deviations (6,) of poses of a body at rest, in own axes, m and rad."""
+    """Return the standard deviations (6,) of poses of a body at rest, in body axes, m and rad."""
     back = poses.rotation[0].T
     moved = np.hstack([apply(back, poses.position - poses.position[0]),
                        log_so3(back @ poses.rotation)])
@@ -142,7 +142,7 @@ def noise_of(poses: Trajectory) -> Noise:
     It is the median size of what a local polynomial leaves of each sample, so that outliers do
     not count. Noise-free recordings give what rounding leaves. Errors as those of `ripple`.
     """
-    scale = MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of its own fit
+    scale = MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of the fit
     return Noise(*(float(scale * np.median(part))
                    for part in np.hsplit(np.abs(ripple(poses)[0]), 2)))
 
@@ -387,9 +387,9 @@ class Report:
     warnings : tuple of str
         What the user should know, in words.
     time_offset : TimeOffset or None
-        What was taken from the tool's stamps, where that was wanted and could be found.
+        What was taken from the tool's stamps, where that was wanted and identifiable.
     package_world : PackageWorld or None
-        The transform between two worlds, where that was to be found.
+        The transform between two worlds, where that was to be estimated.
 
     """
 
@@ -401,7 +401,7 @@ class Report:
 
 
 class Relaxation(NamedTuple):
-    """How the rubber of a cup relaxes, as it was found in recordings."""
+    """How the rubber of a cup relaxes, as estimated from recordings."""
 
     strengths: tuple[float, float]
     """r1 and r2."""
@@ -466,7 +466,7 @@ class Recording:
     tool_twist : TwistStream or None
         The same of the tool's twists, where there are any.
     filters : (Filter, Filter)
-        Of tool and package, each at its own uniform rate, from start to end.
+        Of tool and package, each at a uniform rate, from start to end.
     measured_tool, measured_package : Trajectory
         E and B aligned but not filtered. The tool has the recorded body twists where there are
         any; where poses or twists are missing or wrong, samples are not valid.
@@ -532,12 +532,12 @@ class Recording:
 
     @property
     def aligned_tool(self) -> Trajectory:
-        """E aligned but not filtered, at its own uniform rate, from start to end."""
+        """E aligned but not filtered, at a uniform rate, from start to end."""
         return self.filters[0].poses
 
     @property
     def aligned_package(self) -> Trajectory:
-        """B aligned but not filtered, at its own uniform rate, from start to end."""
+        """B aligned but not filtered, at a uniform rate, from start to end."""
         return self.filters[1].poses
 
     @property
@@ -581,7 +581,7 @@ class Recording:
     @cached_property
     def body_noise(self) -> tuple[BodyNoise, BodyNoise]:
         """
-        Noise of tool and package per axis, each at its own stamps.
+        Noise of tool and package per axis, each at the stamps of the body.
 
         Polynomials do not follow a package between slow poses: there it is the noise at rest.
         """
@@ -601,7 +601,7 @@ class Recording:
 
     @cached_property
     def _pose_noise(self) -> tuple[Noise, Noise]:
-        """White noise of tool and package, each at its own stamps."""
+        """White noise of tool and package, each at the stamps of the body."""
         return noise_of(self.aligned_tool), noise_of(self.aligned_package)
 
     @cached_property

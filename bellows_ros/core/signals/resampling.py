@@ -297,7 +297,7 @@ def resample(
     With twists the interpolant is the cubic Hermite polynomial on SO(3) x R^3: in the position,
     with the end velocities R v, and in the rotation vector c of R = R_0 exp(c), with c(0) = 0,
     c'(0) = h w_0, c(1) = log(R_0^T R_1) and c'(1) = dexp(-c(1))^-1 h w_1, where w is the body rate
-    and h the interval. It is once differentiable and of fourth order; its own body twist is
+    and h the interval. It is once differentiable and of fourth order; its body twist is
     returned. Without twists positions go straight and rotations along the geodesic, and no twist
     is returned. A stamp of the trajectory itself returns that very sample. The result has no
     accelerations.
@@ -389,7 +389,7 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
     Parameters
     ----------
     trajectory : Trajectory
-        Poses as recorded, with what is known to be wrong marked invalid.
+        Poses as recorded, with what is wrong marked invalid.
     timing : Timing
         Of its stamps.
 

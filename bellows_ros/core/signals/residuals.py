@@ -66,7 +66,7 @@ class Comparison:
         Tool-relative coordinates: position of B (m) and rotation vector (rad) in E axes. NaN where
         the tool was lost; measured ones also where the package was.
     scores : Scores
-        Errors per axis, where both are known.
+        Errors per axis, where both are valid.
 
     """
 
@@ -126,7 +126,7 @@ def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Com
     Raises
     ------
     BellowsError
-        If stamps differ, or there is no sample at which both are known.
+        If stamps differ, or there is no sample at which both are valid.
 
     """
     tracked = np.where(tool.valid, 1.0, np.nan)[:, None]
@@ -138,7 +138,7 @@ def compare(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Com
 
 def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajectory) -> Comparison:
     """
-    Compare a prediction with a recording, at the recording's own stamps.
+    Compare a prediction with a recording, at the stamps of the recording.
 
     Parameters
     ----------

@@ -98,7 +98,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
     Parameters
     ----------
     trajectory : Trajectory
-        Poses at a uniform rate, N samples. Its own twists are not used.
+        Poses at a uniform rate, N samples. Its twists are not used.
     half_window : int
         Samples n on each side of the centre.
     order : int

@@ -189,8 +189,8 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> dict[str, 
     stamps_ns : int array (N,)
         Header stamps in the order the messages came in, ns.
     arrivals_ns : int array (N,), optional
-        When they came, ns, not decreasing; without them a stamp that lies ahead is known only by
-        those behind it.
+        When they came, ns, not decreasing; without them a stamp that lies ahead is detected only
+        by those behind it.
 
     Returns
     -------

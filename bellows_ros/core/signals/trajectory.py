@@ -127,7 +127,7 @@ class TwistStream(_Stamped):
 @dataclass(frozen=True, eq=False)
 class Trajectory(_Stamped):
     """
-    Poses of one body over time, with body twists and their derivatives if known.
+    Poses of one body over time, with body twists and their derivatives if given.
 
     Parameters
     ----------

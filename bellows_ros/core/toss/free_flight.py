@@ -30,7 +30,7 @@ Box = tuple[Vector, Vector]
 
 Bracket = tuple[float, float, float, float, float]
 """Two ends with a root in between, the values there (the first above 0, the second not), and
-which end was replaced last: -1 the second, 1 the first; 0 where no root is known of."""
+which end was replaced last: -1 the second, 1 the first; 0 without a root."""
 
 
 @kernel

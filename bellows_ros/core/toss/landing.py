@@ -103,7 +103,7 @@ def release_factor(values: Mapping[str, Any]) -> Array:
     """
     Return L (8, 8) with the covariance L L^T of the law's numbers; 0 of those without effect.
 
-    It grows with the distance of the mass from the packages of which the law is known.
+    It grows with the distance of the mass from the packages that the law was fitted to.
     """
     std = np.array([float(values[f'{name}_std']) for name in RELEASE_NAMES])
     std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
@@ -230,7 +230,7 @@ def aim(
     until : float
         The latest time, s; that of the plan's end when left out.
     scan, candidates : float, int
-        Step (s) of the scan, and how many of the best times are looked at closely.
+        Step (s) of the scan, and how many of the best times are refined.
 
     Raises
     ------

@@ -86,7 +86,7 @@ def suction_margin(grip: Grip, law: Law, since_valve: float, load: float) -> flo
     """
     Return the lip's excess suction (N) over a load (N) a time (s) after the valve.
 
-    It lets go at 0 and below. Where the grip is not known, the part of the suction that is left
+    It lets go at 0 and below. Without a grip model, the part of the suction that is left
     before it lets go, or the time (s) for a cup that does not open.
     """
     if grip[1] > 0.0:
@@ -210,7 +210,7 @@ def find_release(
 ) -> tuple[float, State]:
     """Return when the cup lets go (s) and the package then, or -1 and the package at the end."""
     max_step = min(max_step, OPENING_STEP) if law[5] > 0.0 else max_step
-    above = -1.0  # by how much it holds, not known before the valve
+    above = -1.0  # margin of the suction, not computed before the valve
     for k in range(len(seconds) + 1):
         if start >= until:
             break
@@ -367,9 +367,9 @@ def toss_with_covariance(
     covariances: tuple[Array, Array, Array],
 ) -> tuple[bool, tuple[float, State, float, State]]:
     """
-    Write the covariance (6, 6) of a landing; return if it is known, and `toss_along` from 0.
+    Write the covariance (6, 6) of a landing; return whether it is finite, and `toss_along` from 0.
 
-    The arrays are the covariance (12, 12) of the package's shift, turn and twist, in its own axes,
+    The arrays are the covariance (12, 12) of the package's shift, turn and twist, in body axes,
     the derivatives (6, 20) of the `landing_error` by these and by the law of release, changed by
     each column of the factor of its covariance, and that of the landing. The derivatives from the
     first to before the last are renewed.
@@ -429,7 +429,7 @@ class HeldMotion:
     start : State, optional
         Of B in the world at the first point; in steady motion there when left out.
     until : float
-        Time (s since the first point) up to which it is looked at.
+        Time (s since the first point) up to which it is searched for.
 
     Attributes
     ----------
@@ -579,7 +579,7 @@ def release_of(values: Mapping[str, Any]) -> Release:
     Raises
     ------
     BellowsError
-        If the size of the package is not known.
+        Without the size of the package.
 
     """
     size = values['package.size']

@@ -87,7 +87,7 @@ the drops that docs/toss.md shows."""
 
 MAX_RELATIVE_ERROR, ABSOLUTE_SCALES = 0.5, np.array([0.015, 0.05, 0.02, 1.0, 1.0, 1e-3, 10.0, 0.1])
 """A number is identifiable if its standard error is less than this part of it, or of one that is
-small; one that is given without a standard deviation is known to this part."""
+small; one that is given without a standard deviation is exact to this part."""
 
 FIRST_DROPS, MAX_ITERATIONS, STATE_UPDATE_STEPS = 12, 20, 5
 """Drops from which a law is chosen, about, most steps of a fit, and after how many of them the
@@ -216,7 +216,7 @@ class ReleaseFit:
     free : tuple of int
         Those that were fitted.
     covariance : ndarray (8, 8)
-        Of the numbers, from the scatter between drops and from what is known of those that are
+        Of the numbers, from the scatter between drops and from the prior of those that are
         not identifiable; 0 of the others that were not fitted.
     scatter : ndarray (8,)
         Standard deviations from drop to drop; 0 of those that are common to all.
@@ -660,7 +660,7 @@ def _drop(
     tool = _tracked(recording.aligned_tool, valve_ns, int(package.stamps_ns[-1]))
     before = slice(0, max(int(np.searchsorted(package.stamps_ns, valve_ns)), 1))
     stands = _stands(tool, RECOIL_FACTOR) and _stands(package.select(before))
-    if not stands:  # the tool is known at the common stamps
+    if not stands:  # the tool is measured at the common stamps
         package = _tracked(recording.measured_package, valve_ns, until_ns)
     after = int(np.searchsorted(package.stamps_ns, valve_ns))
     first, last = free_fall_samples(package.position[after:], package.seconds[after:], model[2])
