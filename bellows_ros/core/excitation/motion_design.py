@@ -489,13 +489,14 @@ def design(
     best, shape = -math.inf, np.empty(0)
     shares: Mapping[str, float] = {}
     motion = still = _held(checks, period, hold)
-    for number, (power, most) in enumerate(STARTS * STAGES):
+    for number, (power, max_iterations) in enumerate(STARTS * STAGES):
         progress('designing the motion', number / (STARTS * len(STAGES)))
         if number % len(STAGES) == 0:
             shape = rng.standard_normal(2 * search.size.size)
             search.allowed = np.ones_like(search.allowed)
         shape = minimise(search, shape, (power,), 'L-BFGS-B', True, options={
-            'maxiter': most, 'maxfun': 2 * most, 'maxcor': LBFGS_MEMORY, 'ftol': MIN_GAIN}).x
+            'maxiter': max_iterations, 'maxfun': 2 * max_iterations, 'maxcor': LBFGS_MEMORY,
+            'ftol': MIN_GAIN}).x
         coefficients, now = search.within(shape, power)
         moved = replace(still, coefficients=coefficients)
         worst = checks.loads(moved).ravel()
@@ -516,9 +517,10 @@ def _held(checks: Checks, period: float, hold: float) -> FourierMotion:
     still = FourierMotion(limits.start, period, np.zeros((1, 6)))
     tilt = TILT_SHARE * np.array([*limits.turn[:2], 0.0])
     for _ in range(MAX_TILT_TRIALS if hold and tilt.any() else 0):
-        most = list(limits.rates.values())[3:]
-        move = max((peak * float(np.linalg.norm(tilt)) / (0.9 * limit)) ** (1.0 / order)
-                   for order, (peak, limit) in enumerate(zip(SEPTIC_PEAKS, most, strict=True), 1))
+        angle, angular_limits = float(np.linalg.norm(tilt)), list(limits.rates.values())[3:]
+        move = max(
+            (peak * angle / (0.9 * limit)) ** (1.0 / order) for order, peak, limit in zip(
+                (1, 2, 3), SEPTIC_PEAKS, angular_limits, strict=True))
         held = replace(still, tilt=tilt, move=max(move, RAMP), hold=hold)
         if max(checks.ratios(held).values()) <= 1.0 - 2.0 * MARGIN:
             return held

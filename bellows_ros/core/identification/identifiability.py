@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import noise_bias, Solution, weighted
 from bellows_ros.core.identification.reduction import Movement, PassBand, Reduced
-from bellows_ros.core.identification.result import without
+from bellows_ros.core.identification.result import with_unidentifiable
 from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import AXES, Structure
 import numpy as np
@@ -181,8 +181,8 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
     """
     if not passed:
         return
-    too_much = (np.sum([band.lost for band in passed], axis=0)
-                > np.sum([band.least for band in passed], axis=0))
+    too_much = (np.sum([band.removed for band in passed], axis=0)
+                > np.sum([band.limit for band in passed], axis=0))
     first = min(passed, key=lambda band: band.end_hz)
     for axis, is_lost in zip(axes, too_much, strict=True):
         if not is_lost:
@@ -278,7 +278,7 @@ def excitation_of(
         (np.where(solved.identifiable, shares, 1.0) if is_filtered else shares).tolist(),
         bias.tolist()))
     pairs = tuple(_correlated(
-        without(covariance, ~identifiable) / np.outer(std, std), structure.labels))
+        with_unidentifiable(covariance, ~identifiable) / np.outer(std, std), structure.labels))
     source = 'this recording' if len(parts) == 1 else 'these recordings'
     passed = [movement.passed for movement in movements if movement.passed]
     fast = too_fast(axes, passed) if is_filtered else ()

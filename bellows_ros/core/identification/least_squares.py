@@ -20,7 +20,7 @@ from bellows_ros.core.identification.result import (
     Fit,
     IN_NULL_SPACE,
     MAX_RELATIVE_ERROR,
-    without,
+    with_unidentifiable,
     WRENCH_UNITS,
 )
 from bellows_ros.core.identification.samples import (
@@ -28,7 +28,7 @@ from bellows_ros.core.identification.samples import (
     draws,
     joined,
     Moments,
-    regular,
+    regularised,
     SampleEquations,
     Samples,
     samples_of,
@@ -80,7 +80,7 @@ MAX_RESIDUAL_TO_NOISE, MAX_RESIDUAL_TO_WRENCH = 1.5, 0.1
 
 def whitening_of(covariance: Array) -> Array:
     """Return the root of the weight W that makes a covariance (6, 6) of wrenches the identity."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(regular(covariance))))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(regularised(covariance))))
 
 
 def r_factor(parts: Iterable[Array], columns: int) -> Array:
@@ -174,8 +174,8 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     if noise is not None:
         bias, gain, separable = noise_bias(noise, whitening, x, inverse)
         x, identifiable = x - bias, identifiable & separable
-        left = np.append(x, -1.0)
-        noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', left, noise, left) / used)
+        combination = np.append(x, -1.0)
+        noise_rms = np.sqrt(np.einsum('p,ipiq,q->i', combination, noise, combination) / used)
     covariance, squares = _uncertainty(parts, whitening, x, inverse, gain)
     std = np.sqrt(np.diag(covariance))
     sizes = structure.sizes(*structure.matrices(x))
@@ -185,7 +185,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         method='least_squares',
         structure=structure.name,
         parameters=x,
-        covariance=without(covariance, ~significant),
+        covariance=with_unidentifiable(covariance, ~significant),
         samples_used=used,
         samples_rejected=rejected,
         condition_number=condition,
@@ -287,21 +287,23 @@ def noise_bias(
     return -compensated @ slope, gain, separable
 
 
-def _misfit(left: Array, by_noise: Array | None, whitening: Array) -> str:
+def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> str:
     """Return a sentence if the residual wrench (6,) is larger than noise explains."""
-    if by_noise is None:
+    if noise_rms is None:
         return ''
     spread = np.linalg.norm(np.linalg.inv(whitening), axis=1)
-    excess = np.sqrt(np.maximum(left**2 - by_noise**2, 0.0)) / spread
-    doubtful = (left > MAX_RESIDUAL_TO_NOISE * by_noise) & (excess > MAX_RESIDUAL_TO_WRENCH)
+    excess = np.sqrt(np.maximum(residual_rms**2 - noise_rms**2, 0.0)) / spread
+    doubtful = (residual_rms > MAX_RESIDUAL_TO_NOISE * noise_rms) & (
+        excess > MAX_RESIDUAL_TO_WRENCH)
     if not doubtful.any():
         return ''
     worst = int(np.argmax(np.where(doubtful, excess, 0.0)))
     axis, unit = 'xyz'[worst % 3], WRENCH_UNITS[worst]
     what = f'moment about {axis}' if worst > 2 else f'force along {axis}'
     return (
-        f'The model does not explain the recordings: the residual {what} is {left[worst]:.2g} '
-        f'{unit} RMS, of which noise explains {by_noise[worst]:.2g} {unit}. Check '
+        f'The model does not explain the recordings: the residual {what} is '
+        f'{residual_rms[worst]:.2g} {unit} RMS, of which noise explains {noise_rms[worst]:.2g} '
+        f'{unit}. Check '
         'recording.world and the other frames, that the topics are not exchanged, package.mass, '
         'package.com and cup.length, and that one clock stamps both streams; or use a richer '
         'fit.structure, or a shorter filter window if the motion is jerky.'
@@ -431,9 +433,9 @@ def _products(
         for rows, parts in _relaxing_rows(samples, cup_length, structure):
             rows = whitening @ rows
             clusters += [_square(rows[part]) for part in parts]
-        some, (draw,) = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES), draws(1)
-        part = max(some.count, 1) / max(samples.count, 1)
-        for block in some.blocks():
+        thinned, (draw,) = samples.relaxing((1.0, 1.0)).thinned(NOISE_SAMPLES), draws(1)
+        part = max(thinned.count, 1) / max(samples.count, 1)
+        for block in thinned.blocks():
             for (clean, _), (noisy, _) in zip(*(
                     _relaxing_rows(each, cup_length, structure)
                     for each in (block, with_noise(block, noise, draw))), strict=True):

@@ -144,8 +144,8 @@ def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
     """Yield a sentence if correlated noise biases least squares."""
     names = [
         recording.name for recording in recordings if isinstance(recording, Recording) and any(
-            noise.correlation > 0.0 and noise.size > least
-            for body in recording.ar1_noise for noise, least in zip(body, MIN_NOISE, strict=True))]
+            noise.correlation > 0.0 and noise.size > negligible for body in recording.ar1_noise
+            for noise, negligible in zip(body, MIN_NOISE, strict=True))]
     if names:
         yield (
             f'The noise of {", ".join(names)} is correlated in time: motion capture smoothing? '

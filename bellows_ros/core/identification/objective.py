@@ -19,7 +19,7 @@ from bellows_ros.core.identification.samples import (
     draws,
     lip_relative,
     Moments,
-    regular,
+    regularised,
     Samples,
     samples_of,
     sizes,
@@ -99,14 +99,14 @@ def ensemble_of(
     def given(recording: Recording, draw: np.random.Generator | None = None) -> Given:
         settings, samples = recording.settings, samples_of(recording)
         rate = 1e9 / float(np.median(np.diff(samples.package.stamps_ns)))
-        some = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
-        some = _stretches(some, MAX_SECONDS / len(recordings))
+        thinned = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
+        thinned = _stretches(thinned, MAX_SECONDS / len(recordings))
         if draw is not None:
-            some = _noisier(recording, some, draw)
-        bins = _bins(some.package.stamps_ns)
+            thinned = _noisier(recording, thinned, draw)
+        bins = _bins(thinned.package.stamps_ns)
         every = -(-len(np.unique(bins)) * len(recordings) // MAX_AVERAGES)
-        body = replace(some.package, valid=some.package.valid & (bins % every == 0))
-        return Given(replace(some, package=body), length, structure,
+        body = replace(thinned.package, valid=thinned.package.valid & (bins % every == 0))
+        return Given(replace(thinned, package=body), length, structure,
                      settings.package_frame == 'lip', settings.align_at_rest)
 
     return Ensemble(
@@ -114,21 +114,21 @@ def ensemble_of(
         tuple(tuple(given(recording, draw) for recording in recordings) for draw in draws(DRAWS)))
 
 
-def _stretches(samples: Samples, most: float) -> Samples:
+def _stretches(samples: Samples, max_duration: float) -> Samples:
     """Return stretches of samples, at most so many seconds, whose ends are not valid."""
     stamps = samples.tool.stamps_ns
     duration = (stamps[-1] - stamps[0]) / NS_PER_S
-    if duration <= most:
+    if duration <= max_duration:
         return samples
-    used = np.linspace(0.0, STRETCHES, len(stamps), endpoint=False) % 1.0 < most / duration
+    used = np.linspace(0.0, STRETCHES, len(stamps), endpoint=False) % 1.0 < max_duration / duration
     inner = used & np.append(used[1:], False) & np.append(False, used[:-1])
-    some = samples.select(used)
-    return replace(some, tool=replace(some.tool, valid=some.tool.valid & inner[used]))
+    selected = samples.select(used)
+    return replace(selected, tool=replace(selected.tool, valid=selected.tool.valid & inner[used]))
 
 
-def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> Samples:
+def _noisier(recording: Recording, samples: Samples, draw: np.random.Generator) -> Samples:
     """Return samples of a recording with as much noise once more, through the same filters."""
-    stamps, of_tool = some.package.stamps_ns, recording.aligned_tool.stamps_ns
+    stamps, of_tool = samples.package.stamps_ns, recording.aligned_tool.stamps_ns
     tool_noise, package_noise = (
         np.hstack([part.drawn(len(body), draw) for part in noise])
         for body, noise in zip((recording.aligned_tool, recording.aligned_package),
@@ -145,8 +145,8 @@ def _noisier(recording: Recording, some: Samples, draw: np.random.Generator) -> 
         filtered(tool_noise, recording.filters[0].weights, before + k) for k in (0, 1))
     value, rate = cubic(s, h * a_rate, b - a, h * b_rate)
     moved = np.array([a + value, rate / h])
-    return replace(some, tool=displaced(some.tool, *np.split(moved, 2, axis=2)),
-                   package=displaced(some.package, *np.split(package, 2, axis=2)))
+    return replace(samples, tool=displaced(samples.tool, *np.split(moved, 2, axis=2)),
+                   package=displaced(samples.package, *np.split(package, 2, axis=2)))
 
 
 def _bins(stamps_ns: Stamps) -> Stamps:
@@ -186,9 +186,9 @@ def _extra(given: Given, L: Array) -> list[Array]:
     if given.extra == 'friction':
         columns = []
         for z in _dragged(given):
-            there = replace(lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
+            slider = replace(lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
                             rotation=exp_so3(z[lip.index, 3:]))
-            parts = there.equations(given.length, given.structure)
+            parts = slider.equations(given.length, given.structure)
             columns.append(np.concatenate([part.A[:, :, entries] for part in parts]))
         return columns
     return []
@@ -240,7 +240,7 @@ class Objective:
         parts = [equations(given) for given in ensemble.given]
         wrench = np.concatenate([clean[:, :, -1] for clean in parts])
         structure = ensemble.given[0].structure
-        spread = np.diag(regular(Moments.of(wrench).covariance(structure)))
+        spread = np.diag(regularised(Moments.of(wrench).covariance(structure)))
         first = cls(1.0 / np.sqrt(spread))
         x = first.solved(ensemble).x
         if not sound:
@@ -275,10 +275,11 @@ class Objective:
         share, V = np.linalg.eigh(root.T @ noise[:-1, :-1] @ root)
         root = root @ V / np.sqrt(np.maximum(1.0 - share, MIN_SIGNAL_SHARE))
         slope = root.T @ (full[:, :-1].T @ full[:, -1] - noise[:-1, -1])
-        left = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
+        remaining = float(full[:, -1] @ full[:, -1] - noise[-1, -1] - slope @ slope)
         x = root @ slope / scale[:-1] * scale[-1]
         root = root / scale[:-1, None]
-        return Solved(rows, x, left * scale[-1] ** 2 / len(rows), U[:, determined], root @ root.T)
+        excess = remaining * scale[-1] ** 2 / len(rows)
+        return Solved(rows, x, excess, U[:, determined], root @ root.T)
 
 
 class Solved(NamedTuple):
@@ -313,7 +314,7 @@ SINGULAR = 1e-10
 """Eigenvalues of scaled information below this count as zero."""
 
 
-def covariance_of(here: Solved, D: Array, of_motion: Array | None = None) -> Array:
+def covariance_of(solved: Solved, D: Array, of_motion: Array | None = None) -> Array:
     """
     Return the covariance that allows for residuals that hang together in clusters.
 
@@ -322,9 +323,9 @@ def covariance_of(here: Solved, D: Array, of_motion: Array | None = None) -> Arr
     unknown = np.isinf(np.diag(result.covariance_of(D.T @ D)))
     inverse = _pseudo_inverse(D) if of_motion is None else of_motion
     scores = np.add.reduceat(
-        D * (here.rows @ np.append(here.x, -1.0))[:, None],
+        D * (solved.rows @ np.append(solved.x, -1.0))[:, None],
         range(0, len(D), 6 * CLUSTER_AVERAGES))
-    return result.without(inverse @ scores.T @ scores @ inverse, unknown)
+    return result.with_unidentifiable(inverse @ scores.T @ scores @ inverse, unknown)
 
 
 def _pseudo_inverse(D: Array) -> Array:
@@ -368,23 +369,23 @@ def refine(
         starts = [near, np.zeros_like(near)] if near.any() else [near]
         return min((refine(objective, ensemble, hypothesis, begin, rounds) for begin in starts),
                    key=lambda refined: refined.solved.excess)
-    theta, here = start, at(start)
+    theta, current = start, at(start)
     for _ in range(rounds):
-        gradient, D = _derivatives(at, theta, here, steps)
+        gradient, D = _derivatives(at, theta, current, steps)
         step = -_pseudo_inverse(D) @ gradient
         largest = hypothesis.furthest * steps
         step *= min(1.0, float(np.min(largest / np.maximum(np.abs(step), 1e-300))))
-        best, taken = here, np.zeros_like(step)
+        best, accepted = current, np.zeros_like(step)
         for shorter in np.outer(0.5 ** np.arange(HALVINGS), step):
             further = at(theta + shorter)
             if further.excess < best.excess:
-                best, taken = further, shorter
-            elif best is not here:
+                best, accepted = further, shorter
+            elif best is not current:
                 break
-        theta, here, covariance = theta + taken, best, covariance_of(best, D)
-        if np.all(np.abs(taken) <= CONVERGED * np.sqrt(np.diag(covariance))):
+        theta, current, covariance = theta + accepted, best, covariance_of(best, D)
+        if np.all(np.abs(accepted) <= CONVERGED * np.sqrt(np.diag(covariance))):
             break
-    return Refined(theta, covariance, here)
+    return Refined(theta, covariance, current)
 
 
 def _first(objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis) -> Array:
@@ -396,7 +397,7 @@ def _first(objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis) -> 
 
 
 def _derivatives(
-    at: Callable[[Array], Solved], theta: Array, here: Solved, steps: Array
+    at: Callable[[Array], Solved], theta: Array, solved: Solved, steps: Array
 ) -> tuple[Array, Array]:
     """Return half the gradient (n,) of the sum of squares, and the residuals' Jacobian (N, n)."""
     gradient, columns = np.zeros(len(theta)), []
@@ -404,8 +405,8 @@ def _derivatives(
         change = np.zeros(len(theta))
         change[i] = step
         after, before = at(theta + change), at(theta - change)
-        gradient[i] = 0.25 * here.residuals * (after.excess - before.excess) / step
+        gradient[i] = 0.25 * solved.residuals * (after.excess - before.excess) / step
         columns.append(
-            (after.rows - before.rows) @ np.append(here.x, -1.0) / (2.0 * step))
+            (after.rows - before.rows) @ np.append(solved.x, -1.0) / (2.0 * step))
     D = np.column_stack(columns)
-    return gradient, D - here.basis @ (here.basis.T @ D)  # what the cup explains as well
+    return gradient, D - solved.basis @ (solved.basis.T @ D)  # what the cup explains as well

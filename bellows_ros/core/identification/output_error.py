@@ -22,7 +22,7 @@ from bellows_ros.core.identification.result import (
     Freed,
     Iteration,
     MAX_RELATIVE_ERROR,
-    without,
+    with_unidentifiable,
 )
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
@@ -123,41 +123,42 @@ def output_error(
     search = Search([Segment(part) for part in measured], structure, start, free)
     iterations: list[Iteration] = []
 
-    def note(cup: Cup, chi2: float) -> None:
+    def record(cup: Cup, chi2: float) -> None:
         iterations.append(Iteration(len(iterations), chi2, cup.stiffness, cup.damping))
         if progress is not None:
             progress(iterations[-1])
 
-    minimum = search.minimum(note)
+    minimum = search.minimum(record)
     if relaxation != 'off':  # rubber may be why a search without it does not converge
         if 'relaxation' not in search.places:
-            search, minimum = _with_relaxation(search, minimum, note)
+            search, minimum = _with_relaxation(search, minimum, record)
         elif not _relaxes(search, minimum):  # as least squares, which noise disturbs, has it
             stiff = search.with_free(minimum.theta, {}, relaxes=False)
-            search, minimum = stiff, stiff.minimum(note, stiff.transferred(search, minimum.theta))
+            near = stiff.transferred(search, minimum.theta)
+            search, minimum = stiff, stiff.minimum(record, near)
         if relaxation == 'on' and 'relaxation' not in search.places:
             raise UndeterminedError(least_squares.NOT_RELAXING)
     reasons = causes(search, minimum, stated(given))
     search.accept(minimum.parts)
-    wide, there, from_given = with_given(search, minimum, given, note, bool(reasons))
-    if reasons and moved_between((search, minimum), (wide, there)) > MIN_SHIFT:
+    wide, wide_minimum, from_given = with_given(search, minimum, given, record, bool(reasons))
+    if reasons and moved_between((search, minimum), (wide, wide_minimum)) > MIN_SHIFT:
         reasons = tuple(reason for reason in reasons if reason.name in wide.places) or causes(
-            wide, there, stated(given))
-    return _fit(wide, there, from_given, iterations, named, reasons)
+            wide, wide_minimum, stated(given))
+    return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
 
 
 def _with_relaxation(
-    search: Search, minimum: Minimum, note: Callable[[Cup, float], None]
+    search: Search, minimum: Minimum, record: Callable[[Cup, float], None]
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else as it is."""
     (score,) = scores(search, minimum, ['relaxation']).values()
     if score > least_squares.MIN_SQUARED_DISTANCE:
-        more = search.with_free(minimum.theta, weak_prior(['relaxation']))
-        again = more.minimum(note, more.transferred(search, minimum.theta))
-        noise = MAX_NOISE_CHI2 * again.residual_count
+        wide = search.with_free(minimum.theta, weak_prior(['relaxation']))
+        relaxed = wide.minimum(record, wide.transferred(search, minimum.theta))
+        noise = MAX_NOISE_CHI2 * relaxed.residual_count
         limit = max(least_squares.MAX_REMAINING_SHARE * (minimum.squares - noise), 0.0)
-        if again.converged and again.squares - noise <= limit and _relaxes(more, again):
-            return more, again
+        if relaxed.converged and relaxed.squares - noise <= limit and _relaxes(wide, relaxed):
+            return wide, relaxed
         search.accept(minimum.parts)
     return search, minimum
 
@@ -237,7 +238,7 @@ def _fit(
         notes.append(least_squares.R2_ASSUMED)
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
     r = np.concatenate([part.innovations for part in minimum.parts])
-    left = minimum.residuals
+    residuals = minimum.residuals
     robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
     total = sum(len(segment.measured.package) for segment in search.segments)
     offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
@@ -245,13 +246,13 @@ def _fit(
         method='output_error',
         structure=search.structure.name,
         parameters=x[:size],
-        covariance=without(covariance[:size, :size], ~identifiable[:size]),
+        covariance=with_unidentifiable(covariance[:size, :size], ~identifiable[:size]),
         from_given=from_given[:size, :size],
-        samples_used=len(left),
-        samples_rejected=total - len(left),
+        samples_used=len(residuals),
+        samples_rejected=total - len(residuals),
         condition_number=_condition(minimum.information[:size, :size]),
         weight=np.diag(search.segments[0].std ** -2),
-        residual_rms=np.sqrt(np.mean(left**2, axis=0)),
+        residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
         notes=tuple(notes) if minimum.converged else (NOT_CONVERGED,),
         misfit=_misfit(robust_chi2),
         chi2=minimum.squares / max(len(r) - len(x), 1),
@@ -325,32 +326,32 @@ def noise_information(search: Search, minimum: Minimum) -> Array:
     Noise in the path shakes the simulated package, too. With some more of it, once with either
     sign, information of motion stays, and that of noise grows with the noise squared.
     """
-    noisier, size, more = copy(search), NOISE_FACTOR, list[Array]()
-    while len(more) < 2:
-        noisier.segments, draw = [], np.random.default_rng(SEED)
+    noisy, size, differences = copy(search), NOISE_FACTOR, list[Array]()
+    while len(differences) < 2:
+        noisy.segments, draw = [], np.random.default_rng(SEED)
         for segment in search.segments:
             measured = segment.measured
             noise = BodyNoise(segment.std, measured.package_noise.correlation), measured.tool_noise
             package, tool = (
-                _noisier(body, seen, size * (-1.0) ** len(more), draw)
-                for body, seen in zip((measured.package, measured.tool), noise, strict=True))
-            noisier.segments.append(Segment(
+                _with_noise(body, body_noise, size * (-1.0) ** len(differences), draw)
+                for body, body_noise in zip((measured.package, measured.tool), noise, strict=True))
+            noisy.segments.append(Segment(
                 replace(measured, tool=tool, package=package), segment.half_window))
-            noisier.segments[-1].start, noisier.segments[-1].std = segment.start, segment.std
-        parts, H, g = noisier.system(minimum.theta)
+            noisy.segments[-1].start, noisy.segments[-1].std = segment.start, segment.std
+        parts, H, g = noisy.system(minimum.theta)
         if np.all(np.isfinite(g)):
-            noisier.accept(parts)
-            H, g = noisier.system(minimum.theta)[1:]
+            noisy.accept(parts)
+            H, g = noisy.system(minimum.theta)[1:]
         if np.all(np.isfinite(g)):
-            more.append((H - minimum.information) / size**2)
+            differences.append((H - minimum.information) / size**2)
         elif size < MIN_NOISE_FACTOR:
             return minimum.information
         else:  # so much noise turns the package over
-            size, more = 0.5 * size, []
-    return np.asarray(np.mean(more, axis=0))
+            size, differences = 0.5 * size, []
+    return np.asarray(np.mean(differences, axis=0))
 
 
-def _noisier(
+def _with_noise(
     body: Trajectory, noise: BodyNoise, size: float, draw: np.random.Generator
 ) -> Trajectory:
     """Return poses with more noise, in units of theirs."""

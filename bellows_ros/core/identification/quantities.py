@@ -109,17 +109,17 @@ def poses_of(
             package, position=middle[:3] + time * free[name][:3] + lie.apply(
                 R, package.position - middle[:3]), rotation=R @ package.rotation)
     if 'package_marker' in free:
-        way, turn = np.split(free['package_marker'], 2)
-        package = of_fixed_frame(package, turn, way)
+        shift, turn = np.split(free['package_marker'], 2)
+        package = of_fixed_frame(package, turn, shift)
     return package
 
 
-def of_fixed_frame(body: Trajectory, turn: Array, way: Array) -> Trajectory:
+def of_fixed_frame(body: Trajectory, turn: Array, shift: Array) -> Trajectory:
     """Return the motion of a frame that is fixed in a body, turned (rad) and moved (m) there."""
     R = lie.exp_so3(turn)
-    X = lie.adjoint(lie.inverse_transform(lie.transform(R, way)))
+    X = lie.adjoint(lie.inverse_transform(lie.transform(R, shift)))
     return replace(
-        body, position=body.position + lie.apply(body.rotation, way), rotation=body.rotation @ R,
+        body, position=body.position + lie.apply(body.rotation, shift), rotation=body.rotation @ R,
         twist=None if body.twist is None else lie.apply(X, body.twist),
         acceleration=None if body.acceleration is None else lie.apply(X, body.acceleration))
 

@@ -81,13 +81,13 @@ def noise_products(
     size = 2 * structure.size + 1
     products = np.zeros((6 * size, 6 * size))
     draw = np.random.default_rng(seed)
-    some = recording.thinned(NOISE_SAMPLES)
-    rows = some.lip.equations(cup_length, structure)
-    for block, clean in zip(some.blocks(), rows, strict=False):
+    thinned = recording.thinned(NOISE_SAMPLES)
+    rows = thinned.lip.equations(cup_length, structure)
+    for block, clean in zip(thinned.blocks(), rows, strict=False):
         noisy = with_noise(block, noise, draw).lip.equations(cup_length, structure)
         added = (next(noisy).stacked - clean.stacked).reshape(-1, 6 * size)
         products += added.T @ added
-    part = max(some.count, 1) / max(recording.count, 1)
+    part = max(thinned.count, 1) / max(recording.count, 1)
     return products.reshape(6, size, 6, size) / part
 
 
@@ -222,13 +222,12 @@ class PassBand(NamedTuple):
     """
     The transmission of a package's filter for the lip's twist.
 
-    Mean squares (6,) of what the filter took of the motion, lost, and the least of them that are
-    too much; the end (Hz) of its pass band; half windows (samples) of the filters of tool and
-    package.
+    Mean squares (6,) of the motion that the filter has removed, and their limits; the end (Hz) of
+    its pass band; half windows (samples) of the filters of tool and package.
     """
 
-    lost: Array
-    least: Array
+    removed: Array
+    limit: Array
     end_hz: float
     half_windows: tuple[int, int]
 
@@ -246,15 +245,17 @@ class PassBand(NamedTuple):
         beyond = (twist.frequency > 2.0 * end) & (white > MIN_NOISE_TRANSMISSION * white.max())
         back = np.exp(-2j * np.pi * twist.frequency / rate_hz)  # to the sample before
         colour = np.abs(1.0 - np.multiply.outer(back, noise.correlation)) ** -2.0
-        seen = white[:, None] * np.repeat(colour, 3, axis=1)
-        level = twist.density[beyond] / seen[beyond]
-        floor = np.median(level, axis=0) * seen.sum(axis=0) if beyond.any() else np.zeros(6)
+        noise_density = white[:, None] * np.repeat(colour, 3, axis=1)
+        floor = np.zeros(6)
+        if beyond.any():
+            level = np.median(twist.density[beyond] / noise_density[beyond], axis=0)
+            floor = level * noise_density.sum(axis=0)
         variance = np.maximum(size**2, twist.frequency[1] * floor)
         moving = twist.frequency[1] * twist.density.sum(axis=0) - variance
-        lost = (twist.frequency[1] * (1.0 - part) @ twist.density
-                - (1.0 - part) @ seen / seen.sum(axis=0) * variance)
+        noise_part = (1.0 - part) @ noise_density / noise_density.sum(axis=0)
+        removed = twist.frequency[1] * (1.0 - part) @ twist.density - noise_part * variance
         return cls(
-            lost, MAX_LOST_VELOCITY * np.maximum(moving, MIN_POWER_TO_NOISE * variance), end,
+            removed, MAX_LOST_VELOCITY * np.maximum(moving, MIN_POWER_TO_NOISE * variance), end,
             (noise.tool_half_window, noise.package_weights.shape[1] // 2))
 
 
@@ -305,16 +306,16 @@ def movement_of(
         Without valid samples.
 
     """
-    some = samples.thinned(NOISE_SAMPLES)
-    seen = np.array([some.lip.displacement(cup_length), some.lip.twist])
-    noise_seen, passed = np.empty((2, 0, 6)), None
+    thinned = samples.thinned(NOISE_SAMPLES)
+    motion = np.array([thinned.lip.displacement(cup_length), thinned.lip.twist])
+    noise_motion, passed = np.empty((2, 0, 6)), None
     if noise is not None:
-        noisy = with_noise(some, noise, np.random.default_rng(SEED)).lip
-        noise_seen = np.array([noisy.displacement(cup_length), noisy.twist]) - seen
-        passed = PassBand.of(samples, noise, noise_seen[1].std(axis=0))
+        noisy = with_noise(thinned, noise, np.random.default_rng(SEED)).lip
+        noise_motion = np.array([noisy.displacement(cup_length), noisy.twist]) - motion
+        passed = PassBand.of(samples, noise, noise_motion[1].std(axis=0))
     return Movement(
-        Moments.of(seen[0]), Moments.of(seen[1]), Moments.of(noise_seen[0]),
-        Moments.of(noise_seen[1]), np.array(samples.twist_spectrum.band(BAND)), passed)
+        Moments.of(motion[0]), Moments.of(motion[1]), Moments.of(noise_motion[0]),
+        Moments.of(noise_motion[1]), np.array(samples.twist_spectrum.band(BAND)), passed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,7 @@ def covariance_of(information: Array) -> Array:
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     null = vectors[:, values <= ROUNDING * values[-1]]
     identifiable = (diagonal > 0.0) & ~np.any(np.abs(null) > IN_NULL_SPACE, axis=1)
-    return without(inverse_of(information, identifiable), ~identifiable)
+    return with_unidentifiable(inverse_of(information, identifiable), ~identifiable)
 
 
 def information_of(covariance: Array) -> Array:
@@ -68,7 +68,7 @@ def inverse_of(matrix: Array, used: Mask) -> Array:
     return inverse
 
 
-def without(covariance: Array, unidentifiable: Mask) -> Array:
+def with_unidentifiable(covariance: Array, unidentifiable: Mask) -> Array:
     """Return a covariance in which some parameters (n,) are unknown."""
     identifiable = ~unidentifiable
     result = np.where(np.outer(identifiable, identifiable), covariance, 0.0)

@@ -203,8 +203,8 @@ class Samples:
     def lip(self) -> LipMotion:
         """The motion of the lip, the basis of the equations."""
         index = np.flatnonzero(self.valid)
-        some = slice(None) if len(index) == len(self.tool) else index  # which copies nothing
-        tool, package = self.tool.select(some), self.package.select(some)
+        used = slice(None) if len(index) == len(self.tool) else index  # which copies nothing
+        tool, package = self.tool.select(used), self.package.select(used)
         return LipMotion(
             index, tool.stamps_ns, self.window, *lip_relative(tool, package, self.payload.com),
             needed_wrench(self.payload, package, self.gravity), self.relaxation,
@@ -250,9 +250,9 @@ class Samples:
         for start in range(0, len(valid), BLOCK):
             yield self.select(valid[start:start + BLOCK])
 
-    def thinned(self, most: int) -> 'Samples':
+    def thinned(self, max_count: int) -> 'Samples':
         """Return every n-th sample, to about the number asked for."""
-        step = max(len(self.tool) // most, 1)
+        step = max(len(self.tool) // max_count, 1)
         return self if step == 1 else self.select(slice(None, None, step))
 
 
@@ -396,7 +396,7 @@ def joined(parts: Iterable[Moments]) -> Moments:
                    + (counts * apart.T) @ apart)
 
 
-def regular(covariance: Array) -> Array:
+def regularised(covariance: Array) -> Array:
     """Return a covariance (6, 6) of wrenches, made regular in directions without a wrench."""
     force, moment = (float(np.mean(np.diag(covariance)[part]))
                      for part in (slice(0, 3), slice(3, 6)))

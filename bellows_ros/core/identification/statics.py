@@ -132,9 +132,9 @@ class NominalLength:
 
     def _warnings(self) -> Iterator[str]:
         """Yield the warnings."""
-        freedom, masses = self.degrees_of_freedom, len(set(_groups(self.loads).tolist()))
-        if freedom and chdtrc(freedom, self.chi2) < MISFIT_P_VALUE:
-            size = float(np.sqrt(self.chi2 / freedom))
+        masses, count = len(set(_groups(self.loads).tolist())), self.degrees_of_freedom
+        if count and chdtrc(count, self.chi2) < MISFIT_P_VALUE:
+            size = float(np.sqrt(self.chi2 / count))
             yield (
                 f'The lengths are off the line by {size:.2g} times their scatter from pick to '
                 'pick: a mass may be wrong. Check each mass.' if np.isfinite(self.pick_std) else
@@ -193,7 +193,7 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
         straight, cubic = (_cross_validation_error(scattered, groups, order)
                            for order in (LINEAR_DEGREE, CUBIC_DEGREE))
         degree = CUBIC_DEGREE if cubic < CUBIC_GAIN * straight else LINEAR_DEGREE
-    coefficients, std, chi2, freedom = _polynomial(scattered, degree)
+    coefficients, std, chi2, degrees_of_freedom = _polynomial(scattered, degree)
     fitted = polyval(loads, coefficients)
     scatter, stretch = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
     if not coefficients[1] > 0.0 or scatter > MAX_SCATTER * stretch:
@@ -210,7 +210,7 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
             f'{stiffness:.3g} N/m; expected {MIN_STIFFNESS:g} to {MAX_STIFFNESS:g}. Check each '
             '--mass (kg) and its order.')
     return NominalLength(
-        float(coefficients[0]), std, chi2, freedom, stiffness,
+        float(coefficients[0]), std, chi2, degrees_of_freedom, stiffness,
         _linear_range(coefficients, float(loads.max())), loads, lengths, errors,
         coefficients, pick)
 
@@ -227,10 +227,10 @@ def _pick_scatter(measured: Array, groups: Places) -> float:
     """Return by how much lengths of the same mass scatter beyond their errors, or NaN."""
     _, lengths, errors = measured.T
     means = np.array([lengths[groups == group].mean() for group in groups])
-    freedom = len(lengths) - len(set(groups.tolist()))
-    if freedom < MIN_REPEATED_PICKS:
+    degrees_of_freedom = len(lengths) - len(set(groups.tolist()))
+    if degrees_of_freedom < MIN_REPEATED_PICKS:
         return float('nan')
-    variance = float(np.sum((lengths - means)**2)) / freedom - float(np.mean(errors**2))
+    variance = float(np.sum((lengths - means)**2)) / degrees_of_freedom - float(np.mean(errors**2))
     return float(np.sqrt(max(variance, 0.0)))
 
 
@@ -257,11 +257,11 @@ def _polynomial(measured: Array, degree: int) -> tuple[Array, float, float, int]
     powers = np.vander(loads / largest, degree + 1, increasing=True) / errors[:, None]
     x, *_ = np.linalg.lstsq(powers, lengths / errors, rcond=None)
     is_tested = _groups(loads).max() > degree
-    freedom = len(loads) - degree - 1 if is_tested else 0
+    degrees_of_freedom = len(loads) - degree - 1 if is_tested else 0
     chi2 = float(np.sum((lengths / errors - powers @ x) ** 2))
-    scatter = max(chi2 / freedom, 1.0) if freedom else np.inf
+    scatter = max(chi2 / degrees_of_freedom, 1.0) if degrees_of_freedom else np.inf
     variance = scatter * float(np.linalg.inv(powers.T @ powers)[0, 0])
-    return x / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, freedom
+    return x / largest ** np.arange(degree + 1), float(np.sqrt(variance)), chi2, degrees_of_freedom
 
 
 def _linear_range(coefficients: Array, largest: float) -> float:
@@ -332,10 +332,11 @@ def check_spring(cup: Cup, standstills: Sequence[Standstill], gravity: float) ->
 
     """
     poses = tuple(_check(cup, still, gravity) for still in standstills)
-    off = sum(pose.verdict in ('off', 'no equilibrium') for pose in poses)
-    return SpringCheck(poses, not off, (
-        f'The spring is off in {off} of {len(poses)} poses. {_likely_cause(poses)}' if off else
-        f'The spring holds in all {len(poses)} poses.'))
+    failing = sum(pose.verdict in ('off', 'no equilibrium') for pose in poses)
+    text = f'The spring holds in all {len(poses)} poses.'
+    if failing:
+        text = f'The spring is off in {failing} of {len(poses)} poses. {_likely_cause(poses)}'
+    return SpringCheck(poses, not failing, text)
 
 
 def _likely_cause(poses: Sequence[PoseCheck]) -> str:
@@ -372,10 +373,10 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     predicted = replace(still, package=Trajectory(
         still.package.stamps_ns, np.array([position]),
         lie.quaternion_to_rotation(np.array([q])))).lip - nominal
-    off, size = (np.linalg.norm(each.reshape(2, 3), axis=1)
+    deviation, size = (np.linalg.norm(each.reshape(2, 3), axis=1)
                  for each in (predicted - measured, measured))
-    is_beyond = off > NOISE_DEVIATIONS * np.sqrt(3.0) * np.array(still.error)
-    is_off = is_beyond & (off > EQUILIBRIUM_TOLERANCE * size)
+    is_beyond = deviation > NOISE_DEVIATIONS * np.sqrt(3.0) * np.array(still.error)
+    is_off = is_beyond & (deviation > EQUILIBRIUM_TOLERANCE * size)
     return PoseCheck(still, measured, predicted, (
         'off' if is_off.any() else 'good' if is_beyond.any() else 'within noise'))
 
@@ -491,19 +492,19 @@ def joined_with_standstills(
         guess = _guess(structure, z[:-1], covariance, typical)
         of_K, b, by_length = static_equations(standstills, length.value, structure, gravity, guess)
         A = np.hstack([of_K, np.zeros_like(of_K), length.std * by_length[:, None]])
-        whole = covariance_of(prior + weight * A.T @ A)
-        finite = np.where(np.isfinite(whole), whole, 0.0)  # other entries stay as they are
+        joint = covariance_of(prior + weight * A.T @ A)
+        finite = np.where(np.isfinite(joint), joint, 0.0)  # other entries stay as they are
         z = start + finite @ (weight * A.T @ (b - A @ start))
         degrees = len(b) - weight * float(np.trace(A @ finite @ A.T))
         chi2 = float(np.sum((b - A @ z) ** 2)) / max(degrees, 1.0)
-        weight, covariance = 1.0 / max(chi2, 1.0), whole[:-1, :-1]
+        weight, covariance = 1.0 / max(chi2, 1.0), joint[:-1, :-1]
     before = fit.covariance + length.std**2 * np.outer(length.jacobian, length.jacobian)
     with np.errstate(divide='ignore', invalid='ignore'):
         narrowed = np.sqrt(np.diag(covariance) / np.diag(before))
     return replace(
         fit, parameters=z[:-1], covariance=covariance, standstills=StandstillPart(
             len(standstills), chi2, np.nan_to_num(narrowed, nan=1.0, posinf=1.0),
-            length.value + length.std * float(z[-1]), length.std * float(np.sqrt(whole[-1, -1]))),
+            length.value + length.std * float(z[-1]), length.std * float(np.sqrt(joint[-1, -1]))),
         notes=(*fit.notes, *([DISAGREEMENT.format(chi2)] if chi2 > MAX_CHI2 else [])))
 
 

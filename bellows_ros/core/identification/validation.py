@@ -212,7 +212,7 @@ def _middle(part: MeasuredSegment) -> MeasuredSegment:
     return replace(part, tool=part.tool.between(*ends), package=part.package.between(*ends))
 
 
-def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validation:
+def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> Validation:
     """
     Simulate a recording from start to end, and compare it with the measurement.
 
@@ -222,7 +222,7 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
         What is tried.
     recording : Recording
         Not one that the cup was identified from.
-    most : int, optional
+    max_samples : int, optional
         Samples from the first valid one on; all where left out.
 
     Raises
@@ -232,18 +232,19 @@ def validate(cup: Cup, recording: Recording, most: int | None = None) -> Validat
         not stay finite.
 
     """
-    key = (tuple(np.asarray(getattr(cup, each.name)).tobytes() for each in fields(cup)), most)
-    return recording.cached(('validated', key), lambda: _validated(cup, recording, most))
+    numbers = tuple(np.asarray(getattr(cup, each.name)).tobytes() for each in fields(cup))
+    return recording.cached(('validated', numbers, max_samples),
+                            lambda: _validated(cup, recording, max_samples))
 
 
-def _validated(cup: Cup, recording: Recording, most: int | None) -> Validation:
+def _validated(cup: Cup, recording: Recording, max_samples: int | None) -> Validation:
     """Return the comparison with the free simulation, at the rate of the tool."""
     poses, gravity = recording.aligned_tool, recording.settings.gravity
     first, last = recording.measured_tool.stamps_ns[[0, -1]]
     poses = poses.select(slice(max(int(np.searchsorted(poses.stamps_ns, first, 'right')) - 1, 0),
                                int(np.searchsorted(poses.stamps_ns, last)) + 1))
-    if most is not None:
-        poses = poses.select(slice(int(np.argmax(poses.valid)) + most))
+    if max_samples is not None:
+        poses = poses.select(slice(int(np.argmax(poses.valid)) + max_samples))
     tool, gaps = recording.cached(('smoothed', len(poses)), lambda: smoothed_tool(
         poses, half_window_of(poses)))
     state, begin, start = _start(model_tuple(cup, recording.payload, gravity), tool, recording)

@@ -161,9 +161,9 @@ class Flight:
         if released < 0.0 and self._values['release.opening'] == 0.0:
             return now
         if released < 0.0:
-            late = (now.stamp_ns - self._switched_ns) * 1e-9
-            force, moment = lip_wrench(
-                release.opened_by(model, self._release.law, late, now.tool, body), now.tool, body)
+            since_valve = (now.stamp_ns - self._switched_ns) * 1e-9
+            opened = release.opened_by(model, self._release.law, since_valve, now.tool, body)
+            force, moment = lip_wrench(opened, now.tool, body)
             self._before = now._replace(
                 position=body[0], quaternion_xyzw=body[1], linear=body[2], angular=body[3],
                 force=force, moment=moment, strains=body[4:])

@@ -233,9 +233,9 @@ class PlanTracker:
     def _expected(self, stamp_ns: int) -> float:
         """Return the expected time in the plan according to the clock, s."""
         stored_ns, progress, rate = self._anchor
-        late = -self._wait(stamp_ns)
-        if stored_ns < 0 or (progress == 0.0 and late <= 0.0):
-            return max(0.0, late)
+        overdue = -self._wait(stamp_ns)
+        if stored_ns < 0 or (progress == 0.0 and overdue <= 0.0):
+            return max(0.0, overdue)
         return progress + rate * (stamp_ns - stored_ns) / NS_PER_S
 
     def _wait(self, stamp_ns: int) -> float:

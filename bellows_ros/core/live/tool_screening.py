@@ -308,11 +308,11 @@ class Screen(StampScreen):
 
     def _is_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> bool:
         """Return whether a pose continues rather from the last refused than the last accepted."""
-        there, last = self._elsewhere, self._last
-        if there is None or last is None or stamp_ns <= there.stamp_ns:
+        refused, last = self._elsewhere, self._last
+        if refused is None or last is None or stamp_ns <= refused.stamp_ns:
             return False
         of_refused, of_accepted = (
-            each._replace(period=0.0).step_to(stamp_ns, o, q)[2:4] for each in (there, last))
+            each._replace(period=0.0).step_to(stamp_ns, o, q)[2:4] for each in (refused, last))
         return of_refused < of_accepted
 
     def _note_elsewhere(self, stamp_ns: int, o: Vector, q: Quaternion) -> None:

@@ -325,10 +325,10 @@ def parameter_std(values: Mapping[str, Any]) -> Array:
     than entries as large as the roots of their two diagonal ones: those are the largest.
     """
     root = [np.sqrt(np.diag(matrix(values[kind]))) for kind in ('cup.stiffness', 'cup.damping')]
-    most = np.concatenate([np.outer(each, each)[UPPER] for each in root])
+    limit = np.concatenate([np.outer(each, each)[UPPER] for each in root])
     std = parameter_vector({name.removesuffix('_std'): each for name, each in values.items()
                             if name.endswith('_std')})
-    return np.concatenate([np.minimum(std[:42], most), std[42:]])
+    return np.concatenate([np.minimum(std[:42], limit), std[42:]])
 
 
 def model_with(model: ModelTuple, numbers: Array, places: Array = SINGLE) -> ModelTuple:

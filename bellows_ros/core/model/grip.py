@@ -182,9 +182,9 @@ class Margin(NamedTuple):
     @property
     def sentence(self) -> str:
         """The margin as a sentence."""
-        lost = ': the cup would have let go' if self.factor < 1.0 else ''
+        consequence = ': the cup would have let go' if self.factor < 1.0 else ''
         return (f'The smallest safety factor of the grip is {self.factor:.3g} ({self.mode}, at '
-                f'{self.time:.2f} s){lost}.')
+                f'{self.time:.2f} s){consequence}.')
 
 
 def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:

@@ -46,13 +46,13 @@ MAX_STEPS = 10_000_000
 """Most integration steps of a prediction, which take seconds."""
 
 
-def require_steps(steps: float, most: int = MAX_STEPS) -> None:
+def require_steps(steps: float, max_steps: int = MAX_STEPS) -> None:
     """Refuse a prediction of too many integration steps."""
-    if not steps <= most:
+    if not steps <= max_steps:
         raise BellowsError(
-            f'The prediction takes {steps:.3g} integration steps; expected at most {most:.3g}. '
-            'Shorten what is predicted, or check cup.stiffness, cup.damping, package.mass and '
-            'package.inertia, whose fastest mode sets the step.')
+            f'The prediction takes {steps:.3g} integration steps; expected at most '
+            f'{max_steps:.3g}. Shorten what is predicted, or check cup.stiffness, cup.damping, '
+            'package.mass and package.inertia, whose fastest mode sets the step.')
 
 
 MAX_NEWTON_STEPS, MAX_NEWTON_STEP = 30, 0.1

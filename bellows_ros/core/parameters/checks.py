@@ -236,8 +236,8 @@ def _text(parameter: Parameter, value: object, where: str = '') -> str:
 
 def _number(parameter: Parameter, value: object, where: str = '') -> int | float:
     """Return a finite number in range, a whole one if it must be; a truth value is no number."""
-    whole = parameter.kind == 'integer'
-    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    is_integer = parameter.kind == 'integer'
+    kinds = (int, np.integer) if is_integer else (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
         raise _refuse(parameter, f'{table.short(value)} ({type(value).__name__}){where}')
     low = -math.inf if parameter.minimum is None else parameter.minimum
@@ -251,7 +251,7 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
         large = parameter.unit and (value > high or -value > high)
         unit = f' (is it in {parameter.unit}?)' if large else ''
         raise _refuse(parameter, f'{table.short(value)}{where}{unit}')
-    return int(value) if whole else float(value)
+    return int(value) if is_integer else float(value)
 
 
 def require(values: Mapping[str, object], required: Iterable[str]) -> None:
@@ -366,7 +366,7 @@ class Settings:
         """Return a finite number in bounds (minimum, above, maximum), required if no default."""
         return float(self._get(name, default, 'double', unit=unit, **bounds))
 
-    def whole(self, name: str, default: int, minimum: int = 0, **bounds: int) -> int:
+    def integer(self, name: str, default: int, minimum: int = 0, **bounds: int) -> int:
         """Return an integer in bounds (minimum, maximum)."""
         return int(self._get(name, default, 'integer', minimum=minimum, **bounds))
 

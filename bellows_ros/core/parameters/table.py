@@ -99,8 +99,8 @@ class Parameter:
         """The constraint in words: kind, count, range, choices and unit."""
         unit = f' ({self.unit})' if self.unit else ''
         if self.choices:
-            some = 'a list of some of ' if self.kind == 'string_array' else 'one of '
-            return some + ', '.join(self.choices)
+            kind = 'a list of some of ' if self.kind == 'string_array' else 'one of '
+            return kind + ', '.join(self.choices)
         kind = _KIND_MESSAGES[self.kind]
         if self.length:
             kind = kind.replace('numbers', f'{self.length} numbers')
@@ -234,8 +234,8 @@ def _nearest(name: str, names: Sequence[str]) -> str:
     return f"Known are {', '.join(groups)}; 'bellows parameters' lists them all."
 
 
-def short(value: object, most: int = 80) -> str:
+def short(value: object, max_length: int = 80) -> str:
     """Return a value as printable text of at most this many characters."""
     text = value if isinstance(value, str) else repr(value)
-    text = ''.join(c if c.isprintable() else '?' for c in text[:most + 1])
-    return text if len(text) <= most else text[:most - 3] + '...'
+    text = ''.join(c if c.isprintable() else '?' for c in text[:max_length + 1])
+    return text if len(text) <= max_length else text[:max_length - 3] + '...'

@@ -301,8 +301,9 @@ def _beginning(body: Trajectory) -> tuple[Array, float]:
 
 def _median_rotation(rotation: Array) -> Array:
     """Return the rotation (3, 3) that is the median, axis by axis, of rotations (N, 3, 3)."""
-    some = rotation[len(rotation) // 2]
-    return np.asarray(some @ lie.exp_so3(np.median(lie.log_so3(some.T @ rotation), axis=0)))
+    reference = rotation[len(rotation) // 2]
+    turn = np.median(lie.log_so3(reference.T @ rotation), axis=0)
+    return np.asarray(reference @ lie.exp_so3(turn))
 
 
 def _near(deviation: Array) -> Mask:

@@ -409,11 +409,11 @@ def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int
     total = edges[k].forms
     for b in range(k + 1, min(k + 1 + MAX_PARTNERS, len(edges))):
         other = edges[b]
-        late = other.before - edges[k].before > LATE_SAMPLES
-        if b in used or (late and other.strength < 1.0):
+        is_late = other.before - edges[k].before > LATE_SAMPLES
+        if b in used or (is_late and other.strength < 1.0):
             continue
         summed = _sum(total, other.forms)
-        if _cancels(edges[k], other, summed, MAX_LATE_REMAINDER if late else MAX_REMAINDER):
+        if _cancels(edges[k], other, summed, MAX_LATE_REMAINDER if is_late else MAX_REMAINDER):
             yield k, b
             return
         if other.strength >= 1.0:

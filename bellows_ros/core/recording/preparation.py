@@ -296,9 +296,9 @@ def lasting_steps(
     """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
     if not outliers.steps:
         return []
-    moved, usual = np.linalg.norm(increments_of(poses), axis=2), np.zeros(2)
+    moved, typical = np.linalg.norm(increments_of(poses), axis=2), np.zeros(2)
     if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
-        usual = np.percentile(moved, MOTION_PERCENTILE, axis=1)
+        typical = np.percentile(moved, MOTION_PERCENTILE, axis=1)
 
     def exceeds_motion(step: LastingStep) -> bool:
         """Return whether a step is larger than what is frequent, and than jitter there makes."""
@@ -306,6 +306,6 @@ def lasting_steps(
         speed = moved[:, near.start:near.stop - 1].sum(axis=1) / (
             np.ptp(poses.stamps_ns[near]) / NS_PER_S)
         return not any(np.all(step[1:] < limit) for limit in (
-            usual, STEP_JITTERS * time.jitter_s * speed))
+            typical, STEP_JITTERS * time.jitter_s * speed))
 
     return list(filter(exceeds_motion, outliers.steps))

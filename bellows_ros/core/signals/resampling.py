@@ -229,9 +229,9 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
         _deviation(stream, stamps, size) for stamps in (stream.stamps_ns, sampled))
     if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < MAX_DEVIATION_RATIO:
         return stream, None
-    late = (stream.stamps_ns - sampled) / NS_PER_S
+    delay = (stream.stamps_ns - sampled) / NS_PER_S
     return replace(stream, stamps_ns=sampled), ArrivalStamps(
-        len(late), float(np.std(late)), float(np.ptp(late)),
+        len(delay), float(np.std(delay)), float(np.ptp(delay)),
         (float(before[0]), float(before[1])), (float(after[0]), float(after[1])))
 
 
@@ -247,18 +247,18 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     n = GAP_SAMPLES
     period = float(np.quantile(since[2 * n:] - since[:-2 * n], 0.25)) / (2 * n)
     for _ in range(MAX_GAPS):
-        late = since - period * number
-        earliest = np.min(np.lib.stride_tricks.sliding_window_view(late, n), axis=1)
+        delay = since - period * number
+        earliest = np.min(np.lib.stride_tricks.sliding_window_view(delay, n), axis=1)
         steps = earliest[n:] - earliest[:-n]
         drift = float(np.median(steps))
         period += drift / n
         i = int(np.argmax(steps))
-        lost = int((steps[i] - drift) / period + 1.0 - LOST_PERIODS)
-        if lost < 1:
+        missing = int((steps[i] - drift) / period + 1.0 - LOST_PERIODS)
+        if missing < 1:
             sampled = _line_below(number, since)
             return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
-        before = np.flatnonzero(late[i:i + 3 * n] < earliest[i] + (lost - 0.1) * period)
-        number[i + before[-1] + 1:] += lost
+        before = np.flatnonzero(delay[i:i + 3 * n] < earliest[i] + (missing - 0.1) * period)
+        number[i + before[-1] + 1:] += missing
     return None
 
 

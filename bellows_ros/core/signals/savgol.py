@@ -301,17 +301,18 @@ def displaced(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
 
 def bridged(poses: Trajectory) -> Trajectory:
     """Return poses with gaps bridged by cubics that meet poses and twists on both sides."""
-    lost = ~poses.valid
-    if not lost.any():
+    missing = ~poses.valid
+    if not missing.any():
         return poses
     quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
     valid = quartic.select(quartic.valid)
     if not len(valid):
         return poses
-    lost &= (poses.stamps_ns > valid.stamps_ns[0]) & (poses.stamps_ns < valid.stamps_ns[-1])
-    bridge = resample(valid, poses.stamps_ns[lost])
+    missing &= (poses.stamps_ns > valid.stamps_ns[0]) & (poses.stamps_ns < valid.stamps_ns[-1])
+    bridge = resample(valid, poses.stamps_ns[missing])
     position, rotation, is_valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
-    position[lost], rotation[lost], is_valid[lost] = bridge.position, bridge.rotation, bridge.valid
+    position[missing], rotation[missing] = bridge.position, bridge.rotation
+    is_valid[missing] = bridge.valid
     return Trajectory(poses.stamps_ns, position, rotation, valid=is_valid)
 
 

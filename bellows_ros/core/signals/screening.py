@@ -159,8 +159,8 @@ class StampScreen:
             self._backward_run = 0
         self._backward_run += 1
         self._backward_last_ns = stamp_ns
-        far = self.newest_ns - stamp_ns > LONGEST_GAP_NS
-        if self._backward_run >= (FAR_BACKWARD_RUN if far else BACKWARD_RUN):
+        is_far = self.newest_ns - stamp_ns > LONGEST_GAP_NS
+        if self._backward_run >= (FAR_BACKWARD_RUN if is_far else BACKWARD_RUN):
             return Verdict(ACCEPTED, 'clock_set_back')
         return Verdict('backward_stamp', '')
 
@@ -201,10 +201,10 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> dict[str, 
     unusable = {reason: np.zeros(len(stamps_ns), dtype=bool) for reason in REASONS}
     if _are_plain(stamps_ns, arrivals_ns):
         return unusable
-    kept: list[Stamps] = []
+    accepted: list[Stamps] = []
     for part in _parts(stamps_ns, arrivals_ns, unusable):
-        while len(part) and kept and stamps_ns[kept[-1][-1]] >= stamps_ns[part[0]]:
-            before = kept.pop()
+        while len(part) and accepted and stamps_ns[accepted[-1][-1]] >= stamps_ns[part[0]]:
+            before = accepted.pop()
             ahead = stamps_ns[before] >= stamps_ns[part[0]]
             behind = stamps_ns[part] <= stamps_ns[before[-1]]
             if _is_rather_lost((ahead, before), (behind, part)):
@@ -214,9 +214,9 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps | None) -> dict[str, 
                 unusable['backward_stamp'][part[behind]] = True
                 part = part[~behind]
             if len(before):
-                kept.append(before)
+                accepted.append(before)
         if len(part):
-            kept.append(part)
+            accepted.append(part)
     unusable['backward_stamp'] &= ~_in_place(stamps_ns, unusable)
     return unusable
 

@@ -371,8 +371,8 @@ def _oscillation(
     if 'hold' in settings:
         block = settings.block('hold')
         hold = block.vector('rotation', 3, unit='rad')
-        most = duration - rest - ramp - HOLD_MOVE
-        held = block.number('duration', unit='s', above=0.0, maximum=most)
+        longest = duration - rest - ramp - HOLD_MOVE
+        held = block.number('duration', unit='s', above=0.0, maximum=longest)
         block.done()
     return Oscillation(start, rest, ramp, duration, amplitude, axis, frequency, phase, hold, held)
 
@@ -414,7 +414,7 @@ def _segments(settings: Settings, kind: str) -> tuple[MoveAndHold, ...]:
     common = _times(settings) if kind == 'static' else None
     segments = tuple(MoveAndHold(pose_from(block), *(common or _times(block)))
                      for block in settings.blocks('poses'))
-    return (1 + settings.whole('repeat', 0, maximum=1000)) * segments
+    return (1 + settings.integer('repeat', 0, maximum=1000)) * segments
 
 
 def _times(settings: Settings) -> tuple[float, float]:

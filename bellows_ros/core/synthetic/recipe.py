@@ -114,7 +114,7 @@ class Schedule:
         What the message's header says, ns.
     jump : int array (N,)
         Number of the tracking jump the sample is part of, -1 for none.
-    kept : bool array (N,)
+    sent : bool array (N,)
         False where the message is missing.
     jumps, dropouts : tuple of int
         Index of the first sample of each, in order.
@@ -124,7 +124,7 @@ class Schedule:
     sampled_ns: Stamps
     stamps_ns: Stamps
     jump: Indices
-    kept: Mask
+    sent: Mask
     jumps: tuple[int, ...]
     dropouts: tuple[int, ...]
 
@@ -154,7 +154,7 @@ def schedule(
     """
     sampled_ns = sample_stamps(sensor.rate_hz, duration, start_ns)
     jump = np.full(len(sampled_ns), -1)
-    kept = np.full(len(sampled_ns), True)
+    sent = np.full(len(sampled_ns), True)
     first = int(np.ceil(rest_duration * sensor.rate_hz)) + 1
     lengths = np.maximum(np.round(np.repeat(
         [sensor.jumps.duration, sensor.dropouts.duration],
@@ -178,12 +178,12 @@ def schedule(
             jump[samples] = len(jumps)
             jumps.append(start)
         else:
-            kept[samples] = False
+            sent[samples] = False
             dropouts.append(start)
     largest = MAX_JITTER / sensor.rate_hz
     jitter = np.clip(draw.normal(0.0, sensor.jitter, len(sampled_ns)), -largest, largest)
     stamps_ns = sampled_ns + np.round(jitter * NS_PER_S).astype(np.int64)
-    return Schedule(sampled_ns, stamps_ns, jump, kept, tuple(jumps), tuple(dropouts))
+    return Schedule(sampled_ns, stamps_ns, jump, sent, tuple(jumps), tuple(dropouts))
 
 
 def measure_poses(
@@ -216,8 +216,8 @@ def measure_poses(
     position = position + jumps[:, 0] + sensor.position_noise * noise[:, :3]
     rotation = truth.rotation @ exp_so3(sensor.marker) @ exp_so3(jumps[:, 1])
     rotation = rotation @ exp_so3(sensor.rotation_noise * noise[:, 3:])
-    kept = plan.kept
-    return Trajectory(plan.stamps_ns[kept], position[kept] @ world.T, (world @ rotation)[kept])
+    sent = plan.sent
+    return Trajectory(plan.stamps_ns[sent], position[sent] @ world.T, (world @ rotation)[sent])
 
 
 def measure_twists(
@@ -247,7 +247,7 @@ def measure_twists(
     noise = np.repeat([sensor.linear_noise, sensor.angular_noise], 3) * draw.normal(
         size=(len(truth), 6))
     twist = np.asarray(truth.twist)
-    return (np.hstack([apply(axes, twist[:, :3]), apply(axes, twist[:, 3:])]) + noise)[plan.kept]
+    return (np.hstack([apply(axes, twist[:, :3]), apply(axes, twist[:, 3:])]) + noise)[plan.sent]
 
 
 def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
@@ -278,7 +278,7 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
 
 def _faults(settings: Settings, moved: bool) -> Faults:
     """Return the jumps or gaps; if there are any, their sizes must be given."""
-    count = settings.whole('count', 0, maximum=100_000)
+    count = settings.integer('count', 0, maximum=100_000)
     needed = None if count else 0.0
     sizes = (
         settings.number('position', needed, 'm', minimum=0.0),
@@ -377,7 +377,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
 
     """
     settings = Settings(motion)
-    seed = settings.whole('seed', 0)
+    seed = settings.integer('seed', 0)
     world = settings.choice('world', tuple(WORLDS), 'z_up')
     moving = motion_from(settings, generator(seed, 'phases'))
     tool, package = settings.block('tool'), settings.block('package')
@@ -395,7 +395,7 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         storage=settings.choice('storage', ('mcap', 'sqlite3'), 'mcap'),
         zstd=settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd',
         seed=seed,
-        start_ns=settings.whole('start_time_ns', START_NS, minimum=10**9, maximum=2**62),
+        start_ns=settings.integer('start_time_ns', START_NS, minimum=10**9, maximum=2**62),
         truth=settings.flag('truth', False),
         releases=releases,
         pickup=pickup)

@@ -229,10 +229,10 @@ def find_release(
             bracket, released = (low, last, above, 0.0, 0.0), body  # without a root yet
             s = low if above <= 0.0 and low < last else last
             while True:
-                late = start + s * duration - switched
+                since_valve = start + s * duration - switched
                 tool_s, carried = _within(model, law, start - switched, segment, body, before, s)
-                margin = suction_margin(
-                    grip, law, late, load_at(model, grip, law, late, tool_s, carried))
+                load = load_at(model, grip, law, since_valve, tool_s, carried)
+                margin = suction_margin(grip, law, since_valve, load)
                 if bracket[4] != 0.0:
                     bracket = free_flight.narrowed(bracket, s, margin)
                 elif margin <= 0.0 and s >= low:

@@ -99,7 +99,7 @@ def least_squares(recordings, cup_length, structure, noises=()):
 def without(fit, labels):
     """Return a fit with infinite standard errors of some parameters."""
     unknown = np.array([label in labels for label in fit.labels])
-    return replace(fit, covariance=result.without(fit.covariance, unknown))
+    return replace(fit, covariance=result.with_unidentifiable(fit.covariance, unknown))
 
 
 def excitation(recordings, cup_length, structure, noises=()):

@@ -14,7 +14,7 @@ BLOCK = {
 def test_values_are_given_as_asked_for():
     settings = Settings(BLOCK)
     assert settings.number('rate') == 3.0 and isinstance(settings.number('rate'), float)
-    assert settings.whole('count', 0) == 2
+    assert settings.integer('count', 0) == 2
     assert settings.flag('on', True) is False
     assert settings.choice('kind', ('a', 'b')) == 'b'
     assert settings.text('name') == 'x'
@@ -38,7 +38,7 @@ def test_what_is_not_given_has_its_default():
         "'rate' must be a number, above 3 (Hz), got 3."),
     (lambda s: s.number('missing', unit='Hz'), "'missing' is missing; it must be a number"),
     (lambda s: s.number('huge'), "'huge' must be a number, got 1000"),
-    (lambda s: s.whole('rate', 0, maximum=2),
+    (lambda s: s.integer('rate', 0, maximum=2),
      "'rate' must be an integer, at least 0 and at most 2, got"),
     (lambda s: s.flag('rate', True), "'rate' must be true or false, got 3."),
     (lambda s: s.choice('kind', ('a', 'c')), "'kind' must be one of a, c, got 'b'."),

@@ -81,22 +81,22 @@ def test_jumps_and_gaps_are_as_many_as_asked_for_and_apart(seed):
 
     rest = int(REST * 200)
     jumping = plan.jump >= 0
-    faulty = jumping | ~plan.kept
+    faulty = jumping | ~plan.sent
     assert (len(plan.jumps), len(plan.dropouts)) == (6, 4)
-    assert jumping.sum() == 6 * 4 and (~plan.kept).sum() == 4 * 20
-    assert not np.any(jumping & ~plan.kept)
+    assert jumping.sum() == 6 * 4 and (~plan.sent).sum() == 4 * 20
+    assert not np.any(jumping & ~plan.sent)
     assert np.sum(np.diff(faulty.astype(int)) == 1) == 10  # no two of them touch
     assert not faulty[: rest + 1].any() and not faulty[-1]
 
     assert len(poses.stamps_ns) == len(truth) - 80
-    off = poses.position - truth.position[plan.kept]
-    turn = turned(truth.rotation[plan.kept], poses.rotation)
-    size = np.where(jumping[plan.kept], 1.0, 0.0)
+    off = poses.position - truth.position[plan.sent]
+    turn = turned(truth.rotation[plan.sent], poses.rotation)
+    size = np.where(jumping[plan.sent], 1.0, 0.0)
     assert_allclose(np.linalg.norm(off, axis=1), 0.03 * size, atol=1e-12)
     assert_allclose(np.linalg.norm(turn, axis=1), 0.3 * size, atol=1e-7)
     # While one lasts, it is the same.
     for number, start in enumerate(plan.jumps):
-        during = off[plan.jump[plan.kept] == number]
+        during = off[plan.jump[plan.sent] == number]
         assert_allclose(during, np.tile(during[0], (4, 1)), atol=1e-12)
         assert plan.jump[start] == number and plan.jump[start - 1] == -1
 
