@@ -222,7 +222,7 @@ def _record(
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
     tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
-    tracked = changed(plans['package'], kept=plans['package'].kept & at.tracked)
+    tracked = changed(plans['package'], sent=plans['package'].sent & at.tracked)
     recorded = list[Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, tracked)):

@@ -186,8 +186,9 @@ def _extra(given: Given, L: Array) -> list[Array]:
     if given.extra == 'friction':
         columns = []
         for z in _dragged(given):
-            slider = replace(lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
-                            rotation=exp_so3(z[lip.index, 3:]))
+            slider = replace(
+                lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
+                rotation=exp_so3(z[lip.index, 3:]))
             parts = slider.equations(given.length, given.structure)
             columns.append(np.concatenate([part.A[:, :, entries] for part in parts]))
         return columns

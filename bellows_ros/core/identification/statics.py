@@ -373,8 +373,8 @@ def _check(cup: Cup, still: Standstill, gravity: float) -> PoseCheck:
     predicted = replace(still, package=Trajectory(
         still.package.stamps_ns, np.array([position]),
         lie.quaternion_to_rotation(np.array([q])))).lip - nominal
-    deviation, size = (np.linalg.norm(each.reshape(2, 3), axis=1)
-                 for each in (predicted - measured, measured))
+    deviation, size = np.linalg.norm(
+        np.reshape([predicted - measured, measured], (2, 2, 3)), axis=2)
     is_beyond = deviation > NOISE_DEVIATIONS * np.sqrt(3.0) * np.array(still.error)
     is_off = is_beyond & (deviation > EQUILIBRIUM_TOLERANCE * size)
     return PoseCheck(still, measured, predicted, (
