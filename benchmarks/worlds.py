@@ -19,7 +19,7 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.identification.quantities import anything
+from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.search import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
@@ -110,7 +110,7 @@ def line(seed: int) -> tuple[str, Array]:
         return f'{about} refused: {str(error)[:60]} | | | | |', np.empty((3, 0))
     error = np.diag(found.stiffness - cup.stiffness)[SHOWN]
     z, ratio = error / np.diag(found.stiffness_std)[SHOWN], error / bound_of(
-        cup, structure_named('axisymmetric'), true, anything(FREE))[:4]
+        cup, structure_named('axisymmetric'), true, weak_prior(FREE))[:4]
     of_flexibility = ratio * (np.diag(cup.stiffness) / np.diag(found.stiffness))[SHOWN]
     verdict = verdict_of(both, [recording], values['cup.length'], values)
     refused = verdict is not None and bool(verdict.refusals)
