@@ -205,8 +205,8 @@ def compare_fits(before: Fitted, after: Fitted, package: Package, gravity: float
     structure = common_structure(before.structure, after.structure)
     fits = (before, after)
     values = [structure.parameters(fit.cup.stiffness, fit.cup.damping) for fit in fits]
-    covariances = [_spread(fit.structure.within(structure), fit.covariance) for fit in fits]
-    columns = (column.tolist() for column in (*values, *map(_deviations, covariances)))
+    covariances = [_propagated(fit.structure.within(structure), fit.covariance) for fit in fits]
+    columns = (column.tolist() for column in (*values, *map(_standard_errors, covariances)))
     changes = tuple(map(Change, structure.labels, parameter_units(structure), *columns))
     tool = SHAKE.at_rate(SHAKE_RATE_HZ)
     moved = [relative_coordinates(tool, simulate(fit.cup, package, tool, gravity=gravity))
@@ -288,7 +288,7 @@ def _shapes(stiffness: Array, damping: Array) -> Array:
     return np.asarray(vectors)
 
 
-def _spread(jacobian: Array, covariance: Array) -> Array:
+def _propagated(jacobian: Array, covariance: Array) -> Array:
     """Return the covariance of a quantity with Jacobian (m, n); inf stays infinite."""
     finite = np.isfinite(np.diag(covariance))
     part = jacobian[:, finite]
@@ -297,7 +297,7 @@ def _spread(jacobian: Array, covariance: Array) -> Array:
                       + np.diag(np.where(unknown, np.inf, 0.0)))
 
 
-def _deviations(covariance: Array) -> Array:
+def _standard_errors(covariance: Array) -> Array:
     """Return standard errors."""
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
@@ -362,7 +362,7 @@ def _errors_of(values: Callable[[Cup], Array], fit: Fitted) -> Array:
             for s in steps]
     jacobian = np.column_stack([
         (up - down) / (2.0 * step.sum()) for (up, down), step in zip(ends, steps, strict=True)])
-    return _deviations(_spread(jacobian, fit.covariance))
+    return _standard_errors(_propagated(jacobian, fit.covariance))
 
 
 DIFFERENCE_P_VALUE = 0.01

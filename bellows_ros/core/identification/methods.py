@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 import math
 from typing import Any
 
@@ -173,18 +174,12 @@ def fitted(
     return _by_output_error(_whole(recordings), values, progress)
 
 
-def _reporter(progress: Progress | None) -> Callable[[Iteration], None] | None:
-    """Return what reports the steps of a fit."""
-    if progress is None:
-        return None
-
-    def report(iteration: Iteration) -> None:
-        step = iteration.number + 1
-        K, P = _diagonal(iteration.stiffness, 4), _diagonal(iteration.damping, 3)
-        progress(f'step {step}: chi^2 {iteration.chi2:.4g}; K {K}, P {P}',
-                 step / (step + TYPICAL_STEPS))
-
-    return report
+def _report(progress: Progress, iteration: Iteration) -> None:
+    """Report a step of a fit."""
+    step = iteration.number + 1
+    K, P = _diagonal(iteration.stiffness, 4), _diagonal(iteration.damping, 3)
+    progress(f'step {step}: chi^2 {iteration.chi2:.4g}; K {K}, P {P}',
+             step / (step + TYPICAL_STEPS))
 
 
 def _by_output_error(
@@ -204,15 +199,12 @@ def _by_output_error(
     if all(report.package.timing.rate_hz >= LOW_RATE_HZ for report in reports):
         statistics_of = (reduced(recording, values).statistics for recording in recordings)
         start = start_cup(list(statistics_of), start)
-    estimated = {
-        'time_offset': values['fit.time_offset'],
-        'package_world': any(report.package_world for report in reports),
-        'package_marker': 'package_marker' in values['fit.free']}
-    named = dict.fromkeys((*values['fit.free'], *(
-        name for name, is_wanted in estimated.items() if is_wanted)))
-    free = [*named, *(['relaxation'] if any(strengths) else [])]
+    named = tuple(dict.fromkeys([
+        *values['fit.free'], *['time_offset'] * values['fit.time_offset'],
+        *['package_world'] * any(report.package_world for report in reports)]))
+    free = weak_prior([*named, *['relaxation'] * any(strengths)])
     return output_error(
-        measured, structure, start, _reporter(progress), weak_prior(free), tuple(named),
+        measured, structure, start, progress and partial(_report, progress), free, named,
         values['fit.relaxation'], given_std(values))
 
 

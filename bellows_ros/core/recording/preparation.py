@@ -85,7 +85,7 @@ def prepare(
     (tool, tool_arrivals), (package, package_arrivals) = map(
         resampling.at_sampling, (tool, package))
     if tool_twist is not None and tool_arrivals:
-        tool_twist = replace(tool_twist, stamps_ns=_as_moved(
+        tool_twist = replace(tool_twist, stamps_ns=_shifted_alike(
             tool_twist.stamps_ns, of_tool_ns, tool.stamps_ns))
     of_tool, _, tool_poses = _clean(tool, turn)
     of_package, tracked, package_poses = _clean(package, turn)
@@ -225,8 +225,8 @@ def _with_twist(
     return replace(tool, twist=twist.reshape(-1, 6), valid=tool.valid & is_valid)
 
 
-def _as_moved(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:
-    """Return stamps moved as others were."""
+def _shifted_alike(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> Stamps:
+    """Return stamps shifted as others were."""
     moved = np.interp(stamps_ns - before_ns[0], before_ns - before_ns[0], after_ns - before_ns)
     return np.maximum.accumulate(stamps_ns + np.rint(moved).astype(np.int64) - np.arange(
         len(stamps_ns))) + np.arange(len(stamps_ns))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.parameters.checks import Settings
+from bellows_ros.core.parameters.checks import Settings, WRITTEN_UNIT_TOLERANCE
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -30,7 +30,6 @@ MAX_FREQUENCY = 100.0
 """Highest frequency of a motion, Hz, beyond any robot."""
 MIN_MOVE = 0.01
 """Shortest move to a waypoint, s."""
-_WRITTEN_UNIT_TOLERANCE = 1e-3  # of a start or waypoint quaternion written with few digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,7 +346,7 @@ def pose_from(settings: Settings) -> Pose:
             'given. Give one of them.')
     if 'quaternion_xyzw' in settings:
         length = float(np.linalg.norm(quaternion))
-        if abs(length - 1.0) > _WRITTEN_UNIT_TOLERANCE:
+        if abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE:
             raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
         return Pose(position, lie.quaternion_to_rotation(quaternion / length))
     return Pose(position, lie.rpy_rotation(rpy))
