@@ -19,7 +19,7 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.quantities import KINDS, poses_of
+from bellows_ros.core.identification.quantities import poses_of, weak_prior
 from bellows_ros.core.identification.search import (
     measured_segments,
     MeasuredSegment,
@@ -170,8 +170,7 @@ def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:
     truth = structure.parameters(cup.stiffness, cup.damping)
     sizes = structure.sizes(cup.stiffness, cup.damping)
     start = Cup(2.0 * cup.stiffness, 2.0 * cup.damping, cup.length)
-    free = {name: np.full(KINDS[name].size, KINDS[name].wide)
-            for name in APART} if cell.apart else {}
+    free = weak_prior(APART) if cell.apart else {}
     fit = output_error(recorded(seed, cell, duration), structure, start, None, free)
     seconds = time.process_time() - began
     (true,) = recorded(seed, cell._replace(apart=False), duration, 0.0)
