@@ -353,12 +353,12 @@ def relaxation_of(
         Of K and P.
 
     """
-    products = _products(recordings, noises, cup_length, structure)
+    products = _cluster_products(recordings, noises, cup_length, structure)
     if not np.diag(products[1])[:2 * structure.size].min() > 0.0:  # nothing but noise moves it
         return NO_RELAXATION
-    _, unexplained = _minimum(products, structure.size, ())
+    _, unexplained = _fit_strengths(products, structure.size, ())
     for free in ((0, 1), (0,), (1,)):
-        estimate, remaining = _minimum(products, structure.size, free)
+        estimate, remaining = _fit_strengths(products, structure.size, free)
         if min(estimate.strengths) >= 0.0:
             break
     else:
@@ -369,7 +369,7 @@ def relaxation_of(
         return NO_RELAXATION
     if 0.0 < estimate.std[1] <= MAX_RELATIVE_ERROR * max(estimate.strengths):
         return estimate
-    alone, remaining = _minimum(products, structure.size, (0,), DEFAULT_RATIO)
+    alone, remaining = _fit_strengths(products, structure.size, (0,), DEFAULT_RATIO)
     if remaining > MAX_REMAINING_SHARE * unexplained:
         return NO_RELAXATION
     unknown = np.diag([0.0, (RATIO_STD * alone.strengths[0]) ** 2])
@@ -416,7 +416,7 @@ def _relaxing_rows(
         yield np.dstack([static.A, *of_branches, static.b]), static.clusters
 
 
-def _products(
+def _cluster_products(
     recordings: Sequence[Samples], noises: Sequence[FilterNoise], cup_length: float,
     structure: Structure,
 ) -> tuple[Array, Array]:
@@ -450,7 +450,7 @@ def _square(rows: Array) -> Array:
     return np.asarray(flat.T @ flat)
 
 
-def _minimum(
+def _fit_strengths(
     products: tuple[Array, Array], n: int, free: Sequence[int], ratio: float = 0.0
 ) -> tuple[Relaxation, float]:
     """
@@ -470,13 +470,13 @@ def _minimum(
                                   scale * G[:2 * n, -1]) * scale, np.zeros(len(free)))
     unit = np.append(scale, np.ones(len(free)))
     for _ in range(RELAXATION_STEPS):
-        y, Y = _combined(x, n, by)
+        y, Y = _linear_unknowns(x, n, by)
         H = (Y * unit).T @ G @ (Y * unit)
         step = unit * np.linalg.solve(H, (Y * unit).T @ (G @ y))
         x = x - step
         if np.abs(step[2 * n:]).max(initial=0.0) < 1e-9:
             break
-    y, Y = _combined(x, n, by)
+    y, Y = _linear_unknowns(x, n, by)
     scores = (clusters @ y) @ (Y * unit)
     scores = scores - scores.mean(axis=0)
     H = (Y * unit).T @ G @ (Y * unit)
@@ -488,7 +488,7 @@ def _minimum(
         (float(r[0]), float(r[1])), covariance, scale[:, None] * slopes), float(y @ G @ y)
 
 
-def _combined(x: Array, n: int, by: Array) -> tuple[Array, Array]:
+def _linear_unknowns(x: Array, n: int, by: Array) -> tuple[Array, Array]:
     """Return y = [K, P, r1 K, r2 K, -1], with which rows @ y is the residual, and dy/dx."""
     K, r = x[:n], by @ x[2 * n:]
     y = np.concatenate([x[:2 * n], r[0] * K, r[1] * K, [-1.0]])

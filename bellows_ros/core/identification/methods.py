@@ -104,7 +104,7 @@ def fit(
     if result.converged and explained and not any(
             parameter.identifiable and std[parameter.label] <= largest * abs(parameter.value)
             for parameter in excitation.parameters if parameter.label[0] == 'P'
-            or parameter.label == UNLOADED and not _rest(recordings)):
+            or parameter.label == UNLOADED and not _stand_still(recordings)):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED}, which no weight loads. Move the tool in all directions at 1-3 Hz, '
@@ -123,7 +123,7 @@ def fit(
 
         jacobian = np.zeros(len(result.labels))
         if length_std > 0.0:
-            jacobian = _length_jacobian(_whole(recordings), values)
+            jacobian = _length_jacobian(_unreduced(recordings), values)
         length = Length(values['cup.length'], length_std, jacobian)
         result = joined_with_standstills(
             result, standstills, length, values['gravity.magnitude'], one_cup_of(values).stiffness,
@@ -131,10 +131,10 @@ def fit(
     return Result(result, excitation)
 
 
-def _rest(recordings: Sequence[Recording | Reduced]) -> bool:
+def _stand_still(recordings: Sequence[Recording | Reduced]) -> bool:
     """Return whether tool and package stand still for most of the recorded time."""
     still = total = 0.0
-    for recording in _whole(recordings):
+    for recording in _unreduced(recordings):
         total += float(np.ptp(recording.measured_package.stamps_ns)) / NS_PER_S
         with suppress(BellowsError):  # no standstill
             still += sum(each.duration for each in standstills_of(recording)[0])
@@ -171,7 +171,7 @@ def fitted(
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
         return least_squares([reduced(recording, values).statistics for recording in recordings])
-    return _by_output_error(_whole(recordings), values, progress)
+    return _by_output_error(_unreduced(recordings), values, progress)
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:
@@ -210,7 +210,7 @@ def _by_output_error(
 
 def _with_relaxation(result: Fit, recordings: Sequence[Recording | Reduced]) -> Fit:
     """Return a fit with the relaxation of the recordings, whose errors reach K and P."""
-    whole = _whole(recordings)
+    whole = _unreduced(recordings)
     if not whole or not any(whole[0].relaxation.strengths):
         return result
     relaxation = whole[0].relaxation
@@ -223,7 +223,7 @@ def _with_relaxation(result: Fit, recordings: Sequence[Recording | Reduced]) -> 
         notes=(*result.notes, *notes))
 
 
-def _whole(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
+def _unreduced(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
     """Return recordings, of which none is reduced."""
     return [recording for recording in recordings if isinstance(recording, Recording)]
 

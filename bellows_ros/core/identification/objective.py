@@ -100,10 +100,10 @@ def ensemble_of(
         settings, samples = recording.settings, samples_of(recording)
         rate = 1e9 / float(np.median(np.diff(samples.package.stamps_ns)))
         thinned = samples.thinned(max(int(RATE_HZ / rate * len(samples.tool)), 1))
-        thinned = _stretches(thinned, MAX_SECONDS / len(recordings))
+        thinned = _selected_stretches(thinned, MAX_SECONDS / len(recordings))
         if draw is not None:
-            thinned = _noisier(recording, thinned, draw)
-        bins = _bins(thinned.package.stamps_ns)
+            thinned = _with_noise(recording, thinned, draw)
+        bins = _averaging_bins(thinned.package.stamps_ns)
         every = -(-len(np.unique(bins)) * len(recordings) // MAX_AVERAGES)
         body = replace(thinned.package, valid=thinned.package.valid & (bins % every == 0))
         return Given(replace(thinned, package=body), length, structure,
@@ -114,7 +114,7 @@ def ensemble_of(
         tuple(tuple(given(recording, draw) for recording in recordings) for draw in draws(DRAWS)))
 
 
-def _stretches(samples: Samples, max_duration: float) -> Samples:
+def _selected_stretches(samples: Samples, max_duration: float) -> Samples:
     """Return stretches of samples, at most so many seconds, whose ends are not valid."""
     stamps = samples.tool.stamps_ns
     duration = (stamps[-1] - stamps[0]) / NS_PER_S
@@ -126,7 +126,7 @@ def _stretches(samples: Samples, max_duration: float) -> Samples:
     return replace(selected, tool=replace(selected.tool, valid=selected.tool.valid & inner[used]))
 
 
-def _noisier(recording: Recording, samples: Samples, draw: np.random.Generator) -> Samples:
+def _with_noise(recording: Recording, samples: Samples, draw: np.random.Generator) -> Samples:
     """Return samples of a recording with as much noise once more, through the same filters."""
     stamps, of_tool = samples.package.stamps_ns, recording.aligned_tool.stamps_ns
     tool_noise, package_noise = (
@@ -149,7 +149,7 @@ def _noisier(recording: Recording, samples: Samples, draw: np.random.Generator) 
                    package=displaced(samples.package, *np.split(package, 2, axis=2)))
 
 
-def _bins(stamps_ns: Stamps) -> Stamps:
+def _averaging_bins(stamps_ns: Stamps) -> Stamps:
     """Return which mean each stamp belongs to, whatever the first one is."""
     return stamps_ns // int(AVERAGING_TIME * NS_PER_S)
 
@@ -158,8 +158,8 @@ def equations(given: Given) -> Array:
     """Return means (N, 6, p + 1) of the rows [L c]."""
     lip = given.samples.lip
     L = np.concatenate([block.A for block in lip.equations(given.length, given.structure)])
-    rows = np.dstack([L, *_extra(given, L), lip.wrench])
-    bins = _bins(lip.stamps_ns)
+    rows = np.dstack([L, *_extra_columns(given, L), lip.wrench])
+    bins = _averaging_bins(lip.stamps_ns)
     starts = np.unique(bins, return_index=True)[1]
     counts = np.diff([*starts, len(bins)])
     full = counts >= 0.7 * np.median(counts)
@@ -172,7 +172,7 @@ def extra_entries(structure: Structure, name: str) -> list[int]:
             if row == column or name == 'drift']
 
 
-def _extra(given: Given, L: Array) -> list[Array]:
+def _extra_columns(given: Given, L: Array) -> list[Array]:
     """Return columns of a cup that drifts, is not linear, or has friction."""
     lip, entries = given.samples.lip, extra_entries(given.structure, given.extra)
     if given.extra == 'drift':
@@ -185,7 +185,7 @@ def _extra(given: Given, L: Array) -> list[Array]:
         return [part[:, None, :] * L[:, :, entries] for part in (square, square**2)]
     if given.extra == 'friction':
         columns = []
-        for z in _dragged(given):
+        for z in _slider_displacements(given):
             slider = replace(
                 lip, position=z[lip.index, :3] - [0.0, 0.0, given.length],
                 rotation=exp_so3(z[lip.index, 3:]))
@@ -195,7 +195,7 @@ def _extra(given: Given, L: Array) -> list[Array]:
     return []
 
 
-def _dragged(given: Given) -> Array:
+def _slider_displacements(given: Given) -> Array:
     """Return the displacements (2, N, 6) of two sliders that the lip drags along (Dahl, 1968)."""
     samples = given.samples
     position, rotation, _ = lip_relative(samples.tool, samples.package, samples.payload.com)
@@ -366,7 +366,7 @@ def refine(
         return objective.solved(ensemble.varied(hypothesis.vary, theta))
 
     if start is None:
-        near = _first(objective, ensemble, hypothesis)
+        near = _best_start(objective, ensemble, hypothesis)
         starts = [near, np.zeros_like(near)] if near.any() else [near]
         return min((refine(objective, ensemble, hypothesis, begin, rounds) for begin in starts),
                    key=lambda refined: refined.solved.excess)
@@ -389,7 +389,7 @@ def refine(
     return Refined(theta, covariance, current)
 
 
-def _first(objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis) -> Array:
+def _best_start(objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis) -> Array:
     """Return the numbers among the starts of a hypothesis that explain most, 0 without any."""
     quiet = Ensemble(ensemble.given, ())
     starts = [np.zeros(len(hypothesis.steps)), *hypothesis.starts(ensemble.given[0])]

@@ -190,17 +190,19 @@ def covariance_of(
     if noise is not None:
         shares, turn = np.linalg.eigh(directions.T @ noise @ directions)
         directions = directions @ turn
-    scatter = _excess(np.array([
+    scatter = _relative_variances(np.array([
         directions.T @ gradient
         for segment, part in zip(search.segments, minimum.parts, strict=True)
-        for gradient in _left_out(minimum.information, part, segment.period)]))
+        for gradient in _gradients_without(minimum.information, part, segment.period)]))
     wide = directions / (1.0 - np.clip(shares, 0.0, MAX_NOISE_SHARE))
     covariance = (wide * np.maximum(scatter, 1.0)) @ wide.T
     return (np.asarray(covariance * np.outer(search.units, search.units)),
             1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1)))
 
 
-def _left_out(information: Array, part: WhitenedSegment, period: float) -> Iterator[Array]:
+def _gradients_without(
+    information: Array, part: WhitenedSegment, period: float
+) -> Iterator[Array]:
     """Yield the gradient (m,) of each second of a segment, as it is for the fit without it."""
     length = 6 * max(round(BLOCK_DURATION / period), 1)
     for first in range(0, len(part.innovations), length):
@@ -209,7 +211,7 @@ def _left_out(information: Array, part: WhitenedSegment, period: float) -> Itera
         yield np.asarray(information @ np.linalg.solve(rest, J.T @ r), dtype=np.float64)
 
 
-def _excess(influences: Array) -> Array:
+def _relative_variances(influences: Array) -> Array:
     """
     Return the variances (m,) along directions over those of the noise model.
 

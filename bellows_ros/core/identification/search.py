@@ -456,7 +456,7 @@ class Parametrization:
         """Return unknowns after a step, K and P along a geodesic."""
         moved, ends = theta + step, []
         for M, change in zip(self._matrices(theta), self._matrices(step), strict=True):
-            root, inverse = _roots(M)
+            root, inverse = _symmetric_roots(M)
             values, vectors = np.linalg.eigh(inverse @ change @ inverse)
             half = root @ vectors * np.exp(0.5 * np.clip(values, -MAX_LOG_STEP, MAX_LOG_STEP))
             ends.append(half @ half.T)
@@ -476,8 +476,8 @@ class Parametrization:
         to_com, inertia = np.eye(6), np.zeros((6, 6))
         to_com[:3, 3:] = -lie.hat(payload.com)
         inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
-        root, inverse = _roots(to_com.T @ inertia @ to_com)
-        P = LOSS_FACTOR * root @ _roots(inverse @ stiffness @ inverse)[0] @ root
+        root, inverse = _symmetric_roots(to_com.T @ inertia @ to_com)
+        P = LOSS_FACTOR * root @ _symmetric_roots(inverse @ stiffness @ inverse)[0] @ root
         return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
 
     def prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
@@ -491,7 +491,7 @@ class Parametrization:
         for first, M, mean, std in zip((0, size), (K, P), means, stds, strict=True):
             index = slice(first, first + size)
             unit = np.array(self.structure.basis) * self.units[index, None, None]
-            root, inverse = _roots(M)
+            root, inverse = _symmetric_roots(M)
             slopes = inverse @ unit @ inverse
             values, vectors = np.linalg.eigh(inverse @ mean @ inverse)
             difference = (vectors * np.log(values)) @ vectors.T
@@ -564,7 +564,7 @@ class Search(Parametrization):
             if number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected:
                 break
             step = self._damped_step(theta, H, g, damping, directions)
-            moved = self.moved(theta, _mixed(step, H, history))
+            moved = self.moved(theta, _anderson_step(step, H, history))
             length = self.squared_length(step, H)
             try:
                 new = self.system(moved, forgetting)
@@ -655,7 +655,7 @@ class Search(Parametrization):
         expected, start = (
             adapted(model, simulation.row_state(path.rows[0]), body)
             for body in (segment.expected_start, segment.start))
-        start = _shrunk(model, path.rows[0], start, segment.std)
+        start = _start_near_rest(model, path.rows[0], start, segment.std)
         mean, poses = _difference(start, expected), self._poses(segment, nodes, free, lengths)
         tool_noise, initial_std = segment.tool_noise(nodes), INITIAL_STD[:len(mean)]
         scales, extra, reach = self._cup_deviations(
@@ -759,7 +759,7 @@ def _integration_step(model: ModelTuple, factor: float) -> float:
     return longest
 
 
-def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:
+def _anderson_step(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Array:
     """
     Return the change after steps before this one, and how far the search went after each.
 
@@ -776,14 +776,14 @@ def _mixed(step: Array, H: Array, history: Sequence[tuple[Array, Array]]) -> Arr
     return np.asarray(step - weights @ (changes + differences))
 
 
-def _roots(M: Array) -> tuple[Array, Array]:
+def _symmetric_roots(M: Array) -> tuple[Array, Array]:
     """Return the symmetric root of a definite matrix, and its inverse."""
     values, vectors = np.linalg.eigh(M)
     root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
     return (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
 
 
-def _shrunk(model: ModelTuple, tool: Array, start: State, std: Array) -> State:
+def _start_near_rest(model: ModelTuple, tool: Array, start: State, std: Array) -> State:
     """
     Return a first state that hangs at rest where its pose is within the noise of the poses.
 

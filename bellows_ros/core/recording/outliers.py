@@ -275,12 +275,13 @@ def _lasting(poses: Trajectory, at: Indices) -> Array:
     paths = poses.position[around] - poses.position[i, None], log_so3(
         back @ poses.rotation[around])
     for q, path in enumerate(paths):
-        before, after = (_at_zero(t[:, s], path[:, s]) for s in (slice(m), slice(m, None)))
+        before, after = (_extrapolated_to_zero(t[:, side], path[:, side])
+                         for side in (slice(m), slice(m, None)))
         result[inside, q] = np.linalg.norm(after - before, axis=1)
     return result
 
 
-def _at_zero(t: Array, y: Array) -> Array:
+def _extrapolated_to_zero(t: Array, y: Array) -> Array:
     """Return lines through values y (K, m, 3) at times t (K, m), at time zero (K, 3)."""
     centre = t.mean(axis=1, keepdims=True)
     slope = np.einsum('km,kmi->ki', t - centre, y) / np.sum((t - centre) ** 2, axis=1)[:, None]
@@ -348,7 +349,7 @@ def _thresholds_over(poses: Trajectory, increments: Array, breaks: Mask, slots: 
 def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[LastingStep]]:
     """Return the excursions between jumps that cancel, and the remaining steps."""
     edges = sorted(edges, key=lambda edge: edge.before)
-    flickers = _flicker(edges)
+    flickers = _flickering(edges)
     excursions: list[slice] = []
     used: set[int] = set()
     single = []
@@ -356,9 +357,9 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[Last
         if edge.strength < 1.0 or k in used:
             continue
         ends = [(a, b) for a, b in (
-            *_ends_ahead(edges, k, used), *_ends_behind(edges, k, used))
+            *_cancelled_ahead(edges, k, used), *_cancelled_behind(edges, k, used))
             if edges[b].before - edges[a].before <= LINE_SIDE
-            or not (flickers[a] or flickers[b]) and _last_alike(edges[a], edges[b])]
+            or not (flickers[a] or flickers[b]) and _persist_alike(edges[a], edges[b])]
         if not ends:
             single.append((edge, flickers[k]))
             continue
@@ -367,7 +368,7 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[Last
         excursions.append(slice(edges[first].before + 1, edges[last].before + 1))
     steps = []
     for edge, flickering in single:
-        run = _to_the_end(edge, poses) if not flickering and _lasts(edge) else slice(
+        run = _span_to_end(edge, poses) if not flickering and _persists(edge) else slice(
             edge.before, edge.before + 2)
         if run is None:
             steps.append(LastingStep(edge.before, *edge.sizes))
@@ -376,7 +377,7 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[Last
     return excursions, steps
 
 
-def _flicker(edges: list[Edge]) -> Mask:
+def _flickering(edges: list[Edge]) -> Mask:
     """Return which jumps, in the order of their samples, are among others as strong."""
     at = np.array([edge.before for edge in edges])
     strength = np.array([edge.strength for edge in edges])
@@ -387,24 +388,24 @@ def _flicker(edges: list[Edge]) -> Mask:
         for i, j, each in zip(first, after, strength, strict=True)], dtype=bool)
 
 
-def _lasts(edge: Edge) -> bool:
+def _persists(edge: Edge) -> bool:
     """Return whether a jump persists beyond the neighbouring samples, or this is undecidable."""
     return edge.lasting is None or bool(np.any(
         (edge.sizes >= PARTNER_STRENGTH * edge.thresholds)
         & (edge.lasting >= MIN_LASTING_PART * edge.sizes)))
 
 
-def _last_alike(one: Edge, other: Edge) -> bool:
+def _persist_alike(one: Edge, other: Edge) -> bool:
     """Return whether two jumps persist with one size, or this is undecidable."""
     if one.lasting is None or other.lasting is None:
-        return _lasts(one) and _lasts(other)
+        return _persists(one) and _persists(other)
     stronger = max(one, other, key=attrgetter('strength'))
     q = int(np.argmax(stronger.sizes / stronger.thresholds))
     smaller, larger = sorted((one.lasting[q], other.lasting[q]))
-    return _lasts(stronger) and bool(smaller >= MIN_SIZE_RATIO * larger)
+    return _persists(stronger) and bool(smaller >= MIN_SIZE_RATIO * larger)
 
 
-def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
+def _cancelled_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
     """Yield the pair (k, b) of a jump and the first after it with which the sum cancels."""
     total = edges[k].forms
     for b in range(k + 1, min(k + 1 + MAX_PARTNERS, len(edges))):
@@ -412,7 +413,7 @@ def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int
         is_late = other.before - edges[k].before > LATE_SAMPLES
         if b in used or (is_late and other.strength < 1.0):
             continue
-        summed = _sum(total, other.forms)
+        summed = _summed_forms(total, other.forms)
         if _cancels(edges[k], other, summed, MAX_LATE_REMAINDER if is_late else MAX_REMAINDER):
             yield k, b
             return
@@ -420,18 +421,19 @@ def _ends_ahead(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int
             total = summed
 
 
-def _ends_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
+def _cancelled_behind(edges: list[Edge], k: int, used: set[int]) -> Iterator[tuple[int, int]]:
     """Yield the pair (b, k) of a jump and the nearest weaker one before it that it cancels."""
     for b in range(k - 1, max(k - 1 - MAX_PARTNERS, -1), -1):
         other = edges[b]
         if b in used or edges[k].before - other.before > LATE_SAMPLES:
             return
-        if other.strength < 1.0 and _cancels(edges[k], other, _sum(other.forms, edges[k].forms)):
+        summed = _summed_forms(other.forms, edges[k].forms)
+        if other.strength < 1.0 and _cancels(edges[k], other, summed):
             yield b, k
             return
 
 
-def _sum(first: Array, second: Array) -> Array:
+def _summed_forms(first: Array, second: Array) -> Array:
     """Return the sums of jumps in each form; on the body, before the first and after the last."""
     total = first + second
     total[0, 1:] = first[0, 1] + second[0, 2]
@@ -448,7 +450,7 @@ def _cancels(edge: Edge, last: Edge, summed: Array, within: float = MAX_REMAINDE
     return bool(np.all(np.linalg.norm(summed, axis=2).min(axis=1) < allowed))
 
 
-def _to_the_end(edge: Edge, poses: Trajectory) -> slice | None:
+def _span_to_end(edge: Edge, poses: Trajectory) -> slice | None:
     """Return the part between a jump and an end of the recording, if short, else nothing."""
     seconds, first = poses.seconds, edge.before + 1
     before, after = float(seconds[edge.before]), float(seconds[-1] - seconds[first])

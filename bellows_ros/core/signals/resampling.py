@@ -143,12 +143,12 @@ def _period(steps: Stamps) -> float:
     steps is the period.
     """
     count = min(BURST_STEPS, max(len(steps) // 4, 1))
-    typical = _typical(steps)
-    mean = _typical(np.convolve(steps, np.ones(count), 'valid')) / count
+    typical = _typical_value(steps)
+    mean = _typical_value(np.convolve(steps, np.ones(count), 'valid')) / count
     return typical if MEAN_RANGE[0] * typical <= mean <= MEAN_RANGE[1] * typical else mean
 
 
-def _typical(values: Array | Stamps) -> float:
+def _typical_value(values: Array | Stamps) -> float:
     """Return the mean of the values near their median, or the median if there are none."""
     median = float(np.median(values))
     near = values[np.abs(values - median) < 0.5 * median]
@@ -255,14 +255,14 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
         i = int(np.argmax(steps))
         missing = int((steps[i] - drift) / period + 1.0 - LOST_PERIODS)
         if missing < 1:
-            sampled = _line_below(number, since)
+            sampled = _tangent_below(number, since)
             return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
         before = np.flatnonzero(delay[i:i + 3 * n] < earliest[i] + (missing - 0.1) * period)
         number[i + before[-1] + 1:] += missing
     return None
 
 
-def _line_below(x: Array | Stamps, y: Array) -> Array:
+def _tangent_below(x: Array | Stamps, y: Array) -> Array:
     """Return the line (N,) below all points that is nearest to them in the mean."""
     middle, slope = int(np.searchsorted(x, np.mean(x))), (y[-1] - y[0]) / (x[-1] - x[0])
     ends = -1, -1
@@ -338,7 +338,7 @@ def resample(
     valid = trajectory.valid[before]
     between = np.flatnonzero(wanted != stamps[before])
     start, end = before[between], before[between] + 1
-    position[between], rotation[between], twists = _between(
+    position[between], rotation[between], twists = _interpolated(
         trajectory, start, end, wanted[between])
     if twist is not None:
         twist[between] = twists
@@ -349,7 +349,7 @@ def resample(
     return Trajectory(wanted, position, rotation, twist, valid=valid)
 
 
-def _between(
+def _interpolated(
     trajectory: Trajectory, before: Stamps, after: Stamps, wanted_ns: Stamps
 ) -> tuple[Array, Array, Array | None]:
     """Return positions, rotations and body twists of the interpolant between samples."""

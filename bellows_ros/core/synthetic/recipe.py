@@ -27,7 +27,7 @@ from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion, motion_from, sample_stamps
-from bellows_ros.core.toss.landing import changed
+from bellows_ros.core.toss.landing import release_with
 from bellows_ros.core.toss.release import HeldMotion, Law, MAX_WAIT, Release, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -486,7 +486,7 @@ def tossed(
     pickup : float
         So long (s) after that the next package hangs at rest.
     changes : array (N, 8)
-        By how much the law of release of each toss differs; see `changed`.
+        By how much the law of release of each toss differs; see `release_with`.
 
     Raises
     ------
@@ -507,7 +507,7 @@ def tossed(
         try:
             _require_rest(remaining)
             hanging = HeldMotion(model, grip, remaining, until=switched + MAX_WAIT)
-            drawn = changed(release, changes[k]) if k < len(times) else release
+            drawn = release_with(release, changes[k]) if k < len(times) else release
             t = seconds[part] - start
             rows[part] = hanging.along(drawn, switched, t)[1]
             if k == len(times):

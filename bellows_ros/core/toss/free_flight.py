@@ -72,11 +72,11 @@ def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: flo
     L = t3.apply(R, t3.apply(inertia, body[3]))
     k1 = body[3]
     s2 = t3.scale(0.5 * h, k1)
-    k2 = kernels.rotation_rate(s2, _spin(inverse, q, s2, L))
+    k2 = kernels.rotation_rate(s2, _body_rate_after(inverse, q, s2, L))
     s3 = t3.scale(0.5 * h, k2)
-    k3 = kernels.rotation_rate(s3, _spin(inverse, q, s3, L))
+    k3 = kernels.rotation_rate(s3, _body_rate_after(inverse, q, s3, L))
     s4 = t3.scale(h, k3)
-    k4 = kernels.rotation_rate(s4, _spin(inverse, q, s4, L))
+    k4 = kernels.rotation_rate(s4, _body_rate_after(inverse, q, s4, L))
     q_later = t3.normalised(
         t3.quaternion_product(q, t3.exp_quaternion(t3.scale(h, kernels.weighted(k1, k2, k3, k4)))))
     R_later = t3.rotation_matrix(q_later)
@@ -90,7 +90,7 @@ def free_flight_step(package: PackageTuple, gravity: Vector, body: State, h: flo
 
 
 @kernel
-def _spin(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
+def _body_rate_after(inverse: Any, q: Quaternion, sigma: Vector, L: Vector) -> Vector:
     """Return the body rate after a turn by sigma, with the angular momentum L in the world."""
     R = t3.rotation_matrix(t3.quaternion_product(q, t3.exp_quaternion(sigma)))
     return t3.apply(inverse, t3.apply_transposed(R, L))

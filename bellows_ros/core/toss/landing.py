@@ -88,7 +88,7 @@ class TossProblem(NamedTuple):
             thrown.landing, nominal.landing, self.held.model[2]))
 
 
-def changed(release: Release, by: Array) -> Release:
+def release_with(release: Release, by: Array) -> Release:
     """Return a release whose law is changed by (8,); see `changed_law`."""
     return release._replace(law=toss_release.changed_law(release.law, 1.0, as_law(by)))
 
@@ -142,8 +142,9 @@ def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
     for k in uncertain:
         step = toss_release.LAW_STEP * of_law[k] * np.eye(8)[k]
-        up, down = (case.error(toss(case.held, changed(case.release, by), case.switched), nominal)
-                    for by in (step, -step))
+        releases = (release_with(case.release, by) for by in (step, -step))
+        up, down = (case.error(toss(case.held, release, case.switched), nominal)
+                    for release in releases)
         rows.append((up - down)[None] / (2.0 * toss_release.LAW_STEP))
     correlation = np.eye(count + len(uncertain))
     correlation[count:, count:] = (factor @ factor.T / np.outer(
@@ -175,7 +176,7 @@ def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCa
     for _ in range(count):
         model = model_with(
             case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
-        release = changed(case.release, factor @ rng.standard_normal(8))
+        release = release_with(case.release, factor @ rng.standard_normal(8))
         try:
             thrown = case.with_numbers(model, release, until)
         except (NoLandingError, UnstableError):

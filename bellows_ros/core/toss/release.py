@@ -163,7 +163,7 @@ def load_at(
 
 
 @kernel
-def _hold(
+def _simulate_held(
     model: ModelTuple, grip: Grip, body: State, rows: Any, durations: Any, counts: Any,
     times: Array, tools: Array, states: Array, loads: Array,
 ) -> None:
@@ -177,7 +177,7 @@ def _hold(
         for i in range(counts[k]):
             j += 1
             times[j] = start + durations[k] * (i + 1.0) / counts[k]
-            tool, body = _within(
+            tool, body = _held_substep(
                 model, NO_LAW, 0.0, segment, body, i / counts[k], (i + 1.0) / counts[k])
             write_row(tools[j], tool)
             write_row(states[j], body)
@@ -186,7 +186,7 @@ def _hold(
 
 
 @kernel
-def _within(
+def _held_substep(
     model: ModelTuple, law: Law, since_valve: float, segment: ToolSegment, body: State, low: float,
     high: float,
 ) -> tuple[State, State]:
@@ -230,7 +230,8 @@ def find_release(
             s = low if above <= 0.0 and low < last else last
             while True:
                 since_valve = start + s * duration - switched
-                tool_s, carried = _within(model, law, start - switched, segment, body, before, s)
+                tool_s, carried = _held_substep(
+                    model, law, start - switched, segment, body, before, s)
                 load = load_at(model, grip, law, since_valve, tool_s, carried)
                 margin = suction_margin(grip, law, since_valve, load)
                 if bracket[4] != 0.0:
@@ -474,8 +475,9 @@ class HeldMotion:
         tools, states = np.empty((size, 13)), np.empty((size, simulation.row_length(start)))
         self.tools, self.states = tools, states[:, :13]
         try:
-            _hold(model, self.grip, start, *as_inputs(rows[:count], durations, counts),
-                  self.times, tools, states, self.loads)
+            _simulate_held(
+                model, self.grip, start, *as_inputs(rows[:count], durations, counts), self.times,
+                tools, states, self.loads)
         except (ArithmeticError, ValueError):  # interpreted kernels raise where compiled give nan
             states[-1] = math.nan
         if not np.isfinite(states[-1]).all():

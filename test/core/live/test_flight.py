@@ -10,7 +10,7 @@ from bellows_ros.core.model.equilibrium import largest_step, moved_by
 from bellows_ros.core.model.simulation import row_state, tool_rows, ToolRows
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.toss import release as tossing
-from bellows_ros.core.toss.landing import changed, release_factor
+from bellows_ros.core.toss.landing import release_factor, release_with
 from bellows_ros.core.toss.release import HeldMotion, release_of, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -90,7 +90,7 @@ def worked_out(flight, now, std):
     nominal, by = landing(now.body, release), []
     for size, push in zip(tossing.DIFFERENCE_STEPS, axes, strict=True):
         found = landing(moved_by(now.body, size * push),
-                        changed(release, release_factor(VALUES) @ (size * push[12:])))
+                        release_with(release, release_factor(VALUES) @ (size * push[12:])))
         by.append(np.concatenate(tossing.landing_error(found, nominal, MODEL[2])) / size)
     J = np.transpose(by) * np.append(std, np.ones(8))
     return np.concatenate(nominal), J @ J.T
@@ -118,7 +118,7 @@ def test_says_where_it_would_land_now_and_how_sure_that_is(plan):
     landings = []
     for _ in range(400):
         start = moved_by(now.body, std * rng.standard_normal(12))
-        release = changed(
+        release = release_with(
             release_of(VALUES), release_factor(VALUES) @ rng.standard_normal(8))
         held = HeldMotion(MODEL, tosses.GRIP, tool, start, 0.5)
         landings.append(toss(held, release, 0.0).landing[0][:2])
