@@ -307,9 +307,9 @@ def _cup_effect(name: str, solved: Solved, structure: Structure) -> tuple[Array,
     theta, std = T @ solved.x[n:], np.sqrt(np.diag(T @ solved.covariance[n:, n:] @ T.T))
     size, best = np.abs(theta), int(np.argmax(np.abs(theta) / std))
     row, column = structure.leads[entries[best]]
-    return theta, std, bool(K[best] > 0.0 or row != column) and bool(
-        0.0 < theta[best] < 1.0 if name == 'friction'
-        else np.all((size < 1.0) | (size < SIGNIFICANT * std)))
+    is_physical = np.all((size < 1.0) | (size < SIGNIFICANT * std)) and (
+        theta[best] > 0.0 or name != 'friction') and (K[best] > 0.0 or row != column)
+    return theta, std, bool(is_physical)
 
 
 def _structure_change(solved: Solved, structure: Structure, other: Structure) -> float:
@@ -383,7 +383,8 @@ def _finding(trial: _Trial, ranking: _Ranking, identifiable: Sequence[str]) -> F
         moved = change = np.abs(trial.solved.x[diagonal] / before.x[diagonal] - 1.0)
     if hypothesis in CUP_EFFECTS:  # the entry of K that shows it best is enough
         entries = extra_entries(structure, hypothesis.name)
-        best = int(np.argmax(np.isin(entries, diagonal) * np.abs(theta) / std))
+        is_shown = np.isin(entries, diagonal) & (np.abs(theta) < 1.0)
+        best = int(np.argmax(is_shown * np.abs(theta) / std))
         value, theta, std = structure.labels[entries[best]], theta[[best]], std[[best]]
         change = np.abs(theta)
     is_material = hypothesis.name == 'structure' or rest < DISTINCT**2 * first or np.any(
