@@ -173,7 +173,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     for k in range(updates):
-        P = ekf.propagated_covariance(P, T, Q, np.full(6, 1e-12), memory)
+        P = ekf.propagated_covariance(P, T, Q, np.full(12, 1e-12), memory)
         scale, position, q = seen[37 * k % len(seen)]
         noise = np.diag(NOISE_STD**2) * scale
         found = innovation_of(
