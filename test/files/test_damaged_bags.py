@@ -148,28 +148,24 @@ def test_chunks_are_read_and_unknown_records_passed_over(tmp_path, compression):
     assert len(outcome(path).streams['p']) == 2
 
 
-@pytest.mark.parametrize('records, reason', [
-    ([message(0)], 'channel 1, which is not defined'),
-    ([BASE, channel(1, '/b'), message(0)], 'defined twice'),
-    ([chunk(BASE + message(0)[:-1])], 'record inside a chunk'),
-    ([chunk(BASE, 'bz2')], "'bz2' is not supported"),
-    *(([chunk(BASE, form, packed)], 'cannot be decompressed') for form, pack in PACK.items()
+@pytest.mark.parametrize('records, figures', [
+    ([message(0)], 'channel 1'), ([BASE, channel(1, '/b'), message(0)], 'channel 1'),
+    ([chunk(BASE + message(0)[:-1])], ''), ([chunk(BASE, 'bz2')], "'bz2'.* zstd, lz4 and none"),
+    *(([chunk(BASE, form, packed)], '') for form, pack in PACK.items()
       for packed in (pack(BASE)[:-2], pack(BASE) + b'x', b'nonsense')),
-    *(([chunk(BASE, form, packed, len(BASE) - 1)], 'longer than') for form, pack in PACK.items()
+    *(([chunk(BASE, form, packed, len(BASE) - 1)], f'{len(BASE) - 1} bytes')
+      for form, pack in PACK.items()
       for packed in (pack(BASE), pack(BASE[:-1]) + pack(BASE[-1:]))),
-    ([chunk(BASE, size=2**62)], 'says it is 4611686018427387904 bytes long'),
-    ([chunk(BASE, checksum=1)], 'checksum'),
-    ([BASE, message(0), statistics({1: 2})], 'has 1 messages in channel 1, but says 2'),
-    ([record(5, b'')], 'damaged'), ([record(3, bytes(2) + b'\xff' * 4)], 'has only'),
-    ([struct.pack('<BQ', 5, 2**63)], 'says it is'),
-    ([struct.pack('<BQ', 5, MAX_RECORD_BYTES)], 'beyond its end'),
-    ([record(2, bytes(20))], 'does not end')])
-def test_records_that_are_not_sound_are_refused(tmp_path, records, reason):
+    ([chunk(BASE, size=2**62)], f'{2**62} bytes'), ([chunk(BASE, checksum=1)], 'checksum'),
+    ([BASE, message(0), statistics({1: 2})], r'\b1 messages in channel 1\b.*\b2\b'),
+    ([record(5, b'')], ''), ([record(3, bytes(2) + b'\xff' * 4)], f'{2**32 - 1} bytes'),
+    ([struct.pack('<BQ', 5, 2**63)], f'{2**63} bytes'),
+    ([struct.pack('<BQ', 5, MAX_RECORD_BYTES)], ''), ([record(2, bytes(20))], '')])
+def test_records_that_are_not_sound_are_refused(tmp_path, records, figures):
     path = write_mcap(tmp_path / 'a.mcap', *records)
-    with pytest.raises(BellowsError, match=reason):
-        read_streams(path, WANTED)
-    with pytest.raises(BellowsError, match=reason):
-        topics(path)
+    for read in (lambda: read_streams(path, WANTED), lambda: topics(path)):
+        with pytest.raises(BellowsError, match=rf'a\.mcap.*{figures}'):
+            read()
 
 
 @pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
@@ -185,8 +181,7 @@ def test_a_recording_that_was_not_ended_is_read_up_to_the_break(tmp_path, compre
     count = len(found.streams['p'])
     assert 1000 < count < 2500
     (note,) = found.notes
-    assert re.search(f'not closed, a record .* (damaged|end): {count} messages were read', note)
-    lost = re.search(r'the last (\d+) of (\d+) bytes are damaged or cut short', note)
+    lost = re.search(rf'\b{count} messages .* (\d+) of (\d+) bytes', note)
     assert lost and int(lost[2]) == len(whole) - 30 > int(lost[1]) > len(pack(last)) - 30
     notes = []
     assert topics(path, notes) == [('/a', made.POSE, count)]
@@ -199,12 +194,12 @@ def test_what_a_file_system_leaves_behind_the_break_is_noted(tmp_path, tail):
     path.write_bytes(path.read_bytes() + tail)
     found = outcome(path)
     assert len(found.streams['p']) == 2
-    assert f'the last {len(tail)} of' in found.notes[0]
+    assert f'{len(tail)} of' in found.notes[0]
 
 
-def test_a_recording_that_was_not_ended_and_has_nothing_says_so(tmp_path):
+def test_a_recording_that_was_not_ended_and_has_nothing_is_refused(tmp_path):
     path = write_mcap(tmp_path / 'a.mcap', BASE, ended=False)
-    with pytest.raises(BellowsError, match='no message.* was not closed.* 0 messages were read'):
+    with pytest.raises(BellowsError, match=r'\b0 messages'):
         read_streams(path, WANTED)
 
 
@@ -226,7 +221,7 @@ def test_checksums_of_data_and_summary_are_verified(tmp_path):
         wrong = list(sound)
         wrong[part] = wrong[part][:-1] + bytes([wrong[part][-1] ^ 1])
         path.write_bytes(b''.join(wrong))
-        with pytest.raises(BellowsError, match=f'checksum of its {of} is wrong'):
+        with pytest.raises(BellowsError, match=f'checksum of its {of}'):
             read_streams(path, WANTED)
 
 

@@ -16,11 +16,6 @@ RESULT = {
              'ok': np.bool_(True), 'none': None}}
 
 
-def changed(**values):
-    """Return the result with some values changed; those that are None are left out."""
-    return {k: v for k, v in {**RESULT, **values}.items() if v is not None}
-
-
 def test_every_digit_comes_back(tmp_path):
     write_json(tmp_path / 'fit.json', RESULT)
     result = read_result(tmp_path / 'fit.json')
@@ -34,25 +29,21 @@ def test_every_digit_comes_back(tmp_path):
     assert result['damping_std'] == [[None] * 6] * 6
 
 
-@pytest.mark.parametrize('values, reason', [
-    ({'more': {1: 2}}, 'key 1'), ({'more': object}, 'cannot hold type'),
-    ({'more': 1j}, 'cannot hold complex'),
-    ({'more': {'a': [{'b': {1, 2}}]}}, 'cannot hold set')])
-def test_what_has_no_place_in_a_result_is_refused(tmp_path, values, reason):
+@pytest.mark.parametrize('more, named', [
+    ({1: 2}, '1'), (object, 'type'), (1j, 'complex'), ({'a': [{'b': {1, 2}}]}, 'set')])
+def test_what_has_no_place_in_a_result_is_refused(tmp_path, more, named):
     path = tmp_path / 'fit.json'
     path.write_text('old')
-    with pytest.raises(BellowsError, match=reason):
-        write_json(path, changed(**values))
+    with pytest.raises(BellowsError, match=rf'\b{named}\b'):
+        write_json(path, {**RESULT, 'more': more})
     assert path.read_text() == 'old'
 
 
-@pytest.mark.parametrize('data, reason', [
-    (b'', 'not JSON'), (b'{', 'not JSON'), (b'\xff', 'not text in UTF-8'),
-    (b'[1]', 'no stiffness'), (b'{}', 'no stiffness'),
-    (b'{"method": NaN}', 'NaN is not allowed'),
-    (b'{"method": -Infinity}', 'not JSON: -Infinity'), (b'[' * 200_000, 'nested too deeply'),
-    (b'1' * 5000, 'not JSON')])
-def test_what_is_no_result_is_refused(tmp_path, data, reason):
+@pytest.mark.parametrize('data, named', [
+    (b'', ''), (b'{', ''), (b'\xff', 'UTF-8'), (b'[1]', 'stiffness'), (b'{}', 'stiffness'),
+    (b'{"method": NaN}', 'NaN'), (b'{"method": -Infinity}', '-Infinity'), (b'[' * 200_000, ''),
+    (b'1' * 5000, '')], ids=range(9))
+def test_what_is_no_result_is_refused(tmp_path, data, named):
     (tmp_path / 'fit.json').write_bytes(data)
-    with pytest.raises(BellowsError, match=reason):
+    with pytest.raises(BellowsError, match=rf"fit\.json'.*{named}"):
         read_result(tmp_path / 'fit.json')

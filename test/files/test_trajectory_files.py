@@ -43,23 +43,18 @@ def test_euroc_has_w_first(tmp_path):
     np.testing.assert_allclose(values[0], [4.68, -1.78, 0.78, 0.1, 0.2, 0.3, 0.8])
 
 
-@pytest.mark.parametrize(('read', 'text', 'words'), [
-    (read_tum, '1 2 3\n', 'line 1: expected 8 numbers, got 3'),
+@pytest.mark.parametrize(('read', 'text', 'figures'), [
+    (read_tum, '1 2 3\n', r'line 1: .*\b8 numbers\b.*\b3\b'), (read_tum, '# nothing\n', ''),
     (read_tum, '1 0 0 0 0 0 zero 1\n', 'line 1'),
-    (read_tum, '# nothing\n', 'no poses'),
-    (read_tum, '-1 0 0 0 0 0 0 1\n', 'a time in s'),
-    (read_euroc, '1.5,0,0,0,1,0,0,0\n', 'a time in ns'),
-    (read_euroc, '1,0,0,0\n', 'at least 8 numbers'),
-    (read_euroc, f'{2**63},0,0,0,1,0,0,0\n', 'a time in ns'),
-    (read_euroc, '9' * 5000 + ',0,0,0,1,0,0,0\n', 'a time in ns'),
-    (read_euroc, '²,0,0,0,1,0,0,0\n', 'a time in ns'),
-    (read_tum, '9999999999 0 0 0 0 0 0 1\n', 'a time in s'),
-    (read_tum, '9' * 5000 + '.5 0 0 0 0 0 0 1\n', 'a time in s'),
-    (read_tum, '².1 0 0 0 0 0 0 1\n', 'line 1')])
-def test_bad_lines_are_named(read, text, words, tmp_path):
-    """Say which line, and what a line must be."""
+    (read_euroc, '1,0,0,0\n', r'line 1: .*\b8 numbers\b.*\b4\b'),
+    *((read_tum, f'{time} 0 0 0 0 0 0 1\n', 'line 1: .* in s,')
+      for time in ('-1', '9999999999', '9' * 5000 + '.5', '².1')),
+    *((read_euroc, f'{time},0,0,0,1,0,0,0\n', 'line 1: .* in ns,')
+      for time in ('1.5', 2**63, '9' * 5000, '²'))])
+def test_bad_lines_are_named(read, text, figures, tmp_path):
+    """Name the line, and what a line must be."""
     (tmp_path / 'a.txt').write_text(text)
-    with pytest.raises(BellowsError, match=words):
+    with pytest.raises(BellowsError, match=rf"a\.txt'.*{figures}"):
         read(tmp_path / 'a.txt')  # type: ignore[operator]
 
 
@@ -87,5 +82,5 @@ def test_kitti_that_is_none_is_refused(tmp_path):
         read_trajectory(file)
     (tmp_path / 'a_times.txt').write_text('0\n1\n')
     file.write_text(KITTI.replace('0.8 -0.6', '0.8 0.6'))
-    with pytest.raises(BellowsError, match=r'\b1\b'):
+    with pytest.raises(BellowsError, match='line 1'):
         read_trajectory(file)

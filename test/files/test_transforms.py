@@ -85,12 +85,11 @@ def test_the_world_may_be_any_frame(tmp_path):
 
 def test_what_is_missing_is_said(tmp_path):
     links = read_transforms(recording(tmp_path / 'tf', [(T0 + 5, 'elsewhere', 'lone', CAMERA)]))
-    for frame, world, words in (
-        ('tol', '', "'tol' is not among the transforms of it. There are: base"),
-        ('tool', 'elsewhere', "'hall', the other below 'elsewhere'"),
-        ('camera', 'rail', 'does not move'),
+    for frame, world, named in (
+        ('tol', '', "'tol'.* base, box, camera"), ('tool', 'elsewhere', "'hall'.*'elsewhere'"),
+        ('camera', 'rail', "'camera'.*'rail'"),
     ):
-        with pytest.raises(BellowsError, match=words):
+        with pytest.raises(BellowsError, match=named):
             poses_in(links, frame, world, 'it')
     with pytest.raises(BellowsError, match="'box'"):
         read_transforms(recording(tmp_path / 'two', [(T0 + 5, 'tool', 'box', CAMERA)]))
@@ -134,5 +133,5 @@ def test_damaged_transforms_are_an_error(tmp_path):
 def test_info_names_the_frames_that_move_and_how_to_convert(tmp_path):
     folder = recording(tmp_path / 'tf')
     (note,) = [text for text in info(folder).notes if 'bellows convert' in text]
-    assert ': base, box, flange. ' in note  # not what is fixed
+    assert 'base, box, flange' in note  # not what is fixed
     assert f'bellows convert {folder} --tool-frame' in note
