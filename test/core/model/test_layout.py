@@ -110,15 +110,14 @@ def test_the_covariance_is_that_of_one_cups_entries():
     assert_allclose((K - cup.stiffness)[UPPER], composition(places) @ step, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize(('layout', 'open_cups', 'message'), [
-    ([0.1, 0.0], [], 'x, y and z of each cup'),
-    ([], [], 'has 0 numbers'),
-    ([0.0] * 6, [], 'cups 0 and 1 are 0 mm apart'),
-    ([0.0, 0.0, 0.0, 0.001, 0.0, 0.0], [], '1 mm apart'),
-    ([0.06, 0.0, 0.0, 6.0, 0.0, 0.0], [], 'in mm'),
-    ([x for k in range(33) for x in (0.02 * k, 0.0, 0.0)], [], '33 cups'),
-    (FOUR, [4.0], '0 to 3'), (FOUR, [1.5], 'integers'),
-    (FOUR, [0, 1, 2, 3], 'none holds')])
-def test_refuses_what_is_no_gripper(layout, open_cups, message):
-    with pytest.raises(BellowsError, match=message):
+@pytest.mark.parametrize(('layout', 'open_cups', 'figures'), [
+    ([0.1, 0.0], [], r'layout\b.* 2 numbers'), ([], [], r'layout\b.* 0 numbers'),
+    ([0.0] * 6, [], r'layout\b.* 0 and 1\b.* 0 mm'),
+    ([0.0, 0.0, 0.0, 0.001, 0.0, 0.0], [], r'layout\b.* 1 mm'),
+    ([0.06, 0.0, 0.0, 6.0, 0.0, 0.0], [], r'layout\b.* 6 m\b.* mm\b'),
+    ([x for k in range(33) for x in (0.02 * k, 0.0, 0.0)], [], r'layout\b.* 33 cups'),
+    (FOUR, [4.0], r'open\b.* 4\b.* 0 to 3\b'), (FOUR, [1.5], r'open\b.* 1\.5\b.* 0 to 3\b'),
+    (FOUR, [0, 1, 2, 3], 'open')])
+def test_refuses_what_is_no_gripper(layout, open_cups, figures):
+    with pytest.raises(BellowsError, match=rf'cup\.{figures}'):
         cup_of(resolve({**PACKAGE, 'cup.layout': layout, 'cup.open': open_cups}))

@@ -5,7 +5,7 @@ from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -46,18 +46,18 @@ def test_equilibrium_of_a_tilted_tool_minimises_the_energy():
 def test_a_cup_too_soft_for_its_package_has_no_equilibrium():
     soft = Cup(np.diag([10.0, 10.0, 10.0, 1e-3, 1e-3, 1e-3]), np.zeros((6, 6)), 0.05)
     tilted = state_row((0, 0, 0), (np.sin(0.7), 0, 0, np.cos(0.7)), np.zeros(6))
-    with pytest.raises(BellowsError, match=r'2\.17'):
+    with pytest.raises(UnstableError, match=r'2\.17 kg.*cup\.stiffness'):
         equilibrium.static_equilibrium(model_tuple(soft, PLATE, 9.81), tilted)
 
 
 def test_a_tool_without_twists_is_refused():
     tool = Trajectory(np.arange(3), np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
-    with pytest.raises(BellowsError, match='no twists'):
+    with pytest.raises(BellowsError):
         simulate(Cup.thesis(), PLATE, tool)
 
 
-def test_a_simulation_that_blows_up_says_so():
+def test_a_simulation_that_diverges_is_refused():
     driven = Cup(Cup.thesis().stiffness, -50 * Cup.thesis().damping, 0.0481)
     start = state_row((0, 0, -0.08), (0, 0, 0, 1), np.full(6, 0.1))
-    with pytest.raises(BellowsError, match='diverged'):
+    with pytest.raises(UnstableError, match=r'package\.mass.*cup\.damping'):
         simulate(driven, PLATE, still_tool(np.eye(4), 10 * 10**9, 1000), start)

@@ -131,7 +131,7 @@ def test_a_file_holds_at_least_what_was_seen():
 ])
 def test_what_is_no_range_is_refused(change):
     """Check on construction."""
-    with pytest.raises(BellowsError, match='nvelope'):
+    with pytest.raises(BellowsError):
         Envelope(**{**vars(KNOWN), **change})
 
 

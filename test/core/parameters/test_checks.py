@@ -77,28 +77,20 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
     assert 'package.com' not in message
 
 
-@pytest.mark.parametrize('wrong, meant', [
-    ('package.wieght', 'package.mass'), ('weight', 'package.mass'), ('mass', 'package.mass'),
-    ('envelop.mass', 'envelope.mass'), ('cups.soft.stifness', 'cups.soft.stiffness')])
-def test_a_wrong_name_suggests_the_one_that_was_meant(wrong, meant):
-    with pytest.raises(BellowsError, match=rf"Did you mean '{meant}'\?"):
-        lookup(wrong)
-
-
-@pytest.mark.parametrize('name, known', [
-    ('package.xyzzy', 'Known there are: package.mass, package.inertia, package.com'),
-    ('package', 'Known there are: package.mass, package.inertia, package.com'),
-    ('cups.soft.xyzzy', 'Known there are: cups.soft.length, cups.soft.stiffness')])
-def test_a_wrong_name_in_a_group_is_shown_the_group(name, known):
-    with pytest.raises(BellowsError, match=known):
+@pytest.mark.parametrize('name, suggested', [
+    ('package.wieght', "'package.mass'"), ('weight', "'package.mass'"), ('mass', "'package.mass'"),
+    ('envelop.mass', "'envelope.mass'"), ('cups.soft.stifness', "'cups.soft.stiffness'"),
+    ('package.xyzzy', 'package.mass, package.inertia, package.com'),
+    ('package', 'package.mass, package.inertia, package.com'), ('zzzzzzzzzz', r'topics\.\*'),
+    ('cups.soft.xyzzy', 'cups.soft.length, cups.soft.stiffness')])
+def test_an_unknown_name_is_refused_with_the_nearest_or_those_of_its_group(name, suggested):
+    with pytest.raises(BellowsError, match=f"'{name}'.*{suggested}"):
         lookup(name)
 
 
-def test_unknown_names_are_refused_with_the_nearest_known():
-    with pytest.raises(BellowsError, match=r"'package.mas'.*mean 'package.mass'"):
+def test_an_unknown_name_is_shown_shortened_and_printable():
+    with pytest.raises(BellowsError, match=r"'package.mas'.*'package.mass'"):
         checks.resolve({'package.mas': 1.0})
-    with pytest.raises(BellowsError, match=r'topics\.\*'):
-        lookup('zzzzzzzzzz')
     with pytest.raises(BellowsError) as error:
         lookup('q' * 10_000 + '\x1b[2J')
     assert len(str(error.value)) < 2000
@@ -119,35 +111,34 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
         assert {type(x) for x in result} <= {float, str}
 
 
-@pytest.mark.parametrize('name, value, reason', [
-    ('package.mass', True, 'a number'), ('package.mass', 0.0, 'above 0'),
-    ('package.mass', 10**400, 'above 0'), ('package.com', [0.0, 0.0], '3 numbers.*got 2'),
-    ('package.com', [0.0, 0.0, float('nan')], 'at index 2'),
-    ('cup.length', 53.5, r'got 53.5 \(is it in m\?\)'),
-    ('gravity', -9.81, 'gravity.magnitude must be a number, at least 0'),
-    ('gravity.direction', [0.0, 0.0, 0.0], 'nothing is down'),
+@pytest.mark.parametrize('name, value, figures', [
+    ('package.mass', True, 'bool'), ('package.mass', 0.0, r'\b0 '),
+    ('package.mass', 10**400, r'\b10000 \(kg\)'), ('package.com', [0.0, 0.0], r'\b3 .* 2\b'),
+    ('package.com', [0.0, 0.0, float('nan')], 'index 2'), ('cup.length', 53.5, r'53.5 .* m\b'),
+    ('gravity', -9.81, r'gravity.magnitude .*\b0 '), ('gravity.direction', [0.0, 0.0, 0.0], ''),
     ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
     ('release.mass_range', [5e-324, 1.0], '1e-06'),
-    ('filter.tool.half_window', 25.0, 'an integer'), ('filter.tool.order', 1, 'at least 2'),
+    ('filter.tool.half_window', 25.0, '25.0'), ('filter.tool.order', 1, r'\b2 '),
     ('recording.align_at_rest', 1, 'true or false'),
-    ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', 'empty'),
-    ('topics.tool_pose', 'a\nb', 'control character'), ('bags', ['a', ''], 'index 1')])
-def test_values_are_refused_with_the_reason(name, value, reason):
+    ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', ''),
+    ('topics.tool_pose', 'a\nb', ''), ('bags', ['a', ''], 'index 1')])
+def test_values_are_refused_with_what_they_may_be(name, value, figures):
     message = refused(name, value)
-    assert name in message and re.search(reason, message)
+    assert name in message and re.search(figures, message)
 
 
 def test_matrices_must_be_symmetric():
     message = refused('cup.stiffness', changed(IDENTITY, 3, 0.25))
-    assert 'not symmetric: row 1, column 4 is 0.25, row 4, column 1 is 0' in message
+    assert 'row 1, column 4 is 0.25, row 4, column 1 is 0' in message
     rounded = np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123])
     rounded[0, 4], rounded[4, 0] = 12.3456789012, 12.3456789013
     assert checks.validate('cup.stiffness', list(rounded.ravel()))
 
 
 def test_stiffness_must_be_positive_definite():
-    assert 'smallest eigenvalue is -2,' in refused('cup.stiffness', changed(IDENTITY, 7, -2.0))
-    assert 'smallest eigenvalue is 0,' in refused('cup.stiffness', changed(IDENTITY, 7, 0.0))
+    for smallest in (-2, 0):
+        assert f'eigenvalue is {smallest},' in refused(
+            'cup.stiffness', changed(IDENTITY, 7, float(smallest)))
 
 
 def test_damping_must_be_positive_semidefinite():
@@ -180,16 +171,16 @@ def test_the_filter_needs_enough_samples_for_its_order():
 
 @pytest.mark.parametrize('holding', [0.6, 60.0, 600.0])
 def test_a_vacuum_in_another_unit_is_refused_with_the_number_in_pascals(holding):
-    with pytest.raises(BellowsError, match='give 60000'):
+    with pytest.raises(BellowsError, match=r'vacuum\.holding.* 60000\b'):
         checks.resolve({'vacuum.holding': holding})
 
 
-@pytest.mark.parametrize(('units', 'said'), [
+@pytest.mark.parametrize(('factor', 'unit'), [
     (1.0, None), (1e3, 'g m^2'), (1e4, 'kg cm^2'), (1e6, 'kg mm^2')])
-def test_an_inertia_in_another_unit_is_named_with_it(units, said):
-    values = {**PACKAGE, 'package.inertia': [units * x for x in PACKAGE['package.inertia']]}
-    found = checks.implausible(checks.resolve(values))
-    assert not found if said is None else f'in {said} instead' in found[0]
+def test_an_inertia_in_another_unit_is_named_with_it(factor, unit):
+    values = {**PACKAGE, 'package.inertia': [factor * x for x in PACKAGE['package.inertia']]}
+    warnings = checks.implausible(checks.resolve(values))
+    assert not warnings if unit is None else f' {unit} ' in warnings[0]
 
 
 anything = st.recursive(

@@ -32,24 +32,20 @@ def test_what_is_not_given_has_its_default():
     settings.done()
 
 
-@pytest.mark.parametrize(('read', 'message'), [
-    (
-        lambda s: s.number('rate', unit='Hz', above=3.0),
-        "'rate' must be a number, above 3 (Hz), got 3."),
-    (lambda s: s.number('missing', unit='Hz'), "'missing' is missing; it must be a number"),
-    (lambda s: s.number('huge'), "'huge' must be a number, got 1000"),
-    (lambda s: s.integer('rate', 0, maximum=2),
-     "'rate' must be an integer, at least 0 and at most 2, got"),
-    (lambda s: s.flag('rate', True), "'rate' must be true or false, got 3."),
-    (lambda s: s.choice('kind', ('a', 'c')), "'kind' must be one of a, c, got 'b'."),
-    (lambda s: s.vector('vector', 2, unit='m'), 'a list of 2 numbers (m), got 3 of them.'),
-    (lambda s: s.number('far'), "'far' must be between -1e+15 and 1e+15, got -1e+300."),
-    (lambda s: s.block('rate'), "Setting 'rate' must hold names and values, got 3."),
-    (lambda s: s.blocks('list')[1].number('b'), "'list[1].b' is missing")])
-def test_a_wrong_value_is_named_with_what_it_must_be(read, message):
-    with pytest.raises(BellowsError) as caught:
+@pytest.mark.parametrize(('read', 'named'), [
+    (lambda s: s.number('rate', unit='Hz', above=3.0), r"'rate' .* 3 \(Hz\).* 3\."),
+    (lambda s: s.number('missing', unit='Hz'), r"'missing' .*\(Hz\)"),
+    (lambda s: s.number('huge'), "'huge' .* 1000"),
+    (lambda s: s.integer('rate', 0, maximum=2), "'rate' .* 0 .* 2, .* 3"),
+    (lambda s: s.flag('rate', True), r"'rate' .* true or false.* 3\."),
+    (lambda s: s.choice('kind', ('a', 'c')), r"'kind' .* a, c.* 'b'\."),
+    (lambda s: s.vector('vector', 2, unit='m'), r"'vector' .* 2 .*\(m\).* 3 "),
+    (lambda s: s.number('far'), r"'far' .* -1e\+15 .* 1e\+15.* -1e\+300\."),
+    (lambda s: s.block('rate'), r"'rate' .* 3\."),
+    (lambda s: s.blocks('list')[1].number('b'), r"'list\[1\]\.b'")])
+def test_a_wrong_value_is_named_with_what_it_must_be(read, named):
+    with pytest.raises(BellowsError, match=named):
         read(Settings(BLOCK))
-    assert message in str(caught.value)
 
 
 def test_unknown_names_are_refused_with_the_nearest():

@@ -61,7 +61,7 @@ def test_twist_is_the_slope_of_the_pose():
 
 def test_columns_are_found_by_name():
     assert ARM.columns(['spin', 'other', 'turn', 'slide'], 'It') == [2, 3, 0]
-    with pytest.raises(BellowsError, match="It lacks the joint 'slide'.*it has turn, spin"):
+    with pytest.raises(BellowsError, match="It .*'slide'.* turn, spin"):
         ARM.columns(['turn', 'spin'], 'It')
 
 
@@ -86,20 +86,18 @@ def test_a_plan_of_joints_goes_through_its_points():
         plan_of_joints(ARM, ARM.moving, stamps, broken)
 
 
-@pytest.mark.parametrize(('urdf', 'link', 'words'), [
-    (URDF, 'tol', "tool_link 'tol' is not in the URDF. Did you mean 'tool'"),
-    (URDF, 'camera', "Joint 'eye' on the way to the tool is floating"),
-    ('<robot', 'tool', 'The URDF is not XML'),
-    ('<!DOCTYPE a [<!ENTITY b "c">]><robot/>', 'tool', 'defines entities'),
-    (URDF.replace('0 0 2', '0 0 0'), 'tool', "'turn' of the URDF has an axis of zero length"),
-    (URDF.replace('0 0 2', '0 0 x'), 'tool', "axis must be three numbers, got '0 0 x'"),
-    (URDF, 'world', "No joint of the URDF moves tool_link 'world'"),
-    (URDF.replace('<parent link="b"/>', ''), 'tool', "'spin' of the URDF has no parent link"),
-    (URDF.replace('<parent link="world"/>', '<parent link="tool"/>'), 'tool', 'a circle'),
-    (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="turn"/>'), 'tool', 'mimics another'),
+@pytest.mark.parametrize(('urdf', 'link', 'named'), [
+    (URDF, 'tol', "tool_link 'tol'.* 'tool'"), (URDF, 'camera', "'eye'.* floating"),
+    ('<robot', 'tool', 'URDF'), ('<!DOCTYPE a [<!ENTITY b "c">]><robot/>', 'tool', 'URDF'),
+    (URDF.replace('0 0 2', '0 0 0'), 'tool', "'turn'.* axis"),
+    (URDF.replace('0 0 2', '0 0 x'), 'tool', "'turn'.* axis .*'0 0 x'"),
+    (URDF, 'world', "tool_link 'world'"),
+    (URDF.replace('<parent link="b"/>', ''), 'tool', "'spin'.* parent"),
+    (URDF.replace('<parent link="world"/>', '<parent link="tool"/>'), 'tool', "link 'b'"),
+    (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="turn"/>'), 'tool', "'slide'.* mimic"),
 ])
-def test_what_cannot_be_followed_is_refused(urdf, link, words):
-    with pytest.raises(BellowsError, match=words):
+def test_what_cannot_be_followed_is_refused(urdf, link, named):
+    with pytest.raises(BellowsError, match=named):
         read_arm(urdf, link)
 
 

@@ -64,13 +64,13 @@ def test_the_shortest_time_is_found_however_fast_the_demand_falls(power):
 def test_what_is_possible_in_more_time_alone_is_sought_there():
     def motion(scale):
         if scale < 1.3:
-            raise TooFastError('It bends too far.', 'bending')
+            raise TooFastError('It bends.', 'bending')
         return timed(PLAN, scale), math.inf
 
     scale, reason = stretched(NO_LIMITS, motion)
     assert reason == 'bending'
     assert_allclose(scale, 1.3, rtol=2e-3)
-    with pytest.raises(TooFastError, match='bends too far'):
+    with pytest.raises(TooFastError):
         stretched(NO_LIMITS, lambda _: motion(1.0))
 
 

@@ -68,20 +68,20 @@ def changed(index, where, value):
     return parts
 
 
-@pytest.mark.parametrize(('parts', 'words'), [
-    ([part[:1] for part in points()], 'has 1 point; expected 2 to 100000'),
+@pytest.mark.parametrize(('parts', 'figures'), [
+    ([part[:1] for part in points()], r'\b1 point\b.* 2 to 100000'),
     ([np.repeat(part[:1], MAX_POINTS + 1, axis=0) for part in points()],
-     'has 100001 points; expected 2 to 100000. Thin it out'),
-    (changed(1, (7, 0), np.nan), 'point 7 .* holds NaN.*, as 1 of 201 do'),
-    (changed(2, 9, [0.0, 0.0, 0.0, 2.0]), 'point 9 .* quaternion that is not of unit length'),
-    (changed(0, 20, 1), r'point 20 .* is at 0.000000 s, after one at 0.076000 s'),
-    (changed(0, -1, 700 * 10 ** 9), 'takes 700 s; expected at most 600'),
-    (changed(1, (50, 2), 3.0), r'jumps between points 49 and 50: by 2.\d+ m'),
-    (changed(2, 50, [1.0, 0.0, 0.0, 0.0]), 'jumps between points 49 and 50'),
-    (changed(3, (60, 1), 30.0), 'point 60 .* is faster than any arm'),
+     '100001 points.* 2 to 100000'),
+    (changed(1, (7, 0), np.nan), r'point 7\b.* 1 of 201\b'),
+    (changed(2, 9, [0.0, 0.0, 0.0, 2.0]), r'point 9\b.* 1 of 201\b'),
+    (changed(0, 20, 1), r'point 20\b.* 0.000000 s\b.* 0.076000 s\b'),
+    (changed(0, -1, 700 * 10 ** 9), r'\b700 s\b.* 600\b'),
+    (changed(1, (50, 2), 3.0), r'points 49 and 50\b.* 2.\d+ m\b'),
+    (changed(2, 50, [1.0, 0.0, 0.0, 0.0]), r'points 49 and 50\b.* rad\b'),
+    (changed(3, (60, 1), 30.0), r'point 60\b.* 20 m/s'),
 ])
-def test_what_no_arm_does_is_refused(parts, words):
-    with pytest.raises(BellowsError, match=words):
+def test_what_no_arm_does_is_refused(parts, figures):
+    with pytest.raises(BellowsError, match=figures):
         plan_of(*parts, twist_frame='tool')
 
 

@@ -155,7 +155,7 @@ def test_the_alignment_of_one_recording_serves_another_that_never_rests():
                      alignment=first.alignment)
     expected = at(first.package, second.package.stamps_ns)
     assert_allclose(second.package.position, expected.position, atol=1e-12)
-    with pytest.raises(BellowsError, match='at rest'):
+    with pytest.raises(BellowsError, match=r'recording\.rest_duration'):
         prepare(stream(tool, '/tool', later), stream(package, '/package', later), settings)
 
 
@@ -187,7 +187,7 @@ def test_poses_stamped_in_bursts_on_arrival_are_said_to_be():
     late = tool.stamps_ns[0] + 40_000_000 * burst + sent[burst] + 30_000 * (
         np.arange(len(tool)) - np.searchsorted(burst, burst))
     arrived = [replace(own, stamps_ns=late) for own in (tool, package)]
-    with pytest.raises(BellowsError, match="'/tool' and '/package' come in bursts"):
+    with pytest.raises(BellowsError, match="'/tool' and '/package'.* bursts"):
         prepare(stream(arrived[0]), stream(arrived[1], '/package'), PLAIN)
     assert prepare(stream(tool), stream(package, '/package'), PLAIN).valid.any()
 

@@ -83,7 +83,7 @@ def test_never_extrapolates(offset_ns):
     trajectory = motion(11, 10.0)
     with pytest.raises(BellowsError):
         resample(trajectory, trajectory.stamps_ns + offset_ns)
-    with pytest.raises(BellowsError, match='empty'):
+    with pytest.raises(BellowsError):
         resample(trajectory.select(slice(0, 0)), trajectory.stamps_ns)
 
 

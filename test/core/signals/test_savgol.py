@@ -186,17 +186,16 @@ def test_noise_that_a_filter_lets_through(kept):
             assert_allclose(np.std(values, axis=0), expected, rtol=0.06)
 
 
-@pytest.mark.parametrize(
-    'half_window, order, message',
-    [(5, 1, 'from 2'), (5, 11, 'to 10'), (0, 2, 'at least 1'), (40, 2, 'at least 81 samples')],
-)
-def test_impossible_fits_are_refused(half_window, order, message):
-    with pytest.raises(BellowsError, match=message):
+@pytest.mark.parametrize('half_window, order, figures', [
+    (5, 1, r'\b5\b.* 2 .* 10 .* 1\b'), (5, 11, r'\b5\b.* 2 .* 10 .* 11\b'),
+    (0, 2, r'\b1 sample\b.* 0\b'), (40, 2, r'\b40\b.* 81 samples.* 80\b')])
+def test_impossible_fits_are_refused(half_window, order, figures):
+    with pytest.raises(BellowsError, match=figures):
         savgol(noisy_motion(80), half_window, order)
 
 
 def test_a_rate_that_is_not_uniform_is_refused():
-    with pytest.raises(BellowsError, match='Resample'):
+    with pytest.raises(BellowsError, match=r'\bsample 60\b'):
         savgol(noisy_motion().select(np.delete(np.arange(120), 60)), 10, 2)
 
 

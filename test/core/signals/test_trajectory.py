@@ -13,12 +13,9 @@ def test_uniform_rate():
     assert_allclose(uniform_rate_hz(stamps(7201, 360.0)), 360.0, rtol=1e-9)
     jumpy = stamps(100, 360.0)
     jumpy[50] += 40_000
-    with pytest.raises(BellowsError, match='Resample'):
-        uniform_rate_hz(jumpy)
-    with pytest.raises(BellowsError, match=r'\b2\b'):
-        uniform_rate_hz(jumpy[:1])
-    with pytest.raises(BellowsError, match=r'\b40\b'):
-        uniform_rate_hz(np.delete(stamps(100, 360.0), 40))
+    for uneven, figure in ((jumpy, 50), (jumpy[:1], 2), (np.delete(stamps(100, 360.0), 40), 40)):
+        with pytest.raises(BellowsError, match=rf'\b{figure}\b'):
+            uniform_rate_hz(uneven)
 
 
 def test_neighbours_of_a_sample_are_found():
@@ -40,29 +37,26 @@ GOOD = {
     'rotation': np.tile(np.eye(3), (3, 1, 1)),
 }
 BAD = [
-    ({'stamps_ns': stamps(3, 10.0) / 1e9}, 'integers'),
-    ({'stamps_ns': stamps(3, 10.0)[[0, 2, 1]]}, 'increase strictly'),
-    ({'stamps_ns': stamps(3, 10.0)[[0, 1, 1]]}, 'increase strictly'),
-    ({'position': np.zeros((2, 3))}, r'position must have shape \(3, 3\)'),
+    ({'stamps_ns': stamps(3, 10.0) / 1e9}, 'stamps .*float64'),
+    *(({'stamps_ns': stamps(3, 10.0)[[0, *order]]}, 'stamps .*sample 2') for order in (
+        (2, 1), (1, 1))),
+    ({'position': np.zeros((2, 3))}, r'position .*\(3, 3\).*\(2, 3\)'),
     ({'position': np.array([[0.0] * 3, [np.nan] * 3, [0.0] * 3])}, 'position of sample 1'),
     ({'rotation': np.full((3, 3, 3), np.inf)}, 'rotation of sample 0'),
     ({'rotation': np.stack([np.eye(3), np.eye(3), np.diag([1, 1, 1.0001])])}, 'sample 2'),
-    ({'rotation': np.tile(np.diag([1.0, 1.0, -1.0]), (3, 1, 1))}, 'right-handed'),
-    ({'twist': np.zeros((3, 3))}, r'twist must have shape \(3, 6\)'),
+    ({'rotation': np.tile(np.diag([1.0, 1.0, -1.0]), (3, 1, 1))}, 'rotation of sample 0'),
+    ({'twist': np.zeros((3, 3))}, r'twist .*\(3, 6\).*\(3, 3\)'),
     ({'acceleration': np.full((3, 6), np.nan)}, 'acceleration of sample 0'),
-    ({'valid': np.ones(3)}, 'booleans'),
-    ({'valid': np.array([True])}, 'booleans'),
-]
+    ({'valid': np.ones(3)}, 'valid .*float64'), ({'valid': np.array([True])}, r'valid .*\(1,\)')]
 
 
-@pytest.mark.parametrize('changed, message', BAD)
-def test_a_bad_trajectory_is_refused(changed, message):
-    with pytest.raises(BellowsError, match=message):
+@pytest.mark.parametrize('changed, named', BAD)
+def test_a_bad_trajectory_is_refused(changed, named):
+    with pytest.raises(BellowsError, match=named):
         Trajectory(**{**GOOD, **changed})
 
 
-@pytest.mark.parametrize('changed, message', BAD[:8])
-def test_a_bad_pose_stream_is_refused_by_name(changed, message):
-    with pytest.raises(BellowsError, match=message) as refusal:
+@pytest.mark.parametrize('changed, named', BAD[:8])
+def test_a_bad_pose_stream_is_refused_by_name(changed, named):
+    with pytest.raises(BellowsError, match=f"'/arm/pose'.*{named}"):
         PoseStream('/arm/pose', 'world', **{**GOOD, **changed})
-    assert "'/arm/pose'" in str(refusal.value)

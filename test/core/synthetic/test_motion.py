@@ -138,15 +138,14 @@ POSES = ('waypoints', 'poses', 1)
 LINE = ('multi_sine', 'rotation', 'x')
 
 
-@pytest.mark.parametrize(('content', 'path', 'value', 'message'), [
-    (MULTI_SINE, ('start', 'quaternion_xyzw'), [0, 0, 0, 1], 'are both given'),
-    (MULTI_SINE, ('multi_sine',), {}, "'multi_sine' moves nothing"),
-    (MULTI_SINE, (*LINE, 'amplitude'), [1.0], 'must be equally long, got 1 and 2'),
-    (MULTI_SINE, (*LINE, 'frequency'), [1.0, -1.0], 'at most 100 (Hz), got -1.0'),
-    (WAYPOINTS, ('waypoints', 'poses'), [], 'a list of one or more blocks'),
-    (WAYPOINTS, (*POSES, 'quaternion_xyzw'), [0, 0, 0, 2], 'must be of length 1'),
-    (WAYPOINTS, (*POSES, 'move'), 3600.0, 'at most 3600 s are possible')])
-def test_a_wrong_setting_is_refused_by_name(content, path, value, message):
-    with pytest.raises(BellowsError) as caught:
+@pytest.mark.parametrize(('content', 'path', 'value', 'named'), [
+    (MULTI_SINE, ('start', 'quaternion_xyzw'), [0, 0, 0, 1], 'start.*quaternion_xyzw'),
+    (MULTI_SINE, ('multi_sine',), {}, "'multi_sine'"),
+    (MULTI_SINE, (*LINE, 'amplitude'), [1.0], r'multi_sine\.rotation\.x.* 1 and 2\b'),
+    (MULTI_SINE, (*LINE, 'frequency'), [1.0, -1.0], r'frequency.* 100 \(Hz\).* -1\.0'),
+    (WAYPOINTS, ('waypoints', 'poses'), [], "'waypoints.poses'"),
+    (WAYPOINTS, (*POSES, 'quaternion_xyzw'), [0, 0, 0, 2], r'quaternion_xyzw.* 1\b'),
+    (WAYPOINTS, (*POSES, 'move'), 3600.0, r'\b3600 s\b')])
+def test_a_wrong_setting_is_refused_by_name(content, path, value, named):
+    with pytest.raises(BellowsError, match=named):
         motion(changed(content, path, value))
-    assert message in str(caught.value)

@@ -80,7 +80,7 @@ def test_refuses_too_few_drops_and_a_law_that_does_not_explain_them():
     """The second with exit code 1: the answer is no."""
     rng = np.random.default_rng(4)
     few = made((0.3,), rng)
-    with pytest.raises(BellowsError, match='3 or more usable drops, got 2'):
+    with pytest.raises(BellowsError, match=r'\b3\b.*drops\b.* 2\b'):
         fit_release(few)
     other = (0.08, *LAW[1:])  # as if the valves of the heavy packages were of another clock
     mixed = made((0.3, 0.8), rng) + made((1.8,), rng, other)
