@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -56,23 +57,16 @@ for line in {lines!r}:
         assert f'exit 0 {line} []\n' in done.stdout, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        (['indentify'], "'indentify' is not a command. Did you mean 'identify'?"),
-        (['xyz'], "'xyz' is not a command. There are: "),
-        (['replay'], 'the following arguments are required: BAG'),
-        (['replay', 'bag', '--jsn', 'x'], "'--jsn' is not an option. Did you mean '--json'?"),
-        (['plot', 'path', 'bag', '--outt', 'x'],
-         "'--outt' is not an option. Did you mean '--out'?"),
-        (['simulate', '--out', 'x'], '--motion'),
-    ],
-)
-def test_a_wrong_command_line_is_explained(arguments, words, bellows):
+@pytest.mark.parametrize(('arguments', 'named'), [
+    (['indentify'], "'indentify'.*'identify'"), (['xyz'], "'xyz'.* identify"),
+    (['replay'], 'BAG'), (['simulate', '--out', 'x'], '--motion'),
+    (['replay', 'bag', '--jsn', 'x'], "'--jsn'.*'--json'"),
+    (['plot', 'path', 'bag', '--outt', 'x'], "'--outt'.*'--out'")])
+def test_a_wrong_command_line_is_explained(arguments, named, bellows):
     """Say in two lines what is wrong and where help is, and end with 2."""
     done = bellows(*arguments)
     assert (done.returncode, done.stdout) == (2, '')
-    assert words in done.stderr and '--help' in done.stderr
+    assert re.search(named, done.stderr) and '--help' in done.stderr
     assert len(done.stderr.splitlines()) == 2
 
 

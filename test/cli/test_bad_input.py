@@ -111,63 +111,56 @@ READ = [
 ]
 """Outputs that are read."""
 UNWRITABLE = [
-    ('IDENTIFY --out no/cup.yaml', "no/cup.yaml' ... does not exist"),
-    ('IDENTIFY --json sources', "'sources' is a folder"),
-    ('PLAN transport.yaml --plot plan.txt', 'must end in .png, .svg or .pdf'),
-    ('simulate CUP --motion motion.yaml --out -', 'is for text'),
-    ('export cup.yaml --to c --out - --json -', 'has room for one'),
-    ('export cup.yaml --to c --out new.h --json new.h', 'Two outputs have the same name'),
-    ('plot animation recording CUP --out a.png', 'must end in .gif or .mp4'),
+    ('IDENTIFY --out no/cup.yaml', "no/cup.yaml'"), ('IDENTIFY --json sources', "'sources'"),
+    ('PLAN transport.yaml --plot plan.txt', '.png, .svg or .pdf'),
+    ('simulate CUP --motion motion.yaml --out -', "'-'"),
+    ('export cup.yaml --to c --out - --json -', "2 outputs ... '-'"),
+    ('export cup.yaml --to c --out new.h --json new.h', "/new.h'"),
+    ('plot animation recording CUP --out a.png', '.gif or .mp4'),
     ('STEER zv transport.yaml --plot plan.avi', '.pdf, .gif or .mp4'),
 ]
 UNREADABLE = [
-    ('identify CELL', 'No recording is given ... bags'),
-    ('STATIC', 'No static recording is given'),
-    ('info none --write-params new.yaml', 'does not exist'),
-    ('identify bad.mcap CELL', 'bad.mcap ... neither an MCAP nor an SQLite file'),
-    ('identify other CELL', "'/tool_arm/pose' is not in ... /arm/pose, /box/pose ... Set topics."),
-    ('identify twists CELL', f"Topic '/tool_arm/pose' ... {TWIST} ... accepted are {POSE}"),
+    ('identify CELL', 'bags'), ('STATIC', 'rosbag2'),
+    ('info none --write-params new.yaml', "'none'"), ('identify bad.mcap CELL', "'bad.mcap'"),
+    ('identify other CELL', "'/tool_arm/pose' ... /arm/pose, /box/pose ... topics.tool_pose"),
+    ('identify twists CELL', f"'/tool_arm/pose' ... {TWIST} ... {POSE}"),
     ('identify apart CELL', '/package/pose ... 60'),
-    ('compare cup.yaml cup.yaml', 'cup.yaml'),
-    ('convert recording --out x', 'is already a recording'),
-    ('PLAN point.yaml', "Setting 'waypoints.poses'"),
-    ('PLAN transport.yaml --topic /x', "--topic /x: 'transport.yaml' ... Leave --topic out"),
-    ('STEER inverse fast.yaml', 'bend the cup by more than 45 degrees'),
+    ('compare cup.yaml cup.yaml', "'cup.yaml'"), ('convert recording --out x', "'recording'"),
+    ('PLAN point.yaml', "'waypoints.poses'"),
+    ('PLAN transport.yaml --topic /x', "--topic /x: 'transport.yaml'"),
+    ('STEER inverse fast.yaml', '45 degrees'),
     ('simulate CUP --motion dance.yaml --out new', "'kind' ... multi_sine ... dance"),
 ]
 NOT_ALLOWED = [
-    ('identify recording --params massless.yaml',
-     'package.mass ... without a default ... package.mass: 2.17 ... kg'),
+    ('identify recording --params massless.yaml', 'package.mass: 2.17 ... kg'),
     ('plan transport.yaml', 'package.mass ... bellows info ... --write-params'),
-    ('IDENTIFY --set fit.structur=full', "--set fit.structur: Unknown ... 'fit.structure'"),
-    ('STATIC m0 m1 --mass 1', '1 masses are given for 2 recordings'),
-    ('identify MANY CELL --jobs 1 --report new.html', 'at most 20 recordings, got 21'),
-    ('replay recording CUP --view a.png', 'must end in .rrd'),
+    ('IDENTIFY --set fit.structur=full', "--set fit.structur: ... 'fit.structure'"),
+    ('STATIC m0 m1 --mass 1', '1 masses ... 2 recordings ... --mass'),
+    ('identify MANY CELL --jobs 1 --report new.html', '20 recordings ... 21'),
+    ('replay recording CUP --view a.png', '.rrd'),
     ('info recording --from soon', '--from: recording.start'),
-    ('STEER zv transport.yaml --limits safe.yaml', 'set cup.lip_radius'),
-    ('EXCITE misspelt.yaml --time 6', "Did you mean 'bending'?"),
-    ('EXCITE noiseless.yaml --time 6', "'tracking.tool.noise' must have position"),
-    ('EXCITE speedless.yaml --time 6', "'linear.speed' is missing; it must be a number, above 0"),
-    ('plot spectra recording CUP --out a.png --to 3', 'Leave out --from and --to'),
+    ('STEER zv transport.yaml --limits safe.yaml', 'cup.lip_radius'),
+    ('EXCITE misspelt.yaml --time 6', "'bendig' ... 'bending'"),
+    ('EXCITE noiseless.yaml --time 6', "'tracking.tool.noise'"),
+    ('EXCITE speedless.yaml --time 6', "'linear.speed' ... m/s"),
+    ('plot spectra recording CUP --out a.png --to 3', '--from and --to'),
     ('replay recording CUP --calibrate-alarms', '--observe'),
     ('replay recording CUP --calibrate-alarms --observe package/pose --out alarms.yaml --set '
      'recording.end=0.7', ''),
-    ('TOSS --target 1900 150', 'mm?'),
-    ('TOSS --release 3 --monte-carlo -3', 'expected 2 tosses or more'),
-    ('TOSS', 'Neither a time nor a target'),
+    ('TOSS --target 1900 150', 'mm'), ('TOSS --release 3 --monte-carlo -3', '2 tosses'),
+    ('TOSS', '--release ... --target'),
 ]
 
 
-@pytest.mark.parametrize(('line', 'words'), [
-    *((line, 'input ... Give a name elsewhere') for line in READ), *UNWRITABLE, *UNREADABLE,
-    *NOT_ALLOWED])
-def test_what_cannot_be_done_is_refused(bellows, cell, line, words):
-    """Say what is wrong, end with 2, and touch nothing."""
+@pytest.mark.parametrize(('line', 'named'), [
+    *((line, 'input') for line in READ), *UNWRITABLE, *UNREADABLE, *NOT_ALLOWED])
+def test_what_cannot_be_done_is_refused(bellows, cell, line, named):
+    """Name what is wrong, end with 2, and touch nothing."""
     before = contents(cell)
     done = bellows(*words_of(line), cwd=cell)
     assert (done.returncode, done.stdout) == (2, ''), done.stderr
     assert done.stderr.startswith('bellows') and 'Traceback' not in done.stderr
-    for each in words.split(' ... '):
+    for each in named.split(' ... '):
         assert each in ' '.join(done.stderr.split())
     assert contents(cell) == before
 

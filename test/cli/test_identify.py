@@ -78,4 +78,4 @@ def test_finds_a_valve_in_tosses(bellows, root, tmp_path):
     assert delay == written['release.delay'] and found['units']['release.delay'] == 's'
     assert len(found['drops']) == 8 and 'From drop to drop' in done.stdout
     done = bellows('identify', bag, '--release', '--params', cup, '--jobs', 2, '--out', out)
-    assert done.returncode == 2 and '--release cannot be combined with --jobs' in done.stderr
+    assert done.returncode == 2 and '--release' in done.stderr and '--jobs' in done.stderr

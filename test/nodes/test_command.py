@@ -72,18 +72,17 @@ def test_numpy_waits_for_the_limit_of_its_threads(user_environment, root):
     assert run(user_environment, root, '-c', code).stdout == 'False\n'
 
 
-@pytest.mark.parametrize(('arguments', 'words'), [
-    (['--ros-args'], 'Not set, and without a default: package.mass'),
-    (['--ros-args', *GIVEN, '-p', 'cup.stifness:=1.0'], "Did you mean 'cup.stiffness'?"),
-    (['--ros-args', *GIVEN, '-p', 'cup.stiffness:=[1.0, 2]'], 'as 2.0, not 2.'),
-    (['--ros-args', *GIVEN, '-p', 'cup.length:=long'], 'cup.length must be a number'),
+@pytest.mark.parametrize(('arguments', 'named'), [
+    (['--ros-args'], 'package.mass'),
+    (['--ros-args', *GIVEN, '-p', 'cup.stifness:=1.0'], "'cup.stiffness'"),
+    (['--ros-args', *GIVEN, '-p', 'cup.stiffness:=[1.0, 2]'], '2.0'),
+    (['--ros-args', *GIVEN, '-p', 'cup.length:=long'], 'cup.length'),
     (['--ros-args', '--params-file', 'nowhere.yaml'], "'--params-file nowhere.yaml'"),
-    (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], "expecting type 'bool'"),
-    (['a\x1b[31mb'], "Unknown argument 'a?[31mb'"),
-    (['package.yaml'], "Unknown argument 'package.yaml'"),
-    (['--ros-args', '--params-file', 'large.yaml'], 'is too large'),
+    (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], 'use_sim_time'),
+    (['a\x1b[31mb'], "'a?[31mb'"), (['package.yaml'], "'package.yaml'"),
+    (['--ros-args', '--params-file', 'large.yaml'], 'large.yaml'),
 ])
-def test_what_the_user_can_put_right_ends_with_2(arguments, words, tmp_path, monkeypatch, capfd):
+def test_what_the_user_can_put_right_ends_with_2(arguments, named, tmp_path, monkeypatch, capfd):
     """Print what is wrong and no traceback, at once also where ROS would read for minutes."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     if 'large.yaml' in arguments:  # 10 MB
@@ -91,9 +90,8 @@ def test_what_the_user_can_put_right_ends_with_2(arguments, words, tmp_path, mon
         (tmp_path / 'large.yaml').write_text(f'/**:\n  ros__parameters:\n{lines}')
     monkeypatch.chdir(tmp_path)
     assert run_node('predictor', arguments) == 2
-    said = capfd.readouterr().err
-    assert words.lower() in said.lower()
-    assert 'Traceback' not in said
+    printed = capfd.readouterr().err
+    assert named in printed and 'Traceback' not in printed
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

@@ -218,14 +218,12 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     assert swing_left(found.times_ns, poses) < 0.02
 
 
-@pytest.mark.parametrize(('data', 'coarse', 'words'), [
-    (encode_multi_dof(message(frame_id='elsewhere')), None,
-     "in frame 'elsewhere'; expected 'world'"),
-    (encode_multi_dof(message(poses=np.full((501, 7), np.nan))), None, 'holds NaN'),
-    (b'\0\1\0\0' + bytes(range(60)), None, ''),
-    (encode_multi_dof(message()), 1e-9, '1e+09 integration steps'),
+@pytest.mark.parametrize(('data', 'coarse', 'named'), [
+    (encode_multi_dof(message(frame_id='elsewhere')), None, "'elsewhere'"),
+    (encode_multi_dof(message(poses=np.full((501, 7), np.nan))), None, 'NaN'),
+    (b'\0\1\0\0' + bytes(range(60)), None, ''), (encode_multi_dof(message()), 1e-9, '1e+09'),
 ], ids=['frame', 'NaN', 'bytes', 'steps'])
-def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, data, coarse, words):
+def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, data, coarse, named):
     """Say why on /diagnostics; answer nothing; answer the next good one."""
     planner.drive(START, 0.0)
     planner.partner.wait_for_poses(1)
@@ -234,7 +232,7 @@ def test_a_bad_plan_is_refused_and_the_prediction_goes_on(planner, data, coarse,
     planning._coarse = coarse or usual
     planner.plan_out.publish(data)
     status = planner.status()
-    assert status.level == 1 and not planner.plans and words in status.message
+    assert status.level == 1 and not planner.plans and named in status.message
     planning._coarse = usual
     planner.drive(START + 4 * MS, 0.0)
     planner.partner.wait_for_poses(2)
@@ -298,4 +296,4 @@ def test_a_motion_that_takes_too_long_is_not_steered_live(planner):
                     twists=np.zeros((2, 6)))
     planner.steer_out.publish(encode_multi_dof(still))
     status = planner.status()
-    assert status.level == 1 and '61 s; expected at most 60' in status.message
+    assert status.level == 1 and '61 s' in status.message

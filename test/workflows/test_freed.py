@@ -30,15 +30,16 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
 
 
-@pytest.mark.parametrize(('change', 'words'), [
-    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'need fit.method: output_error'),
-    ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'one package alone'),
-    ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']}, 'one of the two'),
-    ({'fit.free': ['weight']}, 'a list of some of time_offset, com'),
-    ({'fit.free': ['mass', 'inertia']}, 'cannot be estimated from these recordings'),
+@pytest.mark.parametrize(('change', 'named'), [
+    ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'com.* fit.method: output_error'),
+    ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'mass.* package.files'),
+    ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']},
+     'length.* static.length'),
+    ({'fit.free': ['weight']}, "time_offset, com,.* 'weight'"),
+    ({'fit.free': ['mass', 'inertia']}, 'mass, inertia'),
 ])
-def test_what_cannot_be_free_is_refused(settings, change, words):
-    with pytest.raises(BellowsError, match=words):
+def test_what_cannot_be_free_is_refused(settings, change, named):
+    with pytest.raises(BellowsError, match=f'fit.free.*{named}'):
         identify({**settings, 'recording.end': 4.0, **change})
 
 

@@ -202,7 +202,7 @@ def test_dropped_package_is_said_to_be_lost(filmed, tmp_path):
     assert (alarm.cause, alarm.second) == ('lost', 'leak')
     assert 2.0 <= seconds < 2.06
     write_bag(tmp_path / 'deaf', [*recorded, breaking(pressures, at_ns, bad=True)])
-    with pytest.raises(BellowsError, match="vacuum.signal is 'pressure'.*vacuum/pressure"):
+    with pytest.raises(BellowsError, match="vacuum.signal .*'pressure'.*vacuum/pressure"):
         replay(tmp_path / 'deaf', values, observe=CAMERA)
 
 
@@ -229,5 +229,5 @@ def test_alarms_are_calibrated_on_sound_work(root, known, true_cup, tmp_path):
     assert calibration.parameters['measured.offset_std'][0] < 5e-3
     assert calibration.after.per_hour < min(calibration.before.per_hour, 100.0)
     assert calibration.after.per_hour < calibration.after.at_most
-    with pytest.raises(BellowsError, match='usable measured poses'):
+    with pytest.raises(BellowsError, match=r'\b118 .* 300\b'):
         replay(bag, {**values, 'recording.end': 4.0}, observe=CAMERA, calibrate_alarms=True)

@@ -184,7 +184,7 @@ def test_transforms_and_joint_states_become_tool_poses(tmp_path):
     assert [body.topic for body in done.bodies] == ['/left/pose', '/package/pose']
     with pytest.raises(BellowsError, match="'tol'"):
         tool_of_joints(tmp_path / 'tf', 'tol')
-    with pytest.raises(BellowsError, match='already'):
+    with pytest.raises(BellowsError, match="'/package/pose'.* --topic"):
         tool_of_joints(tmp_path / 'arm', 'tool', topic='package/pose')
 
 
@@ -234,8 +234,8 @@ def test_fastest_and_curves(bag, tmp_path):
     half = message(**{name: getattr(message(), name)[:80]
                       for name in ('times_ns', 'poses', 'twists')})
     thrown = bag_of(tmp_path / 'half', MULTI_DOF, encode_multi_dof(half))
-    said = figures(thrown)
-    assert said['swing_left'] is None and 'ends in motion' in ' '.join(said['warnings'])
+    found = figures(thrown)
+    assert found['swing_left'] is None and 'ends in motion' in ' '.join(found['warnings'])
 
 
 def test_what_lets_go_and_what_is_not_known_is_said(bag):
@@ -257,12 +257,12 @@ def test_what_lets_go_and_what_is_not_known_is_said(bag):
 
 
 def test_a_bad_plan_is_refused(bag, tmp_path):
-    with pytest.raises(BellowsError, match="is in frame 'base'; expected plan.frame, 'world'"):
+    with pytest.raises(BellowsError, match="'base'.* plan.frame, 'world'"):
         figures(bag, values={'plan.frame': 'world'})
     poses = message().poses.copy()
     poses[70, 0] = 9.0
     bag = bag_of(tmp_path / 'jump', MULTI_DOF, encode_multi_dof(message(poses=poses)))
-    with pytest.raises(BellowsError, match='jumps between points 69 and 70'):
+    with pytest.raises(BellowsError, match='points 69 and 70'):
         figures(bag)
 
 
@@ -319,14 +319,14 @@ def test_a_plan_that_begins_in_motion_says_so_and_starts_in_it(tmp_path):
     found = figures(bag)
     assert any('begins in motion' in warning for warning in found['warnings'])
     assert_allclose(found['peak_force'], 1.8 * math.hypot(3.0, 9.81), rtol=1e-3)
-    with pytest.raises(BellowsError, match='begins or ends in motion'):
+    with pytest.raises(BellowsError):
         figures(bag, seek_fastest=True)
 
 
 @pytest.mark.parametrize('values', [{}, {'plan.frame': 'tool0'}])
 def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path, values):
     bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message(frame_id='tool0')))
-    with pytest.raises(BellowsError, match="is in frame 'tool0', which moves"):
+    with pytest.raises(BellowsError, match="'tool0'"):
         figures(bag, values=values)
 
 
@@ -340,7 +340,7 @@ def test_a_plan_in_a_frame_that_transforms_tilt_is_refused(tmp_path):
             Encoded('/plan', MULTI_DOF, np.array([T0]),
                     [encode_multi_dof(message(frame_id=frame))])])
     assert figures(tmp_path / 'base')['frame_id'] == 'base'
-    with pytest.raises(BellowsError, match="'camera', which .* tilt by .* degrees from 'base'"):
+    with pytest.raises(BellowsError, match="'camera'.* degrees .*'base'"):
         figures(tmp_path / 'camera')
 
 

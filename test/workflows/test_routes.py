@@ -111,7 +111,7 @@ def test_dask_cluster_gives_the_same(settings, one_result, cluster):
 def test_no_scheduler(settings, address, monkeypatch):
     pytest.importorskip('distributed', reason='extra dask')
     monkeypatch.setattr(workers, 'ANSWER_TIMEOUT', 0.5)
-    with pytest.raises(BellowsError, match=f"No Dask scheduler answers at '{address}'"):
+    with pytest.raises(BellowsError, match=f"'{address}'.*'dask scheduler'"):
         identify(settings, dask=address)
     gc.collect()  # nothing is left that would wait for the scheduler when it is collected
 
@@ -154,7 +154,7 @@ def test_a_worker_that_dies_ends_no_work(settings, one_result):
     result = identify({**settings, 'bags': bags}, jobs=2, progress=kill_one)
     assert killed
     assert [failed.bag for failed in result.failed] == [bags[0], *bags[3:]]
-    assert all('does not exist' in failed.reason for failed in result.failed)
+    assert all(failed.bag in failed.reason for failed in result.failed)
     assert result.fit.samples_used == one_result.fit.samples_used
 
 
@@ -163,8 +163,7 @@ def test_a_recording_that_kills_its_worker_is_left_out(settings):
     work = [(0, 'a', {}), (1, 'deadly', Deadly()), (2, 'b', {}), (3, 'c', {})]
     results = dict(workers.on_cores(work, 2, read_part))
     assert [results[n].bag for n in range(4)] == ['a', 'deadly', 'b', 'c']
-    assert 'was ended from outside' in results[1].reason
-    assert all(results[n].reason.startswith('Not set') for n in (0, 2, 3))
+    assert ['package.mass' in results[n].reason for n in range(4)] == [True, False, True, True]
 
 
 def test_a_recording_that_kills_its_dask_worker_is_left_out(cluster):
@@ -188,7 +187,7 @@ def test_a_recording_counts_once_by_whatever_name(settings, tmp_path):
     spelled = [str(whole), str(next(whole.glob('*.mcap'))), str(tmp_path / 'copy')]
     for again in (0, 2):
         two = {**settings, 'bags': [spelled[0], spelled[again]]}
-        with pytest.raises(BellowsError, match=f"'{spelled[again]}' and .* would count twice"):
+        with pytest.raises(BellowsError, match=f"'{spelled[again]}' and '"):
             identify(two)
     bags = [spelled[0], settings['bags'][0], *spelled[1:]]
     result = identify({**settings, 'bags': bags}, jobs=1)

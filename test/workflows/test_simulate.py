@@ -205,9 +205,8 @@ def test_bending_beyond_45_degrees_is_warned_about_with_its_time(tmp_path):
     # The file has the package's 120 Hz, between which it turns by up to 0.1 rad more.
     assert 0.0 <= report.largest_bending_rad - np.arccos(cosine.min()) < 0.1
     (warning,) = report.warnings
-    said = float(warning.split(' from ')[1].split(' s')[0])
-    assert passed - 1.0 / 120.0 <= said <= passed
-    assert 'may flip' in warning
+    warned_from = float(warning.split(' from ')[1].split(' s')[0])
+    assert passed - 1.0 / 120.0 <= warned_from <= passed
 
 
 def test_a_recording_is_replaced_where_that_is_allowed(tmp_path):
@@ -267,38 +266,30 @@ def test_a_tossed_package_hangs_flies_and_is_picked_up(tmp_path):
 # ---- What is refused. ----
 
 MASSLESS = {name: value for name, value in PARAMETERS.items() if name != 'package.mass'}
-TOSSES_THAT_CANNOT_BE = (
-    ({'times': [0.6, 1.6]}, 'further apart than release.pickup'),
-    ({'times': [9.0]}, 'must be before the end at 5.3 s'),
-    ({'pickup': 0.2}, 'lands'),
-    ({'pickup': 1.5, 'times': [0.6]}, 'the tool moves at'),
-    ({'time': [1.0]}, "Did you mean 'release.times'?"),
-)
+WRONG_RELEASES = (
+    ({'times': [0.6, 1.6]}, 'release.times.* release.pickup'),
+    ({'times': [9.0]}, r'release.times.* 5\.3 s'), ({'pickup': 0.2}, r'0\.2 s.* release\.pickup'),
+    ({'pickup': 1.5, 'times': [0.6]}, r'2\.1 s .* m/s .*release\.pickup'),
+    ({'time': [1.0]}, "'release.times'"))
 
 
-@pytest.mark.parametrize(
-    ('parameters', 'content', 'message'),
-    [
-        (MASSLESS, MOTION, 'Not set, and without a default: package.mass'),
-        ({**PARAMETERS, 'package.mass': 1e3}, MOTION, 'No static equilibrium'),
-        (PARAMETERS, None, "'kind' is missing; it must be one of"),
-        (PARAMETERS, motion(sed=1), "Unknown setting 'sed'. Did you mean 'seed'?"),
-        (PARAMETERS, motion(storage='bag'), "'storage' must be one of mcap, sqlite3, got 'bag'."),
-        (PARAMETERS, motion(tool={}), "'tool.rate_hz' is missing"),
-        (PARAMETERS, motion(**{'package.twist': {}}), "Unknown setting 'package.twist'"),
-        (PARAMETERS, motion(**{'topics.package_pose': 'tool_arm/pose'}), 'no other stream has'),
-        (PARAMETERS, motion(**{'tool.dropouts': {'count': 9, 'duration': 1}}), "of 'tool' need"),
-        (PARAMETERS, motion(**{'tool.outliers': {'count': 2}}), "'tool.outliers.position'"),
-        (PARAMETERS, motion(duration=3600.0), 'simulated samples'),
-        (PARAMETERS, motion(**{'multi_sine.position.x.amplitude': [30.0]}), 'as no arm is'),
-        *((THROWN, {**THROW, 'release': {**THROW['release'], **changes}}, message)
-          for changes, message in TOSSES_THAT_CANNOT_BE),
-    ],
-)
-def test_errors_leave_nothing_behind(tmp_path, parameters, content, message):
-    with pytest.raises(BellowsError) as caught:
+@pytest.mark.parametrize(('parameters', 'content', 'named'), [
+    (MASSLESS, MOTION, r'package\.mass'), ({**PARAMETERS, 'package.mass': 1e3}, MOTION, '1000 kg'),
+    (PARAMETERS, None, "'kind'"), (PARAMETERS, motion(sed=1), "'sed'.*'seed'"),
+    (PARAMETERS, motion(storage='bag'), "'storage' .* mcap, sqlite3.*'bag'"),
+    (PARAMETERS, motion(tool={}), "'tool.rate_hz'"),
+    *((PARAMETERS, motion(**changes), named) for changes, named in (
+        ({'package.twist': {}}, "'package.twist'"),
+        ({'topics.package_pose': 'tool_arm/pose'}, "'topics.package_pose'"),
+        ({'tool.dropouts': {'count': 9, 'duration': 1}}, r"'tool'.*\b2260 samples"),
+        ({'tool.outliers': {'count': 2}}, "'tool.outliers.position'"),
+        ({'duration': 3600.0}, r'8\.9e\+06 .*5e\+06'),
+        ({'multi_sine.position.x.amplitude': [30.0]}, '245 m/s'))),
+    *((THROWN, {**THROW, 'release': {**THROW['release'], **changes}}, named)
+      for changes, named in WRONG_RELEASES)])
+def test_errors_leave_nothing_behind(tmp_path, parameters, content, named):
+    with pytest.raises(BellowsError, match=named):
         simulate_recording(parameters, content, tmp_path / 'bag')
-    assert message in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -142,7 +142,7 @@ def test_one_cluster_tells_no_standard_error(round_cup):
 
 def test_too_few_samples(exact):
     cup, _, samples = exact
-    with pytest.raises(BellowsError, match='5 valid samples are too few for 42'):
+    with pytest.raises(BellowsError, match=r'\b5\b.* 42\b'):
         simulated.least_squares([samples.select(slice(5))], cup.length, STRUCTURES['full'])
 
 

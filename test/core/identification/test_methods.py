@@ -50,7 +50,7 @@ def test_slow_poses_and_a_marker_anywhere_are_not_differentiated(rate, free, dif
     assert are_differentiable([recording], {'fit.free': free}) is differentiable
 
 
-TOO_LITTLE = pytest.raises(BellowsError, match='too little motion')
+TOO_LITTLE = pytest.raises(BellowsError, match='K rz')
 
 
 @pytest.mark.parametrize(('chi2', 'certain', 'std', 'ends'), [

@@ -11,7 +11,7 @@ from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError, UndeterminedError
+from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -81,7 +81,7 @@ def test_standstills_too_short_for_the_package_are_counted():
 def test_a_motion_without_rest_has_no_standstill():
     motion = replace(simulated.shake(duration=6.0), rest_duration=0.3)
     recording = simulated.record(motion)
-    with pytest.raises(BellowsError, match='no standstill of 0.5 s'):
+    with pytest.raises(BellowsError, match=r'\b0\.5 s\b'):
         standstills_of(recording)
 
 
@@ -164,7 +164,7 @@ def test_lengths_on_no_line_are_refused_with_exit_code_1():
     """Up and down, and shorter under load."""
     for lengths in ((0.048, 0.0502, 0.0481, 0.0503), (0.05, 0.0495, 0.049, 0.0486)):
         still = [upright(x, m) for x, m in zip(lengths, (0.5, 1.0, 1.5, 2.0), strict=True)]
-        with pytest.raises(BellowsError, match='No line fits') as refused:
+        with pytest.raises(UnexplainedError) as refused:
             nominal_length(still, G)
         assert refused.value.exit_code == 1
 
@@ -205,7 +205,7 @@ def test_a_wrong_mass_is_named_as_the_cause():
     assert not found.passed and 'package.mass is likely 1.8 kg instead of 5.4' in found.sentence
     found = check_spring(cup, [upright(hangs, 1800.0)], G)
     assert 'in another unit' in found.sentence
-    with pytest.raises(UndeterminedError, match='Check each --mass'):
+    with pytest.raises(UndeterminedError, match='--mass'):
         nominal_length([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
 
 

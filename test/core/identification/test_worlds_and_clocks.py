@@ -49,7 +49,7 @@ def test_clocks_of_motions_that_are_not_alike_are_refused():
     t = np.arange(400) * 20_000_000
     turn = np.random.default_rng(1).standard_normal((2, 400, 3))
     one, other = (Trajectory(t, np.zeros((400, 3)), exp_so3(0.1 * own)) for own in turn)
-    with pytest.raises(BellowsError, match='not turn alike'):
+    with pytest.raises(BellowsError):
         rough_offsets(one, other)
 
 
@@ -106,7 +106,7 @@ def test_standstills_do_not_tell_it():
 def test_least_squares_takes_no_world_that_is_hardly_known():
     recording = simulated.record(
         simulated.shake(axes=(2,), duration=4.0), tool=(0.01, 0.05), package=(0.01, 0.05))
-    with pytest.raises(BellowsError, match='standard errors are'):
+    with pytest.raises(BellowsError, match=r'recording\.package_world'):
         reported(recording, recording__package_world='estimate', fit__method='least_squares')
 
 
