@@ -6,7 +6,6 @@ But for regressors: the searches for causes pass through some points more than o
 
 from collections import Counter
 import functools
-import hashlib
 import importlib
 import pkgutil
 import sys
@@ -15,7 +14,7 @@ import bellows_ros
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.identify import identify
-import numpy as np
+import pytest
 
 EXPENSIVE = {
     'savgol': 'core.signals.savgol',
@@ -25,29 +24,9 @@ EXPENSIVE = {
 }
 
 
-def digest(value):
-    """Return a digest of arguments that is equal for equal numbers."""
-    found = hashlib.sha1()
-
-    def add(part):
-        if isinstance(part, np.ndarray):
-            found.update(part.tobytes())
-        elif hasattr(part, '__dataclass_fields__'):
-            add(tuple(getattr(part, name) for name in part.__dataclass_fields__))
-        elif isinstance(part, tuple | list):
-            for own in part:
-                add(own)
-        elif isinstance(part, np.random.Generator):
-            add(str(part.bit_generator.state))
-        else:
-            found.update(repr(part).encode())
-
-    add(value)
-    return found.hexdigest()
-
-
 def test_nothing_is_computed_twice(root, tmp_path, monkeypatch):
     """Identify with all that can be asked for and its page: no argument comes a second time."""
+    joblib = pytest.importorskip('joblib', reason='extra parallel')
     for module in pkgutil.walk_packages(bellows_ros.__path__, 'bellows_ros.'):
         if not module.name.startswith(('bellows_ros.nodes', 'bellows_ros.demo')) and \
                 not module.name.endswith('__main__'):
@@ -57,7 +36,7 @@ def test_nothing_is_computed_twice(root, tmp_path, monkeypatch):
     def counted(function):
         @functools.wraps(function)
         def call(*arguments, **named):
-            calls[function.__name__, digest((arguments, sorted(named.items())))] += 1
+            calls[function.__name__, joblib.hash((arguments, named))] += 1
             return function(*arguments, **named)
         return call
 
