@@ -30,6 +30,16 @@ configure_process()
 ROOT = Path(__file__).resolve().parents[1]
 BOOTSTRAPPED = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'
 
+RESTING = {
+    'kind': 'static', 'rest_duration': 1.5,
+    'static': {'move': 0.5, 'hold': 3.0, 'poses': [
+        {'rpy': [0.3, 0.0, 0.0]}, {'rpy': [0.0, 0.3, 0.0]}]},
+    'tool': {'rate_hz': 100.0, 'noise': {'position': 5e-5, 'rotation': 1e-4},
+             'twist': {'publish': False}},
+    'package': {'rate_hz': 100.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}},
+}
+"""A motion that holds a package upright, then tilted twice."""
+
 NOT_IN_A_COPY = shutil.ignore_patterns(
     '.*_cache', '.git', '.hypothesis', '.venv*', '__pycache__', '*.egg-info', 'bags', 'build',
     'dist', 'install', 'log', 'test')
@@ -111,6 +121,27 @@ def rig():
     if not path.is_dir():
         pytest.skip('the recordings with known truth are not here (../shared/rig)')
     return path
+
+
+@pytest.fixture(scope='session')
+def true_cup(root):
+    """Return the cup of the shipped recordings, with what they were simulated with."""
+    from bellows_ros.files.parameter_files import read_parameters
+
+    return read_parameters(root / 'bags/cup.yaml')
+
+
+@pytest.fixture(scope='session')
+def weights(tmp_path_factory, true_cup):
+    """Return recordings of three standstills, one upright and two tilted, with their masses."""
+    from bellows_ros.workflows.simulate import simulate_recording
+
+    folder, found = tmp_path_factory.mktemp('weights'), {}
+    for number, mass in enumerate((0.6, 1.2, 2.0)):
+        found[str(folder / f'm{number}')] = mass
+        simulate_recording({**true_cup, 'package.mass': mass}, {**RESTING, 'seed': number},
+                           folder / f'm{number}')
+    return found
 
 
 @pytest.fixture(scope='session')
