@@ -166,6 +166,12 @@ START_WEIGHT = 100.0
 SETTLING = 4
 """Measurements from the start, or an alarm, that are not compared: the noise is learned first."""
 
+MIN_LEARNED, MAX_LEARNING = 33, 3.0
+"""
+Measurements from which the noise is learned whatever they are, and log-likelihood ratio of a fault
+from which on it is not learned any more: the fault is no noise.
+"""
+
 MIN_LEAD, DECIDE_NS = 3.0, 500_000_000
 """
 A cause is named when its log-likelihood ratio leads that of the next by so much, which is 95 %, or
@@ -410,7 +416,7 @@ def filter_step(
         model, theta, tool, body, P, memory, stamps, starts, ends, bodies, is_recorded, k, now_ns,
         until_ns, max_step, drive, walk, E, cups)
     if is_measured:
-        verdict, innovation, body, theta, memory = updated(
+        verdict, innovation, body, theta, learned = updated(
             model, tool, body, theta, P, memory, seconds, position, quaternion_xyzw, noise, marker,
             reach, gate)
         if len(E) > 0 and verdict != OUT_OF_REACH:
@@ -418,6 +424,8 @@ def filter_step(
             likeliest = _assessed(
                 E, statistics, onsets, steps, until_ns, innovation, marker[2], verdict == USED,
                 from_start)
+        if likeliest[0] < MAX_LEARNING or onsets[0, 0] < MIN_LEARNED:
+            memory = learned
     return verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest
 
 

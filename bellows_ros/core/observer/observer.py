@@ -289,14 +289,16 @@ class Observer:
 
     def _away(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Note a pose out of reach; a package that was within reach is lost after some time."""
-        if estimate.away_ns == 0:
-            was_near = (estimate.memory != self._correction.first_memory).any()
-            return estimate._replace(away_ns=stamp_ns) if was_near else estimate
-        if estimate.away_ns < 0 or stamp_ns - estimate.away_ns < LOST_AFTER_NS:
+        alarms, evidence, away_ns = self._correction.alarms, estimate.evidence, estimate.away_ns
+        if alarms is None or away_ns < 0:
             return estimate
-        if self._correction.alarms is not None:
-            self._raise(self._correction.alarms.lost(
-                stamp_ns, self._is_held_since(estimate.away_ns), reach=self._correction.reach))
+        if away_ns == 0:
+            was_near = not evidence.from_start or evidence.onsets[0, 0] > 0
+            return estimate._replace(away_ns=stamp_ns) if was_near else estimate
+        if stamp_ns - away_ns < LOST_AFTER_NS:
+            return estimate
+        self._raise(alarms.lost(
+            stamp_ns, self._is_held_since(away_ns), reach=self._correction.reach))
         return estimate._replace(away_ns=-1)
 
     def _check_silence(self, stamp_ns: int) -> None:
