@@ -1,7 +1,7 @@
 """Options shared by the commands, the settings they give, and the order of work on plans."""
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import permutations
 import os
@@ -13,6 +13,7 @@ from bellows_ros import __version__
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, Value
 from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.files import Values
 from bellows_ros.files.atomic import require_file_target, require_folder_target
 from bellows_ros.files.bag_folder import require_no_input
 from bellows_ros.files.parameter_files import read_parameters
@@ -91,7 +92,7 @@ def read_settings(
     return values
 
 
-def inputs_of(values: Mapping[str, Any]) -> list[str]:
+def inputs_of(values: Values) -> list[str]:
     """Return the input files that parameters name."""
     return [file for name in INPUTS for file in values.get(name, ())]
 
@@ -188,7 +189,7 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
 
 def run_plan_command(
     arguments: argparse.Namespace, console: Console,
-    work: Callable[[Mapping[str, Any], Callable[..., None]], Any],
+    work: Callable[[Values, Callable[..., None]], Any],
     print_result: Callable[[Any, Console], None], write: Callable[[Any], None],
     film: Callable[[Any], None] | None = None,
     succeeded: Callable[[Any], bool] = lambda result: True

@@ -1,12 +1,13 @@
 """Draw recordings, fits and predictions."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import Values
 from bellows_ros.plots import recording
 from bellows_ros.plots.animation import write_animation
 from bellows_ros.plots.plan import margin_figure
@@ -52,8 +53,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _draw(
-    arguments: argparse.Namespace, settings: Mapping[str, Any], has_cup: bool, note: str,
-    progress: Progress,
+    arguments: argparse.Namespace, settings: Values, has_cup: bool, note: str, progress: Progress,
 ) -> Any:
     """Read, draw and write; return what the picture shows."""
     replay = partial(replayed, progress=progress)

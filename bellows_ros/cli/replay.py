@@ -1,11 +1,10 @@
 """Predict a recording with a cup, and report how well it does."""
 
 import argparse
-from collections.abc import Mapping
-from typing import Any
 
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.files import Values
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.report import print_replay
@@ -18,7 +17,7 @@ from .console import Console, NOT_USABLE, OK
 PERCENT = 100.0
 
 
-def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
+def _check(arguments: argparse.Namespace, settings: Values) -> None:
     """Refuse what cannot be drawn or written, before any work."""
     if arguments.report:
         require_pictures()

@@ -18,7 +18,7 @@ from typing import Any
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, safe_yaml
+from bellows_ros.files import File, safe_yaml, Values
 import yaml
 
 NODES = ('identifier', 'predictor')
@@ -102,7 +102,7 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     return values
 
 
-def write_parameters(path: File, values: Mapping[str, object], header: Sequence[str] = ()) -> None:
+def write_parameters(path: File, values: Values, header: Sequence[str] = ()) -> None:
     """
     Write a parameter file that all ROS nodes take with --params-file, whole or not at all.
 
@@ -134,7 +134,7 @@ def write_parameters(path: File, values: Mapping[str, object], header: Sequence[
     write_text(path, format_parameters(values, header))
 
 
-def format_parameters(values: Mapping[str, object], header: Sequence[str] = ()) -> str:
+def format_parameters(values: Values, header: Sequence[str] = ()) -> str:
     """Return the text of a parameter file; see `write_parameters`."""
     checked = {lookup(name).name: validate(name, value) for name, value in values.items()}
     # A line break in a comment must not end it.
@@ -260,7 +260,7 @@ def cup_names(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(match[1] for match in matches if match))
 
 
-def with_chosen_cup(values: Mapping[str, Any]) -> dict[str, Any]:
+def with_chosen_cup(values: Values) -> dict[str, Any]:
     """
     Return parameter values with those of the cup named by cup.name in the place of cup.*.
 

@@ -19,6 +19,7 @@ from bellows_ros.core.parameters.table import short
 from bellows_ros.core.planning.points import require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
+from bellows_ros.files import Values
 from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
 import numpy as np
 
@@ -178,7 +179,7 @@ def _header(stamp_ns: int, frame_id: str) -> bytes:
     return with_text(struct.pack('<iI', *divmod(stamp_ns, NS_PER_S)), frame_id)
 
 
-def require_frame(frame_id: str, values: Mapping[str, Any]) -> None:
+def require_frame(frame_id: str, values: Values) -> None:
     """
     Refuse a plan in a frame other than plan.frame, or one that moves with the tool.
 

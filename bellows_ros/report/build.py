@@ -14,7 +14,7 @@ from bellows_ros.core.identification.samples import SEED as EXCITATION_SEED
 from bellows_ros.core.identification.validation import SEED
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import provenance
 from bellows_ros.plots import recording as pictures
@@ -154,7 +154,7 @@ def write_page(result: Identification, path: File) -> None:
     write_text(path, identification_report(result))
 
 
-def _simulated(values: Mapping[str, Any], recording: Recording) -> Section:
+def _simulated(values: Values, recording: Recording) -> Section:
     """Return how a recording of the fit is simulated, or why it cannot be."""
     title, payload = f'Used in the fit: {recording.name}', recording.payload
     try:
@@ -189,7 +189,7 @@ def _figures(replayed: Replay) -> Iterator[Any]:
         validation.one_step.whiteness if validation.one_step else validation.whiteness, bag)
 
 
-def _origin(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+def _origin(provenance: Mapping[str, Any], settings: Values) -> str:
     """Return a section with digests, versions and settings."""
     section = Section('Provenance')
     section.table([('', 'path', 'file', 'bytes', 'SHA-256'), *(

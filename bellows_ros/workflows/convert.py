@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, trajectory_files
+from bellows_ros.files import File, trajectory_files, Values
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import absolute, accepted_types, messages_of, read_streams, topics
 from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
@@ -261,7 +261,7 @@ def _copied_topics(bag: File, types: Collection[str], without: Collection[str] =
 
 def to_bag(
     bodies: Sequence[Body], out: File, storage: str = 'mcap',
-    replace: bool = False, span: Mapping[str, Any] = FULL_RANGE,
+    replace: bool = False, span: Values = FULL_RANGE,
 ) -> Conversion:
     """
     Write bodies as a recording.
@@ -326,9 +326,7 @@ def _topic_of(name: str) -> str:
     return f'/{word}/pose' if not word[0].isdigit() else f'/body_{word}/pose'
 
 
-def to_tum(
-    bag: File, out: File, topic: str = '', span: Mapping[str, Any] = FULL_RANGE
-) -> Conversion:
+def to_tum(bag: File, out: File, topic: str = '', span: Values = FULL_RANGE) -> Conversion:
     """
     Write the poses of a topic of a recording as a TUM file.
 

@@ -22,7 +22,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.recipe import sensor_from
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.atomic import new_folder
 from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag
 from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_message, PlanMessage
@@ -81,7 +81,7 @@ class DesignedMotion(CommandResult):
     guess: Array
     beside: Mapping[str, Array]
     series: Mapping[str, tuple[Motion, Array]]
-    values: Mapping[str, Any]
+    values: Values
     hold: float
 
     @property
@@ -135,7 +135,7 @@ def _rounded_up(factor: float) -> str:
 
 
 def excite(
-    settings: Mapping[str, object], limits: Mapping[str, Any], duration: float,
+    settings: Values, limits: Mapping[str, Any], duration: float,
     urdf: str = '', beside: Sequence[File] = (), seed: int = 0,
     progress: Progress = no_progress, with_series: bool = False, hold: float = motion_design.HOLD,
 ) -> DesignedMotion:

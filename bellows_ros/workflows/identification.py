@@ -17,7 +17,7 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, pose_text, re
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, results
+from bellows_ros.files import File, results, Values
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import attributes, with_units
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
@@ -105,7 +105,7 @@ class Identification:
 
     fit: Fit
     excitation: Excitation
-    values: Mapping[str, Any]
+    values: Values
     parts: tuple[Reduced, ...]
     recordings: tuple[Recording, ...] = ()
     consistency: 'Consistency | None' = None

@@ -6,7 +6,7 @@ to. Who reads them, one after the other, processes or a cluster, makes no differ
 the recordings themselves gets them here.
 """
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
@@ -26,6 +26,7 @@ from bellows_ros.core.model.cup_package import cup_of, is_gripper
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.files import Values
 from bellows_ros.files.bag_folder import digests
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows import identification
@@ -41,7 +42,7 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.workflows.static import StaticResult
 
 Part = Recording | Reduced
-Read = Callable[[Mapping[str, Any]], tuple[list[Part], list['Failed']]]
+Read = Callable[[Values], tuple[list[Part], list['Failed']]]
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress."""
@@ -67,7 +68,7 @@ LEAST_SQUARES_NOTE = (
 
 
 def identify(
-    settings: Mapping[str, object], progress: Progress = no_progress,
+    settings: Values, progress: Progress = no_progress,
     parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
     dask: str = '', force: bool = False
 ) -> identification.Identification:
@@ -111,7 +112,7 @@ def identify(
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
         values[name] for name in RECORDING_USERS)
 
-    def read(values: Mapping[str, Any]) -> tuple[list[Part], list[Failed]]:
+    def read(values: Values) -> tuple[list[Part], list[Failed]]:
         parts, failed = read_all(values, keep, progress, jobs, dask)
         differentiable = methods.are_differentiable(parts, values)
         return with_relaxation(parts, values) if differentiable else parts, failed
@@ -136,7 +137,7 @@ def _recordings(parts: Sequence[Part]) -> tuple[Recording, ...]:
     return tuple(part for part in parts if isinstance(part, Recording))
 
 
-def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
+def resolved(settings: Values) -> dict[str, Any]:
     """Return all parameters of a run, or raise BellowsError where something is missing."""
     required = () if settings.get('package.files') else checks.RECORDING_PARAMETERS
     values: dict[str, Any] = checks.resolve(settings, required)
@@ -153,7 +154,7 @@ def resolved(settings: Mapping[str, object]) -> dict[str, Any]:
     return values
 
 
-def _mistakes(values: Mapping[str, Any]) -> Iterator[tuple[Any, str]]:
+def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     """Yield what is wrong with parameters together, if it is, and what to do about it."""
     free = sorted(set(values['fit.free']) - REGISTRATION_NAMES)
     names = f'fit.free: {", ".join(free)}: '
@@ -183,7 +184,7 @@ def _mistakes(values: Mapping[str, Any]) -> Iterator[tuple[Any, str]]:
            f'{", ".join(missing)} in addition to package.files.')
 
 
-def _assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
+def _assumed(settings: Values) -> tuple[str, ...]:
     """Return a warning if the cup's length is neither given nor estimated."""
     if 'cup.length' in settings or settings.get('static.length'):
         return ()
@@ -193,9 +194,7 @@ def _assumed(settings: Mapping[str, object]) -> tuple[str, ...]:
         'load.',)
 
 
-def read_part(
-    bag: str, values: Mapping[str, Any], path: str = '', keep: Container[str] = ()
-) -> Any:
+def read_part(bag: str, values: Values, path: str = '', keep: Container[str] = ()) -> Any:
     """
     Read and reduce a recording; return the recording or its sufficient statistics.
 
@@ -225,8 +224,7 @@ def read_part(
 
 
 def read_all(
-    values: Mapping[str, Any], keep: bool, progress: Progress, jobs: int | None = None,
-    dask: str = ''
+    values: Values, keep: bool, progress: Progress, jobs: int | None = None, dask: str = ''
 ) -> tuple[list[Any], list[Failed]]:
     """
     Return the recordings, and those that cannot be used.
@@ -267,7 +265,7 @@ def read_all(
 
 
 def _identify(
-    values: Mapping[str, Any], effective: Mapping[str, Any], parts: Sequence[Part],
+    values: Values, effective: Values, parts: Sequence[Part],
     static: 'StaticResult | None', progress: Progress, read: Read, **more: Any,
 ) -> identification.Identification:
     """
@@ -309,7 +307,7 @@ def _identify(
 
 
 def _consistency(
-    parts: Sequence[Part], values: Mapping[str, Any], progress: Progress
+    parts: Sequence[Part], values: Values, progress: Progress
 ) -> 'Consistency | None':
     """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
     if not values['fit.compare_recordings'] or len(parts) < 2:
@@ -328,7 +326,7 @@ def _consistency(
 
 
 def selection(
-    recordings: Sequence[Recording], values: Mapping[str, Any], progress: Progress,
+    recordings: Sequence[Recording], values: Values, progress: Progress,
     verdict: FitVerdict | None = None,
 ) -> 'StructureSelection':
     """Compare the structures, with a verdict where none fits; that of the fit where given."""
@@ -377,7 +375,7 @@ class StructureAdvice:
     excitation: Excitation
     selection: 'StructureSelection'
     recordings: tuple[Recording, ...]
-    values: Mapping[str, Any]
+    values: Values
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -396,9 +394,7 @@ class StructureAdvice:
             'version': __version__})
 
 
-def structures(
-    settings: Mapping[str, object], progress: Progress = no_progress
-) -> StructureAdvice:
+def structures(settings: Values, progress: Progress = no_progress) -> StructureAdvice:
     """
     Find what is identifiable from the recordings of the parameter `bags`; compare structures.
 

@@ -28,7 +28,7 @@ from bellows_ros.core.recording.preparation import stream_warnings
 from bellows_ros.core.recording.recording import LOW_RATE_HZ
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
 from bellows_ros.files.messages import BOOL
 from bellows_ros.files.plans import read_transforms, TF
@@ -194,7 +194,7 @@ class Info:
     package: Guess | None
     twist: Guess | None
     rest_s: float | None
-    settings: Mapping[str, Any]
+    settings: Values
     notes: tuple[str, ...]
 
     @property
@@ -208,7 +208,7 @@ class Info:
         return with_units({**vars(self), 'valve': self.valve, 'version': __version__})
 
 
-def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
+def info(path: File, span: Values = MappingProxyType({})) -> Info:
     """
     Describe a recording and propose the settings that read it.
 
@@ -295,7 +295,7 @@ def _describe_quality(stream: Stream, start_ns: int) -> dict[str, Any]:
 
 def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
-    twists: Mapping[str, TwistStream], span: Mapping[str, Any], notes: list[str]
+    twists: Mapping[str, TwistStream], span: Values, notes: list[str]
 ) -> Info:
     """Return the recording with roles, settings and notes."""
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]

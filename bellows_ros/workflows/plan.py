@@ -28,7 +28,7 @@ from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, tip_of, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, plan_messages, plans
+from bellows_ros.files import File, plan_messages, plans, Values
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import with_chosen_cup
@@ -98,7 +98,7 @@ class Source:
     moves: str = ''
     recorded_ns: Stamps | None = None
     path: str = ''
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Values = field(default_factory=dict)
     joints: Joints | None = None
 
     @property
@@ -244,7 +244,7 @@ class PlanReport(CommandResult):
 
 
 def plan(
-    path: MotionSource, settings: Mapping[str, object], urdf: str = '',
+    path: MotionSource, settings: Values, urdf: str = '',
     topic: str = '', seek_fastest: bool = False,
 ) -> PlanReport:
     """
@@ -297,7 +297,7 @@ def plan(
 
 
 def _deviations(
-    values: Mapping[str, Any], model: ModelTuple, compute: Callable[[ModelTuple], Array]
+    values: Values, model: ModelTuple, compute: Callable[[ModelTuple], Array]
 ) -> Array:
     """Return the standard deviations of a function of the model; 0 if all parameters are exact."""
     _, parts = contributions(values, model, compute)
@@ -312,7 +312,7 @@ def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
 
 
 def curves(
-    values: Mapping[str, Any], model: ModelTuple, grip: Grip | None, tool: Trajectory,
+    values: Values, model: ModelTuple, grip: Grip | None, tool: Trajectory,
     start: State | None = None,
 ) -> Curves:
     """Return the curves of a motion; the package rests at its start when that is left out."""
@@ -342,9 +342,7 @@ def extended(tool: Trajectory, seconds: float) -> Trajectory:
 # -------------------------------------------------------------------------------------- reading
 
 
-def plan_with_cup(
-    path: MotionSource, settings: Mapping[str, object], urdf: str = '', topic: str = ''
-) -> Source:
+def plan_with_cup(path: MotionSource, settings: Values, urdf: str = '', topic: str = '') -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
     values = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
     if isinstance(path, Trajectory):
@@ -356,7 +354,7 @@ def plan_with_cup(
     return read_plan(path, values, urdf, topic)
 
 
-def read_plan(path: File, values: Mapping[str, Any], urdf: str = '', topic: str = '') -> Source:
+def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> Source:
     """
     Return the plan in a file, from recording.start to recording.end; see `plan`.
 
@@ -378,7 +376,7 @@ def read_plan(path: File, values: Mapping[str, Any], urdf: str = '', topic: str 
 
 
 @seldom_collected()  # which takes most of the time, of many points
-def _read_plan(file: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
+def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
     """Return the whole plan in a file."""
     if topic and file.suffix.lower() in (*YAML, *TEXT):
         raise BellowsError(
@@ -418,8 +416,7 @@ def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> Non
 
 
 def _source_of_plan(
-    read: plan_messages.PlanMessage | JointPlan, values: Mapping[str, Any], urdf: str,
-    recording: Any,
+    read: plan_messages.PlanMessage | JointPlan, values: Values, urdf: str, recording: Any,
 ) -> Source:
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
@@ -436,7 +433,7 @@ def _source_of_plan(
     return Source(tool, read.frame_id, moves=moves)
 
 
-def _source_of_motion(content: Mapping[str, Any], values: Mapping[str, Any]) -> Source:
+def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     """Return the tool's motion in a motion file."""
     recipe = read_recipe(content, np.array(values['package.com']))
     R_world_level = levelling(values['gravity.direction']).T  # z of a motion file is up
@@ -454,7 +451,7 @@ def _checked_motion(tool: Trajectory) -> Trajectory:
                    tool.twist, twist_frame='tool', name='The motion')
 
 
-def _source_of_recording(path: Path, values: Mapping[str, Any], urdf: str, topic: str) -> Source:
+def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:
     """Return the tool's motion in a recording, of poses, joints or transforms."""
     wanted = {'tool_pose': topic or values['topics.tool_pose'],
               'tool_twist': values['topics.tool_twist']}
@@ -482,7 +479,7 @@ def _source_of_recording(path: Path, values: Mapping[str, Any], urdf: str, topic
 
 
 def _with_rates(
-    poses: Trajectory, twists: trajectory.TwistStream | None, values: Mapping[str, Any]
+    poses: Trajectory, twists: trajectory.TwistStream | None, values: Values
 ) -> tuple[Trajectory, Array, str]:
     """Return measured poses with recorded twists, or with those of the filter, and their axes."""
     if twists is not None:

@@ -16,7 +16,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import interpolated, relative_coordinates, score, spectrum
 from bellows_ros.core.signals.trajectory import uniform_rate_hz
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows.recordings import load, NO_INERTIA, no_progress, Progress
 from bellows_ros.workflows.replay import Live, Margins, predicted_live, validated
@@ -160,7 +160,7 @@ Timed = TypeVar('Timed', MeasuredMotion, Loads, Margins, Replayed)
 Group = TypeVar('Group', MeasuredMotion, Loads, Margins, Replayed, Live)
 
 
-def motion(bag: File, settings: Mapping[str, object]) -> MeasuredMotion:
+def motion(bag: File, settings: Values) -> MeasuredMotion:
     """
     Return tool and package of a recording as measured.
 
@@ -178,7 +178,7 @@ def _motion(recording: Recording) -> MeasuredMotion:
         tool.valid & package.valid)
 
 
-def spectra(bag: File, settings: Mapping[str, object], cup: bool) -> Spectra:
+def spectra(bag: File, settings: Values, cup: bool) -> Spectra:
     """
     Return the spectra of a recording and, with a cup, of the prediction error.
 
@@ -201,7 +201,7 @@ def spectra(bag: File, settings: Mapping[str, object], cup: bool) -> Spectra:
     return Spectra(measured.frequency, np.sqrt(measured.density), error)
 
 
-def loads(bag: File, settings: Mapping[str, object]) -> Loads:
+def loads(bag: File, settings: Values) -> Loads:
     """Return the load of the cup in a recording, by inverse dynamics, and its deflection."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
@@ -231,16 +231,14 @@ def loads(bag: File, settings: Mapping[str, object]) -> Loads:
         valid=recording.valid)
 
 
-def replayed(
-    bag: File, settings: Mapping[str, object], progress: Progress = no_progress
-) -> Replayed:
+def replayed(bag: File, settings: Values, progress: Progress = no_progress) -> Replayed:
     """Return a replay with the poses of all bodies."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
     return with_bodies(values, recording, predicted_live(recording, values, progress))
 
 
-def with_bodies(values: Mapping[str, Any], recording: Recording, live: Live) -> Replayed:
+def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
     """
     Return the poses of all bodies of a live prediction, where the tool has poses.
 
@@ -267,7 +265,7 @@ def with_bodies(values: Mapping[str, Any], recording: Recording, live: Live) -> 
         length, package.com, np.array(equivalent_box(values)))
 
 
-def margins(bag: File, settings: Mapping[str, object]) -> Margins:
+def margins(bag: File, settings: Values) -> Margins:
     """Return the safety factors of the grip in a free simulation of a recording; see `Replay`."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     return validated(values, load(bag, values)).margins

@@ -17,7 +17,7 @@ from bellows_ros.core.recording.recording import PrepareSettings, Recording, Tim
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.bag_folder import digests, recording_digest
 from bellows_ros.files.bags import read_contents
 from bellows_ros.files.parameter_files import read_parameters
@@ -62,9 +62,7 @@ class Failed(NamedTuple):
     reason: str
 
 
-def load(
-    path: File, values: Mapping[str, Any], name: str = '', with_digest: bool = False
-) -> Recording:
+def load(path: File, values: Values, name: str = '', with_digest: bool = False) -> Recording:
     """
     Read a recording and prepare it.
 
@@ -109,7 +107,7 @@ def load(
         digest=recording_digest(path, files) if with_digest else '')
 
 
-def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
+def interval_masks(all_stamps: Sequence[Stamps], values: Values) -> list[Mask]:
     """
     Return masks of the stamps from recording.start to recording.end.
 
@@ -141,7 +139,7 @@ def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> l
     return chosen
 
 
-def within_interval(streams: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+def within_interval(streams: Mapping[str, Any], values: Values) -> dict[str, Any]:
     """Return streams by role from recording.start to recording.end; see `interval_masks`."""
     if not any(values.get(name) for name in FULL_RANGE):
         return dict(streams)
@@ -153,7 +151,7 @@ def within_interval(streams: Mapping[str, Any], values: Mapping[str, Any]) -> di
 
 def prepare_streams(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Mapping[str, Any],
+    values: Values,
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
     if values['recording.package_world'] == '':
@@ -173,7 +171,7 @@ def prepare_streams(
 
 def _registered(
     tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Mapping[str, Any], rough_s: float = 0.0,
+    values: Values, rough_s: float = 0.0,
 ) -> Recording:
     """Return prepared streams; estimate the world, marker and clock that are not given."""
     estimate = values['recording.package_world'] == checks.ESTIMATE
@@ -212,8 +210,7 @@ def _registered(
 
 
 def _first_guess(
-    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Mapping[str, Any],
-    marked: bool,
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Values, marked: bool,
 ) -> tuple[Array | None, frames.Alignment | None]:
     """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
     world, com = values['recording.package_world'], settings.payload.com
@@ -277,7 +274,7 @@ def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str
         names.setdefault(digest, name)
 
 
-def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Mapping[str, Any]]:
+def values_of_each(values: Values, bags_in: str = 'bags') -> list[Values]:
     """
     Return the parameters for each recording in a parameter of `FILES_OF`, with its package.
 
@@ -294,7 +291,7 @@ def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Map
             f'each recording in {bags_in}, in the same order, or none.')
     if bags_in == 'static.bags':
         values = {'package.inertia': NO_INERTIA, **values}
-    each: list[Mapping[str, Any]] = [
+    each: list[Values] = [
         {**values, **{name: value for name, value in read_parameters(file).items()
                       if name in checks.PACKAGE_PARAMETERS or name.startswith(RECORDING_PREFIXES)}}
         for file in files] or [values for _ in bags]
@@ -307,7 +304,7 @@ def values_of_each(values: Mapping[str, Any], bags_in: str = 'bags') -> list[Map
     return each
 
 
-def prepare_settings(values: Mapping[str, Any]) -> PrepareSettings:
+def prepare_settings(values: Values) -> PrepareSettings:
     """Return the settings of the preparation, from parameters."""
     checks.require(values, checks.RECORDING_PARAMETERS)
     return PrepareSettings(

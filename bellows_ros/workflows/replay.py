@@ -32,7 +32,7 @@ from bellows_ros.core.recording.recording import Recording, require_one_frame, T
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.bags import decoded, messages_of, read_streams
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import attributes, provenance, with_units
@@ -138,7 +138,7 @@ class Observed:
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None = None
     calibration: Calibration | None = None
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Values = field(default_factory=dict)
     alarm_calibration: AlarmCalibration | None = None
 
     @property
@@ -236,7 +236,7 @@ class Replay(CommandResult):
     """
 
     bag: str
-    values: Mapping[str, Any]
+    values: Values
     recording: Recording
     validation: Validation
     warnings: tuple[str, ...]
@@ -324,7 +324,7 @@ class Replay(CommandResult):
 
 
 def replay(
-    bag: File, settings: Mapping[str, object], progress: Progress = no_progress, observe: str = '',
+    bag: File, settings: Values, progress: Progress = no_progress, observe: str = '',
     calibrate_alarms: bool = False,
 ) -> Replay:
     """
@@ -383,7 +383,7 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
         *(warning for warning in free.warnings if warning not in causes))
 
 
-def validated(values: Mapping[str, Any], recording: Recording) -> Replay:
+def validated(values: Values, recording: Recording) -> Replay:
     """Simulate a prepared recording with the cup of the parameters, and compare."""
     try:
         validation = validate(cup_of(values), recording)
@@ -411,7 +411,7 @@ STRETCH_RATIOS = (0.7, 1.4)
 """Range of the ratios of stretch that a wrong stiffness explains."""
 
 
-def _causes(values: Mapping[str, Any], validation: Validation) -> Iterator[str]:
+def _causes(values: Values, validation: Validation) -> Iterator[str]:
     """Yield the likeliest cause of a bad prediction, where the data show it."""
     stretched, expected = (
         _stretch(values, rows) for rows in (validation.measured, validation.predicted))
@@ -424,14 +424,14 @@ def _causes(values: Mapping[str, Any], validation: Validation) -> Iterator[str]:
             'or cup.length is wrong.')
 
 
-def _stretch(values: Mapping[str, Any], relative: Array) -> float:
+def _stretch(values: Values, relative: Array) -> float:
     """Return the mean stretch (m) of the cup in tool-relative coordinates (N, 6)."""
     com = np.array(values['package.com'])
     lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ com
     return float(np.nanmean(-lip[:, 2])) - float(values['cup.length'])
 
 
-def _mass_hint(values: Mapping[str, Any], recording: Recording) -> str:
+def _mass_hint(values: Values, recording: Recording) -> str:
     """Return the mass that the recorded stretch stands for, where it is another; else ''."""
     relative = residuals.relative_coordinates(
         recording.measured_tool, recording.measured_package)
@@ -445,9 +445,7 @@ def _mass_hint(values: Mapping[str, Any], recording: Recording) -> str:
         f'package.mass is likely that instead of {stated:g} kg. ')
 
 
-def predicted_live(
-    recording: Recording, values: Mapping[str, Any], progress: Progress = no_progress
-) -> Live:
+def predicted_live(recording: Recording, values: Values, progress: Progress = no_progress) -> Live:
     """
     Send a recording's tool messages through the predictor and compare with its package poses.
 
@@ -475,7 +473,7 @@ def predicted_live(
         real_time_factor=recorded / took, took=took)
 
 
-def tool_messages(recording: Recording, values: Mapping[str, Any]) -> Messages:
+def tool_messages(recording: Recording, values: Values) -> Messages:
     """Return the tool's poses and twists in the order of their stamps, in frames of the model."""
     R_model_tool = world_rotation(values['recording.world'], values['gravity.direction'])
     poses = recording.alignment.tool(in_world(recording.tool_pose.trajectory(), R_model_tool))
@@ -525,7 +523,7 @@ def _coloured_json(whiteness: residuals.Whiteness, spectrum: residuals.Spectrum)
 
 def observed(
     bag: File, recording: Recording, messages: Messages, alone: residuals.Comparison,
-    values: Mapping[str, Any], topic: str, calibrate_alarms: bool = False,
+    values: Values, topic: str, calibrate_alarms: bool = False,
 ) -> Observed:
     """
     Predict a recording live with the poses of the package on a topic, and compare.
@@ -631,7 +629,7 @@ def _calibrated(
         'measured.latency_std': math.hypot(latency, latency_std)}
 
 
-def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]:
+def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
     """
     Return when (ns) which cup holds by the recorded vacuum, in order; see `Vacuum`.
 
@@ -661,7 +659,7 @@ def _vacuum(bag: File, values: Mapping[str, Any]) -> list[tuple[int, bool, int]]
     return sorted(readings, key=itemgetter(0))
 
 
-def live_predictor(values: Mapping[str, Any]) -> LivePredictor:
+def live_predictor(values: Values) -> LivePredictor:
     """Return a predictor of the cup and the package."""
     return LivePredictor(
         cup_of(values), package_of(values), values['gravity.magnitude'],

@@ -28,7 +28,7 @@ from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Th
 from bellows_ros.core.toss.landing import release_factor
 from bellows_ros.core.toss.release import RELEASE_NAMES, release_of
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, File
+from bellows_ros.files import atomic, File, Values
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.workflows.plan import bending, POSE, read_plan, TWIST
@@ -95,7 +95,7 @@ class SimulationReport:
 
 
 def simulate_recording(
-    parameters: Mapping[str, object], motion: Mapping[str, object], out: File,
+    parameters: Values, motion: Mapping[str, object], out: File,
     progress: Progress = no_progress, replace: bool = False, plan: File = ''
 ) -> SimulationReport:
     """
@@ -172,7 +172,7 @@ def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Even
     return tuple(sorted(events, key=lambda event: (event.topic, event.start_s)))
 
 
-def _smallest_margin(values: Mapping[str, Any], truth: Truth) -> Margin | None:
+def _smallest_margin(values: Values, truth: Truth) -> Margin | None:
     """Return the smallest safety factor while the package is held; None if unknown."""
     grip = grip_of(values)
     if grip is None:
@@ -182,9 +182,7 @@ def _smallest_margin(values: Mapping[str, Any], truth: Truth) -> Margin | None:
     return margin(grip, factors_along(model, grip, tool, package), truth.tool.seconds[truth.held])
 
 
-def _simulate(
-    values: Mapping[str, Any], recipe: Recipe, plans: Mapping[str, sensing.Schedule]
-) -> Truth:
+def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> Truth:
     """Simulate at all sampling times of both streams, and as finely in between as truth needs."""
     motion, cup, package = recipe.motion, cup_of(values), package_of(values)
     model = model_tuple(cup, package, values['gravity.magnitude'])

@@ -1,6 +1,6 @@
 """Static recordings: the cup's nominal length, and a check of its spring."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 import os
@@ -13,14 +13,14 @@ from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, res
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.parameter_files import write_parameters
 from bellows_ros.files.results import attributes, with_units
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
 import numpy as np
 
-StaticBag = tuple[str, Mapping[str, Any]]
+StaticBag = tuple[str, Values]
 """A recording, and the parameters that hold for it alone, such as its package."""
 
 LENGTHS_AGREE_WITHIN = 3e-4
@@ -149,7 +149,7 @@ def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
         raise BellowsError(f'{recording.name}: {error}') from None
 
 
-def read_standstills(values: Mapping[str, Any], progress: Progress) -> StaticResult:
+def read_standstills(values: Values, progress: Progress) -> StaticResult:
     """
     Return the result from the recordings in the parameter `static.bags`.
 
@@ -178,14 +178,14 @@ def read_standstills(values: Mapping[str, Any], progress: Progress) -> StaticRes
     return replace(result, cup_length=result.length.length)
 
 
-def static_bags(values: Mapping[str, Any]) -> list[StaticBag]:
+def static_bags(values: Values) -> list[StaticBag]:
     """Return the recordings of the parameter `static.bags`, each with its parameters."""
     each = reading.values_of_each(values, 'static.bags')
     return list(zip(map(os.fspath, values['static.bags']), each, strict=True))
 
 
 def static_check(
-    bags: Sequence[StaticBag], settings: Mapping[str, object], progress: Progress = no_progress
+    bags: Sequence[StaticBag], settings: Values, progress: Progress = no_progress
 ) -> StaticResult:
     """
     Find the standstills of recordings and the nominal length, and check the spring.
@@ -231,9 +231,7 @@ def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     return replace(result, spring=statics.check_spring(cup, result.standstills, gravity))
 
 
-def _read(
-    each: Sequence[StaticBag], values: Mapping[str, Any], progress: Progress
-) -> StaticResult:
+def _read(each: Sequence[StaticBag], values: Values, progress: Progress) -> StaticResult:
     """Return the result of recordings, each with its parameters; twists do not matter at rest."""
     recordings = list[Recording]()
     for number, (bag, parameters) in enumerate(each):

@@ -16,7 +16,7 @@ from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import File, safe_yaml
+from bellows_ros.files import File, safe_yaml, Values
 from bellows_ros.files.results import with_units
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import extended, MotionSource, NO_GRIP, plan_with_cup, Source
@@ -149,7 +149,7 @@ class SteerReport(CommandResult):
 
 
 def steer_plan(
-    path: MotionSource, settings: Mapping[str, object], method: str,
+    path: MotionSource, settings: Values, method: str,
     limits: File | Mapping[str, object] = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """

@@ -1,6 +1,5 @@
 """Predict the landing of a planned toss and its covariance; identify the release from drops."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 import os
@@ -26,7 +25,7 @@ from bellows_ros.core.toss.release import (
     toss,
 )
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
-from bellows_ros.files import File
+from bellows_ros.files import File, Values
 from bellows_ros.files.bags import messages_of
 from bellows_ros.files.messages import BOOL, decode_bool
 from bellows_ros.files.results import UNIT_OF, with_units
@@ -204,10 +203,9 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
 
 
 def toss_plan(
-    path: plan.MotionSource, parameters: Mapping[str, object], switched: float | None,
+    path: plan.MotionSource, parameters: Values, switched: float | None,
     target: tuple[float, float] | None = None, target_rotation: Array | None = None,
-    monte_carlo: int = 0, progress: Progress = no_progress, urdf: str = '',
-    topic: str = ''
+    monte_carlo: int = 0, progress: Progress = no_progress, urdf: str = '', topic: str = ''
 ) -> TossResult:
     """
     Predict a toss along a plan.
@@ -298,7 +296,7 @@ class ReleaseResult:
     bags: tuple[str, ...]
     used: tuple[str, ...]
     left_out: tuple[str, ...]
-    values: Mapping[str, Any]
+    values: Values
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -350,9 +348,7 @@ class ReleaseResult:
             'settings': self.values})
 
 
-def identify_release(
-    settings: Mapping[str, object], progress: Progress = no_progress
-) -> ReleaseResult:
+def identify_release(settings: Values, progress: Progress = no_progress) -> ReleaseResult:
     """
     Identify the law of release from the drops in the recordings that `bags` names.
 
@@ -401,7 +397,7 @@ def identify_release(
     return result
 
 
-def _valve_times(bag: str, values: Mapping[str, Any]) -> list[int]:
+def _valve_times(bag: str, values: Values) -> list[int]:
     """Return when the valve is switched off, ns as received."""
     topic = values['topics.valve']
     switched = sorted(

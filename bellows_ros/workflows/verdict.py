@@ -1,6 +1,6 @@
 """What a cup is worth, what explains what noise does not, and whether it is refused."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
+from bellows_ros.files import Values
 import numpy as np
 
 MAX_TESTED = 3
@@ -95,7 +96,7 @@ class FitVerdict(NamedTuple):
 
     simulated: tuple[Simulated, ...]
     diagnosis: Diagnosis
-    given: Mapping[str, Any]
+    given: Values
     chi2: float | None = None
     allowed: Free = MappingProxyType({})
     """Standard deviations, SI units, of what was given and the fit has found with K and P ..."""
@@ -228,13 +229,13 @@ def _is_within(finding: causes.Finding, std: Free) -> bool:
     return bool(np.all(np.abs(finding.theta) <= SIGMAS * limits))
 
 
-def allowances(values: Mapping[str, Any]) -> Free:
+def allowances(values: Values) -> Free:
     """Return standard deviations, SI units, of what output error may correct beside K and P."""
     return {name: std for name, std in given_std(values).items() if name in LOCAL}
 
 
 def verdict_of(
-    fit: Fit | None, recordings: Sequence[Recording], length: float, values: Mapping[str, Any],
+    fit: Fit | None, recordings: Sequence[Recording], length: float, values: Values,
     identifiable: Sequence[str] = (),
 ) -> FitVerdict | None:
     """

@@ -1,7 +1,7 @@
 """Work on single recordings in parallel: in processes on this machine, or on a Dask cluster."""
 
 import asyncio
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from functools import cache
@@ -14,6 +14,7 @@ import time
 from typing import Any
 
 from bellows_ros.errors import BellowsError, install
+from bellows_ros.files import Values
 from bellows_ros.files.atomic import remove_abandoned
 from bellows_ros.workflows.recordings import Failed
 
@@ -81,9 +82,7 @@ def _in_pool(
         remove_abandoned(tempfile.gettempdir())
 
 
-def _attempt_in_child(
-    parent: int, task: Task, number: int, bag: str, values: Mapping[str, Any]
-) -> Outcome:
+def _attempt_in_child(parent: int, task: Task, number: int, bag: str, values: Values) -> Outcome:
     """Return the result of `_attempt`, in a process that ends with its parent."""
     _exit_with_parent(parent)
     return _attempt(task, number, bag, values)
@@ -100,7 +99,7 @@ def _exit_with_parent(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _attempt(task: Task, number: int, bag: str, values: Mapping[str, Any], **more: Any) -> Outcome:
+def _attempt(task: Task, number: int, bag: str, values: Values, **more: Any) -> Outcome:
     """Return the result of a task on a recording, or the reason of any failure."""
     try:
         return number, task(bag, values, **more)
