@@ -13,16 +13,8 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion, transform
 from bellows_ros.core.live import LivePredictor, Prediction
-from bellows_ros.core.model import equilibrium, simulation
-from bellows_ros.core.model.cup_package import (
-    box_inertia,
-    Cup,
-    cup_of,
-    model_tuple,
-    Package,
-    package_of,
-    STANDARD_GRAVITY,
-)
+from bellows_ros.core.model import cup_package, equilibrium, simulation
+from bellows_ros.core.model.cup_package import box_inertia, Cup, cup_of, Package, package_of
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.signals.savgol import savgol
@@ -211,7 +203,8 @@ def identify(
 
 
 def simulate(
-    cup: Cup, package: Package, tool: Trajectory, gravity: float | ArrayLike = STANDARD_GRAVITY
+    cup: Cup, package: Package, tool: Trajectory,
+    gravity: float | ArrayLike = cup_package.STANDARD_GRAVITY
 ) -> Trajectory:
     """
     Simulate the package under a whole motion of the tool, from rest.
@@ -262,7 +255,7 @@ def simulate(
 
 def static_equilibrium(
     cup: Cup, package: Package, T_world_tool: ArrayLike | None = None,
-    gravity: float | ArrayLike = STANDARD_GRAVITY
+    gravity: float | ArrayLike = cup_package.STANDARD_GRAVITY
 ) -> Array:
     """
     Return where a package hangs from a tool at rest (3.9).
@@ -307,7 +300,8 @@ def static_equilibrium(
             f'T_world_tool must be a homogeneous matrix (4, 4) with a rotation in it, got shape '
             f'{T.shape}.')
     tool = state_row(T[:3, 3], rotation_to_quaternion(R))
-    body = equilibrium.static_equilibrium(model_tuple(cup, package, gravity), tool)
+    body = equilibrium.static_equilibrium(
+        cup_package.model_tuple(cup, package, gravity), tool)
     return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))
 
 

@@ -2,11 +2,9 @@
 
 import argparse
 
-from bellows_ros.core.model.cup_package import cup_of, package_of
-from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.model import cup_package, grip
 from bellows_ros.core.parameters import checks
-from bellows_ros.files.atomic import write_text
-from bellows_ros.files.exports import limits, TARGETS
+from bellows_ros.files import atomic, exports
 
 from . import options
 from .console import Console, OK
@@ -17,12 +15,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     values = options.read_settings(arguments, cup_for=console)
     settings = checks.resolve(values, checks.PACKAGE_PARAMETERS)
     console.final_warnings += checks.implausible(settings)
-    cup, package = cup_of(settings), package_of(settings)
-    target = TARGETS[arguments.to]
-    lost = limits(target, cup)
+    cup, package = cup_package.cup_of(settings), cup_package.package_of(settings)
+    target = exports.TARGETS[arguments.to]
+    lost = exports.limits(target, cup)
     gravity = tuple(checks.gravity_of(settings).tolist())
-    write_text(arguments.out, target.write(
-        cup, package, gravity, grip_of(settings), arguments.name))
+    atomic.write_text(arguments.out, target.write(
+        cup, package, gravity, grip.grip_of(settings), arguments.name))
     options.write_result(arguments.json, {
         'format': arguments.to, 'file': arguments.out, 'not_expressed': lost})
     console.wrote(arguments.out, arguments.json)

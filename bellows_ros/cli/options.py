@@ -10,14 +10,9 @@ import re
 from typing import Any
 
 from bellows_ros import __version__
-from bellows_ros.core.parameters.checks import validate
-from bellows_ros.core.parameters.table import lookup, Value
+from bellows_ros.core.parameters import checks, table
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import Values
-from bellows_ros.files.atomic import require_file_target, require_folder_target
-from bellows_ros.files.bag_folder import require_no_input
-from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.results import provenance, write_json
+from bellows_ros.files import atomic, bag_folder, parameter_files, results, Values
 
 from .arguments import Binary, Folder, Output, STDOUT
 from .console import Console, NOT_USABLE, OK
@@ -40,7 +35,7 @@ def require_absent(output: str, force: bool) -> None:
 def write_result(target: str, content: Any) -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
-        write_json(target, content)
+        results.write_json(target, content)
 
 
 @contextmanager
@@ -57,7 +52,7 @@ def naming_partial_output() -> Iterator[list[str]]:
 
 def read_settings(
     arguments: argparse.Namespace, node: str | None = None, cup_for: Console | None = None
-) -> dict[str, Value]:
+) -> dict[str, table.Value]:
     """
     Return the parameters of the files and, over them, those of the command line.
 
@@ -80,7 +75,7 @@ def read_settings(
     """
     values: dict[str, Any] = {}
     for file in arguments.params:
-        values.update(read_parameters(file, node))
+        values.update(parameter_files.read_parameters(file, node))
     values |= [parse_override(override) for override in arguments.overrides]
     values |= interval_settings(arguments)
     if link := getattr(arguments, 'tool_link', ''):
@@ -97,13 +92,13 @@ def inputs_of(values: Values) -> list[str]:
     return [file for name in INPUTS for file in values.get(name, ())]
 
 
-def interval_settings(arguments: argparse.Namespace) -> dict[str, Value]:
+def interval_settings(arguments: argparse.Namespace) -> dict[str, table.Value]:
     """Return the parameters that --from and --to set."""
     return dict(parse_override(f'{name}={text}', f'--{option}')
                 for option, name in INTERVAL.items() if (text := getattr(arguments, name, '')))
 
 
-def parse_override(text: str, option: str = '') -> tuple[str, Value]:
+def parse_override(text: str, option: str = '') -> tuple[str, table.Value]:
     """
     Return name and checked value of 'name=value', as --set or another option has it.
 
@@ -121,8 +116,8 @@ def parse_override(text: str, option: str = '') -> tuple[str, Value]:
         raise BellowsError(
             f"--set takes NAME=VALUE, got '{text}'. For example: --set fit.structure=full")
     try:
-        parameter = lookup(name)
-        return parameter.name, validate(name, _parsed(parameter.kind, value))
+        parameter = table.lookup(name)
+        return parameter.name, checks.validate(name, _parsed(parameter.kind, value))
     except BellowsError as error:
         raise BellowsError(f'{option or f"--set {name}"}: {error}') from None
 
@@ -168,9 +163,10 @@ def require_outputs(outputs: Iterable[str], inputs: Iterable[str | Path]) -> Non
             'others names.')
     read, targets = list(inputs), []
     for name in files:
-        require_no_input(name, read)
-        require = require_folder_target if isinstance(name, Folder) else require_file_target
-        targets.append(Path(os.path.realpath(require(name))))
+        bag_folder.require_no_input(name, read)
+        targets.append(Path(os.path.realpath(
+            atomic.require_folder_target(name) if isinstance(name, Folder) else
+            atomic.require_file_target(name))))
     for target, other in permutations(targets, 2):
         if target == other or other in target.parents:
             raise BellowsError(
@@ -236,7 +232,7 @@ def run_plan_command(
                 plans = [arguments.plan] if 'plan' in arguments else []
                 write_result(arguments.json, {
                     **result.as_json(), 'version': __version__,
-                    'provenance': provenance(plans, arguments.params)})
+                    'provenance': results.provenance(plans, arguments.params)})
     print_result(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))

@@ -8,11 +8,7 @@ from typing import Any
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import Values
-from bellows_ros.plots import recording
-from bellows_ros.plots.animation import write_animation
-from bellows_ros.plots.plan import margin_figure
-from bellows_ros.plots.recording import prediction_figure
-from bellows_ros.plots.style import FILMS, PICTURES, require_picture, write_figure
+from bellows_ros.plots import animation, plan, recording, style
 from bellows_ros.workflows.plot import data_json, loads, margins, motion, replayed, spectra, within
 
 from . import options
@@ -30,7 +26,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     has_cup = 'cup.stiffness' in values
     settings = resolve(values, PACKAGE_PARAMETERS if needs_cup or (
         arguments.what == 'spectra' and has_cup) else ())
-    require_picture(arguments.out, FILMS if arguments.what == 'animation' else PICTURES)
+    style.require_picture(
+        arguments.out, style.FILMS if arguments.what == 'animation' else style.PICTURES)
     if arguments.what == 'spectra' and (arguments.first, arguments.last) != FULL_RANGE:
         raise BellowsError('Spectra use the whole recording. Leave out --from and --to.')
     if arguments.last <= max(arguments.first, 0.0):
@@ -61,17 +58,17 @@ def _draw(
         'motion': (motion, recording.motion_figure), 'path': (motion, recording.path_figure),
         'deflection': (loads, recording.deflection_figure),
         'residuals': (loads, recording.residual_figure),
-        'margin': (margins, margin_figure), 'spectra': (spectra, recording.spectra_figure),
-        'prediction': (replay, lambda content, note, theme: prediction_figure(
+        'margin': (margins, plan.margin_figure), 'spectra': (spectra, recording.spectra_figure),
+        'prediction': (replay, lambda content, note, theme: recording.prediction_figure(
             content.seconds, content.live, 'Package: predicted, and measured',
             f'relative to the tool; {note}', theme)),
         'animation': (replay, partial(
-            write_animation, arguments.out, progress=progress, speed=arguments.speed))}
+            animation.write_animation, arguments.out, progress=progress, speed=arguments.speed))}
     read, draw = kinds[arguments.what]
     if arguments.what == 'spectra':
         content: Any = read(arguments.bag, settings, has_cup)
     else:
         content = within(read(arguments.bag, settings), arguments.first, arguments.last)
     if figure := draw(content, note, arguments.theme):
-        write_figure(arguments.out, figure)
+        style.write_figure(arguments.out, figure)
     return content

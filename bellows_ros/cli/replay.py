@@ -4,9 +4,7 @@ import argparse
 
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import Values
-from bellows_ros.files.atomic import write_text
-from bellows_ros.files.parameter_files import write_parameters
+from bellows_ros.files import atomic, parameter_files, Values
 from bellows_ros.report import print_replay
 from bellows_ros.workflows.plot import with_bodies
 from bellows_ros.workflows.replay import replay
@@ -47,13 +45,13 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     with options.naming_partial_output() as written:
         if result.observed and arguments.out:
 
-            write_parameters(arguments.out, result.observed.parameters, [
+            parameter_files.write_parameters(arguments.out, result.observed.parameters, [
                 f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
             written += [arguments.out]
         if arguments.report:
             from bellows_ros.report.build import replay_report
 
-            write_text(arguments.report, replay_report(result, arguments.params))
+            atomic.write_text(arguments.report, replay_report(result, arguments.params))
             written += [arguments.report]
         if arguments.view is not None and result.live:
             from bellows_ros.plots.viewer import open_view, write_view

@@ -18,15 +18,11 @@ from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.signals.residuals import AXES, compare_recorded, MILLI_UNITS, Scores
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import Values
-from bellows_ros.files.bags import read_messages
-from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files import bags, parameter_files, Values
 from bellows_ros.nodes.command import require_ros
-from bellows_ros.plots.recording import prediction_figure
-from bellows_ros.plots.style import write_figure
+from bellows_ros.plots import recording, style
 from bellows_ros.report import percent, print_cup
-from bellows_ros.workflows.identification import save
-from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows import identification, identify
 from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np
 
@@ -72,11 +68,12 @@ def run(bags: Path, out: Path, console: Console) -> int:
         raise BellowsError(
             f"Output folder '{out}' cannot be created: {error.strerror}. Give another with --out."
         ) from None
-    package, bag = read_parameters(bags / PACKAGE), bags / IDENTIFICATION
+    package, bag = parameter_files.read_parameters(bags / PACKAGE), bags / IDENTIFICATION
     console.line(f'1. Identify the cup from {bag}', 'bold')
     with console.progress() as progress:
-        result = identify(resolve({**package, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
-    save(result, out / 'cup.yaml', out / 'fit.json')
+        result = identify.identify(
+            resolve({**package, 'bags': [str(bag)]}, PACKAGE_PARAMETERS), progress)
+    identification.save(result, out / 'cup.yaml', out / 'fit.json')
     settings = resolve({**package, **result.parameters()}, PACKAGE_PARAMETERS)
     bag = bags / VALIDATION
     console.line(f'2. Start the node predictor with it, and play {bag} to it over DDS', 'bold')
@@ -88,7 +85,7 @@ def run(bags: Path, out: Path, console: Console) -> int:
         exchange.predicted, recorded.measured_tool, recorded.measured_package)
     seconds = recorded.since_start(comparison.stamps_ns)
     for theme, name in PICTURES.items():
-        write_figure(out / name, prediction_figure(
+        style.write_figure(out / name, recording.prediction_figure(
             seconds, comparison, 'Package: predicted live, and measured',
             'relative to the tool; the cup was identified from another recording', theme))
     lost = _print_result(result.fit, comparison.scores, exchange, recorded.noise.package, console)
@@ -112,7 +109,7 @@ def _predict_live(
         from bellows_ros.nodes.bag_player import converse, POSES, TWISTS
 
         names = {settings['topics.tool_pose']: POSES, settings['topics.tool_twist']: TWISTS}
-        messages, _ = read_messages(bag, names)
+        messages, _ = bags.read_messages(bag, names)
         with predictor(parameters, out / 'predictor.log') as require_alive:
             return converse(messages, names, require_alive, progress)
 

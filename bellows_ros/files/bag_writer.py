@@ -13,8 +13,7 @@ from typing import Any, Literal
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, File, mcap, messages
-from bellows_ros.files.bag_folder import METADATA, STORAGE_SUFFIXES
+from bellows_ros.files import atomic, bag_folder, File, mcap, messages
 import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -147,9 +146,10 @@ def require_replaceable(folder: Path) -> None:
     if not folder.is_dir():
         return
     names = [p.name for p in folder.iterdir()]
-    strange = [n for n in names if n != METADATA and not n.endswith(STORAGE_SUFFIXES)]
-    if strange or METADATA not in names:
-        why = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
+    strange = [name for name in names if name != bag_folder.METADATA
+               and not name.endswith(bag_folder.STORAGE_SUFFIXES)]
+    if strange or bag_folder.METADATA not in names:
+        why = f"it holds '{strange[0]}'" if strange else f'it has no {bag_folder.METADATA}'
         raise BellowsError(
             f"Folder '{folder}' is not replaced because it is not just a recording: {why}. "
             'Give another name, or remove it first.')

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import zlib
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
-from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import cup_of_gripper, Grip
-from bellows_ros.core.model.kernels import CupTuple
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -125,7 +124,7 @@ def header(
         f'static const bellows_model {name} = {_braced(model)};',
         *_grip(name, grip, model[0]),
         '/* Longest step of integration, s. */',
-        f'static const double {name}_longest = {largest_step(model)!r};'])
+        f'static const double {name}_longest = {equilibrium.largest_step(model)!r};'])
     relaxes = len(model[0]) > 4
     guard = f'BELLOWS_{zlib.crc32(numbers.encode()):08X}'  # other numbers of one name do clash
     return '\n'.join([
@@ -136,7 +135,7 @@ def header(
         '#endif', numbers, '', '#endif', ''])
 
 
-def _grip(name: str, grip: Grip | None, cup: CupTuple) -> list[str]:
+def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
     """Return the definition of the grip, of a gripper with one of its cups, and their places."""
     if grip is None:
         return [f'/* There is no {name}_grip: cup.lip_radius and vacuum.holding are not set. */']

@@ -14,9 +14,7 @@ from nav_msgs.msg import Odometry
 import numpy as np
 
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import Prediction
-from ..core.live.flight import Landing
-from ..core.live.uncertainty import in_world_axes
+from ..core.live import flight, Prediction, uncertainty
 from ..core.observer.observer import Payload
 from ..core.signals.trajectory import NS_PER_S
 
@@ -149,7 +147,8 @@ def write_odometry(
     write_place(message.pose.pose, prediction.position, prediction.quaternion_xyzw)
     write_vector(message.twist.twist.linear, prediction.linear)
     write_vector(message.twist.twist.angular, prediction.angular)
-    message.pose.covariance = in_world_axes(root[:6], prediction.quaternion_xyzw).ravel()
+    message.pose.covariance = uncertainty.in_world_axes(
+        root[:6], prediction.quaternion_xyzw).ravel()
     message.twist.covariance = (root[6:] @ root[6:].T).ravel()
 
 
@@ -164,7 +163,8 @@ def write_payload(message: geometry.InertiaStamped, frame_id: str, payload: Payl
 
 
 def write_landing(
-    message: geometry.PoseWithCovarianceStamped, landing: Landing, stamp_ns: int, frame_id: str
+    message: geometry.PoseWithCovarianceStamped, landing: flight.Landing, stamp_ns: int,
+    frame_id: str
 ) -> None:
     """Write the pose of B at landing, stamped as the prediction that it was made from."""
     write_header(message, stamp_ns, frame_id)

@@ -13,8 +13,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
 from .parameters import ros_parameter, TableNode
-from ..core.parameters.checks import validate
-from ..core.parameters.table import parameters_of, Value
+from ..core.parameters import checks, table
 from ..errors import BellowsError
 from ..report.build import write_page
 from ..workflows.identification import Identification, save
@@ -25,7 +24,8 @@ PREDICTOR_TIMEOUT = 10.0
 """How long (s) to wait for the predictor."""
 
 CUP_PREFIXES = ('cup.', 'envelope.')
-RESULT_NAMES = [p.name for p in parameters_of('identifier') if p.name.startswith(CUP_PREFIXES)]
+RESULT_NAMES = [
+    p.name for p in table.parameters_of('identifier') if p.name.startswith(CUP_PREFIXES)]
 """Parameters that are declared when the work is done."""
 
 OUTPUTS = ('output.parameters', 'output.json', 'output.report')
@@ -108,14 +108,14 @@ class IdentifierNode(TableNode):
         else:
             self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
 
-    def _show(self, result: Identification) -> dict[str, Value]:
+    def _show(self, result: Identification) -> dict[str, table.Value]:
         """Make the result parameters of this node; return all that describes the cup."""
         for line in result.findings:
             self.get_logger().info(line)
         for warning in result.warnings:
             self.get_logger().warning(warning)
         result.require_usable()
-        cup = {name: validate(name, value) for name, value in result.parameters().items()
+        cup = {name: checks.validate(name, value) for name, value in result.parameters().items()
                if name.startswith(CUP_PREFIXES)}
         cup.setdefault('cup.relaxation', (0.0, 0.0))  # of a cup that does not relax, K is of this
         self.values = {**self.values, **{name: cup[name] for name in RESULT_NAMES if name in cup}}
@@ -128,7 +128,7 @@ class IdentifierNode(TableNode):
             self.get_logger().info(f'Wrote {file}.')
         return cup
 
-    def _set_on_predictor(self, cup: Mapping[str, Value]) -> Iterator[None]:
+    def _set_on_predictor(self, cup: Mapping[str, table.Value]) -> Iterator[None]:
         """Set the cup on the predictor as soon as it is there, and log the answer."""
         name = str(self.values['predictor'])
         client = AsyncParameterClient(self, name)

@@ -24,10 +24,7 @@ from std_srvs.srv import Trigger
 from . import conversions
 from .guarding import GuardedNode
 from .outputs import Topic
-from ..core.live import health, LivePredictor
-from ..core.live.load import ALL, Vacuum
-from ..core.live.tool_screening import PoseSample
-from ..core.live.transforms import Chain
+from ..core.live import health, LivePredictor, load, tool_screening, transforms
 from ..core.model.kernels import ModelTuple
 from ..core.observer.alarms import Alarm
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
@@ -150,7 +147,8 @@ class TransformInput(SensorInput):
                 'ros-jazzy-tf2-msgs), or publish the pose on tool_arm/pose.')
         from tf2_msgs.msg import TFMessage
 
-        self._on_pose, self._chain = on_pose, Chain(values['frames.world'], values['frames.tool'])
+        self._on_pose = on_pose
+        self._chain = transforms.Chain(values['frames.world'], values['frames.tool'])
         super().__init__(node, TFMessage, '/tf', self._on_moving)
         self._static = SensorInput(
             node, TFMessage, '/tf_static', partial(self._add, static=True),
@@ -166,7 +164,7 @@ class TransformInput(SensorInput):
         """Put the transforms of a message into the tree."""
         for stamped in message.transforms:
             header, transform = stamped.header, stamped.transform
-            self._chain.add(header.frame_id, stamped.child_frame_id, PoseSample(
+            self._chain.add(header.frame_id, stamped.child_frame_id, tool_screening.PoseSample(
                 conversions.stamp_to_ns(header.stamp), conversions.vector(transform.translation),
                 conversions.quaternion_xyzw(transform.rotation)), static)
 
@@ -205,7 +203,7 @@ class Attachment:
     def __init__(self, pipeline: Any) -> None:
         """Offer the services, and listen to the vacuum if the parameters say so."""
         self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
-        self.vacuum = Vacuum(values)
+        self.vacuum = load.Vacuum(values)
         self._kind = values['vacuum.signal']
         self.held = values['package.attached'] and self._kind == 'none'
         for service, held, words in (
@@ -232,7 +230,7 @@ class Attachment:
         """Follow a vacuum switch."""
         assert self.signal
         self.signal.note()
-        self._pipeline.observing.on_vacuum(message.data, ALL)
+        self._pipeline.observing.on_vacuum(message.data, load.ALL)
         self._follow(message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:

@@ -25,13 +25,8 @@ from . import conversions
 from .guarding import LATCHED, Worker
 from ..core.geometry.arrays import Array
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
-from ..core.live import Prediction
-from ..core.live.flight import Flight, Landing, PATH_POINTS
-from ..core.live.load import deflection, deflection_rotation, equivalent_box, lip_position
-from ..core.live.uncertainty import STILL, Uncertainty, UNKNOWN_ROOT, warm_up_uncertainty
-from ..core.model.cup_package import cup_of
-from ..core.model.kernels import ModelTuple
-from ..core.model.structure import places_of
+from ..core.live import flight, load, Prediction, uncertainty
+from ..core.model import cup_package, kernels, structure
 from ..core.toss.landing import ellipse
 from ..core.toss.release import flight_path
 
@@ -145,9 +140,8 @@ class Outputs:
         self._pipeline, node, values = pipeline, pipeline.node, pipeline.values
         self.pose = Topic(node, geometry.PoseStamped, 'package/pose')
         self._twist = Topic(node, geometry.TwistStamped, 'package/twist')
-        self._odometry = Topic(
-            node, Odometry, 'package/odometry',
-            prepare=partial(warm_up_uncertainty, cup_of(values).relaxation))
+        self._odometry = Topic(node, Odometry, 'package/odometry', prepare=partial(
+            uncertainty.warm_up_uncertainty, cup_package.cup_of(values).relaxation))
         self._wrench = Topic(node, geometry.WrenchStamped, 'cup/wrench')
         self._safety = Topic(node, geometry.Vector3Stamped, 'cup/safety_factor')
         self._deflection = Topic(node, geometry.PoseStamped, 'cup/deflection')
@@ -171,10 +165,10 @@ class Outputs:
     def use_values(self) -> None:
         """Go on with another cup or package; compile all that is shown of a prediction."""
         model, values = self._pipeline.live.model, self._pipeline.values
-        self.uncertainty = Uncertainty(model, values)
-        deflection(model, STILL)
-        deflection_rotation(STILL)
-        Picture(values).of('', model, STILL)
+        self.uncertainty = uncertainty.Uncertainty(model, values)
+        load.deflection(model, uncertainty.STILL)
+        load.deflection_rotation(uncertainty.STILL)
+        Picture(values).of('', model, uncertainty.STILL)
         self._picture = Picture(values)
 
     def publish(self, prediction: Prediction) -> None:
@@ -217,11 +211,11 @@ class Outputs:
             has_covariance = self._odometry.is_ready and not prediction.flies
             self._odometry.send(
                 conversions.write_odometry, frame_id, package, prediction,
-                self.uncertainty.root(prediction) if has_covariance else UNKNOWN_ROOT)
+                self.uncertainty.root(prediction) if has_covariance else uncertainty.UNKNOWN_ROOT)
         if self._deflection.subscribed and not prediction.flies:
             self._deflection.send(
                 conversions.write_place_stamped, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX,
-                deflection(live.model, prediction)[0], deflection_rotation(prediction))
+                load.deflection(live.model, prediction)[0], load.deflection_rotation(prediction))
         if self._markers.subscribed and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, live.model, prediction))
         if self._tf:
@@ -267,9 +261,10 @@ class Picture:
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         """Size the box."""
-        self._box = marker(0, Marker.CUBE, equivalent_box(values))
+        self._box = marker(0, Marker.CUBE, load.equivalent_box(values))
         self._cup = marker(1, Marker.LINE_LIST, (CUP_WIDTH, 0.0, 0.0))
-        self._places: list[Vector] = [(x, y, z) for x, y, z in places_of(values)[:, :3].tolist()]
+        self._places: list[Vector] = [
+            (x, y, z) for x, y, z in structure.places_of(values)[:, :3].tolist()]
         self._force = marker(2, Marker.ARROW, ARROW_WIDTH)
         self._array = MarkerArray(markers=[self._box, self._cup, self._force])
         self._last_ns = 0
@@ -278,10 +273,10 @@ class Picture:
         """Return whether the next markers are due."""
         return not 0 <= stamp_ns - self._last_ns < MARKER_PERIOD_NS
 
-    def of(self, frame_id: str, model: ModelTuple, prediction: Prediction) -> MarkerArray:
+    def of(self, frame_id: str, model: kernels.ModelTuple, prediction: Prediction) -> MarkerArray:
         """Return the markers of a prediction; grey while the tool is extrapolated."""
         self._last_ns = prediction.stamp_ns
-        lip = lip_position(model, prediction)
+        lip = load.lip_position(model, prediction)
         R_world_package = rotation_matrix(prediction.quaternion_xyzw)
         tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
         conversions.write_place(
@@ -355,7 +350,7 @@ class Tossing:
     def use_values(self) -> None:
         """Use other values; compile what a landing needs."""
         pipeline = self._pipeline
-        self.flight = Flight(
+        self.flight = flight.Flight(
             pipeline.values, pipeline.planning.rest, lambda: pipeline.load.grip)
         # ticks are not exact
         self._period_ns = round(0.9e9 / pipeline.values['landing.rate'])
@@ -376,7 +371,7 @@ class Tossing:
                 self._landing.send(
                     conversions.write_landing, landing, held.stamp_ns, frame_id)
                 if self._markers.subscribed:
-                    path = flight_path(model, landing.toss, PATH_POINTS)
+                    path = flight_path(model, landing.toss, flight.PATH_POINTS)
                     self._markers.publish(
                         _landing_markers(landing, path, held.stamp_ns, frame_id))
         if (self._at.subscribed and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
@@ -385,7 +380,7 @@ class Tossing:
             self._worker.submit('aim', self._publish_valve_time, model, held, frame_id)
 
     def _publish_valve_time(
-        self, model: ModelTuple, prediction: Prediction, frame_id: str
+        self, model: kernels.ModelTuple, prediction: Prediction, frame_id: str
     ) -> None:
         """Publish when to switch the valve for the target."""
         after = self.flight.time_to_target(model, prediction)
@@ -396,7 +391,7 @@ class Tossing:
 
 
 def _landing_markers(
-    landing: Landing, path: Array, stamp_ns: int, frame_id: str
+    landing: flight.Landing, path: Array, stamp_ns: int, frame_id: str
 ) -> MarkerArray:
     """Return the path of the flight, and the 95 % ellipse about its end."""
     ring = np.zeros((33, 3)) + landing.toss.landing[0]

@@ -19,9 +19,7 @@ from rclpy.parameter_service import ParameterService
 from rclpy.task import Future
 
 from .guarding import GuardedNode
-from ..core.parameters import table
-from ..core.parameters.checks import resolve, validate
-from ..core.parameters.table import short
+from ..core.parameters import checks, table
 from ..errors import BellowsError
 
 Values = dict[str, Any]
@@ -105,7 +103,7 @@ class TableNode(GuardedNode):
                 if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
             self.overridden = frozenset(overridden)
             required = [p.name for p in table.parameters_of(user) if p.default is None]
-            self.values: Values = resolve(
+            self.values: Values = checks.resolve(
                 overridden, () if overridden.get('package.files') else required)
             self.check_values(self.values)
             for name, value in self.values.items():
@@ -174,7 +172,7 @@ class TableNode(GuardedNode):
 
     def _checked(self, parameters: list[Parameter]) -> Values:
         """Return all values with some of them replaced, or raise BellowsError."""
-        new = {p.name: validate(p.name, p.value) for p in parameters if _is_ours(p)}
+        new = {p.name: checks.validate(p.name, p.value) for p in parameters if _is_ours(p)}
         return {**self.values, **new}
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -323,7 +321,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
             self.configure()
         except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
-            self._failure = f'{kind}{short(str(error), 1000)}'
+            self._failure = f'{kind}{table.short(str(error), 1000)}'
             self.get_logger().error(f'Cannot be configured: {self._failure}')
             self.release_resources()
             return FAILURE
@@ -390,7 +388,7 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
         if any(wanted.label == label if wanted.label else wanted.id == number
                for number, label, *_ in allowed):
             return self._change_state_unchecked(request, response)
-        name = short(wanted.label) or wanted.id
+        name = table.short(wanted.label) or wanted.id
         self.get_logger().warning(
             f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
             f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')

@@ -19,11 +19,7 @@ from .parameters import Values
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import LivePredictor, Prediction, warm_up
-from ..core.live.flight import Flight
-from ..core.live.health import Window
-from ..core.live.load import Load
-from ..core.live.uncertainty import warm_up_uncertainty
+from ..core.live import flight, health, LivePredictor, load, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
 from ..core.signals.trajectory import tip_of
 
@@ -73,7 +69,7 @@ class Pipeline:
         """Prepare the model, compile all it needs, and only then make the topics."""
         self.node, self.latest = node, None
         self.values: Values = with_chosen_cup(node.values)
-        self.compute, self.reported = Window(), Counter[str]()
+        self.compute, self.reported = health.Window(), Counter[str]()
         self._twists_exist = False
         self._ticks = self._ticked_ns = 0
         self._was_late = self._is_compiling = False
@@ -85,7 +81,7 @@ class Pipeline:
         self._compiled = {len(cup.as_tuple)}
         self.live = LivePredictor(*model)
         self.live.tool.set_tip(tip_of(values))
-        self.load = Load(values)
+        self.load = load.Load(values)
         self.outputs = Outputs(self)
         self._publish_secondary_guarded = node.guarded(self._publish_secondary)
         if values['tool_pose.type'] == 'tf':
@@ -102,7 +98,7 @@ class Pipeline:
         self.observing = Observing(self)
         self._apply()
         if self.tossing.flight.has_size:  # whose landings have a covariance
-            warm_up_uncertainty(cup.relaxation)
+            uncertainty.warm_up_uncertainty(cup.relaxation)
         release_compiler()
         node.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -277,9 +273,9 @@ class Pipeline:
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
         try:
             warm_up(cup, package, gravity, values['tool_twist.frame'])
-            warm_up_uncertainty(cup.relaxation)
+            uncertainty.warm_up_uncertainty(cup.relaxation)
             model = model_tuple(cup, package, gravity)
-            Flight(values).warm_up(model)
+            flight.Flight(values).warm_up(model)
             self.observing.warm_up(model)
             release_compiler()
         finally:  # what fails to compile fails again where it is used
@@ -289,7 +285,7 @@ class Pipeline:
         """Let all parts use the values and the model, between two messages."""
         live, values = self.live, self.values
         self.attachment.vacuum.values = values
-        self.load = Load(values, self.load.pressure)
+        self.load = load.Load(values, self.load.pressure)
         live.coast_limit_ns = round(values['coast.limit'] * 1e9)
         self.observing.use_values()
         self.outputs.use_values()

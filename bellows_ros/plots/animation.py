@@ -15,9 +15,7 @@ from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
 from bellows_ros.files.atomic import temporary_folder, write_bytes
-from bellows_ros.workflows.plot import Replayed
-from bellows_ros.workflows.recordings import no_progress, Progress
-from bellows_ros.workflows.steer import SteerReport
+from bellows_ros.workflows import plot, recordings, steer
 import numpy as np
 
 from .style import FILMS, picture, require_picture, Theme
@@ -40,8 +38,8 @@ BOX_FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4
 
 
 def write_animation(
-    path: File, replayed: Replayed, note: str, theme: str = 'light',
-    progress: Progress = no_progress, speed: float = 1.0,
+    path: File, replayed: plot.Replayed, note: str, theme: str = 'light',
+    progress: recordings.Progress = recordings.no_progress, speed: float = 1.0,
 ) -> None:
     """
     Write a replay as a GIF, or as an MP4 where ffmpeg is there.
@@ -78,7 +76,7 @@ def write_animation(
            speed)
 
 
-def write_steering(path: File, report: SteerReport, note: str, speed: float) -> None:
+def write_steering(path: File, report: steer.SteerReport, note: str, speed: float) -> None:
     """Write a motion as planned and as steered, side by side; see `write_animation`."""
     values = report.source.values
     com, box = np.array(values['package.com']), np.array(equivalent_box(values))
@@ -95,7 +93,7 @@ def write_steering(path: File, report: SteerReport, note: str, speed: float) -> 
                 (states[:, :3], quaternion_to_rotation(states[:, 3:7])),
                 (outline.position, outline.rotation), com, box, values['cup.length'], PLAN_ZOOM))
     _write(path, views, 'The motion as planned and steered; the reference as an outline', note,
-           'light', no_progress, speed)
+           'light', recordings.no_progress, speed)
 
 
 Poses = tuple[Array, Array]
@@ -123,7 +121,7 @@ class View(NamedTuple):
 
 def _write(
     path: File, views: Sequence[View], title: str, note: str, theme: str,
-    progress: Progress, speed: float,
+    progress: recordings.Progress, speed: float,
 ) -> None:
     """Write views side by side, from the first time to the last of all."""
     ending = f'.{require_picture(path, FILMS)}'
@@ -150,7 +148,8 @@ def _ffmpeg() -> str:
 
 
 def _drawn(
-    views: Sequence[View], times: Array, title: str, note: str, theme: str, progress: Progress
+    views: Sequence[View], times: Array, title: str, note: str, theme: str,
+    progress: recordings.Progress
 ) -> Iterator[Any]:
     """Yield each picture as an array (H, W, 3) of bytes."""
     with picture(title, note, theme, SIZE, DPI) as (figure, colours):

@@ -12,12 +12,7 @@ from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.core.toss.release import flight_path
 from bellows_ros.plots.recording import prediction_figure
-from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.excite import DesignedMotion
-from bellows_ros.workflows.plan import Curves, PlanReport
-from bellows_ros.workflows.replay import Margins, Replay
-from bellows_ros.workflows.steer import SteerReport
-from bellows_ros.workflows.toss import TossResult
+from bellows_ros.workflows import CommandResult, excite, plan, replay, steer, toss
 import numpy as np
 
 from .animation import box_corners, BOX_EDGES
@@ -36,7 +31,7 @@ DEGREES = 180.0 / math.pi
 STYLES = ('-', '--', ':')
 
 
-def plan_figure(report: PlanReport, theme: str = 'light') -> Any:
+def plan_figure(report: plan.PlanReport, theme: str = 'light') -> Any:
     """
     Draw tool and package along a plan, with bands of two standard deviations.
 
@@ -62,7 +57,7 @@ def plan_figure(report: PlanReport, theme: str = 'light') -> Any:
         path, safety, *others = panels = grid.ravel()
         _draw_path(path, curves, colours)
         if report.prediction.grip:
-            _draw_margins(safety, Margins(
+            _draw_margins(safety, replay.Margins(
                 curves.seconds, values[:, 4:6], std[:, 4:6],
                 report.prediction.smallest_safety, report.least), colours)
         else:
@@ -94,7 +89,7 @@ def _legend(panel: Any) -> None:
     panel.legend(**ABOVE_PANEL, fontsize=8, handlelength=1.4, borderaxespad=0.2, columnspacing=1.2)
 
 
-def _draw_path(panel: Any, curves: Curves, colours: Theme) -> None:
+def _draw_path(panel: Any, curves: plan.Curves, colours: Theme) -> None:
     """Draw the positions of tool and package in the world."""
     for axis, style in enumerate(STYLES):
         panel.plot(curves.seconds, curves.tool[:, axis], style, color=colours.quiet,
@@ -105,7 +100,7 @@ def _draw_path(panel: Any, curves: Curves, colours: Theme) -> None:
                  handlelength=2.2, borderaxespad=0.2, columnspacing=1.0, labelspacing=0.2)
 
 
-def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
+def margin_figure(margins: replay.Margins, note: str, theme: str = 'light') -> Any:
     """
     Draw the safety factors of a grip over time, with bands of two standard deviations.
 
@@ -133,7 +128,7 @@ def margin_figure(margins: Margins, note: str, theme: str = 'light') -> Any:
     return figure
 
 
-def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
+def _draw_margins(panel: Any, margins: replay.Margins, colours: Theme) -> None:
     """Draw the safety factors, the smallest, the required one, and where the cup lets go."""
     draw_series(panel, margins.seconds, margins.factors, colours.three, MODES, margins.std)
     factor, mode, time = margins.smallest
@@ -149,7 +144,7 @@ def _draw_margins(panel: Any, margins: Margins, colours: Theme) -> None:
     panel.set_ylim(0.0, max(MAX_SHOWN_FACTOR * margins.least, 1.5 * factor))
 
 
-def excite_figure(result: DesignedMotion, theme: str = 'light') -> Any:
+def excite_figure(result: excite.DesignedMotion, theme: str = 'light') -> Any:
     """
     Draw a motion, its spectrum, and how much of each limit it uses.
 
@@ -200,7 +195,7 @@ TAIL_SHOWN = 1.0
 """Time (s) shown after the end of the last motion."""
 
 
-def steer_figure(report: SteerReport, theme: str = 'light') -> Any:
+def steer_figure(report: steer.SteerReport, theme: str = 'light') -> Any:
     """
     Draw the tilt of the package, and the path length and tilt of the tool, of several motions.
 
@@ -246,7 +241,7 @@ SIZE = (11.0, 7.2)
 OUTLINES, PATH_POINTS = 6, 60
 
 
-def toss_figure(result: TossResult, theme: str = 'light') -> Any:
+def toss_figure(result: toss.TossResult, theme: str = 'light') -> Any:
     """
     Draw a toss.
 
@@ -323,7 +318,7 @@ def _draw_outlines(panel: Any, path: Array, box: Any, i: int, j: int, colours: T
                        linewidth=0.9 if last else 0.6, alpha=1.0 if last else 0.35)
 
 
-def _draw_landing(above: Any, close: Any, result: TossResult, colours: Theme) -> None:
+def _draw_landing(above: Any, close: Any, result: toss.TossResult, colours: Theme) -> None:
     """Draw ellipse, drawn landings and target from above, and the ellipse once more closely."""
     centre = np.array(result.toss.landing[0][:2])
     ring = ellipse(result.covariance, 121)
@@ -343,7 +338,7 @@ def _draw_landing(above: Any, close: Any, result: TossResult, colours: Theme) ->
     close.set_ylabel('y from the prediction (mm)')
 
 
-def replay_figure(result: Replay, theme: str = 'light') -> Any:
+def replay_figure(result: replay.Replay, theme: str = 'light') -> Any:
     """Draw a replay as `prediction_figure` does."""
     return prediction_figure(
         result.recording.since_start(result.validation.stamps_ns), result.validation,
@@ -351,8 +346,8 @@ def replay_figure(result: Replay, theme: str = 'light') -> Any:
 
 
 FIGURES: Mapping[type, Callable[[Any, str], Any]] = {
-    PlanReport: plan_figure, SteerReport: steer_figure, TossResult: toss_figure,
-    DesignedMotion: excite_figure, Replay: replay_figure}
+    plan.PlanReport: plan_figure, steer.SteerReport: steer_figure, toss.TossResult: toss_figure,
+    excite.DesignedMotion: excite_figure, replay.Replay: replay_figure}
 
 
 def figure_of(result: CommandResult, theme: str = 'light') -> Any:

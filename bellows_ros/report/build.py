@@ -10,20 +10,14 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.core.identification.samples import SEED as EXCITATION_SEED
-from bellows_ros.core.identification.validation import SEED
+from bellows_ros.core.identification import samples, validation
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import UnstableError
-from bellows_ros.files import File, Values
-from bellows_ros.files.atomic import write_text
-from bellows_ros.files.results import provenance
+from bellows_ros.files import atomic, File, results, Values
 from bellows_ros.plots import recording as pictures
 from bellows_ros.plots.plan import margin_figure, replay_figure
 from bellows_ros.plots.style import inline_svg, THEMES
-from bellows_ros.workflows.identification import Identification
-from bellows_ros.workflows.plot import Spectra
-from bellows_ros.workflows.recordings import values_of_each
-from bellows_ros.workflows.replay import Replay, validated
+from bellows_ros.workflows import identification, plot, recordings, replay
 import numpy as np
 
 from . import print_identification, print_replay
@@ -102,7 +96,7 @@ INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Entries of package.inertia in the tensor."""
 
 
-def identification_report(result: Identification) -> str:
+def identification_report(result: identification.Identification) -> str:
     """
     Return the page of a fit for which the parameter output.report was set.
 
@@ -118,30 +112,32 @@ def identification_report(result: Identification) -> str:
     for replayed in result.validations:
         sections.append(_motion(f'Not used in the fit: {replayed.bag}', replayed))
     parameters = dict(zip(
-        map(str, result.values['bags']), values_of_each(result.cup_values()), strict=True))
+        map(str, result.values['bags']), recordings.values_of_each(result.cup_values()),
+        strict=True))
     for recording in result.recordings:
         sections.append(_simulated(parameters[recording.name], recording))
     origin = dict(result.as_json()['provenance'])  # and of what the fit has not seen
     origin['recordings'] = [
-        *origin['recordings'], *provenance([v.bag for v in result.validations])['recordings']]
+        *origin['recordings'],
+        *results.provenance([each.bag for each in result.validations])['recordings']]
     return page(
         f'Cup identified from {", ".join(result.bags)}',
         f'{result.fit.method.replace("_", " ")}, {result.fit.structure}',
         [*(section.html() for section in sections), _origin(origin, result.values)])
 
 
-def replay_report(result: Replay, parameter_files: Sequence[File] = ()) -> str:
+def replay_report(result: replay.Replay, parameter_files: Sequence[File] = ()) -> str:
     """Return the page of a replay."""
     section = _motion('Free simulation', result)
     if result.observed:
         section.add(figure(pictures.errors_figure(
             result.observed.estimates, f'relative to the tool, with {result.observed.topic}')))
-    origin = provenance([result.bag], parameter_files)
+    origin = results.provenance([result.bag], parameter_files)
     return page(f'Replay of {result.bag}', 'free simulation from start to end',
                 [section.html(), _origin(origin, result.values)])
 
 
-def write_page(result: Identification, path: File) -> None:
+def write_page(result: identification.Identification, path: File) -> None:
     """
     Write the page of an identification for which the parameter output.report was set.
 
@@ -151,14 +147,14 @@ def write_page(result: Identification, path: File) -> None:
         If the file cannot be written.
 
     """
-    write_text(path, identification_report(result))
+    atomic.write_text(path, identification_report(result))
 
 
 def _simulated(values: Values, recording: Recording) -> Section:
     """Return how a recording of the fit is simulated, or why it cannot be."""
     title, payload = f'Used in the fit: {recording.name}', recording.payload
     try:
-        return _motion(title, validated({
+        return _motion(title, replay.validated({
             **values, 'package.mass': payload.mass, 'package.com': tuple(payload.com.tolist()),
             'package.inertia': tuple(payload.inertia[i, j] for i, j in INERTIA)}, recording))
     except UnstableError as error:
@@ -167,7 +163,7 @@ def _simulated(values: Values, recording: Recording) -> Section:
         return section
 
 
-def _motion(title: str, replayed: Replay) -> Section:
+def _motion(title: str, replayed: replay.Replay) -> Section:
     """Return text and figures of a recording that was simulated freely."""
     section = Section(title)
     print_replay(replayed, section)
@@ -175,15 +171,15 @@ def _motion(title: str, replayed: Replay) -> Section:
     return section
 
 
-def _figures(replayed: Replay) -> Iterator[Any]:
+def _figures(replayed: replay.Replay) -> Iterator[Any]:
     """Yield the figures of a recording that was simulated freely."""
     validation, bag = replayed.validation, replayed.bag
     if replayed.margin:
         yield margin_figure(replayed.margins, bag)
     yield replay_figure(replayed)
     yield pictures.spectra_figure(
-        Spectra(validation.motion.frequency, np.sqrt(validation.motion.density),
-                np.sqrt(validation.spectrum.density)),
+        plot.Spectra(validation.motion.frequency, np.sqrt(validation.motion.density),
+                     np.sqrt(validation.spectrum.density)),
         bag, one_step=validation.one_step.spectrum if validation.one_step else None)
     yield pictures.whiteness_figure(
         validation.one_step.whiteness if validation.one_step else validation.whiteness, bag)
@@ -199,7 +195,8 @@ def _origin(provenance: Mapping[str, Any], settings: Values) -> str:
     section.table([
         ('', 'version or seed'),
         *((name, version or 'not there') for name, version in provenance['versions'].items()),
-        ('seeds of made-up noise', f'{SEED} (validation), {EXCITATION_SEED} (excitation)')])
+        ('seeds of made-up noise',
+         f'{validation.SEED} (validation), {samples.SEED} (excitation)')])
     content = table([
         ('parameter', 'value'), *((name, _setting(value)) for name, value in settings.items())])
     section.add(f'<details><summary>All settings</summary>\n{content}\n</details>')

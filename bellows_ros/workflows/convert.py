@@ -14,11 +14,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, trajectory_files, Values
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.bags import absolute, accepted_types, messages_of, read_streams, topics
-from bellows_ros.files.plans import joints_or_tf, poses_in, read_transforms
-from bellows_ros.files.results import attributes
+from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files, Values
 from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_interval
 import numpy as np
 
@@ -47,7 +43,7 @@ class Body:
 
     """
 
-    messages: Encoded
+    messages: bag_writer.Encoded
     source: str
     left_out: Mapping[str, int] = field(default_factory=dict)
     world: str = 'z_up'
@@ -92,7 +88,7 @@ class Conversion:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        bodies = [attributes(body, 'topic', 'source', 'poses', 'left_out')
+        bodies = [results.attributes(body, 'topic', 'source', 'poses', 'left_out')
                   for body in self.bodies]
         return {**vars(self), 'bodies': bodies, 'version': __version__}
 
@@ -126,7 +122,7 @@ def bodies_in_files(
             f'{len(names)} topics are given for {len(bodies)} bodies: '
             f'{", ".join(body.source for body in bodies)}. Give one for each, in this order.')
     if names:
-        bodies = [replace(body, messages=replace(body.messages, topic=absolute(name)))
+        bodies = [replace(body, messages=replace(body.messages, topic=bags.absolute(name)))
                   for body, name in zip(bodies, names, strict=True)]
     chosen = [body.topic for body in bodies]
     if len(set(chosen)) < len(chosen):
@@ -157,16 +153,16 @@ def tool_of_joints(bag: File, tool_link: str, urdf: str = '', topic: str = '') -
         If the recording has no way to the tool.
 
     """
-    read = joints_or_tf(bag, urdf, tool_link)
-    name = absolute(topic or TOOL_POSE)
-    others = _copied_topics(bag, {*accepted_types('pose'), *accepted_types('twist')})
+    read = plans.joints_or_tf(bag, urdf, tool_link)
+    name = bags.absolute(topic or TOOL_POSE)
+    others = _copied_topics(bag, {*bags.accepted_types('pose'), *bags.accepted_types('twist')})
     if any(other.topic == name for other in others):
         raise BellowsError(
             f"Topic '{name}' is already in recording '{bag}'. Choose another for the tool with "
             '--topic.')
-    return [Body(
-        as_messages(name, POSE, read.stamp_ns + read.times_ns, read.poses, read.frame_id),
-        f"{tool_link} in '{read.frame_id}' of {bag}"), *others]
+    messages = bag_writer.as_messages(
+        name, POSE, read.stamp_ns + read.times_ns, read.poses, read.frame_id)
+    return [Body(messages, f"{tool_link} in '{read.frame_id}' of {bag}"), *others]
 
 
 def bodies_in_transforms(
@@ -193,7 +189,7 @@ def bodies_in_transforms(
         If the transforms do not lead from both to the world.
 
     """
-    links, bodies = read_transforms(bag), list[Body]()
+    links, bodies = plans.read_transforms(bag), list[Body]()
     names = names or (TOOL_POSE, PACKAGE_POSE)
     if len(set(names)) != 2:
         raise BellowsError('Name two topics with --topic, of the tool and of the package.')
@@ -201,10 +197,10 @@ def bodies_in_transforms(
         raise BellowsError(
             f"'{tool_frame}' is named as the frame of the tool and of the package. Name two.")
     for frame, topic in zip((tool_frame, package_frame), names, strict=True):
-        stamps, T, world_frame, bad = poses_in(links, frame, world_frame, f"'{bag}'")
+        stamps, T, world_frame, bad = plans.poses_in(links, frame, world_frame, f"'{bag}'")
         rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
         bodies.append(Body(
-            as_messages(absolute(topic), POSE, stamps, rows, world_frame),
+            bag_writer.as_messages(bags.absolute(topic), POSE, stamps, rows, world_frame),
             f"{frame} in '{world_frame}' of {bag}",
             {'transforms that are no poses': bad} if bad else {}))
     return bodies
@@ -231,31 +227,32 @@ def bodies_in_recording(
         If the recording cannot be read, or a topic has no poses.
 
     """
-    counts, types = topics(bag), accepted_types('pose')
-    chosen = [absolute(name) for name in names] or [
+    counts, types = bags.topics(bag), bags.accepted_types('pose')
+    chosen = [bags.absolute(name) for name in names] or [
         topic.name for topic in counts if topic.type_name in types and topic.messages]
     bodies = list[Body]()
-    for name, stream in read_streams(bag, {name: name for name in chosen}).items():
+    for name, stream in bags.read_streams(bag, {name: name for name in chosen}).items():
         if not isinstance(stream, PoseStream):
             raise BellowsError(f"Topic '{name}' has no poses.")
         values = np.hstack([
             stream.position * (1e-3 if millimetres else 1.0),
             rotation_to_quaternion(reordered(stream.rotation) if w_first else stream.rotation)])
         bodies.append(Body(
-            as_messages(name, POSE, stream.stamps_ns, values, stream.frame_id), os.fspath(bag),
-            _refused_counts(stream)))
+            bag_writer.as_messages(name, POSE, stream.stamps_ns, values, stream.frame_id),
+            os.fspath(bag), _refused_counts(stream)))
     return bodies + _copied_topics(bag, {topic.type_name for topic in counts}, chosen)
 
 
 def _copied_topics(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
     """Return messages of some types in a recording as they are, but those of some topics."""
     grouped: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
-    for topic, kind, log_ns, data in messages_of(bag, types):
+    for topic, kind, log_ns, data in bags.messages_of(bag, types):
         if topic not in without:
             grouped.setdefault((topic, kind), []).append((log_ns, data))
     return [
-        Body(Encoded(topic, kind, np.array([at for at, _ in messages], dtype=np.int64),
-                     tuple(data for _, data in messages)), os.fspath(bag))
+        Body(bag_writer.Encoded(
+            topic, kind, np.array([at for at, _ in messages], dtype=np.int64),
+            tuple(data for _, data in messages)), os.fspath(bag))
         for (topic, kind), messages in grouped.items()]
 
 
@@ -299,7 +296,7 @@ def to_bag(
             for body in parts)
         raise BellowsError(
             f'No pose can be used: {reasons}. Lower --markers.')
-    write_bag(out, [body.messages for body in parts], storage, replace=replace)
+    bag_writer.write_bag(out, [body.messages for body in parts], storage, replace=replace)
     world = next((body.world for body in bodies if body.world != 'z_up'), 'z_up')
     return Conversion(os.fspath(out), parts, world, tuple(notes))
 
@@ -311,13 +308,14 @@ def _bodies_in_file(source: Path, min_markers: int) -> list[Body]:
             f"'{source}' is not a file. Give a Motive CSV export, or a TUM, KITTI or EuRoC file.")
     if source.suffix.lower() == '.csv' and trajectory_files.is_motive(source):
         return [Body(
-            as_messages(_topic_of(body.name), POSE, body.stamps_ns, body.values, MOTIVE_FRAME),
+            bag_writer.as_messages(
+                _topic_of(body.name), POSE, body.stamps_ns, body.values, MOTIVE_FRAME),
             f'{source} ({body.name})', {reason: count for reason, count in (
                 ('not tracked', body.missing), ('too few markers', body.unseen)) if count},
             'motive_y_up')
             for body in trajectory_files.read_motive(source, min_markers)]
-    poses = as_messages(_topic_of(source.stem), POSE, *trajectory_files.read_trajectory(source))
-    return [Body(poses, str(source))]
+    read = trajectory_files.read_trajectory(source)
+    return [Body(bag_writer.as_messages(_topic_of(source.stem), POSE, *read), str(source))]
 
 
 def _topic_of(name: str) -> str:
@@ -348,17 +346,17 @@ def to_tum(bag: File, out: File, topic: str = '', span: Values = FULL_RANGE) -> 
 
     """
     if not topic:
-        types = accepted_types('pose')
-        fitting = [t.name for t in topics(bag) if t.type_name in types]
+        types = bags.accepted_types('pose')
+        fitting = [t.name for t in bags.topics(bag) if t.type_name in types]
         if len(fitting) != 1:
             raise BellowsError(
                 f"Recording '{bag}' has {len(fitting)} topics with poses"
                 f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.')
         topic = fitting[0]
-    stream = within_interval(read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
+    stream = within_interval(bags.read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     trajectory_files.write_tum(out, stream.stamps_ns, values)
-    written = Encoded(stream.name, POSE, stream.stamps_ns, ())
+    written = bag_writer.Encoded(stream.name, POSE, stream.stamps_ns, ())
     return Conversion(os.fspath(out), (Body(written, os.fspath(bag), _refused_counts(stream)),))
 
 

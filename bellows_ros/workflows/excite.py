@@ -12,25 +12,18 @@ from bellows_ros.core.excitation.arm_limits import limits_from
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR, parameter_units
-from bellows_ros.core.model import cup_package
-from bellows_ros.core.model.grip import grip_of
+from bellows_ros.core.model import cup_package, grip
 from bellows_ros.core.model.structure import fitted_structure, Structure
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.recording import Noise
-from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.synthetic.motion import Motion
 from bellows_ros.core.synthetic.recipe import sensor_from
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, Values
-from bellows_ros.files.atomic import new_folder
-from bellows_ros.files.bag_writer import Encoded, require_replaceable, write_bag
-from bellows_ros.files.plan_messages import encode_multi_dof, MULTI_DOF, plan_message, PlanMessage
+from bellows_ros.files import atomic, bag_writer, File, plan_messages, trajectory_files, Values
 from bellows_ros.files.plans import arm_of
 from bellows_ros.files.results import with_units
-from bellows_ros.files.trajectory_files import write_euroc, write_urscript
-from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.plan import read_plan
+from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
@@ -188,21 +181,21 @@ def excite(
     gravity = checks.gravity_of(values)
     checked = motion_design.Checks(bounds, [
         cup_package.model_tuple(cup_package.gripper_of(each, structure.places), package, gravity)
-        for each in motion_design.cups_near(cup)], grip_of(values))
+        for each in motion_design.cups_near(cup)], grip.grip_of(values))
 
-    def errors_of(tool: Trajectory) -> Array:
+    def errors_of(tool: trajectory.Trajectory) -> Array:
         return motion_design.standard_errors(motion_design.motion_information(
             cup, package, gravity, tool, tracking, structure))
 
-    plans = {os.fspath(path): read_plan(path, values, urdf).tool for path in beside}
+    plans = {os.fspath(path): plan.read_plan(path, values, urdf).tool for path in beside}
     design = motion_design.design(
         cup, package, gravity, structure, checked, tracking, duration, seed, progress, hold)
     period = tracking.package_period
     compared = {}
     for path, tool in plans.items():
         count = int(min(design.motion.duration, float(tool.seconds[-1])) / period)
-        at = np.round(np.arange(count) * period * NS_PER_S).astype(np.int64)
-        compared[path] = errors_of(resample(tool, tool.stamps_ns[0] + at))
+        at = np.round(np.arange(count) * period * trajectory.NS_PER_S).astype(np.int64)
+        compared[path] = errors_of(resampling.resample(tool, tool.stamps_ns[0] + at))
     guess = structure.parameters(cup.stiffness, cup.damping)
     more: dict[str, Motion] = {
         STANDSTILLS: motion_design.standstills(checked), EXCITATION: design.motion,
@@ -253,29 +246,32 @@ def write_motion(
     frame = str(result.values['plan.frame']) or 'world'
     motion = result.design.motion
 
-    def plan_of(each: Motion) -> PlanMessage:
-        return plan_message(
+    def plan_of(each: Motion) -> plan_messages.PlanMessage:
+        return plan_messages.plan_message(
             each.at_rate(POINT_RATE), 0, frame, 'tool', result.values['tool_twist.frame'])
 
     def write(file: File, each: Motion) -> None:
-        write_bag(file, [Encoded('/tool_arm/plan', MULTI_DOF, np.array([NS_PER_S]),
-                                 [encode_multi_dof(plan_of(each))])], replace=replace)
+        bag_writer.write_bag(file, [bag_writer.Encoded(
+            '/tool_arm/plan', plan_messages.MULTI_DOF, np.array([trajectory.NS_PER_S]),
+            [plan_messages.encode_multi_dof(plan_of(each))])], replace=replace)
 
     if not result.series:
         write(path, motion)
     else:
         if replace:
             _require_series(Path(path))
-        with new_folder(path, replace) as folder:
+        with atomic.new_folder(path, replace) as folder:
             folder.mkdir()
             for name, (each, _) in result.series.items():
                 write(folder / name, each)
     if csv:
         plan = plan_of(motion)
-        write_euroc(csv, plan.times_ns, np.hstack([plan.poses, np.asarray(plan.twists)]))
+        trajectory_files.write_euroc(
+            csv, plan.times_ns, np.hstack([plan.poses, np.asarray(plan.twists)]))
     if urscript:
         slow = motion.at_rate(UR_RATE)
-        write_urscript(urscript, slow.seconds, slow.position, log_so3(slow.rotation), frame)
+        trajectory_files.write_urscript(
+            urscript, slow.seconds, slow.position, log_so3(slow.rotation), frame)
 
 
 def _require_series(folder: Path) -> None:
@@ -285,4 +281,4 @@ def _require_series(folder: Path) -> None:
             raise BellowsError(
                 f"Folder '{folder}' is not replaced because it is not just a series: it holds "
                 f"'{each.name}'. Give another name, or remove it first.")
-        require_replaceable(each)
+        bag_writer.require_replaceable(each)

@@ -7,19 +7,14 @@ import os
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.identification.identifiability import Excitation
-from bellows_ros.core.identification.reduction import Reduced
+from bellows_ros.core.identification import identifiability, reduction
 from bellows_ros.core.identification.result import Fit, parameter_units, POSE_UNITS
-from bellows_ros.core.model.cup_package import Cup, package_of
+from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
-from bellows_ros.core.model.validity_range import Envelope, joined_envelopes
-from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, pose_text, resolve
-from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.parameters import checks, table
 from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, results, Values
-from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.files.results import attributes, with_units
+from bellows_ros.files import File, parameter_files, results, Values
 from bellows_ros.workflows.recordings import Failed, offset_sentence, world_sentence
 import numpy as np
 
@@ -104,9 +99,9 @@ class Identification:
     """
 
     fit: Fit
-    excitation: Excitation
+    excitation: identifiability.Excitation
     values: Values
-    parts: tuple[Reduced, ...]
+    parts: tuple[reduction.Reduced, ...]
     recordings: tuple[Recording, ...] = ()
     consistency: 'Consistency | None' = None
     static: 'StaticResult | None' = None
@@ -129,9 +124,9 @@ class Identification:
         return standstills.length if standstills else self.parts[0].statistics.cup_length
 
     @cached_property
-    def envelope(self) -> Envelope:
+    def envelope(self) -> validity_range.Envelope:
         """The validity range of the fit."""
-        moving = joined_envelopes([part.envelope for part in self.parts])
+        moving = validity_range.joined_envelopes([part.envelope for part in self.parts])
         if self.static is None:
             return moving
         from bellows_ros.core.recording.standstills import with_standstills
@@ -144,7 +139,7 @@ class Identification:
         best = min(worlds, key=lambda world: float(np.sum(world.std)), default=None)
         return {
             **self.values,
-            **({'recording.package_world': pose_text(best.pose)} if best else {}),
+            **({'recording.package_world': checks.pose_text(best.pose)} if best else {}),
             'cup.stiffness': tuple(self.fit.stiffness.ravel().tolist()),
             'cup.damping': tuple(self.fit.damping.ravel().tolist()),
             'cup.length': self.cup_length,
@@ -160,7 +155,7 @@ class Identification:
             ['recording.package_world'] if any(part.package_world for part in self.parts) else [])}
         values = {
             name: value for name, value in self.cup_values().items()
-            if name in names or (name in CUP_EXTRAS and value != PARAMETERS[name].default)}
+            if name in names or (name in CUP_EXTRAS and value != table.PARAMETERS[name].default)}
         errors = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
@@ -223,9 +218,9 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        recordings: list[Reduced | Recording] = [
+        recordings: list[reduction.Reduced | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
-        return with_units({
+        return results.with_units({
             **fit_json(self.fit),
             'warnings': self.warnings,
             'findings': self.findings,
@@ -314,7 +309,7 @@ def save(
     if not parameters_path:
         return
     result.require_usable(force)
-    write_parameters(parameters_path, result.parameters(), result.header())
+    parameter_files.write_parameters(parameters_path, result.parameters(), result.header())
 
 
 def fit_json(fit: Fit) -> dict[str, Any]:
@@ -322,12 +317,12 @@ def fit_json(fit: Fit) -> dict[str, Any]:
     units, standstills = parameter_units(structure_named(fit.structure)), fit.standstills
     exact = fit.exactly_given
     return {
-        **attributes(
+        **results.attributes(
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
             'relaxation', 'relaxation_std', 'samples_used', 'samples_rejected',
             'condition_number', 'usable', 'weight', 'residual_rms',
             'noise_rms', 'chi2', 'robust_chi2', 'converged'),
-        'with_exactly_given': attributes(exact, 'stiffness_std', 'damping_std'),
+        'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
         'intervals_95': {
             name: {'low': value - half, 'high': value + half} for name, value, half in (
                 ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),
@@ -339,7 +334,8 @@ def fit_json(fit: Fit) -> dict[str, Any]:
                       'noise_bias': units}},
         'time_offsets': fit.delays,
         'time_offsets_std': fit.delays_std,
-        'iterations': [attributes(i, 'chi2', 'stiffness', 'damping') for i in fit.iterations],
+        'iterations': [results.attributes(iteration, 'chi2', 'stiffness', 'damping')
+                       for iteration in fit.iterations],
         'with_standstills': standstills and {
             'standstills': standstills.count,
             'chi2': standstills.chi2,
@@ -356,13 +352,13 @@ def _products(units: Any) -> list[list[str]]:
     return [[f'{one} {other}' for other in units] for one in units]
 
 
-def excitation_json(excitation: Excitation) -> dict[str, Any]:
+def excitation_json(excitation: identifiability.Excitation) -> dict[str, Any]:
     """Return what is identifiable from recordings, for a JSON file; null is unknown."""
     units = parameter_units(structure_named(excitation.structure))
     return {
         'structure': excitation.structure,
         'axes': {axis.name: {
-            **attributes(
+            **results.attributes(
                 axis, 'strain', 'motion', 'twist', 'band_hz', 'strain_noise', 'twist_noise'),
             'units': {
                 **dict.fromkeys(('strain', 'motion', 'strain_noise'), unit),
@@ -370,22 +366,22 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
         } for axis, unit in zip(excitation.axes, POSE_UNITS, strict=True)},
         'parameters': {
             parameter.label: {
-                **attributes(
+                **results.attributes(
                     parameter, 'value', 'noise_share', 'signal_to_noise', 'bias', 'identifiable',
                     'weak'),
                 'units': {'value': unit}}
             for parameter, unit in zip(excitation.parameters, units, strict=True)},
-        **attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings')}
+        **results.attributes(excitation, 'rank', 'size', 'condition_number', 'pairs', 'warnings')}
 
 
 def selection_json(selection: Any) -> dict[str, Any]:
     """Return a `StructureSelection` for the JSON file."""
     return {
         'candidates': [
-            attributes(candidate, 'structure', 'parameters', 'usable', 'refused', 'held_out',
-                       'simulated')
-            for candidate in selection.candidates],
-        **attributes(selection, 'samples', 'advised', 'advice', 'fits')}
+            results.attributes(each, 'structure', 'parameters', 'usable', 'refused', 'held_out',
+                               'simulated')
+            for each in selection.candidates],
+        **results.attributes(selection, 'samples', 'advised', 'advice', 'fits')}
 
 
 # ---------------------------------------------------------------------------- two fits compared
@@ -425,11 +421,11 @@ class ResultComparison:
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         derived = ('percent', 'standard_errors', 'p_value', 'significant')
-        return with_units({
+        return results.with_units({
             'before': self.paths[0],
             'after': self.paths[1],
-            **attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
-            **{name: [{**vars(change), **attributes(change, *derived)} for change in changes]
+            **results.attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
+            **{name: [{**vars(each), **results.attributes(each, *derived)} for each in changes]
                for name, changes in (
                    ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
             'settings': self.settings,
@@ -464,13 +460,13 @@ def compare_files(before: File, after: File) -> ResultComparison:
         if not isinstance(settings, dict):
             raise BellowsError('The result has no settings, so the package is unknown. Identify '
                                'the cup again with this version.')
-        values: dict[str, Any] = dict(resolve(settings, PACKAGE_PARAMETERS))
+        values: dict[str, Any] = dict(checks.resolve(settings, checks.PACKAGE_PARAMETERS))
     with results.content_of(before, after):
         (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
         return ResultComparison(
             (os.fspath(before), os.fspath(after)),
             compare_fits(
-                fitted[0], fitted[1], package_of(values), values['gravity.magnitude']),
+                fitted[0], fitted[1], cup_package.package_of(values), values['gravity.magnitude']),
             tuple(Difference(name, old.get(name), new.get(name))
                   for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             tuple(name for name, content in again.items() if content in used.values()))
@@ -485,7 +481,8 @@ def _fitted(content: Mapping[str, Any]) -> 'Fitted':
     covariance = np.array([[np.inf if x is None else float(x) for x in row] for row in rows])
     order = [labels.index(label) for label in structure.labels]
     K, P = (np.array(content[key], dtype=float) for key in ('stiffness', 'damping'))
-    cup = Cup(K, P, float(content['cup_length']), tuple(content.get('relaxation', (0.0, 0.0))))
+    relaxation, length = content.get('relaxation', (0.0, 0.0)), float(content['cup_length'])
+    cup = cup_package.Cup(K, P, length, tuple(relaxation))
     return Fitted(structure, cup, covariance[np.ix_(order, order)])
 
 

@@ -14,21 +14,16 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.identification import methods
+from bellows_ros.core.identification import identifiability, least_squares, methods, samples
 from bellows_ros.core.identification.causes import misread
-from bellows_ros.core.identification.identifiability import Excitation, excitation_of
-from bellows_ros.core.identification.least_squares import with_relaxation
 from bellows_ros.core.identification.reduction import Reduced, reduced
 from bellows_ros.core.identification.result import Fit
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import cup_of, is_gripper
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import Values
-from bellows_ros.files.bag_folder import digests
-from bellows_ros.files.results import with_units
+from bellows_ros.files import bag_folder, results, Values
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
@@ -115,7 +110,7 @@ def identify(
     def read(values: Values) -> tuple[list[Part], list[Failed]]:
         parts, failed = read_all(values, keep, progress, jobs, dask)
         differentiable = methods.are_differentiable(parts, values)
-        return with_relaxation(parts, values) if differentiable else parts, failed
+        return least_squares.with_relaxation(parts, values) if differentiable else parts, failed
 
     parts, failed = read(effective)
     notes = _assumed(settings)
@@ -129,7 +124,8 @@ def identify(
     return _identify(
         values, effective, parts, static, progress, read, failed=tuple(failed), assumed=notes,
         parameter_files=tuple(
-            {'path': os.fspath(path), 'files': digests(path)} for path in parameter_files))
+            {'path': os.fspath(file), 'files': bag_folder.digests(file)}
+            for file in parameter_files))
 
 
 def _recordings(parts: Sequence[Part]) -> tuple[Recording, ...]:
@@ -334,7 +330,7 @@ def selection(
 
     progress('comparing structures', FIT_ENDS)
     compared = select_structure(
-        [samples_of(recording) for recording in recordings], values['cup.length'],
+        [samples.samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings],
         structure.given_structure({**values, 'fit.structure': 'layout'})
         if is_gripper(values) else None)
@@ -372,7 +368,7 @@ class StructureAdvice:
 
     """
 
-    excitation: Excitation
+    excitation: identifiability.Excitation
     selection: 'StructureSelection'
     recordings: tuple[Recording, ...]
     values: Values
@@ -385,7 +381,7 @@ class StructureAdvice:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file, in SI units."""
-        return with_units({
+        return results.with_units({
             'excitation': identification.excitation_json(self.excitation),
             'structures': identification.selection_json(self.selection),
             'recordings': self.recordings,
@@ -413,7 +409,7 @@ def structures(settings: Values, progress: Progress = no_progress) -> StructureA
     """
     values = resolved(settings)
     read: list[Recording] = read_all(values, True, progress)[0]
-    recordings = with_relaxation(read, values)
+    recordings = least_squares.with_relaxation(read, values)
     if any(recordings[0].relaxation.strengths):  # least squares alone is biased by noise
         better = methods.fit(recordings, {
             **values, 'fit.method': 'output_error',
@@ -423,7 +419,7 @@ def structures(settings: Values, progress: Progress = no_progress) -> StructureA
                 strengths=better.relaxation, covariance=np.diag(np.square(better.relaxation_std)))
             recordings = [replace(each, relaxation=relaxation) for each in recordings]
     advice = StructureAdvice(
-        excitation_of([reduced(recording, values) for recording in recordings]),
+        identifiability.excitation_of([reduced(recording, values) for recording in recordings]),
         selection(recordings, values, progress), tuple(recordings), values)
     progress('done', 1.0)
     return advice

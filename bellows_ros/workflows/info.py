@@ -19,20 +19,13 @@ from bellows_ros import __version__
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.identification.causes import finding_sentence, IN_DEGREES
-from bellows_ros.core.parameters.checks import ESTIMATE
-from bellows_ros.core.parameters.table import short
-from bellows_ros.core.recording import alignment
-from bellows_ros.core.recording.conventions import convention_sentence
+from bellows_ros.core.parameters import checks, table
+from bellows_ros.core.recording import alignment, conventions, preparation, recording
 from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.preparation import stream_warnings
-from bellows_ros.core.recording.recording import LOW_RATE_HZ
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
-from bellows_ros.files import File, Values
+from bellows_ros.files import File, messages, plans, results, Values
 from bellows_ros.files.bags import accepted_types, Contents, read_contents, TopicCount, topics
-from bellows_ros.files.messages import BOOL
-from bellows_ros.files.plans import read_transforms, TF
-from bellows_ros.files.results import with_units
 from bellows_ros.workflows.recordings import within_interval
 import numpy as np
 
@@ -200,12 +193,12 @@ class Info:
     @property
     def valve(self) -> str:
         """The topic that switches the valve, if only one can; else ''."""
-        able = [topic.name for topic in self.topics if topic.type_name == BOOL]
+        able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL]
         return able[0] if len(able) == 1 else ''
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return with_units({**vars(self), 'valve': self.valve, 'version': __version__})
+        return results.with_units({**vars(self), 'valve': self.valve, 'version': __version__})
 
 
 def info(path: File, span: Values = MappingProxyType({})) -> Info:
@@ -238,20 +231,20 @@ def info(path: File, span: Values = MappingProxyType({})) -> Info:
     described = tuple(_describe_topic(topic, streams, problems, start_ns) for topic in counts)
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for s in streams.values() if isinstance(s, TwistStream) and len(s) > 2}
-    if not poses and any(topic.type_name == TF and topic.messages for topic in counts):
+    if not poses and any(topic.type_name == plans.TF and topic.messages for topic in counts):
         notes.append(_frames_note(path))
     return _with_roles(path, described, poses, twists, span, notes)
 
 
 def _frames_note(path: File) -> str:
     """Return which frames move in the transforms, and how to make a recording with poses."""
-    moving = sorted(
-        short(name) for name, link in read_transforms(path).items() if len(link.stamps_ns) > 1)
+    moving = sorted(table.short(name) for name, link in plans.read_transforms(path).items()
+                    if len(link.stamps_ns) > 1)
     if len(moving) > MAX_FRAMES:
         moving[MAX_FRAMES:] = [f'and {len(moving) - MAX_FRAMES} more']
     return (
         f'It has transforms instead of poses. Frames that move: {", ".join(moving) or "none"}. '
-        f"Make a recording with poses: 'bellows convert {short(os.fspath(path))} "
+        f"Make a recording with poses: 'bellows convert {table.short(os.fspath(path))} "
         "--tool-frame FRAME --package-frame FRAME --out with_poses'.")
 
 
@@ -289,7 +282,7 @@ def _describe_quality(stream: Stream, start_ns: int) -> dict[str, Any]:
             'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},
-            'warnings': tuple(stream_warnings(stream, time, outliers, arrivals))}
+            'warnings': tuple(preparation.stream_warnings(stream, time, outliers, arrivals))}
     return quality
 
 
@@ -313,7 +306,7 @@ def _with_roles(
               if topic.problem]
     notes += [text for topic in described if topic.name in used for text in topic.warnings]
     rest_s, streams = None, tuple(poses[guess.topic] for guess in (tool, package) if guess)
-    if any(timing(stream.stamps_ns).rate_hz < LOW_RATE_HZ for stream in streams):
+    if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
         rest_s = _registration_settings(pair, streams, path, settings, notes)
@@ -333,16 +326,16 @@ def _registration_settings(
     """Add settings and notes on how the poses fit together; return how long they rest first, s."""
     remarks, (tool, package) = list[str](), streams
     one_frame = len({tool.frame_id, package.frame_id} - {''}) < 2
-    error = convention_sentence(tool, package, path) if one_frame else ''
+    error = conventions.convention_sentence(tool, package, path) if one_frame else ''
     separate = '' if error else _why_separate(pair, tool, package)
     if separate:
         settings |= {
-            'fit.method': 'output_error', 'recording.package_world': ESTIMATE,
+            'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
             'fit.time_offset': True, 'fit.free': ('package_marker',)}
         remarks.append(
-            f'{separate} recording.package_world: {ESTIMATE} finds how the world of the package '
-            'lies in that of the tool, best with standstills tilted to several sides at the end; '
-            'if you know it, give its seven numbers. The time offset and the marker are '
+            f'{separate} recording.package_world: {checks.ESTIMATE} finds how the world of the '
+            'package lies in that of the tool, best with standstills tilted to several sides at '
+            'the end; if you know it, give its seven numbers. The time offset and the marker are '
             'estimated, too: leave out what you know.')
     elif pair:
         settings['recording.world'] = pair.world
@@ -357,7 +350,7 @@ def _registration_settings(
 
 def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
     """Return why two topics are of two worlds or two clocks, '' where they are not."""
-    frames = short(tool.frame_id), short(package.frame_id)
+    frames = table.short(tool.frame_id), table.short(package.frame_id)
     if all(frames) and frames[0] != frames[1]:
         return f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'."
     first, last = common_span(tool, package)

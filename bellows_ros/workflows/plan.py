@@ -11,32 +11,23 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion
+from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import stands, ToolRows
-from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.parameters.table import short
+from bellows_ros.core.parameters import checks, table
 from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan import MAX_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
-from bellows_ros.core.recording.alignment import in_world, levelling, world_rotation
-from bellows_ros.core.recording.preparation import AUTOMATIC_HALF_WINDOW
-from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.resampling import on_grid, timing
-from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.recording import alignment, preparation
+from bellows_ros.core.signals import resampling, savgol, trajectory
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, tip_of, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import File, plan_messages, plans, Values
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.bags import read_contents
+from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results, Values
 from bellows_ros.files.parameter_files import with_chosen_cup
-from bellows_ros.files.plan_messages import JointPlan
-from bellows_ros.files.results import with_units
 from bellows_ros.files.trajectory_files import read_trajectory
-from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.recordings import interval_masks
+from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
@@ -109,13 +100,13 @@ class Source:
     @property
     def begins_at_rest(self) -> bool:
         """Whether the tool stands at its first point."""
-        return stands(np.append(np.zeros(7), np.asarray(self.tool.twist)[0]))
+        return simulation.stands(np.append(np.zeros(7), np.asarray(self.tool.twist)[0]))
 
     @cached_property
     def gravity(self) -> Array:
         """Acceleration (3,) in the frame of the plan, m/s^2."""
         world = 'z_up' if self.recorded_ns is None else self.values['recording.world']
-        R_model_plan = world_rotation(world, self.values['gravity.direction'])
+        R_model_plan = alignment.world_rotation(world, self.values['gravity.direction'])
         return np.asarray(R_model_plan.T @ [0.0, 0.0, -self.values['gravity.magnitude']])
 
     @cached_property
@@ -222,7 +213,7 @@ class PlanReport(CommandResult):
         source, prediction = self.source, self.prediction
         safety = NO_GRIP if prediction.grip is None else safety_sentence(
             *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
-        return (*source.notes, *implausible(source.values), *filter(None, (
+        return (*source.notes, *checks.implausible(source.values), *filter(None, (
             safety, prediction.flips,
             '' if source.begins_at_rest else BEGINS_IN_MOTION,
             '' if prediction.ends_at_rest else ENDS_IN_MOTION,
@@ -231,7 +222,7 @@ class PlanReport(CommandResult):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
         prediction, fastest = self.prediction, self.fastest
-        return with_units({
+        return results.with_units({
             'duration': self.source.duration, **prediction.figures(),
             'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
             'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
@@ -344,7 +335,7 @@ def extended(tool: Trajectory, seconds: float) -> Trajectory:
 
 def plan_with_cup(path: MotionSource, settings: Values, urdf: str = '', topic: str = '') -> Source:
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
-    values = with_chosen_cup(resolve(settings, PACKAGE_PARAMETERS))
+    values = with_chosen_cup(checks.resolve(settings, checks.PACKAGE_PARAMETERS))
     if isinstance(path, Trajectory):
         return Source(_checked_motion(path), '', path='a motion', values=values)
     if not os.path.exists(path):
@@ -367,7 +358,7 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     source = _read_plan(Path(path), values, urdf, topic)
     plan_messages.require_frame(source.frame_id, values)
     stamps_ns = [source.tool.stamps_ns, source.recorded_ns]
-    chosen = interval_masks([each for each in stamps_ns if each is not None], values)[0]
+    chosen = recordings.interval_masks([each for each in stamps_ns if each is not None], values)[0]
     if (points := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
@@ -410,17 +401,18 @@ def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> Non
     tilt = float(np.max(np.linalg.norm(R @ down - down, axis=1)))
     if tilt > MAX_TILT:
         raise BellowsError(
-            f"The plan is in frame '{short(frame_id)}', which transforms in the recording tilt by "
-            f"{math.degrees(tilt):.3g} degrees from '{short(root)}'; expected one in which "
-            'gravity has gravity.direction. Transform the plan.')
+            f"The plan is in frame '{table.short(frame_id)}', which transforms in the recording "
+            f"tilt by {math.degrees(tilt):.3g} degrees from '{table.short(root)}'; expected one "
+            'in which gravity has gravity.direction. Transform the plan.')
 
 
 def _source_of_plan(
-    read: plan_messages.PlanMessage | JointPlan, values: Values, urdf: str, recording: Any,
+    read: plan_messages.PlanMessage | plan_messages.JointPlan, values: Values, urdf: str,
+    recording: Any,
 ) -> Source:
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
-    if isinstance(read, JointPlan):
+    if isinstance(read, plan_messages.JointPlan):
         arm = plans.arm_of(urdf, values['tool_link'], recording).with_tip(tip_of(values))
         tool, joints = plan_of_joints(arm, read.names, stamps, *read[4:])
         return Source(tool, arm.root, joints=joints)
@@ -436,12 +428,12 @@ def _source_of_plan(
 def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     """Return the tool's motion in a motion file."""
     recipe = read_recipe(content, np.array(values['package.com']))
-    R_world_level = levelling(values['gravity.direction']).T  # z of a motion file is up
+    R_world_level = alignment.levelling(values['gravity.direction']).T  # z of a motion file is up
     motion = recipe.motion
     count = max(2, math.ceil(motion.duration * MOTION_RATE))
     stamps = recipe.start_ns + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
-    tool = in_world(motion.trajectory(stamps, recipe.start_ns), R_world_level)
+    tool = alignment.in_world(motion.trajectory(stamps, recipe.start_ns), R_world_level)
     return Source(_checked_motion(tool), recipe.frame_id)
 
 
@@ -455,7 +447,7 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
     """Return the tool's motion in a recording, of poses, joints or transforms."""
     wanted = {'tool_pose': topic or values['topics.tool_pose'],
               'tool_twist': values['topics.tool_twist']}
-    contents = read_contents(path, wanted)
+    contents = bags.read_contents(path, wanted)
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
     name, rates, axes = 'The motion', None, 'tool'
     if not isinstance(poses, PoseStream):
@@ -489,9 +481,10 @@ def _with_rates(
             np.interp(poses.stamps_ns - first, twists.stamps_ns - first, column)
             for column in np.hstack([twists.linear, twists.angular]).T], axis=1)
         return poses, six, values['tool_twist.frame']
-    rate = timing(poses.stamps_ns)
-    half_window = max(4, round(AUTOMATIC_HALF_WINDOW * rate.rate_hz))
-    smooth = savgol(on_grid(poses, rate), half_window, values['filter.tool.order'])
+    rate = resampling.timing(poses.stamps_ns)
+    half_window = max(4, round(preparation.AUTOMATIC_HALF_WINDOW * rate.rate_hz))
+    grid = resampling.on_grid(poses, rate)
+    smooth = savgol.savgol(grid, half_window, values['filter.tool.order'])
     return smooth, smooth.twist, 'tool'
 
 
@@ -531,21 +524,25 @@ def write_prediction(
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
     tip = trajectory.from_tip(tool, tip_of(source.values))
     plan = plan_messages.plan_message(tip, 0, frame, 'tool', axes)
-    package = plan_messages.plan_message(ToolRows(stamps, states).trajectory(), start, frame,
-                                         source.values['frames.package'], axes)
+    package = plan_messages.plan_message(
+        simulation.ToolRows(stamps, states).trajectory(), start, frame,
+        source.values['frames.package'], axes)
     joints = []
     if source.joints is not None:
         motion = source.joints.along(tool, source.tool)
-        joints.append(('/tool_arm/plan_joints', plans.JOINTS, plans.encode_joints(JointPlan(
+        joint_plan = plan_messages.JointPlan(
             frame, 0, source.joints.arm.moving,
-            np.round(motion.seconds * NS_PER_S).astype(np.int64), *motion[1:]))))
-    write_bag(path, [
-        *(Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
+            np.round(motion.seconds * NS_PER_S).astype(np.int64), *motion[1:])
+        joints.append(
+            ('/tool_arm/plan_joints', plans.JOINTS, plans.encode_joints(joint_plan)))
+    bag_writer.write_bag(path, [
+        *(bag_writer.Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
             *joints,
             ('/tool_arm/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(plan)),
             ('/package/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(package)),
             ('/package/plan_path', plan_messages.PATH,
              plan_messages.encode_path(start, frame, package.times_ns, package.poses)))),
-        as_messages('/tool_arm/pose', POSE, stamps, plan.poses, frame),
-        as_messages('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
-        as_messages('/package/pose', POSE, stamps, package.poses, frame)], replace=replace_bag)
+        bag_writer.as_messages('/tool_arm/pose', POSE, stamps, plan.poses, frame),
+        bag_writer.as_messages('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
+        bag_writer.as_messages('/package/pose', POSE, stamps, package.poses, frame),
+    ], replace=replace_bag)

@@ -6,15 +6,13 @@ from typing import Any, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3, wrench_transform
+from bellows_ros.core.identification import samples
 from bellows_ros.core.identification.result import POSE_UNITS, WRENCH_UNITS
-from bellows_ros.core.identification.samples import lip_relative, needed_wrench
 from bellows_ros.core.live.load import equivalent_box
-from bellows_ros.core.model.cup_package import cup_of, package_of, regressor
-from bellows_ros.core.model.kernels import spring_frames
+from bellows_ros.core.model import cup_package, kernels
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.residuals import interpolated, relative_coordinates, score, spectrum
-from bellows_ros.core.signals.trajectory import uniform_rate_hz
+from bellows_ros.core.signals import residuals, trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, Values
 from bellows_ros.files.results import with_units
@@ -174,7 +172,7 @@ def _motion(recording: Recording) -> MeasuredMotion:
     tool, package = recording.measured_tool, recording.measured_package
     return MeasuredMotion(
         recording.since_start(tool.stamps_ns), tool.position, tool.rotation,
-        package.position, package.rotation, relative_coordinates(tool, package),
+        package.position, package.rotation, residuals.relative_coordinates(tool, package),
         tool.valid & package.valid)
 
 
@@ -188,16 +186,16 @@ def spectra(bag: File, settings: Values, cup: bool) -> Spectra:
     values: dict[str, Any] = resolve({**NO_PACKAGE, **settings})
     recording = load(bag, values)
     shown = _motion(recording)
-    rate_hz = uniform_rate_hz(recording.measured_package.stamps_ns)
+    rate_hz = trajectory.uniform_rate_hz(recording.measured_package.stamps_ns)
     relative = np.where(shown.valid[:, None], shown.relative, np.nan)
-    measured = spectrum(interpolated(relative), rate_hz, SPECTRUM_SECONDS)
+    measured = residuals.spectrum(residuals.interpolated(relative), rate_hz, SPECTRUM_SECONDS)
     error = None
     if cup:
         live = predicted_live(recording, values)
         difference = np.full_like(relative, np.nan)
         at = np.searchsorted(recording.measured_package.stamps_ns, live.stamps_ns)
-        difference[at] = interpolated(live.error)
-        error = np.sqrt(spectrum(difference, rate_hz, SPECTRUM_SECONDS).density)
+        difference[at] = residuals.interpolated(live.error)
+        error = np.sqrt(residuals.spectrum(difference, rate_hz, SPECTRUM_SECONDS).density)
     return Spectra(measured.frequency, np.sqrt(measured.density), error)
 
 
@@ -205,9 +203,9 @@ def loads(bag: File, settings: Values) -> Loads:
     """Return the load of the cup in a recording, by inverse dynamics, and its deflection."""
     values: dict[str, Any] = resolve(settings, PACKAGE_PARAMETERS)
     recording = load(bag, values)
-    cup, package = cup_of(values), package_of(values)
-    o, R, v = lip_relative(recording.tool, recording.package, package.com)
-    at_lip = needed_wrench(package, recording.package, values['gravity.magnitude'])
+    cup, package = cup_package.cup_of(values), cup_package.package_of(values)
+    o, R, v = samples.lip_relative(recording.tool, recording.package, package.com)
+    at_lip = samples.needed_wrench(package, recording.package, values['gravity.magnitude'])
     T_middle_lip = np.eye(4)
     T_middle_lip[2, 3] = -cup.length / 2.0
     to_middle = wrench_transform(T_middle_lip)
@@ -215,10 +213,10 @@ def loads(bag: File, settings: Values) -> Loads:
     halfway = exp_so3(0.5 * bending)
     flat: Any = R.reshape(len(R), 9).tolist()
     middle = np.array([  # of S1 in S2 (3.13)
-        spring_frames(cup.as_tuple, tuple(position), tuple(rotation))
+        kernels.spring_frames(cup.as_tuple, tuple(position), tuple(rotation))
         for position, rotation in zip(o.tolist(), flat, strict=True)])
     moved = apply(np.swapaxes(halfway, 1, 2), middle)
-    columns = regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
+    columns = cup_package.regressor(cup.length, [cup.stiffness, cup.damping], o, R, v)
     modelled = columns[:, :, 0] + columns[:, :, 3]  # K as stiffness, P as damping
     needed, residual = (
         apply(halfway[:, None], (wrench @ to_middle.T).reshape(-1, 2, 3)).reshape(-1, 6)
@@ -255,7 +253,7 @@ def with_bodies(values: Values, recording: Recording, live: Live) -> Replayed:
     result = _selected(live, np.isfinite(live.predicted[:, 0]))
     index = np.searchsorted(recording.measured_package.stamps_ns, result.stamps_ns)
     measured = _selected(_motion(recording), index)
-    package, length = package_of(values), cup_of(values).length
+    package, length = cup_package.package_of(values), cup_package.cup_of(values).length
     position = measured.tool_position + apply(measured.tool_rotation, result.predicted[:, :3])
     bent = exp_so3(result.predicted[:, 3:])
     shift = result.predicted[:, :3] - bent @ package.com + np.array([0.0, 0.0, length])
@@ -299,7 +297,7 @@ def within(shown: Timed, first: float, last: float) -> Timed:
     if isinstance(shown, Replayed):
         live = _selected(shown.live, part)
         groups = {'motion': _selected(shown.motion, part),
-                  'live': replace(live, scores=score(live.measured, live.predicted))}
+                  'live': replace(live, scores=residuals.score(live.measured, live.predicted))}
     return replace(_selected(shown, part), **groups)
 
 

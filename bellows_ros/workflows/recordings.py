@@ -7,8 +7,7 @@ import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.model.cup_package import one_cup_of, package_of
-from bellows_ros.core.model.structure import given_structure
+from bellows_ros.core.model import cup_package, structure
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
@@ -17,10 +16,7 @@ from bellows_ros.core.recording.recording import PrepareSettings, Recording, Tim
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError
-from bellows_ros.files import File, Values
-from bellows_ros.files.bag_folder import digests, recording_digest
-from bellows_ros.files.bags import read_contents
-from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files import bag_folder, bags, File, parameter_files, Values
 import numpy as np
 
 Progress = Callable[..., None]
@@ -85,7 +81,7 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
     """
     settings, name = prepare_settings(values), name or os.fspath(path)  # before reading
     roles = ('tool_pose', 'package_pose', 'tool_twist')
-    contents = read_contents(path, {role: values[f'topics.{role}'] for role in roles})
+    contents = bags.read_contents(path, {role: values[f'topics.{role}'] for role in roles})
     for problem in contents.problems.values():
         remedy = OTHER_TOPICS if isinstance(problem, NoTopicError) and values['bags'][1:] and (
             name in map(str, values['bags'])) else ''
@@ -101,10 +97,10 @@ def load(path: File, values: Values, name: str = '', with_digest: bool = False) 
             tool, twist, trajectory.tip_of(values), values['tool_twist.frame'] == 'world')
     recording = prepare_streams(tool, streams['package_pose'], twist, settings, values)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
-    files = tuple(digests(path)) if with_digest else ()
+    files = tuple(bag_folder.digests(path)) if with_digest else ()
     return replace(
         recording, name=name, report=report, files=files,
-        digest=recording_digest(path, files) if with_digest else '')
+        digest=bag_folder.recording_digest(path, files) if with_digest else '')
 
 
 def interval_masks(all_stamps: Sequence[Stamps], values: Values) -> list[Mask]:
@@ -193,7 +189,8 @@ def _registered(
     from bellows_ros.core.identification.output_error import registered
 
     changes = dict[str, Any]()
-    result = registered(recording, given_structure(values), one_cup_of(values), names)
+    result = registered(
+        recording, structure.given_structure(values), cup_package.one_cup_of(values), names)
     if values['fit.method'] == 'least_squares':
         result.require_world()
     if result.world is not None and pose is not None:
@@ -292,7 +289,7 @@ def values_of_each(values: Values, bags_in: str = 'bags') -> list[Values]:
     if bags_in == 'static.bags':
         values = {'package.inertia': NO_INERTIA, **values}
     each: list[Values] = [
-        {**values, **{name: value for name, value in read_parameters(file).items()
+        {**values, **{name: value for name, value in parameter_files.read_parameters(file).items()
                       if name in checks.PACKAGE_PARAMETERS or name.startswith(RECORDING_PREFIXES)}}
         for file in files] or [values for _ in bags]
     for bag, parameters in zip(bags, each, strict=True):
@@ -313,7 +310,7 @@ def prepare_settings(values: Values) -> PrepareSettings:
         package_frame=values['recording.package_frame'],
         align_at_rest=values['recording.align_at_rest'],
         rest_duration=values['recording.rest_duration'],
-        payload=package_of(values),
+        payload=cup_package.package_of(values),
         gravity=values['gravity.magnitude'],
         tool_half_window=values['filter.tool.half_window'],
         tool_order=values['filter.tool.order'],

@@ -10,18 +10,15 @@ from typing import Any
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification import reduction, result
 from bellows_ros.core.identification.causes import corrected, finding_sentence
-from bellows_ros.core.identification.reduction import envelope_of
-from bellows_ros.core.identification.result import POSE_UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE, SEED, validate, Validation
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
+from bellows_ros.core.model import kernels, simulation, validity_range
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
-from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.simulation import tool_rows
-from bellows_ros.core.model.validity_range import beyond, parameter_envelope
 from bellows_ros.core.observer.alarm_calibration import AlarmCalibration, calibrated_alarms
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import at_com
@@ -32,12 +29,8 @@ from bellows_ros.core.recording.recording import Recording, require_one_frame, T
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import File, Values
-from bellows_ros.files.bags import decoded, messages_of, read_streams
-from bellows_ros.files.messages import BOOL, decode_bool
-from bellows_ros.files.results import attributes, provenance, with_units
-from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.plan import curves, NO_GRIP
+from bellows_ros.files import bags, File, messages, results, Values
+from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress
 import numpy as np
 
@@ -193,16 +186,16 @@ class Observed:
         return {
             'topic': self.topic, 'counts': dict(self.counts),
             'alarms': [
-                {'time': seconds, **attributes(
+                {'time': seconds, **results.attributes(
                     alarm, 'cause', 'size', 'size_std', 'second', 'odds', 'message'),
                  'units': {'size': 'm, m/s or 1'}}
                 for seconds, alarm in self.alarms],
-            'payload': self.payload and attributes(
+            'payload': self.payload and results.attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             'calibration': self.calibration,
             'alarm_calibration': self.alarm_calibration,
             **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()},
-            'units': {f'rms {name}': POSE_UNITS for name in self.estimates}}
+            'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
 
 
 def _in_milli(values: Any, std: Any) -> str:
@@ -252,13 +245,13 @@ class Replay(CommandResult):
     def margin(self) -> Margin | None:
         """The smallest safety factor of the grip in the free simulation; None if unknown."""
         grip, validation = grip_of(self.values), self.validation
+        rows = map(simulation.tool_rows, (validation.tool, validation.package))
         return None if grip is None else margin(
-            grip, factors_along(
-                self.model, grip, tool_rows(validation.tool), tool_rows(validation.package)),
+            grip, factors_along(self.model, grip, *rows),
             self.recording.since_start(validation.tool.stamps_ns))
 
     @property
-    def model(self) -> ModelTuple:
+    def model(self) -> kernels.ModelTuple:
         """The cup with the package of the recording."""
         return model_tuple(
             cup_of(self.values), self.recording.payload, self.recording.settings.gravity)
@@ -276,8 +269,8 @@ class Replay(CommandResult):
         """
         smallest, validation = self.margin, self.validation
         if smallest is None:
-            raise BellowsError(NO_GRIP)
-        along = curves(
+            raise BellowsError(plan.NO_GRIP)
+        along = plan.curves(
             self.values, self.model, grip_of(self.values), validation.tool,
             None if validation.start == 'equilibrium' else validation.state)
         return Margins(
@@ -298,7 +291,7 @@ class Replay(CommandResult):
     ) -> dict[str, Any]:
         """Return the content of the JSON file."""
         validation = self.validation
-        return with_units({
+        return results.with_units({
             'bag': self.bag,
             'axes': residuals.AXES,
             **vars(validation.scores),
@@ -320,7 +313,7 @@ class Replay(CommandResult):
             'observed': self.observed,
             'warnings': self.warnings,
             'settings': dict(self.values),
-            'provenance': provenance([self.bag], parameter_files)})
+            'provenance': results.provenance([self.bag], parameter_files)})
 
 
 def replay(
@@ -394,8 +387,9 @@ def validated(values: Values, recording: Recording) -> Replay:
         *(finding_sentence(cause, values) for cause in corrected(recording)[0]
           if cause.name not in CAUSES_IN_VALUES),
         *recording.report.warnings, *validation.warnings]
-    valid = parameter_envelope(values)
-    outside = beyond(valid, envelope_of(recording, values['cup.length'])) if valid else []
+    valid = validity_range.parameter_envelope(values)
+    outside = validity_range.beyond(
+        valid, reduction.envelope_of(recording, values['cup.length'])) if valid else []
     if outside:
         more = f'; and {len(outside) - MAX_LISTED} more' if len(outside) > MAX_LISTED else ''
         warnings.append(
@@ -551,7 +545,7 @@ def observed(
         If the recording lacks the topic, or too little of it is predicted.
 
     """
-    stream = read_streams(bag, {'measured': topic})['measured']
+    stream = bags.read_streams(bag, {'measured': topic})['measured']
     assert isinstance(stream, PoseStream)
     estimated, pose = recording.report.package_world, IDENTITY_POSE
     if world := values['recording.package_world']:
@@ -638,16 +632,16 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
     vacuum, readings = Vacuum(values), list[tuple[int, bool, int]]()
     if (signal := values['vacuum.signal']) == 'none':
         return []
-    kind, topic = {'bool': (BOOL, 'vacuum/held'),
+    kind, topic = {'bool': (messages.BOOL, 'vacuum/held'),
                    'pressure': ('sensor_msgs/msg/FluidPressure', 'vacuum/pressure')}[signal]
-    for name, _, log_ns, data in messages_of(bag, (kind,)):
+    for name, _, log_ns, data in bags.messages_of(bag, (kind,)):
         if not name.endswith('/' + topic):
             continue
         if signal == 'bool':
-            held = decode_bool(data)
+            held = messages.decode_bool(data)
             readings += [] if held is None else [(log_ns, held, ALL)]
             continue
-        message = decoded(data, kind)
+        message = bags.decoded(data, kind)
         stamp = message.header.stamp
         states = vacuum.update(message.fluid_pressure, message.header.frame_id)
         readings += [] if isinstance(states, str) else [

@@ -20,17 +20,14 @@ from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.recording.alignment import levelling
-from bellows_ros.core.signals.screening import MAX_TOOL_RATE, MAX_TOOL_SPEED
+from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
-from bellows_ros.core.toss.landing import release_factor
-from bellows_ros.core.toss.release import RELEASE_NAMES, release_of
+from bellows_ros.core.toss import landing, release
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, File, Values
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.messages import BOOL, encode_bool
+from bellows_ros.files import atomic, bag_writer, File, messages, Values
 from bellows_ros.workflows.plan import bending, POSE, read_plan, TWIST
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
@@ -150,7 +147,7 @@ def simulate_recording(
     truth = _simulate(values, recipe, plans)
     recorded = _record(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
     progress(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
-    write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
+    bag_writer.write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
         atomic.write_bytes(truth_file, _truth_bytes(
             cup_of(values), recipe, plans, truth, R_world_level))
@@ -198,52 +195,52 @@ def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedu
     tool = motion.trajectory(stamps_ns, recipe.start_ns)
     speed, rate = (float(np.max(np.linalg.norm(part, axis=1)))
                    for part in np.hsplit(np.asarray(tool.twist), 2))
-    if speed > MAX_TOOL_SPEED or rate > MAX_TOOL_RATE:
+    if speed > screening.MAX_TOOL_SPEED or rate > screening.MAX_TOOL_RATE:
         raise BellowsError(
             f'The tool reaches {speed:.3g} m/s and {rate:.3g} rad/s; expected at most '
-            f'{MAX_TOOL_SPEED:g} and {MAX_TOOL_RATE:g}, as no arm is faster. Check the units of '
-            'the motion: m, rad and s.')
+            f'{screening.MAX_TOOL_SPEED:g} and {screening.MAX_TOOL_RATE:g}, as no arm is faster. '
+            'Check the units of the motion: m, rad and s.')
     if not recipe.releases:
         always = np.ones(len(tool), dtype=bool)
         hanging = simulate(cup, package, tool, gravity=values['gravity.magnitude'])
         return Truth(tool, hanging, always, always)
     normal = generator(recipe.seed, 'release').standard_normal(
-        (len(recipe.releases), len(RELEASE_NAMES)))
+        (len(recipe.releases), len(release.RELEASE_NAMES)))
     return tossed(
-        model, grip_of(values), release_of(values), tool, recipe.releases, recipe.pickup,
-        normal @ release_factor(values).T)
+        model, grip_of(values), release.release_of(values), tool, recipe.releases, recipe.pickup,
+        normal @ landing.release_factor(values).T)
 
 
 def _record(
     recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, world: Array
-) -> list[Encoded]:
+) -> list[bag_writer.Encoded]:
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
     tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
     tracked = changed(plans['package'], sent=plans['package'].sent & at.tracked)
-    recorded = list[Encoded]()
+    recorded = list[bag_writer.Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, tracked)):
         late_ns = round(sensor.latency * NS_PER_S)  # messages are received so much later
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
-        recorded.append(as_messages(
+        recorded.append(bag_writer.as_messages(
             recipe.topics[f'{name}_pose'], POSE, poses.stamps_ns,
             np.hstack([poses.position, rotation_to_quaternion(poses.rotation)]), recipe.frame_id,
             log_times_ns=poses.stamps_ns + late_ns))
         if name == 'tool' and recipe.tool_twist:
             twists = sensing.measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
                                             generator(seed, 'tool twist'))
-            recorded.append(as_messages(
+            recorded.append(bag_writer.as_messages(
                 recipe.topics['tool_twist'], TWIST, poses.stamps_ns, twists, recipe.frame_id,
                 log_times_ns=poses.stamps_ns + late_ns))
     if recipe.releases:  # on, off at each release, and on again at each pick-up
         off = np.array(recipe.releases)
         on = np.append(0.0, off + recipe.pickup)
         times = np.sort(np.append(off, on[on <= recipe.motion.duration]))
-        recorded.append(Encoded(
-            recipe.topics['valve'], BOOL,
+        recorded.append(bag_writer.Encoded(
+            recipe.topics['valve'], messages.BOOL,
             recipe.start_ns + np.round(times * NS_PER_S).astype(np.int64),
-            [encode_bool(k % 2 == 0) for k in range(len(times))]))
+            [messages.encode_bool(k % 2 == 0) for k in range(len(times))]))
     return recorded
 
 

@@ -13,9 +13,7 @@ from bellows_ros.core.parameters.checks import ESTIMATE, PACKAGE_PARAMETERS, res
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.errors import BellowsError, UndeterminedError
-from bellows_ros.files import File, Values
-from bellows_ros.files.parameter_files import write_parameters
-from bellows_ros.files.results import attributes, with_units
+from bellows_ros.files import File, parameter_files, results, Values
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import NO_INERTIA, no_progress, Progress
 import numpy as np
@@ -114,9 +112,9 @@ class StaticResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of a JSON file, in SI units."""
-        return with_units({
+        return results.with_units({
             'nominal_length': self.length and {
-                **vars(self.length), **attributes(self.length, 'warnings', 'text'),
+                **vars(self.length), **results.attributes(self.length, 'warnings', 'text'),
                 'units': {
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
@@ -130,11 +128,11 @@ class StaticResult:
                 'verdict': self.spring.sentence,
                 'poses': [
                     {'tilt': pose.standstill.tilt,
-                     **attributes(pose, 'measured', 'predicted', 'verdict')}
+                     **results.attributes(pose, 'measured', 'predicted', 'verdict')}
                     for pose in self.spring.poses]},
             'recordings': [
-                {**recording.as_json(), 'unsettled': failed, 'standstills': [
-                    attributes(still, 'start_ns', 'duration', 'tilt', 'samples', 'lip', 'creep')
+                {**recording.as_json(), 'unsettled': failed, 'standstills': [results.attributes(
+                    still, 'start_ns', 'duration', 'tilt', 'samples', 'lip', 'creep')
                     for still in settled]}
                 for recording in self.recordings
                 for settled, failed in [standstills_in(recording)]],
@@ -269,4 +267,4 @@ def save_length(result: StaticResult, path: File) -> None:
     header = [
         f'Nominal length estimated by bellows_ros {__version__} from {bags}:',
         f'{result.length.text}.']
-    write_parameters(path, {'cup.length': result.length.length}, header)
+    parameter_files.write_parameters(path, {'cup.length': result.length.length}, header)

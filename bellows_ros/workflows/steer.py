@@ -16,8 +16,7 @@ from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.planning.steering import hanging, steer, Steered, tool_above
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import File, safe_yaml, Values
-from bellows_ros.files.results import with_units
+from bellows_ros.files import File, results, safe_yaml, Values
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import extended, MotionSource, NO_GRIP, plan_with_cup, Source
 import numpy as np
@@ -134,7 +133,7 @@ class SteerReport(CommandResult):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file; SI units, null for unknown values."""
-        return with_units({
+        return results.with_units({
             'method': self.method, **self.motions[self.method].figures(),
             'beside': {name: motion.figures() for name, motion in self.motions.items()
                        if name != self.method},

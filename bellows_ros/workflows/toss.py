@@ -7,28 +7,17 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.model import grip, simulation
 from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
-from bellows_ros.core.model.grip import grip_of
-from bellows_ros.core.model.simulation import ToolRows
-from bellows_ros.core.parameters.checks import implausible, resolve
-from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.parameters import checks, table
 from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
-from bellows_ros.core.toss.release import (
-    HeldMotion,
-    law_of,
-    RELEASE_NAMES,
-    release_of,
-    Toss,
-    toss,
-)
+from bellows_ros.core.toss import release as law
+from bellows_ros.core.toss.release import RELEASE_NAMES, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
-from bellows_ros.files import File, Values
-from bellows_ros.files.bags import messages_of
-from bellows_ros.files.messages import BOOL, decode_bool
-from bellows_ros.files.results import UNIT_OF, with_units
+from bellows_ros.files import bags, File, messages, results, Values
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
 import numpy as np
@@ -127,9 +116,9 @@ class TossResult(CommandResult):
             content['monte_carlo'] = {
                 'count': len(self.drawn.errors), 'failed': self.drawn.failed,
                 'covariance': self.drawn.covariance,
-                'units': {'covariance': UNIT_OF['landing_covariance']},
+                'units': {'covariance': results.UNIT_OF['landing_covariance']},
                 'part_in_ellipse': landing.coverage(self.covariance, self.drawn.errors)}
-        return with_units(content)
+        return results.with_units(content)
 
     @property
     def distance_as_asked(self) -> float | None:
@@ -148,7 +137,7 @@ class TossResult(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
-        warnings = [*self.source.notes, *implausible(self.source.values)]
+        warnings = [*self.source.notes, *checks.implausible(self.source.values)]
         held, values = self.case.held, self.source.values
         lost_at = held.lost_before(self.case.switched)
         if lost_at is not None:
@@ -198,8 +187,8 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
     stamps_ns = sample_stamps(RATE, result.toss.landing_time, int(result.source.tool.stamps_ns[0]))
     rows, states = result.case.held.along(
         result.case.release, result.case.switched, (stamps_ns - stamps_ns[0]) / NS_PER_S)
-    plan.write_prediction(
-        path, result.source, ToolRows(stamps_ns, rows).trajectory(), states, replace_bag)
+    tool = simulation.ToolRows(stamps_ns, rows).trajectory()
+    plan.write_prediction(path, result.source, tool, states, replace_bag)
 
 
 def toss_plan(
@@ -243,13 +232,13 @@ def toss_plan(
             'leave it out.')
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
-    release, gravity = release_of(source.values), source.gravity
+    release, gravity = law.release_of(source.values), source.gravity
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
             'plan in a world with z up.')
     progress('following the plan')
-    held = HeldMotion(source.model, source.grip, source.tool)
+    held = law.HeldMotion(source.model, source.grip, source.tool)
     asked = aim = None
     if target is not None:
         asked = None if switched is None else toss(held, release, switched)
@@ -269,7 +258,7 @@ def toss_plan(
 
 # ------------------------------------------------------------------ the release of recorded drops
 
-RELEASE_UNITS = {name: PARAMETERS[name].unit for name in RELEASE_NAMES}
+RELEASE_UNITS = {name: table.PARAMETERS[name].unit for name in RELEASE_NAMES}
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +320,7 @@ class ReleaseResult:
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         fit = self.fit
-        return with_units({
+        return results.with_units({
             'law': dict(zip(RELEASE_NAMES, fit.law, strict=True)),
             'standard_errors': {RELEASE_NAMES[k]: fit.std[k] for k in fit.free},
             'units': RELEASE_UNITS,
@@ -378,20 +367,20 @@ def identify_release(settings: Values, progress: Progress = no_progress) -> Rele
         model = model_tuple(
             cup_of(parameters), package_of(parameters), parameters['gravity.magnitude'])
         usable, not_used = release_fit.drops_of(
-            load(bag, parameters), model, grip_of(parameters), valves[number])
+            load(bag, parameters), model, grip.grip_of(parameters), valves[number])
         drops += usable
         used += [bag] * len(usable)
         left_out += [f'{bag}, {text}' for text in not_used]
     progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
-        fit = release_fit.fit_release(drops, law_of(values), landing.as_law(np.array(
+        fit = release_fit.fit_release(drops, law.law_of(values), landing.as_law(np.array(
             [values[f'{name}_std'] for name in RELEASE_NAMES])))
     except UndeterminedError as error:
         raise type(error)(' '.join([str(error), *(f'Not used: {t}.' for t in left_out)])) from None
     progress('done', 1.0)
     result = ReleaseResult(fit, bags, tuple(used), tuple(left_out), values)
     try:
-        resolve({**values, **result.parameters()})
+        checks.resolve({**values, **result.parameters()})
     except BellowsError as error:
         raise UnexplainedError(f'The best law of release is not allowed: {error}') from None
     return result
@@ -401,8 +390,8 @@ def _valve_times(bag: str, values: Values) -> list[int]:
     """Return when the valve is switched off, ns as received."""
     topic = values['topics.valve']
     switched = sorted(
-        (log_ns, on) for _, _, log_ns, data in messages_of(bag, (BOOL,), topic)
-        if (on := decode_bool(data)) is not None) if topic else []
+        (log_ns, on) for _, _, log_ns, data in bags.messages_of(bag, (messages.BOOL,), topic)
+        if (on := messages.decode_bool(data)) is not None) if topic else []
     if not switched:
         raise NoTopicError(
             f"'{bag}' has no std_msgs/Bool on '{topic}', so the times of the "

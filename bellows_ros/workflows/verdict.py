@@ -6,10 +6,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import causes
+from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found, given_std, stated
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
-from bellows_ros.core.identification.methods import are_differentiable, MAX_MISFIT_TO_NOISE
 from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
 from bellows_ros.core.model.cup_package import Cup, gripper_of
@@ -64,7 +63,7 @@ class Simulated(NamedTuple):
     def largest(self) -> Array:
         """Largest RMS errors (6,) that noise and the standard errors of K and P explain."""
         return np.asarray(np.hypot(
-            MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty)))
+            methods.MAX_MISFIT_TO_NOISE * self.noise, SIGMAS * np.asarray(self.uncertainty)))
 
     @property
     def sentence(self) -> str:
@@ -193,7 +192,7 @@ class FitVerdict(NamedTuple):
                     'wrong. Check package.mass, package.com, package.inertia and the frames, or '
                     'use a richer fit.structure.')
         if self.simulated and not reasons and self.chi2 is not None and (
-                self.chi2 > MAX_MISFIT_TO_NOISE**2):
+                self.chi2 > methods.MAX_MISFIT_TO_NOISE**2):
             reasons.append(
                 f'What the fit leaves of each pose is {np.sqrt(self.chi2):.1f} times the noise '
                 f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
@@ -261,7 +260,8 @@ def verdict_of(
     package = tested[0].payload
     given = {**values, 'package.mass': package.mass, 'package.com': package.com,
              'package.inertia': np.diag(package.inertia)}
-    if fit is not None and fit.method == 'output_error' and not are_differentiable(tested, given):
+    if fit is not None and fit.method == 'output_error' and not (
+            methods.are_differentiable(tested, given)):
         diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
             *(finding for recording in tested for finding in causes.corrected(recording)[0]),
             *fit.causes[:1]), fit.causes[1:])
