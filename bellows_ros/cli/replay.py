@@ -6,8 +6,7 @@ from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import atomic, parameter_files, Values
 from bellows_ros.report import print_replay
-from bellows_ros.workflows.plot import with_bodies
-from bellows_ros.workflows.replay import replay
+from bellows_ros.workflows import plot, replay
 
 from . import options
 from .console import Console, NOT_USABLE, OK
@@ -39,7 +38,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
     _check(arguments, settings)
     with console.progress() as progress:
-        result = replay(
+        result = replay.replay(
             arguments.bag, settings, progress, arguments.observe, arguments.calibrate_alarms)
     limit = MAX_NRMSE if arguments.limit is None else arguments.limit / PERCENT
     with options.naming_partial_output() as written:
@@ -56,7 +55,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         if arguments.view is not None and result.live:
             from bellows_ros.plots.viewer import open_view, write_view
 
-            shown = with_bodies(result.values, result.recording, result.live)
+            shown = plot.with_bodies(result.values, result.recording, result.live)
             if arguments.view:
                 write_view(arguments.view, shown, result.bag)
                 written += [arguments.view]

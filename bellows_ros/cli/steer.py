@@ -5,8 +5,7 @@ import math
 
 from bellows_ros.plots.animation import write_steering
 from bellows_ros.report import formatted
-from bellows_ros.workflows.plan import write_prediction
-from bellows_ros.workflows.steer import steer_plan, SteerReport
+from bellows_ros.workflows import plan, steer
 
 from .console import Console
 from .options import run_plan_command
@@ -17,13 +16,13 @@ FILM_SPEED = 0.25
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Read, steer, write, report."""
-    def write(report: SteerReport) -> None:
+    def write(report: steer.SteerReport) -> None:
         motion = report.motions[report.method]
-        write_prediction(
+        plan.write_prediction(
             arguments.out, report.source, motion.tool, motion.prediction.states, arguments.force)
 
     return run_plan_command(
-        arguments, console, lambda values, progress: steer_plan(
+        arguments, console, lambda values, progress: steer.steer_plan(
             arguments.plan, values, arguments.method, arguments.limits or '',
             str(arguments.urdf or ''), arguments.topic),
         print_result, write,
@@ -31,7 +30,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
             arguments.plot, report, f'{arguments.plan}', FILM_SPEED))
 
 
-def print_result(report: SteerReport, console: Console) -> None:
+def print_result(report: steer.SteerReport, console: Console) -> None:
     """Print the effects of the motions, and which one to use."""
     console.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
     rows: list[tuple[str, ...]] = [

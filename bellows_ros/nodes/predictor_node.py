@@ -5,7 +5,6 @@ import sys
 import time
 from typing import Any
 
-from bellows_ros.core.parameters.checks import gravity_of, implausible
 from bellows_ros.files.parameter_files import with_chosen_cup
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
@@ -24,7 +23,7 @@ from ..core.geometry.tuples import rotation_matrix
 from ..core.live import health
 from ..core.live.load import check_live, Load
 from ..core.model.grip import grip_of
-from ..core.parameters.table import short
+from ..core.parameters import checks, table
 from ..errors import BellowsError
 
 REPORT_PERIOD = 1.0
@@ -85,7 +84,7 @@ class PredictorNode(ManagedNode):
         for name in self._parameter_overrides:
             if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
                 self.get_logger().warning(
-                    f"The QoS override '{short(name)}' matches no topic of this node.")
+                    f"The QoS override '{table.short(name)}' matches no topic of this node.")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start from rest at the next tool pose."""
@@ -119,9 +118,9 @@ class PredictorNode(ManagedNode):
                       if not {key, key.replace('cup', f'cups.{name}')} & self.overridden]:
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
-        origin = short(origin_of('package.mass', sys.argv), 200)
+        origin = table.short(origin_of('package.mass', sys.argv), 200)
         log(f"Package of {values['package.mass']:g} kg" + (f', from {origin}.' if origin else '.'))
-        for sentence in implausible(values):
+        for sentence in checks.implausible(values):
             self.get_logger().warning(sentence)
         log(f'Listens to {pipeline.pose_in.topic} and {pipeline.twist_in.topic}, publishes '
             f'{pipeline.outputs.pose.name}.')
@@ -218,7 +217,7 @@ class Diagnostics:
         now = Counter({**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
         new, pipeline.reported = now - pipeline.reported, now
         restarts = {reason: new[reason] for reason in live.restarts}
-        gravity = gravity_of(pipeline.values)
+        gravity = checks.gravity_of(pipeline.values)
         down = rotation_matrix(last.tool[1])[2::3] if last else (0.0, 0.0, 0.0)  # z of the tool
         above = bool(np.dot(down, gravity) > MIN_UPWARD_GRAVITY * np.linalg.norm(gravity))
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
