@@ -16,16 +16,9 @@ from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
 
-from .arguments import arguments_of, COMMANDS, Output, STDOUT
-from .console import Console, EXIT_CODES, run_guarded, USER_ERROR
+from .arguments import arguments_of, COMMANDS, Output, PROGRAM, STDOUT
+from .console import Console, run_guarded, USER_ERROR
 
-DESCRIPTION = (
-    'Identify bellows suction cups from recordings (rosbag2), and predict the motion of the '
-    'packages they hold.')
-TRY = """try it:
-  bellows identify bags/identification --params bags/package.yaml --out cup.yaml
-  bellows replay bags/validation --params bags/package.yaml --params cup.yaml
-"""
 WIDTH = 79
 
 
@@ -125,9 +118,8 @@ def _answer(arguments: list[str]) -> NoReturn:
     width = max(map(len, COMMANDS))
     commands = '\n'.join(
         f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
-    parser = Parser(
-        'bellows', DESCRIPTION, f'commands:\n{commands}\n\nEach has its own help: bellows '
-        f'COMMAND --help\n\n{TRY}\n{EXIT_CODES}', usage='bellows COMMAND [ARGUMENTS]')
+    ends = PROGRAM['ends'].format(commands=commands, exit_codes=PROGRAM['exit_codes'])
+    parser = Parser('bellows', PROGRAM['text'], ends, usage='bellows COMMAND [ARGUMENTS]')
     parser.add_argument('--version', action='store_true', help='print the version and exit')
     if not arguments:
         parser.print_help(sys.stderr)

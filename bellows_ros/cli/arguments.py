@@ -39,7 +39,7 @@ TYPES = {
 
 COMMANDS: dict[str, dict[str, Any]] = tomllib.loads(
     Path(__file__).with_name('commands.toml').read_text())
-SHARED = COMMANDS.pop('shared')
+SHARED, PROGRAM = COMMANDS.pop('shared'), COMMANDS.pop('bellows')
 
 
 def arguments_of(command: str) -> list[tuple[str, dict[str, Any]]]:

@@ -28,13 +28,6 @@ NOT_USABLE = 1
 USER_ERROR = 2
 PIPE_CLOSED = 141
 
-EXIT_CODES = """exit codes:
-  0    done
-  1    done, with a negative result; see the command
-  2    error: the message says what to correct; no partial output
-  130  interrupted with Ctrl-C, 143 ended by SIGTERM; no partial output
-"""
-
 WIDTH, MIN_WIDTH = 79, 40
 GUTTER, INDENTED = 2, 2  # of tables, characters
 BAR = 24  # characters
@@ -152,7 +145,7 @@ class Console:
     @contextmanager
     def progress(self) -> Iterator['Progress']:
         """Show progress on stderr while the work in this context runs."""
-        progress = Progress(self._err, _is_terminal(self._err), self.require_no_signal)
+        progress = Progress(self, self._err)
         try:
             yield progress
         finally:
@@ -167,19 +160,14 @@ class Console:
 class Progress:
     """One line with the current stage, a bar, and the time left."""
 
-    def __init__(
-        self, stream: TextIO, shown: bool, require_no_signal: Callable[[], None]
-    ) -> None:
+    def __init__(self, console: Console, stream: TextIO) -> None:
         """Start the clock."""
-        self._stream, self._require_no_signal = stream, require_no_signal
-        self._shown = shown
-        self._start = time.monotonic()
-        self._next = 0.0
-        self._stage = ''
+        self._console, self._stream, self._shown = console, stream, _is_terminal(stream)
+        self._start, self._next, self._stage = time.monotonic(), 0.0, ''
 
     def __call__(self, stage: str, fraction: float | None = None) -> None:
         """Show a stage and, if known, the completed fraction of the whole work."""
-        self._require_no_signal()
+        self._console.require_no_signal()
         now = time.monotonic()
         if not self._shown or (now < self._next and stage == self._stage):
             return

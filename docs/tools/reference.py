@@ -17,7 +17,7 @@ import tempfile
 from typing import Any
 
 from bellows_ros.cli.app import command_parser, COMMANDS
-from bellows_ros.cli.console import EXIT_CODES
+from bellows_ros.cli.arguments import PROGRAM
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
 from bellows_ros.files.results import UNITLESS
@@ -157,7 +157,7 @@ def _argument(action: argparse.Action) -> str:
 
 def _exit_codes() -> Iterator[str]:
     """Yield the rows of the exit codes."""
-    for entry in re.split(r'\n  (?=\d)', EXIT_CODES)[1:]:
+    for entry in re.split(r'\n  (?=\d)', PROGRAM['exit_codes'])[1:]:
         code, *meaning = entry.split()
         yield f'| {code} | {" ".join(meaning)} |'
     yield '| 141 | the reader of the output has closed it |'
