@@ -9,15 +9,13 @@ from dataclasses import dataclass
 import heapq
 from pathlib import Path
 import sqlite3
-from typing import Any, Literal
+from typing import Literal
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_folder, File, mcap, messages
+from bellows_ros.files import atomic, bag_folder, bags, File, mcap, messages
 import numpy as np
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # With zstd: chunks inside an MCAP file, messages in a database.
@@ -119,22 +117,19 @@ def write_bag(
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
     if replace:
         require_replaceable(Path(path))
-    types: Any = get_typestore(Stores.ROS2_JAZZY)
     with atomic.new_folder(path, replace) as folder:
         writer = Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
         if zstd:
             writer.set_compression(_ZSTD[storage], CompressionFormat.ZSTD)
-        connection_of: dict[tuple[str, str], Connection] = {}
         try:
             with writer:
-                for r in recorded:
-                    if (r.topic, r.type_name) not in connection_of:
-                        connection_of[r.topic, r.type_name] = writer.add_connection(
-                            r.topic, r.type_name, typestore=types)
-                connections = [connection_of[r.topic, r.type_name] for r in recorded]
+                names = [(r.topic, r.type_name) for r in recorded]
+                connections = {
+                    name: writer.add_connection(*name, typestore=bags.message_types())
+                    for name in dict.fromkeys(names)}
                 streams = [r.messages(number) for number, r in enumerate(recorded)]
                 for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
-                    writer.write(connections[number], log_time_ns, data)
+                    writer.write(connections[names[number]], log_time_ns, data)
             if storage == 'mcap':
                 mcap.seal(folder / f'{folder.name}.mcap')
         except sqlite3.Error as error:  # of a full disk, which others say as the system does
