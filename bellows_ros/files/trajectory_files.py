@@ -17,6 +17,7 @@ their order does not matter.
 """
 
 from array import array
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass
@@ -408,30 +409,24 @@ def _start_ns(about: Mapping[str, str]) -> int:
 
 def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
     """Return the columns of each rigid body."""
-    pairs = zip(heads['Type'], heads['Name'], strict=True)
-    names = list(dict.fromkeys(name for kind, name in pairs if kind == 'Rigid Body'))
+    labels = ('Type', 'Name', 'Quantity', 'axis')
+    columns = list(zip(*(heads[label] for label in labels), strict=True))
+    names = list(dict.fromkeys(name for kind, name, *_ in columns if kind == 'Rigid Body'))
     if not names:
         raise BellowsError(
             f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on.")
-    poses: dict[str, dict[str, int]] = {name: {} for name in names}
-    qualities: dict[str, list[int]] = {name: [] for name in names}
-    positions: dict[str, list[int]] = {name: [] for name in names}
-    for number, (kind, owner, quantity, axis) in enumerate(zip(
-            heads['Type'], heads['Name'], heads['Quantity'], heads['axis'], strict=True)):
-        if kind == 'Rigid Body':
-            poses[owner].setdefault(f'{quantity} {axis}'.strip(), number)
-            continue
+    found: dict[tuple[str, str, str], list[int]] = defaultdict(list)
+    for number, (kind, owner, quantity, axis) in enumerate(columns):
         # A marker's name (BODY:Marker1, BODY_1) begins with that of its body.
         fitting = [name for name in names if owner.startswith((f'{name}:', f'{name}_'))]
-        body = max(fitting, key=len, default='')
-        if body and kind == 'Rigid Body Marker' and quantity == 'Marker Quality':
-            qualities[body].append(number)
-        elif body and kind == 'Marker' and (quantity, axis) == ('Position', 'X'):
-            positions[body].append(number)
-    for name, pose in poses.items():
-        lacking = [column for column in POSE if column not in pose]
+        body = owner if kind == 'Rigid Body' else max(fitting, key=len, default='')
+        what = quantity if kind == 'Rigid Body Marker' else f'{quantity} {axis}'.strip()
+        found[kind, body, what].append(number)
+    for name in names:
+        lacking = [column for column in POSE if ('Rigid Body', name, column) not in found]
         if lacking:
             raise BellowsError(
                 f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again.")
-    return {name: ([poses[name][column] for column in POSE], qualities[name], positions[name])
-            for name in names}
+    return {name: ([found['Rigid Body', name, column][0] for column in POSE],
+                   found['Rigid Body Marker', name, 'Marker Quality'],
+                   found['Marker', name, 'Position X']) for name in names}
