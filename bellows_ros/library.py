@@ -300,8 +300,7 @@ def static_equilibrium(
             f'T_world_tool must be a homogeneous matrix (4, 4) with a rotation in it, got shape '
             f'{T.shape}.')
     tool = state_row(T[:3, 3], rotation_to_quaternion(R))
-    body = equilibrium.static_equilibrium(
-        cup_package.model_tuple(cup, package, gravity), tool)
+    body = equilibrium.static_equilibrium(cup_package.model_tuple(cup, package, gravity), tool)
     return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))
 
 

@@ -116,8 +116,7 @@ def _complete() -> None:
 def _answer(arguments: list[str]) -> NoReturn:
     """Answer --help and --version, and refuse an unknown command."""
     width = max(map(len, COMMANDS))
-    commands = '\n'.join(
-        f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
+    commands = '\n'.join(f'  {name:{width}}  {entry["does"]}' for name, entry in COMMANDS.items())
     ends = PROGRAM['ends'].format(commands=commands, exit_codes=PROGRAM['exit_codes'])
     parser = Parser('bellows', PROGRAM['text'], ends, usage='bellows COMMAND [ARGUMENTS]')
     parser.add_argument('--version', action='store_true', help='print the version and exit')

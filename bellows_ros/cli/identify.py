@@ -119,8 +119,7 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
 
 def _settings(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Return the parameters of files and --set, with those that have an argument."""
-    values = options.read_settings(
-        arguments, 'identifier', console if arguments.release else None)
+    values = options.read_settings(arguments, 'identifier', console if arguments.release else None)
     named = {
         'bags': [str(bag) for bag in arguments.bags], 'output.parameters': str(arguments.out),
         'output.json': str(arguments.json), 'output.report': str(arguments.report)}

@@ -193,8 +193,7 @@ def _temporary_path(target: Path) -> Path:
     Its unique name shows whether it may be removed later.
     """
     remove_abandoned(target.parent)
-    return target.with_name(
-        f'{PREFIX}{os.getpid()}-{_machine()}-{secrets.token_hex(4)}.tmp')
+    return target.with_name(f'{PREFIX}{os.getpid()}-{_machine()}-{secrets.token_hex(4)}.tmp')
 
 
 def _sync(path: Path) -> None:

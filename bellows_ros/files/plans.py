@@ -216,8 +216,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
         MULTI_DOF: plan_messages.decode_multi_dof,
         PATH: lambda data: path_points(decoded(data, PATH)),
         JOINTS: lambda data: plan_messages.joint_plan(decoded(data, JOINTS))}
-    return [(name, makers[kind](data))
-            for name, kind, _, data in messages_of(path, makers, topic)]
+    return [(name, makers[kind](data)) for name, kind, _, data in messages_of(path, makers, topic)]
 
 
 def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:

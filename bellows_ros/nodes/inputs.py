@@ -85,8 +85,7 @@ class SensorInput:
             self._clock = self._node.get_clock()
             self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
-        self.arrivals.add(
-            arrival_ns, math.nan if stamp_ns is None else (now_ns - stamp_ns) * 1e-9)
+        self.arrivals.add(arrival_ns, math.nan if stamp_ns is None else (now_ns - stamp_ns) * 1e-9)
         return arrival_ns
 
     def report(self, refused: Mapping[str, int]) -> health.InputReport:

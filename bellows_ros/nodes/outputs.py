@@ -279,8 +279,7 @@ class Picture:
         lip = load.lip_position(model, prediction)
         R_world_package = rotation_matrix(prediction.quaternion_xyzw)
         tip = add_scaled(lip, METRES_PER_NEWTON, apply(R_world_package, prediction.force))
-        conversions.write_place(
-            self._box.pose, prediction.position, prediction.quaternion_xyzw)
+        conversions.write_place(self._box.pose, prediction.position, prediction.quaternion_xyzw)
         tool, R_world_tool = prediction.tool[0], rotation_matrix(prediction.tool[1])
         self._cup.points = []
         for place in self._places:
@@ -368,12 +367,10 @@ class Tossing:
             landing = self.flight.landing(
                 model, held, self._pipeline.outputs.uncertainty.covariance)
             if landing is not None:
-                self._landing.send(
-                    conversions.write_landing, landing, held.stamp_ns, frame_id)
+                self._landing.send(conversions.write_landing, landing, held.stamp_ns, frame_id)
                 if self._markers.subscribed:
                     path = flight_path(model, landing.toss, flight.PATH_POINTS)
-                    self._markers.publish(
-                        _landing_markers(landing, path, held.stamp_ns, frame_id))
+                    self._markers.publish(_landing_markers(landing, path, held.stamp_ns, frame_id))
         if (self._at.subscribed and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
                 and not self._worker.is_busy):
             self._valve_time_ns = now_ns

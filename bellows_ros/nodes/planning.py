@@ -418,8 +418,7 @@ class Steering:
         """Publish a motion of the tool or the package, steered."""
         message, plan, of_package = self._reader.of_tool(data)
         values = self._pipeline.values
-        tool = self._steered(
-            plan.trajectory() if isinstance(plan, ToolRows) else plan, of_package)
+        tool = self._steered(plan.trajectory() if isinstance(plan, ToolRows) else plan, of_package)
         self._tool.publish(plan_messages.encode_multi_dof(plan_messages.plan_message(
             from_tip(tool, tip_of(values)), message.stamp_ns, message.frame_id, 'tool',
             values['tool_twist.frame'])))

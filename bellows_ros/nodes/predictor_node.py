@@ -238,8 +238,7 @@ class Diagnostics:
             health.twist_status('tool twist', twists, new['poses'], new['alone'])]
         for line, report in zip(lines[1:], (poses, twists), strict=True):
             refused = any(report.refused.values())
-            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOG_DELAY,
-                      refused)
+            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOG_DELAY, refused)
         others = (
             pipeline.observing.status('measured package'), pipeline.attachment.status('vacuum'),
             pipeline.planning.status)

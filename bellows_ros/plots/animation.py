@@ -81,8 +81,7 @@ def write_steering(path: File, report: steer.SteerReport, note: str, speed: floa
     values = report.source.values
     com, box = np.array(values['package.com']), np.array(equivalent_box(values))
     views = []
-    last = TAIL_SHOWN + max(
-        float(motion.tool.seconds[-1]) for motion in report.motions.values())
+    last = TAIL_SHOWN + max(float(motion.tool.seconds[-1]) for motion in report.motions.values())
     for name in ('as planned', report.method):
         if motion := report.motions.get(name):
             until_end = motion.along.seconds <= last

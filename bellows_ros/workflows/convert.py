@@ -294,8 +294,7 @@ def to_bag(
         reasons = '; '.join(
             f'{body.source}: {", ".join(f"{n} {reason}" for reason, n in body.left_out.items())}'
             for body in parts)
-        raise BellowsError(
-            f'No pose can be used: {reasons}. Lower --markers.')
+        raise BellowsError(f'No pose can be used: {reasons}. Lower --markers.')
     bag_writer.write_bag(out, [body.messages for body in parts], storage, replace=replace)
     world = next((body.world for body in bodies if body.world != 'z_up'), 'z_up')
     return Conversion(os.fspath(out), parts, world, tuple(notes))

@@ -46,8 +46,7 @@ MAX_FRAMES = 20
 HOLD_STEP, STILL_SPEED = 0.25, (0.01, 0.04)
 """Time (s) between the poses that are compared, and speeds of a standstill (m/s, rad/s)."""
 
-TOOL_WORDS = frozenset(
-    'tool tcp ee eef effector flange arm robot gripper tip'.split())
+TOOL_WORDS = frozenset('tool tcp ee eef effector flange arm robot gripper tip'.split())
 PACKAGE_WORDS = frozenset(
     'package packet parcel box carton object item payload load plate workpiece'.split())
 

@@ -194,8 +194,7 @@ def _registered(
     if values['fit.method'] == 'least_squares':
         result.require_world()
     if result.world is not None and pose is not None:
-        pose = frames.shifted_pose(
-            pose, settings.R_world_recorded, result.middle, result.world)
+        pose = frames.shifted_pose(pose, settings.R_world_recorded, result.middle, result.world)
         changes['package_world'] = prepared.PackageWorld(pose, result.world_std)
     recording = filtered(result.alignment)
     if result.offset is not None:

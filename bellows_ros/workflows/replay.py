@@ -427,8 +427,7 @@ def _stretch(values: Values, relative: Array) -> float:
 
 def _mass_hint(values: Values, recording: Recording) -> str:
     """Return the mass that the recorded stretch stands for, where it is another; else ''."""
-    relative = residuals.relative_coordinates(
-        recording.measured_tool, recording.measured_package)
+    relative = residuals.relative_coordinates(recording.measured_tool, recording.measured_package)
     stretch = _stretch(values, relative[recording.measured])
     stiffness = cup_of(values).stiffness[2, 2]
     mass, stated = stiffness * stretch / values['gravity.magnitude'], values['package.mass']

@@ -202,8 +202,7 @@ class FitVerdict(NamedTuple):
         wrong = [finding for finding in causing if self.is_wrong(finding)]
         if wrong:
             line = 'first line says' if wrong[0] is causing[0] else 'lines above say'
-            reasons.append(
-                f'Correct {causes.setting_of(wrong[0])} as the {line}, and fit again.')
+            reasons.append(f'Correct {causes.setting_of(wrong[0])} as the {line}, and fit again.')
         return tuple(reasons)
 
     def as_json(self) -> dict[str, Any]:
@@ -328,8 +327,7 @@ def _simulated(cup: Cup, recording: Recording, others: Sequence[Cup] = ()) -> Si
     changes = []
     for other in others:
         with suppress(UnstableError):
-            changes.append(
-                validate(other, recording, MAX_SIMULATED).predicted - result.predicted)
+            changes.append(validate(other, recording, MAX_SIMULATED).predicted - result.predicted)
     seconds = float(np.ptp(result.stamps_ns)) / NS_PER_S
     return Simulated(
         recording.name, result.scores.rms, result.noise, result.scores.motion,
