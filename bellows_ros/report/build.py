@@ -92,10 +92,6 @@ def _style() -> str:
 PAGE, STYLE = (Path(__file__).with_name(name) for name in ('page.html', 'style.css'))
 
 
-INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Entries of package.inertia in the tensor."""
-
-
 def identification_report(result: identification.Identification) -> str:
     """
     Return the page of a fit for which the parameter output.report was set.
@@ -152,11 +148,9 @@ def write_page(result: identification.Identification, path: File) -> None:
 
 def _simulated(values: Values, recording: Recording) -> Section:
     """Return how a recording of the fit is simulated, or why it cannot be."""
-    title, payload = f'Used in the fit: {recording.name}', recording.payload
+    title = f'Used in the fit: {recording.name}'
     try:
-        return _motion(title, replay.validated({
-            **values, 'package.mass': payload.mass, 'package.com': tuple(payload.com.tolist()),
-            'package.inertia': tuple(payload.inertia[i, j] for i, j in INERTIA)}, recording))
+        return _motion(title, replay.validated(values, recording))
     except UnstableError as error:
         section = Section(title)
         section.paragraph(f'This cup cannot be simulated: {error}', style='dim')
