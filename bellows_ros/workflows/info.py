@@ -13,7 +13,7 @@ import os
 from pathlib import Path
 import re
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros import __version__
 from bellows_ros.core.geometry.arrays import Array
@@ -455,14 +455,6 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
         distance, float(high - low), score)
 
 
-class TwistMatch(NamedTuple):
-    """How a twist agrees with the poses: relative error (NaN if unknown), axes, and its unit."""
-
-    error: float = float('nan')
-    frame: str = ''
-    in_degrees: bool = False
-
-
 def _twist_of(
     tool: PoseStream, twists: Mapping[str, TwistStream]
 ) -> tuple[Guess | None, bool]:
@@ -472,28 +464,32 @@ def _twist_of(
     Where the tool hardly moves, it is the topic with the stamps of the tool's poses.
     """
     matches = {name: _twist_match(tool, twist) for name, twist in twists.items()}
-    compared = [(match.error, match.frame, name) for name, match in matches.items() if match.frame]
+    compared = [(error, frame, name) for name, (error, frame, _) in matches.items() if frame]
     error, frame, name = min(compared, default=(np.inf, '', ''))
     if error < TWIST_TOLERANCE:
         why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
-        return Guess(name, (why,), frame), matches[name].in_degrees
-    for name, match in matches.items():
-        if not match.frame and np.mean(np.isin(twists[name].stamps_ns, tool.stamps_ns)) > 0.5:
+        return Guess(name, (why,), frame), matches[name][2]
+    for name, (_, frame, in_degrees) in matches.items():
+        if not frame and np.mean(np.isin(twists[name].stamps_ns, tool.stamps_ns)) > 0.5:
             why = 'it has the stamps of the tool, which moves too little to determine its axes'
-            return Guess(name, (why,), 'world'), match.in_degrees
+            return Guess(name, (why,), 'world'), in_degrees
     return None, False
 
 
-def _twist_match(tool: PoseStream, twist: TwistStream) -> TwistMatch:
-    """Compare a twist, integrated over `TWIST_WINDOW`, with the change of the poses."""
+def _twist_match(tool: PoseStream, twist: TwistStream) -> tuple[float, str, bool]:
+    """
+    Compare a twist, integrated over `TWIST_WINDOW`, with the change of the poses.
+
+    Return the relative error, in which axes ('' where that is unknown), and whether in degrees.
+    """
     inside = (tool.stamps_ns[0] <= twist.stamps_ns) & (twist.stamps_ns <= tool.stamps_ns[-1])
     if np.count_nonzero(inside) < 10:
-        return TwistMatch()
+        return np.nan, '', False
     body = resample(tool.trajectory(), twist.stamps_ns[inside])
     steps = np.diff(body.stamps_ns)[:, None] / NS_PER_S
     window = max(1, round(TWIST_WINDOW / float(np.median(steps))))
     if len(body) <= 2 * window:
-        return TwistMatch()
+        return np.nan, '', False
 
     def integrated(rates: Array) -> Array:
         sums = np.cumsum(np.vstack([np.zeros(3), 0.5 * steps * (rates[1:] + rates[:-1])]), axis=0)
@@ -504,12 +500,12 @@ def _twist_match(tool: PoseStream, twist: TwistStream) -> TwistMatch:
     turn = _rms(log_so3(np.swapaxes(body.rotation[:-window], 1, 2) @ body.rotation[window:]))
     in_degrees = turn > MIN_TURN and abs(_rms(integrated(angular)) / turn - 1.0) < TWIST_TOLERANCE
     if _rms(shift) <= MIN_SHIFT:
-        return TwistMatch(in_degrees=in_degrees)
+        return np.nan, '', in_degrees
     in_world, in_tool = (_rms(integrated(rates) - shift) / _rms(shift)
                          for rates in (linear, apply(body.rotation, linear)))
     # Where the tool does not turn both agree; then the usual one is meant.
     error, frame = (in_world, 'world') if in_world <= 1.2 * in_tool else (in_tool, 'tool')
-    return TwistMatch(error, frame, in_degrees)
+    return error, frame, in_degrees
 
 
 def _rms(vectors: Array) -> float:
