@@ -58,17 +58,17 @@ def _draw(
         'motion': (motion, recording.motion_figure), 'path': (motion, recording.path_figure),
         'deflection': (loads, recording.deflection_figure),
         'residuals': (loads, recording.residual_figure),
-        'margin': (margins, plan.margin_figure), 'spectra': (spectra, recording.spectra_figure),
+        'margin': (margins, plan.margin_figure),
+        'spectra': (partial(spectra, cup=has_cup), recording.spectra_figure),
         'prediction': (replay, lambda content, note, theme: recording.prediction_figure(
             content.seconds, content.live, 'Package: predicted, and measured',
             f'relative to the tool; {note}', theme)),
         'animation': (replay, partial(
             animation.write_animation, arguments.out, progress=progress, speed=arguments.speed))}
     read, draw = kinds[arguments.what]
-    if arguments.what == 'spectra':
-        content: Any = read(arguments.bag, settings, has_cup)
-    else:
-        content = within(read(arguments.bag, settings), arguments.first, arguments.last)
+    content = read(arguments.bag, settings)
+    if arguments.what != 'spectra':
+        content = within(content, arguments.first, arguments.last)
     if figure := draw(content, note, arguments.theme):
         style.write_figure(arguments.out, figure)
     return content
