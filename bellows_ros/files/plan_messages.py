@@ -5,8 +5,6 @@ Points lie in memory with one spacing, as doubles are aligned to 8: NumPy reads 
 of 2,000 points in the time in which Python objects of 20 are made.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -8,8 +8,6 @@ Transforms are a tree of frames on /tf and /tf_static, whose links may come at d
 rates: those of the link with most messages count, and the others are interpolated there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import SimpleNamespace
