@@ -19,6 +19,7 @@ their order does not matter.
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 import csv
 from dataclasses import dataclass
 from datetime import datetime, UTC
@@ -318,9 +319,10 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody,
 
 
 def is_motive(path: File) -> bool:
-    """Return whether a file begins like an export of Motive."""
-    with Path(path).open('rb') as file:
+    """Return whether a file begins like an export of Motive; one that cannot be read does not."""
+    with suppress(OSError), Path(path).open('rb') as file:
         return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
+    return False
 
 
 def _bodies(path: Path, stream: TextIO, min_markers: int) -> tuple[MotiveBody, ...]:
