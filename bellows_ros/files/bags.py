@@ -384,7 +384,7 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
     if collectors:
         raise BellowsError(f'Topic {where} has no messages. Record while it is published.')
     types = accepted_types(role)
-    given_by = '--observe' if role == 'measured' else f'topics.{role}'
+    given_by = {'measured': '--observe', f'{name} pose': '--topic'}.get(role, f'topics.{role}')
     fitting = sorted({t.name for t in bag.counts if t.type_name in types})
     others = sorted(f'{t.name} ({t.type_name})' for t in bag.counts)
     meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (

@@ -231,14 +231,13 @@ def bodies_in_recording(
     chosen = [bags.absolute(name) for name in names] or [
         topic.name for topic in counts if topic.type_name in types and topic.messages]
     bodies = list[Body]()
-    for name, stream in bags.read_streams(bag, {name: name for name in chosen}).items():
-        if not isinstance(stream, PoseStream):
-            raise BellowsError(f"Topic '{name}' has no poses.")
+    for stream in bags.read_streams(bag, {f'{name} pose': name for name in chosen}).values():
+        assert isinstance(stream, PoseStream)
         values = np.hstack([
             stream.position * (1e-3 if millimetres else 1.0),
             rotation_to_quaternion(reordered(stream.rotation) if w_first else stream.rotation)])
         bodies.append(Body(
-            bag_writer.as_messages(name, POSE, stream.stamps_ns, values, stream.frame_id),
+            bag_writer.as_messages(stream.name, POSE, stream.stamps_ns, values, stream.frame_id),
             os.fspath(bag), _refused_counts(stream)))
     return bodies + _copied_topics(bag, {topic.type_name for topic in counts}, chosen)
 

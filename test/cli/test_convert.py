@@ -44,6 +44,22 @@ def test_millimetres_and_w_first_are_named_and_converted_as_the_sentence_says(
     assert done.returncode == 0, done.stderr
 
 
+def test_poses_are_converted_whatever_the_name_of_their_topic(bellows, tmp_path):
+    """Convert poses on a topic whose name ends as those of twists do; no twists of that name."""
+    poses = np.tile([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0], (3, 1))
+    stamps_ns = 1_000_000_000 * np.arange(1, 4)
+    for kind, values in (('Pose', poses), ('Twist', poses[:, :6])):
+        write_bag(tmp_path / kind, [as_messages(
+            '/arm_twist', f'geometry_msgs/msg/{kind}Stamped', stamps_ns, values, 'world')])
+    done = bellows('convert', 'Pose', '--unit', 'mm', '--out', 'm', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    pose = read_streams(tmp_path / 'm', {'pose': '/arm_twist'})['pose']
+    np.testing.assert_allclose(pose.position, 1e-3 * poses[:, :3])
+    done = bellows('convert', 'Twist', '--unit', 'mm', '--topic', 'arm_twist', '--out', 't',
+                   cwd=tmp_path)
+    assert done.returncode == 2 and "'/arm_twist'" in done.stderr
+
+
 @pytest.mark.parametrize('name', ['mjcf', 'sdf', 'c'])
 def test_cups_go_out_with_a_word_on_what_is_lost(name, bellows, workshop, tmp_path):
     """Write the model, and the sentences as JSON too."""
