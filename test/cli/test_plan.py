@@ -42,7 +42,7 @@ def test_what_was_written_before_a_full_disk_is_named(
     def fails(*_):
         raise BellowsError('No space is left.')
 
-    monkeypatch.setattr('bellows_ros.cli.options.write_json', fails)
+    monkeypatch.setattr('bellows_ros.files.results.write_json', fails)
     out = tmp_path / 'predicted'
     done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--out', out, '--json',
                    tmp_path / 'plan.json')
