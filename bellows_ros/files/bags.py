@@ -18,6 +18,7 @@ import shutil
 import sqlite3
 from typing import Any, BinaryIO, NamedTuple
 
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError
 from bellows_ros.files import bag_folder, File, mcap, messages
@@ -384,7 +385,9 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
     if collectors:
         raise BellowsError(f'Topic {where} has no messages. Record while it is published.')
     types = accepted_types(role)
-    given_by = {'measured': '--observe', f'{name} pose': '--topic'}.get(role, f'topics.{role}')
+    setting = f'topics.{role}'
+    given_by = setting if setting in PARAMETERS else (
+        '--observe' if role == 'measured' else '--topic')
     fitting = sorted({t.name for t in bag.counts if t.type_name in types})
     others = sorted(f'{t.name} ({t.type_name})' for t in bag.counts)
     meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (

@@ -351,7 +351,7 @@ def to_tum(bag: File, out: File, topic: str = '', span: Values = FULL_RANGE) -> 
                 f"Recording '{bag}' has {len(fitting)} topics with poses"
                 f'{": " + ", ".join(fitting) if fitting else ""}. Name one with --topic.')
         topic = fitting[0]
-    stream = within_interval(bags.read_streams(bag, {'tool_pose': topic}), span)['tool_pose']
+    stream = within_interval(bags.read_streams(bag, {'pose': topic}), span)['pose']
     values = np.hstack([stream.position, rotation_to_quaternion(stream.rotation)])
     trajectory_files.write_tum(out, stream.stamps_ns, values)
     written = bag_writer.Encoded(stream.name, POSE, stream.stamps_ns, ())
