@@ -202,14 +202,15 @@ def _without_metadata(folder: Path) -> Listing:
         raise BellowsError(
             f"Folder '{folder}' has no {METADATA} and no storage file, so it is not a recording. "
             'Give the folder that ros2 bag record made.')
-    if len({name.removesuffix('.zstd').rpartition('.')[2] for name in names}) > 1:
+    of_storage = {name.removesuffix('.zstd').rpartition('.')[2]: name for name in names}
+    if len(of_storage) > 1:
         raise BellowsError(
-            f"Folder '{folder}' has no {METADATA}, but files of two storages: "
-            f'{", ".join(sorted(names)[:MAX_LISTED])}. Give the one that is meant.')
+            f"Folder '{folder}' has no {METADATA}, but files of two storages, such as "
+            f'{" and ".join(sorted(of_storage.values()))}. Give the one that is meant.')
     # A recorder numbers its files: numbers in names count as such.
-    in_order = sorted(names, key=lambda name: [
+    recorded = sorted(names, key=lambda name: [
         (text, int(number or -1)) for text, number in re.findall(r'(\D*)(\d*)', name)])
-    files = tuple(_inside(folder, name) for name in in_order)
+    files = tuple(_inside(folder, name) for name in recorded)
     return Listing(files, {}, (
         f"Recording '{folder}' has no {METADATA}: its recorder has crashed, or is still "
         f'recording. Read were {", ".join(file.name for file in files[:MAX_LISTED])}.',))
