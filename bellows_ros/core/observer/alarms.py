@@ -35,8 +35,8 @@ from bellows_ros.core.observer.filter import Evidence, ONSETS, predicted
 from bellows_ros.core.observer.measurement import Marker, observed, OUT_OF_REACH, updated, USED
 import numpy as np
 
-GONE = -ekf.FALLEN
-"""The first of the rows of what falls."""
+FORCE_LOSS = -ekf.FALLEN
+"""The row of the part of the force of the cup that is gone: the first of what falls."""
 
 LOG = 0.0
 """Stands for the unit of a component that is a logarithm, which is shown in percent."""
@@ -87,7 +87,7 @@ CAUSES = (
           (0.2, 0.01, 0.01, 0.01), (1, 4), 0.2, True, False,
           'The mass is off by {} %[ and the centre of mass by {} mm]: correct package.*, or '
           'set payload.estimate.', ((0, 1, LOG), (1, 4, 1e3))),
-    Cause('lost', ((GONE,),), (0.3,), (1,), 0.1, False, True,
+    Cause('lost', ((FORCE_LOSS,),), (0.3,), (1,), 0.1, False, True,
           'The package is lost: stop the arm.', ((0, 1, 1.0),), 2, mean=1.0),
     Cause('camera', tuple((row,) for row in range(ekf.CAMERA, ekf.CAMERA + 6)), (6e-3,) * 6,
           (3, 6), 0.2, True, True,
@@ -166,10 +166,10 @@ START_WEIGHT = 100.0
 SETTLING = 4
 """Measurements from the start, or an alarm, that are not compared: the noise is learned first."""
 
-MIN_LEARNED, MAX_LEARNING = 33, 3.0
+MIN_NOISE_COUNT, MAX_NOISE_RATIO = 33, 3.0
 """
-Measurements from which the noise is learned whatever they are, and log-likelihood ratio of a fault
-from which on it is not learned any more: the fault is no noise.
+Measurements from the start, or an alarm, that the noise is always learned from, and largest
+log-likelihood ratio of a fault with which it is learned later: a fault would be taken for noise.
 """
 
 MIN_LEAD, DECIDE_NS = 3.0, 500_000_000
@@ -424,7 +424,7 @@ def filter_step(
             likeliest = _assessed(
                 E, statistics, onsets, steps, until_ns, innovation, marker[2], verdict == USED,
                 from_start)
-        if likeliest[0] < MAX_LEARNING or onsets[0, 0] < MIN_LEARNED:
+        if likeliest[0] < MAX_NOISE_RATIO or onsets[0, 0] < MIN_NOISE_COUNT:
             memory = learned
     return verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest
 

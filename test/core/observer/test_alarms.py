@@ -269,6 +269,13 @@ def test_camera_that_moved_is_not_followed():
     assert np.abs(cell.made._estimates[-1].theta[ekf.CAMERA - 12:ekf.CAMERA - 9]).max() > 3e-3
 
 
+def test_camera_that_moved_is_not_learned_as_noise():
+    """Name it in half of the runs before noise with a long memory would explain it, at 1 s."""
+    after = [Cell(seed, 8.0, CONDITIONS['memory 100 ms'], 'camera', at=3.0).run()[0][1]
+             for seed in range(9000, 9012)]
+    assert np.median(after) < 0.8
+
+
 @pytest.mark.parametrize('seed', [114, 117])
 def test_fault_taken_for_another_raises_no_second_alarm(seed):
     """Allow for the second likeliest cause, too, where the odds to it are low."""
