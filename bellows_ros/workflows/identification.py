@@ -74,7 +74,7 @@ class Identification:
         What is identifiable from the recordings.
     values : mapping
         All parameters of the run, as they were given.
-    parts : tuple of Reduced
+    parts : tuple of ReducedRecording
         The recordings that were used.
     recordings : tuple of Recording
         These recordings themselves, where something needed them.
@@ -101,7 +101,7 @@ class Identification:
     fit: Fit
     excitation: identifiability.Excitation
     values: Values
-    parts: tuple[reduction.Reduced, ...]
+    parts: tuple[reduction.ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
     consistency: 'Consistency | None' = None
     static: 'StaticResult | None' = None
@@ -218,7 +218,7 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        recordings: list[reduction.Reduced | Recording] = [
+        recordings: list[reduction.ReducedRecording | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
         return results.with_units({
             **fit_json(self.fit),

@@ -16,7 +16,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros import __version__
 from bellows_ros.core.identification import identifiability, least_squares, methods, samples
 from bellows_ros.core.identification.causes import misread
-from bellows_ros.core.identification.reduction import Reduced, reduced
+from bellows_ros.core.identification.reduction import reduced, ReducedRecording
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import cup_of, is_gripper
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
 
-Part = Recording | Reduced
+Part = Recording | ReducedRecording
 Read = Callable[[Values], tuple[list[Part], list['Failed']]]
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9

@@ -174,8 +174,8 @@ class FitComparison:
     @property
     def matters(self) -> bool:
         """Whether predictions differ materially and significantly."""
-        shaken = self.shake_matters and self.significant
-        return shaken or any(effect.matters and effect.significant for effect in self.effects)
+        return self.shake_matters and self.significant or any(
+            effect.matters and effect.significant for effect in self.effects)
 
     @property
     def open_effects(self) -> tuple[Change, ...]:

@@ -262,7 +262,7 @@ class _Trial(NamedTuple):
     @property
     def varied(self) -> tuple[Variation, Array]:
         """What it does to a recording, and its numbers."""
-        return self.hypothesis.vary, self.theta
+        return self.hypothesis.variation, self.theta
 
 
 def _fitted(
@@ -283,7 +283,7 @@ def _fitted(
         std = np.sqrt(np.diag(covariance))
         is_physical = _is_within(hypothesis.name, theta, given)
     else:
-        solved = objective.solved(ensemble.varied(hypothesis.vary, theta))
+        solved = objective.solved(ensemble.varied(hypothesis.variation, theta))
     if hypothesis in CUP_EFFECTS:
         theta, std, is_physical = _cup_effect(hypothesis.name, solved, given.structure)
     is_physical &= bool(rounds) or _is_above_noise(solved)

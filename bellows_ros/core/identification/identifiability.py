@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import noise_bias, Solution, weighted
-from bellows_ros.core.identification.reduction import Movement, PassBand, Reduced
+from bellows_ros.core.identification.reduction import Movement, PassBand, ReducedRecording
 from bellows_ros.core.identification.result import with_unidentifiable
 from bellows_ros.core.identification.samples import joined
 from bellows_ros.core.model.structure import AXES, Structure
@@ -237,7 +237,7 @@ class Excitation:
 
 
 def excitation_of(
-    parts: Sequence[Reduced], method: str = 'least_squares',
+    parts: Sequence[ReducedRecording], method: str = 'least_squares',
     fit: tuple[Array, Array] | None = None,
 ) -> Excitation:
     """
@@ -248,7 +248,7 @@ def excitation_of(
 
     Parameters
     ----------
-    parts : sequence of Reduced
+    parts : sequence of ReducedRecording
         What each recording was reduced to.
     method : str
         Of the fit: of what biases least squares of filtered motion, noise and what is too fast

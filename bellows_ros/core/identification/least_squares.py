@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.reduction import MAX_STORED, Reduced, Statistics
+from bellows_ros.core.identification.reduction import MAX_STORED, ReducedRecording, Statistics
 from bellows_ros.core.identification.result import (
     Fit,
     IN_NULL_SPACE,
@@ -310,7 +310,7 @@ def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> s
     )
 
 
-T = TypeVar('T', bound=Recording | Reduced)
+T = TypeVar('T', bound=Recording | ReducedRecording)
 
 MIN_SQUARED_DISTANCE = 13.8
 """Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""

@@ -11,7 +11,12 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
 from bellows_ros.core.identification.least_squares import least_squares, R2_ASSUMED
 from bellows_ros.core.identification.quantities import weak_prior
-from bellows_ros.core.identification.reduction import Reduced, reduced, Statistics, statistics
+from bellows_ros.core.identification.reduction import (
+    reduced,
+    ReducedRecording,
+    Statistics,
+    statistics,
+)
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
@@ -56,7 +61,7 @@ class Result:
 
 
 def fit(
-    recordings: Sequence[Recording | Reduced],
+    recordings: Sequence[Recording | ReducedRecording],
     values: Mapping[str, Any],
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
@@ -70,7 +75,7 @@ def fit(
 
     Parameters
     ----------
-    recordings : sequence of Recording or Reduced
+    recordings : sequence of Recording or ReducedRecording
         All of one cup. Least squares does with reduced ones, unless the length is uncertain.
     values : mapping
         Parameters by name: fit.*, cup.*, gravity.
@@ -131,7 +136,7 @@ def fit(
     return Result(result, excitation)
 
 
-def _stand_still(recordings: Sequence[Recording | Reduced]) -> bool:
+def _stand_still(recordings: Sequence[Recording | ReducedRecording]) -> bool:
     """Return whether tool and package stand still for most of the recorded time."""
     still = total = 0.0
     for recording in _unreduced(recordings):
@@ -141,7 +146,7 @@ def _stand_still(recordings: Sequence[Recording | Reduced]) -> bool:
     return still >= MIN_REST_SHARE * total
 
 
-def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
+def _noise_warning(recordings: Sequence[Recording | ReducedRecording]) -> Iterator[str]:
     """Yield a sentence if correlated noise biases least squares."""
     names = [
         recording.name for recording in recordings if isinstance(recording, Recording) and any(
@@ -155,7 +160,7 @@ def _noise_warning(recordings: Sequence[Recording | Reduced]) -> Iterator[str]:
 
 
 def are_differentiable(
-    parts: Sequence[Recording | Reduced], values: Mapping[str, Any]
+    parts: Sequence[Recording | ReducedRecording], values: Mapping[str, Any]
 ) -> bool:
     """Return whether accelerations follow from the poses of recordings, with markers as given."""
     rates = [body.timing.rate_hz for part in parts if isinstance(part, Recording)
@@ -165,7 +170,7 @@ def are_differentiable(
 
 
 def fitted(
-    recordings: Sequence[Recording | Reduced], values: Mapping[str, Any],
+    recordings: Sequence[Recording | ReducedRecording], values: Mapping[str, Any],
     progress: Progress | None = None,
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
@@ -208,7 +213,7 @@ def _by_output_error(
         values['fit.relaxation'], given_std(values))
 
 
-def _with_relaxation(result: Fit, recordings: Sequence[Recording | Reduced]) -> Fit:
+def _with_relaxation(result: Fit, recordings: Sequence[Recording | ReducedRecording]) -> Fit:
     """Return a fit with the relaxation of the recordings, whose errors reach K and P."""
     whole = _unreduced(recordings)
     if not whole or not any(whole[0].relaxation.strengths):
@@ -223,7 +228,7 @@ def _with_relaxation(result: Fit, recordings: Sequence[Recording | Reduced]) -> 
         notes=(*result.notes, *notes))
 
 
-def _unreduced(recordings: Sequence[Recording | Reduced]) -> list[Recording]:
+def _unreduced(recordings: Sequence[Recording | ReducedRecording]) -> list[Recording]:
     """Return recordings, of which none is reduced."""
     return [recording for recording in recordings if isinstance(recording, Recording)]
 

@@ -78,18 +78,18 @@ class Ensemble:
     ----------
     given : tuple of Given
         Of each recording.
-    noisier : tuple of tuple of Given
+    noise_draws : tuple of tuple of Given
         For each draw the same with noise added.
 
     """
 
     given: tuple[Given, ...]
-    noisier: tuple[tuple[Given, ...], ...]
+    noise_draws: tuple[tuple[Given, ...], ...]
 
-    def varied(self, vary: Variation, theta: Array) -> 'Ensemble':
+    def varied(self, variation: Variation, theta: Array) -> 'Ensemble':
         """Return them with what was given varied by some numbers."""
-        return Ensemble(tuple(vary(recording, theta) for recording in self.given), tuple(
-            tuple(vary(recording, theta) for recording in draw) for draw in self.noisier))
+        return Ensemble(tuple(variation(recording, theta) for recording in self.given), tuple(
+            tuple(variation(recording, theta) for recording in draw) for draw in self.noise_draws))
 
 
 def ensemble_of(
@@ -249,10 +249,10 @@ class Objective:
                 np.diag(THESIS_STIFFNESS), np.diag(THESIS_DAMPING))
             x = np.clip(x[:len(limit)], -limit, limit)
         noise = np.zeros(6)
-        for draw in ensemble.noisier:
+        for draw in ensemble.noise_draws:
             added = np.concatenate(
                 [equations(n) - clean for n, clean in zip(draw, parts, strict=True)])
-            noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noisier)
+            noise += np.mean((added @ np.append(x, -1.0)) ** 2, axis=0) / len(ensemble.noise_draws)
         return cls(1.0 / np.sqrt(noise + MODEL_ERROR**2 * spread))
 
     def rows(self, given: Sequence[Given]) -> Array:
@@ -267,9 +267,9 @@ class Objective:
         scale = np.where(scale > 0.0, scale, 1.0)
         full = rows / scale
         noise = np.zeros((full.shape[1],) * 2)
-        for draw in ensemble.noisier:
+        for draw in ensemble.noise_draws:
             added = self.rows(draw) / scale - full
-            noise += added.T @ added / len(ensemble.noisier)
+            noise += added.T @ added / len(ensemble.noise_draws)
         U, s, Vt = np.linalg.svd(full[:, :-1], full_matrices=False)
         determined = s > MIN_SINGULAR_VALUE * s[0]
         root = Vt[determined].T / s[determined]
@@ -363,7 +363,7 @@ def refine(
 
     def at(theta: Array) -> Solved:
         """Return the residuals at given unknowns."""
-        return objective.solved(ensemble.varied(hypothesis.vary, theta))
+        return objective.solved(ensemble.varied(hypothesis.variation, theta))
 
     if start is None:
         near = _best_start(objective, ensemble, hypothesis)
@@ -394,7 +394,7 @@ def _best_start(objective: Objective, ensemble: Ensemble, hypothesis: Hypothesis
     quiet = Ensemble(ensemble.given, ())
     starts = [np.zeros(len(hypothesis.steps)), *hypothesis.starts(ensemble.given[0])]
     return min(starts, key=lambda theta: objective.solved(
-        quiet.varied(hypothesis.vary, theta)).excess)
+        quiet.varied(hypothesis.variation, theta)).excess)
 
 
 def _derivatives(

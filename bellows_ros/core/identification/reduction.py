@@ -319,7 +319,7 @@ def movement_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
+class ReducedRecording:
     """
     The sufficient statistics of a recording.
 
@@ -362,7 +362,9 @@ class Reduced:
         return str(self.report['bag'])
 
 
-def reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduced:
+def reduced(
+    recording: Recording | ReducedRecording, values: Mapping[str, Any]
+) -> ReducedRecording:
     """
     Return a recording reduced with the structure and the cup length that parameters name.
 
@@ -374,7 +376,7 @@ def reduced(recording: Recording | Reduced, values: Mapping[str, Any]) -> Reduce
         If it has no valid samples, or the package is not below the tool.
 
     """
-    if isinstance(recording, Reduced):
+    if isinstance(recording, ReducedRecording):
         return recording
     length, structure = values['cup.length'], given_structure(values)
     return recording.cached(
@@ -387,14 +389,14 @@ def envelope_of(recording: Recording, cup_length: float) -> Envelope:
         ('envelope', cup_length), lambda: envelope(filtered_samples(recording), cup_length))
 
 
-def _reduced(recording: Recording, length: float, structure: Structure) -> Reduced:
+def _reduced(recording: Recording, length: float, structure: Structure) -> ReducedRecording:
     """Return a recording reduced."""
     samples, noise = samples_of(recording), recording.noise
     if len(samples.tool) > MAX_STORED:  # a copy, with which the motion of the lip is dropped
         samples = replace(samples)
     seen = recording.cached(  # refuses a recording without valid samples
         ('envelope', length), lambda: envelope(samples, length))
-    return Reduced(
+    return ReducedRecording(
         recording.as_json(), recording.digest, recording.files, recording.payload,
         recording.report.time_offset, recording.report.package_world,
         statistics(samples, length, structure, noise), movement_of(samples, length, noise), seen)

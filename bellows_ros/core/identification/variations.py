@@ -72,13 +72,13 @@ def time_offset(given: Given, theta: Array) -> Given:
 
 def quantity(name: str) -> Variation:
     """Return the variation of a quantity of `KINDS`, of the package or of its poses."""
-    def vary(given: Given, theta: Array) -> Given:
+    def varied(given: Given, theta: Array) -> Given:
         """Return it with another value; the lip stays where it is known to be."""
         samples, free = given.samples, {name: theta}
         moves = np.where(given.lip_recorded, 1.0, [given.aligned, given.aligned, 0.0])
         return _with(given, payload=payload_of(samples.payload, free),
                      package=poses_of(samples.package, free, moves))
-    return vary
+    return varied
 
 
 def length(given: Given, theta: Array) -> Given:
@@ -181,7 +181,7 @@ class Hypothesis(NamedTuple):
     ----------
     name : str
         Of the cause: a name of fit.free, a parameter, or what the cup is.
-    vary : Variation
+    variation : Variation
         The change, by the numbers that are freed.
     steps : tuple of float
         Change of each number for derivatives; none where a setting is otherwise.
@@ -200,7 +200,7 @@ class Hypothesis(NamedTuple):
     """
 
     name: str
-    vary: Variation
+    variation: Variation
     steps: tuple[float, ...] = ()
     starts: Callable[[Given], Iterable[Array]] = lambda given: ()
     furthest: float = 200.0

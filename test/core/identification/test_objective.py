@@ -29,7 +29,7 @@ def test_no_more_of_a_long_recording_is_seen(long):
     assert np.count_nonzero(steps > 10.0) == STRETCHES - 1
     assert steps[steps < 1.0].sum() == pytest.approx(MAX_SECONDS, rel=0.01)
     assert steps.sum() > 270.0
-    assert [len(draw[0].samples.tool) for draw in ensemble.noisier] == 2 * [len(stamps)]
+    assert [len(draw[0].samples.tool) for draw in ensemble.noise_draws] == 2 * [len(stamps)]
 
 
 @pytest.mark.parametrize('offset', [-0.15, 0.0, 0.2])
