@@ -390,8 +390,8 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
         '--observe' if role == 'measured' else '--topic')
     fitting = sorted({t.name for t in bag.counts if t.type_name in types})
     others = sorted(f'{t.name} ({t.type_name})' for t in bag.counts)
-    meant = f'topics of a fitting type there: {", ".join(fitting)}' if fitting else (
-        f'no topic there is of a fitting type; there are: {", ".join(others) or "none"}')
+    remedy = f'Set {given_by} to one of: {", ".join(fitting)}.' if fitting else (
+        f'None is of a type for {given_by}; there are: {", ".join(others) or "none"}.')
     got = sorted({f'{t.type_name} in {t.encoding}' for t in bag.counts if t.name == name})
     if not fitting and any(t.type_name.endswith('/TFMessage') for t in bag.counts):
         raise NoTopicError(
@@ -399,11 +399,10 @@ def _stream_of_role(bag: _Bag, role: str, name: str, collectors: Sequence[_Colle
             f"{bag.path} --tool-frame FRAME --package-frame FRAME --out with_poses' ('bellows "
             "info' names the frames).")
     if not got:
-        raise NoTopicError(
-            f"Topic '{name}' is not in recording '{bag.path}'; {meant}. Set {given_by}.")
+        raise NoTopicError(f"Topic '{name}' is not in recording '{bag.path}'. {remedy}")
     raise NoTopicError(
         f'Topic {where} is of type {", ".join(got)}; accepted are {", ".join(types)}, in cdr. '
-        f'For {given_by}, {meant}.')
+        f'{remedy}')
 
 
 def _decompressed(batch: Batch) -> Batch:
