@@ -327,7 +327,7 @@ class Observing:
     def _on_measured(self, message: Any) -> None:
         """Correct the prediction."""
         live, node = self._live, self._pipeline.node
-        if live.arrival_ns is None:
+        if live.arrivals.newest_ns is None:
             return
         if (observer := live.package.observer) is None:
             live.package.observe(observer := Observer(self._pipeline.values))

@@ -228,11 +228,11 @@ class Pipeline:
         self._ticks += 1
         live = self.live
         if live.pairing.waiting and (
-                self._ticked_ns - (live.arrival_ns or 0) >= MAX_TWIST_WAIT_NS):
+                self._ticked_ns - (live.arrivals.newest_ns or 0) >= MAX_TWIST_WAIT_NS):
             self.publish(live.flush)
-        if live.arrival_ns == self._arrival_at_last_tick:
+        if live.arrivals.newest_ns == self._arrival_at_last_tick:
             self.publish(live.coast, self._ticked_ns)
-        self._arrival_at_last_tick = live.arrival_ns
+        self._arrival_at_last_tick = live.arrivals.newest_ns
         self.publish_state()
         if held := self.held:
             if self._ticks % LOAD_TICKS == 0:

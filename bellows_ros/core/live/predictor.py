@@ -21,7 +21,14 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, deflection
 from bellows_ros.core.live.payload import LivePayload
-from bellows_ros.core.live.tool_screening import PoseSample, Screen, TwistSample, TwistScreen
+from bellows_ros.core.live.tool_screening import (
+    Arrivals,
+    COAST_AFTER_NS,
+    PoseSample,
+    Screen,
+    TwistSample,
+    TwistScreen,
+)
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import Cup, Package
@@ -32,15 +39,6 @@ from bellows_ros.core.signals.trajectory import frozen, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
-
-COAST_AFTER_NS = 20_000_000
-"""Pauses (ns) between poses shorter than this are ignored ..."""
-
-COAST_PERIODS = 4
-"""... as are pauses shorter than this many periods of the poses ..."""
-
-MAX_BURST_NS = 100_000_000
-"""... and recurring pauses up to this (ns), which separate bursts."""
 
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""
@@ -110,10 +108,10 @@ class LivePredictor:
         Pose and twist of the tool, and the check of its twists.
     package : LivePayload
         State of the package, and the observer that corrects it, if any.
+    arrivals : Arrivals
+        When accepted poses came.
     attached : bool
         Whether the cup holds the package; without it nothing is predicted.
-    arrival_ns : int or None
-        Arrival of the newest accepted pose; None before the first.
     flight : Flight or None
         Follows the package after the valve, where one is set.
     poses_in, twists_in, predictions, twists_estimated, coasted : int
@@ -138,7 +136,7 @@ class LivePredictor:
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
         self._screen, self._twist_screen = Screen(), TwistScreen()
-        self.pairing = Pairing()
+        self.pairing, self.arrivals = Pairing(), Arrivals()
         self.tool = ToolMotion(twist_frame == 'world')
         self.package = LivePayload(cup, package, gravity)
         self.coast_limit_ns = coast_limit_ns
@@ -149,12 +147,6 @@ class LivePredictor:
         self.attached = True
         self._vacuum: dict[int, bool] = {}  # whether a cup holds by it, or all together
         self.flight: Flight | None = None
-        self._forget_arrivals()
-
-    def _forget_arrivals(self) -> None:
-        """Forget when poses came."""
-        self.arrival_ns: int | None = None
-        self._period_ns = self._pause_ns = 0
 
     # ------------------------------------------------------------------ state
 
@@ -203,11 +195,9 @@ class LivePredictor:
             return 'detached'
         if self.flight is not None and self.flight.state:
             return self.flight.state
-        if self.arrival_ns is None:
+        if self.arrivals.newest_ns is None:
             return 'waiting'
-        silent_ns = arrival_ns - self.arrival_ns
-        if silent_ns > max(
-                COAST_AFTER_NS, COAST_PERIODS * self._period_ns, 3 * self._pause_ns // 2):
+        if silent_ns := self.arrivals.silent_ns(arrival_ns):
             return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
         if not (self.package.sample or self.pairing.waiting):
             return 'lost'
@@ -233,7 +223,7 @@ class LivePredictor:
         predictions = self.flush() if self.attached and not attached else []
         if attached != self.attached:
             self.package.forget()
-            self._forget_arrivals()
+            self.arrivals.clear()
         self.attached = attached
         return predictions
 
@@ -255,7 +245,7 @@ class LivePredictor:
         self.pairing.clear()
         self.tool.clear()
         self._twist_screen.clear()
-        self._forget_arrivals()
+        self.arrivals.clear()
 
     # ------------------------------------------------------------------ input
 
@@ -292,15 +282,10 @@ class LivePredictor:
             self.restarts[verdict.restart] += 1
             self._forget_motion()
         elif newest_ns >= 0:
-            self._period_ns = stamp_ns - newest_ns
+            self.arrivals.period_ns = stamp_ns - newest_ns
         if self._screen.suspect:
             self.package.settling.inflate(stamp_ns, *self._screen.jump)
-        if arrival_ns is not None and self.arrival_ns is not None:
-            pause_ns = arrival_ns - self.arrival_ns
-            if pause_ns <= MAX_BURST_NS:  # it grows quickly, and shrinks slowly
-                change_ns = pause_ns - self._pause_ns
-                self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
-        self.arrival_ns = arrival_ns
+        self.arrivals.add(arrival_ns)
         self.pairing.add_pose(self.tool.pose(stamp_ns, position, quaternion_xyzw))
         return predictions + self._release()
 
@@ -360,9 +345,10 @@ class LivePredictor:
 
     def coast(self, arrival_ns: int) -> list[Prediction]:
         """Return a prediction for a moment at which no pose came, while that is safe."""
-        if self.arrival_ns is None or self.phase(arrival_ns) != 'coasting':
+        newest_ns = self.arrivals.newest_ns
+        if newest_ns is None or self.phase(arrival_ns) != 'coasting':
             return []
-        prediction = self.package.coast(self._screen.newest_ns + arrival_ns - self.arrival_ns)
+        prediction = self.package.coast(self._screen.newest_ns + arrival_ns - newest_ns)
         if prediction is None:
             return []
         self.coasted += 1

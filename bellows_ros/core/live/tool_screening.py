@@ -47,6 +47,15 @@ MAX_DECELERATION, STOP_TOLERANCE = (30.0, 300.0), (3e-4, 1.5e-3)
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
 
+COAST_AFTER_NS = 20_000_000
+"""Pauses (ns) between poses shorter than this are ignored ..."""
+
+COAST_PERIODS = 4
+"""... as are pauses shorter than this many periods of the poses ..."""
+
+MAX_BURST_NS = 100_000_000
+"""... and recurring pauses up to this (ns), which separate bursts."""
+
 
 class PoseSample(NamedTuple):
     """A pose of the tool in the world that has been accepted."""
@@ -145,6 +154,44 @@ def _pose_step(
             jump / (SUSPECT_TOLERANCE[0] + jitter + SUSPECT_ACCELERATION[0] * squared),
             turn_jump / (SUSPECT_TOLERANCE[1] + turn_jitter + SUSPECT_ACCELERATION[1] * squared))
     return excess, suspicion, jump, turn_jump, speed, turn_speed, v, w
+
+
+class Arrivals:
+    """
+    When accepted poses came, on a monotonic clock (ns), and whether they stay away.
+
+    Attributes
+    ----------
+    newest_ns : int or None
+        Arrival of the newest pose; None before the first.
+    period_ns : int
+        Between the stamps of the last two.
+
+    """
+
+    def __init__(self) -> None:
+        """Expect the first pose."""
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all poses."""
+        self.newest_ns: int | None = None
+        self.period_ns = self._pause_ns = 0
+
+    def add(self, arrival_ns: int | None) -> None:
+        """Add a pose; None where messages do not arrive in real time."""
+        if arrival_ns is not None and self.newest_ns is not None:
+            pause_ns = arrival_ns - self.newest_ns
+            if pause_ns <= MAX_BURST_NS:  # it grows quickly, and shrinks slowly
+                change_ns = pause_ns - self._pause_ns
+                self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
+        self.newest_ns = arrival_ns
+
+    def silent_ns(self, now_ns: int) -> int:
+        """Return for how long no pose came, 0 as long as that is usual."""
+        silent_ns = 0 if self.newest_ns is None else now_ns - self.newest_ns
+        usual_ns = max(COAST_AFTER_NS, COAST_PERIODS * self.period_ns, 3 * self._pause_ns // 2)
+        return silent_ns if silent_ns > usual_ns else 0
 
 
 class FrameChange:

@@ -159,7 +159,7 @@ def test_pauses_between_bursts_are_nothing_to_be_said():
             said.append(live.phase(arrival - 1))
         live.on_pose(START + k * period, 'base', (0.0, 0.0, 0.0), IDENTITY, arrival)
     assert len(said) > 50 and set(said[5:]) == {'predicting'}
-    last = live.arrival_ns
+    last = live.arrivals.newest_ns
     assert live.phase(last + 60_000_000) == 'coasting'  # longer than they usually are
 
 
