@@ -305,14 +305,22 @@ def corrected(
 
 
 @kernel
-def updated_memory(memory: Array, theta: Array, seconds: float, z: Array) -> Array:
-    """Return the memory of the noise (see `correlations`) after another whitened innovation z."""
+def updated_memory(
+    memory: Array, theta: Array, seconds: float, z: Array, is_used: bool
+) -> Array:
+    """
+    Return the memory of the noise (see `correlations`) after another whitened innovation z.
+
+    Of one that is not used only the size of the noise is learned.
+    """
     out, forgetting = memory.copy(), 1.0 - 1.0 / MEMORY_COUNT
     count = min(max(out[1] / 3.0, 1.0), MEMORY_COUNT)
     out[0] += (seconds - out[0]) / count
     for i in range(2):
         mean_square = (z[3 * i] ** 2 + z[3 * i + 1] ** 2 + z[3 * i + 2] ** 2) / 3.0
         out[11 + i] = max(out[11 + i] * (1.0 + (mean_square - 1.0) / count), 1.0)
+    if not is_used:
+        return out
     out[1:5] *= forgetting
     for i in range(6):
         noise = theta[NOISE - STATE + i]
@@ -358,7 +366,8 @@ def updated(
     tuple
         `Innovation`.
     State, ndarray (n - 12,), ndarray (13,)
-        Body, theta and memory: corrected where it is used, as P is in place, else as they were.
+        Body, theta and memory: corrected where it is used, as P is in place, else as they were,
+        but for the size of the noise outside the gate.
 
     """
     model = with_theta(model, theta)
@@ -377,5 +386,6 @@ def updated(
         verdict = OUTSIDE
     else:
         body, theta = corrected(body, theta, P, innovation)
-        memory = updated_memory(memory, theta, seconds, innovation[0])
+    if verdict != OUT_OF_REACH:
+        memory = updated_memory(memory, theta, seconds, innovation[0], verdict == USED)
     return verdict, innovation, body, theta, memory

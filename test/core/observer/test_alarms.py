@@ -106,6 +106,14 @@ def test_ordinary_cell_raises_no_alarm(name):
         assert cell.made.counts['gate'] <= 2 + len(cell.seen) * outliers
 
 
+def test_noise_four_times_as_stated_is_learned():
+    """Learn it from poses outside the gate, too: after the first second nothing is raised."""
+    for seed in range(200, 208):
+        cell = Cell(seed, 25.0, {'noise': 4.0}, at=0.0)
+        assert all(after < 1.0 for _, after in cell.run())
+        assert cell.made.counts['gate'] < 0.1 * len(cell.seen)
+
+
 @pytest.mark.parametrize(('rate_hz', 'frames', 'shift'), [
     (125 / 4, 3, 0.02), (125.0, 8, 0.02), (125.0, 3, 0.5)])
 def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shift):
