@@ -13,7 +13,13 @@ from bellows_ros.core.model.kernels import model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.alarms import Alarm, Alarms, filter_step, Likeliest
+from bellows_ros.core.observer.alarms import (
+    Alarm,
+    Alarms,
+    filter_step,
+    Likeliest,
+    MIN_NOISE_COUNT,
+)
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE, STATE
 from bellows_ros.core.observer.measurement import changed_by, Measurement, OUT_OF_REACH, OUTSIDE
 import numpy as np
@@ -316,6 +322,8 @@ class Correction:
         P[rows, rows] += np.square(self.prior[rows])
         restarted = estimate._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(restarted, track, stamp_ns, True, measurement, math.inf)
+        _, _, onsets, _, from_start = estimate.evidence
+        from_start &= bool(onsets[0].max(initial=0) < MIN_NOISE_COUNT)  # off since the beginning
         return after._replace(
             memory=memory, gated_ns=(), away_ns=0,
-            evidence=self._evidence(stamp_ns, estimate.lost_cups, False))
+            evidence=self._evidence(stamp_ns, estimate.lost_cups, from_start))

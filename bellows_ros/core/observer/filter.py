@@ -87,7 +87,7 @@ class Evidence(NamedTuple):
 
 
 NO_EVIDENCE = Evidence(
-    np.zeros((0, 0), np.float32), np.zeros(0), np.zeros((0, 0), np.int64))
+    np.zeros((0, 0), np.float32), np.zeros(0), np.zeros((2, 0), np.int64))
 """Where no faults are looked for."""
 
 
