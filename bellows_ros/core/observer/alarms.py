@@ -187,11 +187,17 @@ with another one, or the pose of a tag flip, for some frames.
 MAX_UNEXPLAINED = 0.2
 """Largest fraction of the misfit that a named cause may leave unexplained."""
 
+SIZE_ROUNDS = 20
+"""Rounds in which the usual sizes of a fault's components grow to those of a larger fault."""
+
 MIN_CLEAR_ODDS = 100.0
 """Below these odds to the second cause the message has both with their sizes."""
 
+ALIKE = frozenset(('wear', 'payload'))
+"""Causes told apart by damping only: the message has both, whatever the odds."""
+
 DECIDES = {
-    frozenset(('wear', 'payload')): ' Weigh the package to decide between them.',
+    ALIKE: ' Weigh the package to decide between them.',
     frozenset(('slip', 'camera')): ' If the camera has moved, what stands still is shifted, too.',
 }
 """What tells causes apart; of the first mass with inertia is K and P the other way round."""
@@ -294,9 +300,10 @@ class Alarms:
         name = (CAUSES[second] if second < OF_CAUSE[CUP] else
                 self._cup(holding[second - OF_CAUSE[CUP]], '')).name
         message = sentence + _runner_up(name, odds)
-        if odds < MIN_CLEAR_ODDS:
+        pair = frozenset((cause.name, name))
+        if odds < MIN_CLEAR_ODDS or pair == ALIKE:
             _, _, other, sentence, *_ = self._fault(evidence, runner_up, holding)
-            message += f' Then: {sentence}' + DECIDES.get(frozenset((cause.name, name)), '')
+            message += f' Then: {sentence}' + DECIDES.get(pair, '')
             spread = np.hstack([spread, other])
         cup = holding[best[1] - CUP] if best[1] >= CUP else -1
         index = round(self._places[cup, 3]) if cup >= 0 else -1
@@ -329,8 +336,11 @@ class Alarms:
         J, n = np.zeros((components, components)), len(cause.steps)
         J[np.tril_indices(components)] = of_slot[n:n + components * (components + 1) // 2]
         J += np.tril(J, -1).T
-        P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
-        size = mean + P @ (of_slot[:components] - J @ mean)
+        for _ in range(1 if cause.mean else SIZE_ROUNDS):  # a large fault has larger parts
+            P = np.asarray(np.linalg.inv(J + np.diag(usual ** -2.0)), np.float64)
+            size = mean + P @ (of_slot[:components] - J @ mean)
+            if not cause.mean:
+                usual = usual * max(1.0, math.sqrt(np.mean((size**2 + np.diag(P)) / usual**2)))
         E: Array = evidence.signatures[:-ekf.FALLEN, column + slot::slots][:, :components]
         made = size if number < CUP else mean  # the model goes on without the whole of a cup
         return (cause, E @ made, E * usual, _sentence(cause, size, P),

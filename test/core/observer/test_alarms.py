@@ -66,6 +66,17 @@ def test_mass_that_is_off_may_be_wear_and_the_alarm_says_both():
         assert alarm.message.endswith(alarms.DECIDES[frozenset(('wear', 'payload'))])
 
 
+@pytest.mark.parametrize(('kind', 'size'), [('slip', 18e-3), ('camera', 50e-3)])
+def test_large_fault_has_its_size(kind, size):
+    """Weigh poses less as outliers, but find the size that they show, in its standard errors."""
+    usual = {'slip': 3e-3, 'camera': 5e-3}[kind]
+    for seed in range(3000, 3004):
+        _, cell = first_of(seed, kind, CONDITIONS['all, small'], size=size / usual)
+        alarm = cell.made.alarms[0]
+        assert alarm.size == pytest.approx(size, abs=3 * alarm.size_std)
+        assert alarm.size_std < 0.3 * size
+
+
 @pytest.mark.parametrize('size', [2.0, 3.0])
 def test_centre_of_mass_far_off_is_no_slip(size):
     """Start again from poses outside the gate: what is off has been so from the start."""
