@@ -106,10 +106,11 @@ def fit(
     largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
     explained = (result.robust_chi2 or 0.0) <= MAX_MISFIT_TO_NOISE**2 and not any(
         cause.certain for cause in result.causes)  # else errors are of the misfit
-    if result.converged and explained and not any(
-            parameter.identifiable and std[parameter.label] <= largest * abs(parameter.value)
-            for parameter in excitation.parameters if parameter.label[0] == 'P'
-            or parameter.label == UNLOADED and not _stand_still(recordings)):
+    certain = [
+        parameter.label for parameter in excitation.parameters if parameter.identifiable
+        and std[parameter.label] <= largest * abs(parameter.value)]
+    if result.converged and explained and not any(label[0] == 'P' for label in certain) and (
+            UNLOADED not in certain or _stand_still(recordings)):
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED}, which no weight loads. Move the tool in all directions at 1-3 Hz, '
