@@ -14,8 +14,13 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.identification import identifiability, least_squares, methods, samples
-from bellows_ros.core.identification.causes import misread
+from bellows_ros.core.identification import (
+    causes,
+    identifiability,
+    least_squares,
+    methods,
+    samples,
+)
 from bellows_ros.core.identification.reduction import reduced, ReducedRecording
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import structure
@@ -212,7 +217,7 @@ def read_part(bag: str, values: Values, path: str = '', keep: Container[str] = (
 
     """
     recording = reading.load(path or bag, values, name=bag, with_digest=True)
-    if misread(recording):
+    if causes.misread(recording):
         verdict = verdict_of(None, [recording], values['cup.length'], values)
         raise BellowsError(' '.join(verdict.cause if verdict else ()))
     part = reduced(recording, values)
@@ -273,10 +278,15 @@ def _identify(
     """
     progress('fitting', FIT_BEGINS)
     length = static.length if static and values['static.length'] else None
-    result = methods.fit(
-        parts, effective,
-        lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-        static.standstills if static else (), length.length_std if length else 0.0)
+    try:
+        result = methods.fit(
+            parts, effective,
+            lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
+            static.standstills if static else (), length.length_std if length else 0.0)
+    except BellowsError as error:
+        facts = [causes.finding_sentence(fact, effective) for recording in _recordings(parts)
+                 for fact in causes.corrected(recording)[0]]
+        raise BellowsError(' '.join(facts)) if facts else error from None
     fit = result.fit
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))

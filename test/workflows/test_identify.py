@@ -19,6 +19,8 @@ from numpy.testing import assert_allclose
 import pytest
 import yaml
 
+from .two_clocks import rewritten
+
 CLEAN = {
     'topics.tool_pose': '/tool_arm/pose', 'topics.tool_twist': '/tool_arm/twist',
     'topics.package_pose': '/package/pose', 'recording.package_frame': 'com',
@@ -63,6 +65,25 @@ def test_all_entries_of_a_full_fit_are_within_three_standard_errors(rig, name):
         for found, std, true in ((own.stiffness, own.stiffness_std, truth['K']),
                                  (own.damping, own.damping_std, truth['P'])):
             assert np.all(np.abs(found - true) < 3.0 * std)
+
+
+def test_clocks_far_apart_come_before_what_they_make_of_a_fit(root, tmp_path, monkeypatch):
+    """Name them where a slow camera leaves too little motion in common."""
+    def slow_and_late(role, stream):
+        if role == 'tool_pose':
+            return stream
+        return replace(stream, stamps_ns=stream.stamps_ns[::12] + 5_000_000_000,
+                       position=stream.position[::12], rotation=stream.rotation[::12])
+
+    def failing(*arguments):
+        raise BellowsError('too little motion')
+
+    bag = rewritten((root / 'bags/identification',), tmp_path / 'bag', slow_and_late)
+    monkeypatch.setattr('bellows_ros.workflows.identify.methods.fit', failing)
+    values = read_parameters(root / 'bags/package.yaml')
+    with pytest.raises(BellowsError, match=r'4\.9\d s.*fit.time_offset') as raised:
+        identify({**values, 'bags': [bag], 'topics.tool_twist': ''})
+    assert 'too little motion' not in str(raised.value)
 
 
 def test_clean_recording_of_the_rig(rig):

@@ -64,8 +64,9 @@ SWING_DELAY = 0.07
 ROUGH_STD = 0.05
 """Standard deviation of an offset by when both bodies turn alike (s), as the package swings."""
 
-MIN_CORRELATION_RATIO = 0.95
-"""Part of the largest correlation of turns that small offsets reach in a periodic motion."""
+MIN_CORRELATION_GAP = 0.1
+"""Difference of two correlations of turns, by Fisher's transform (atanh), that is not by chance or
+of a motion that nearly repeats."""
 
 SPECTRUM_SECONDS, MIN_RATE_HZ, DIFFERENCES = 1.0, 100.0, 4
 """Length of the periodograms of poses, the least rate (Hz) at which they are taken, and the order
@@ -342,13 +343,19 @@ def _clocks(recording: Recording) -> Finding | None:
     best, near = int(np.argmax(correlation)), (lags >= MIN_SWING) & (lags <= MAX_SWING)
     largest, small = correlation[best], np.max(correlation[near], initial=0.0)
     limit = alignment.MIN_CORRELATION * (1.0 if small < DISTINCT * largest else 2.0)
-    if largest < limit or near[best] or small > MIN_CORRELATION_RATIO * largest:
+    if largest < limit or near[best] or _correlation_gap(small, largest) < MIN_CORRELATION_GAP:
         return None
     in_axes = alignment.turn_correlation(*bodies, one_world=True)[1]
-    if np.max(in_axes[near], initial=0.0) > max(
-            alignment.MIN_CORRELATION, MIN_CORRELATION_RATIO * np.max(in_axes)):
+    near_in_axes = np.max(in_axes[near], initial=0.0)
+    if near_in_axes > alignment.MIN_CORRELATION and (
+            _correlation_gap(near_in_axes, np.max(in_axes)) < MIN_CORRELATION_GAP):
         return None
     return Finding('time_offset', '', lags[[best]] + SWING_DELAY, np.array([ROUGH_STD]))
+
+
+def _correlation_gap(small: float, large: float) -> float:
+    """Return the difference of two correlations by Fisher's transform."""
+    return float(np.subtract(*np.arctanh(np.minimum([large, small], 1.0 - 1e-12))))
 
 
 def _twists(recording: Recording) -> Finding | None:
