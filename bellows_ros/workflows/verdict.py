@@ -261,7 +261,7 @@ def verdict_of(
              'package.inertia': np.diag(package.inertia)}
     if fit is not None and fit.method == 'output_error' and not (
             methods.are_differentiable(tested, given)):
-        diagnosis = Diagnosis(max((fit.chi2 or 0.0) - 1.0, 0.0), (
+        diagnosis = Diagnosis(max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0, (
             *(finding for recording in tested for finding in causes.corrected(recording)[0]),
             *fit.causes[:1]), fit.causes[1:])
     else:

@@ -242,6 +242,8 @@ def _fit(
     r = np.concatenate([part.innovations for part in minimum.parts])
     residuals = minimum.residuals
     robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
+    learned = max(float(np.mean(part)) for segment in search.segments for part in np.split(
+        (segment.std / segment.measured.package_noise.std) ** 2, 2))  # of slow poses, by the fit
     total = sum(len(segment.measured.package) for segment in search.segments)
     offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
@@ -258,7 +260,7 @@ def _fit(
         notes=tuple(notes) if minimum.converged else (NOT_CONVERGED,),
         misfit=_misfit(robust_chi2),
         chi2=minimum.squares / max(len(r) - len(x), 1),
-        robust_chi2=robust_chi2,
+        robust_chi2=robust_chi2 * max(learned, 1.0),
         converged=minimum.converged,
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),

@@ -154,7 +154,8 @@ class Fit:
         Whether the search converged; if not, all standard errors are infinite.
     chi2, robust_chi2 : float or None
         Chi^2 per degree of freedom of the whitened differences, and the same from their median,
-        which outliers and heavy tails do not move; None for least squares.
+        which outliers and heavy tails do not move, with the noise of slow poses as these alone
+        show it, where the fit leaves more; None for least squares.
     iterations : tuple of Iteration
         The steps to the minimum; empty for least squares.
     delays, delays_std : tuple of float

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification import output_error as module
 from bellows_ros.core.identification import search as module_of_search
 from bellows_ros.core.identification.causes import Finding
@@ -278,6 +278,18 @@ def test_a_wrong_number_is_named_with_its_size_and_a_sound_recording_is_not_accu
     assert cause.name in ('com', 'package_marker')
     moved = {'com': -1.0, 'package_marker': 1.0}[cause.name] * cause.theta[0]
     assert_allclose(moved, 0.003, atol=1e-3)
+
+
+def test_a_slip_is_no_noise_of_a_slow_camera():
+    """Its noise is learned from what the fit leaves, but compared with that of its poses alone."""
+    sound = measured(5)
+    package, half = sound.package, len(sound.package) // 2
+    shift = np.where(np.arange(len(package))[:, None] < half, 0.0, [1e-2, 1e-2, 0.0])
+    slipped = replace(package, position=package.position + apply(package.rotation, shift))
+    fits = [output_error([replace(sound, package=each)], AXISYMMETRIC, TRUTH)
+            for each in (package, slipped)]
+    assert max(fit.chi2 for fit in fits) < 1.3
+    assert fits[0].robust_chi2 < 1.5 and fits[1].robust_chi2 > 4.0
 
 
 def test_two_wrong_numbers_are_both_named(monkeypatch):
