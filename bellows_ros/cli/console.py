@@ -18,7 +18,7 @@ import textwrap
 import threading
 import time
 from types import FrameType
-from typing import Any, NoReturn, TextIO
+from typing import Any, TextIO
 
 from bellows_ros.errors import BellowsError
 
@@ -248,6 +248,7 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
 
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+TWICE = 0.5  # s, within which two signals are one
 OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
@@ -261,14 +262,17 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     a library is lost, and the command ends where it prints next.
     """
     ended = list[int]()
+    first = 0.0
     console = Console(sys.stdout, sys.stderr, ended)
 
-    def end(number: int, frame: FrameType | None) -> NoReturn:
-        for each in handled:
-            if each != signal.SIGINT:  # Ctrl-C is pressed again where the first one did not help
-                signal.signal(each, signal.SIG_IGN)
-        ended.append(number)
-        raise KeyboardInterrupt
+    def end(number: int, frame: FrameType | None) -> None:
+        nonlocal first
+        now = time.monotonic()
+        first = first if ended else now
+        # Ctrl-C is pressed again where the first one did not help
+        if not ended or number == signal.SIGINT and now - first > TWICE:
+            ended.append(number)
+            raise KeyboardInterrupt
 
     def report_unraisable(what: Any) -> None:
         if not (ended and issubclass(what.exc_type, KeyboardInterrupt)):
@@ -307,6 +311,8 @@ def _run_guarded(work: Callable[[Console], int], console: Console, ended: Sequen
         console.error(str(error))
         return error.exit_code
     except KeyboardInterrupt:
+        for each in STOP_SIGNALS if ended else ():  # only the message is left
+            signal.signal(each, signal.SIG_IGN)
         number = (*ended, signal.SIGINT)[0]
         how = 'Interrupted' if number == signal.SIGINT else (
             f'Ended by {signal.Signals(number).name}')

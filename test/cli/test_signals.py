@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 
-from bellows_ros.cli.console import run_guarded, STOP_SIGNALS
+from bellows_ros.cli.console import run_guarded, STOP_SIGNALS, TWICE
 from bellows_ros.files.atomic import PREFIX
 from bellows_ros.files.messages import encode, LAYOUTS
 import numpy as np
@@ -114,6 +114,30 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
             signal.signal(n, handler)
     out, err = capsys.readouterr()
     assert out == '' and 'no partial output was left' in err
+
+
+def test_ctrl_c_again_ends_what_the_first_one_did_not(capsys):
+    """At once twice is once, also where the first one is being cleaned up after."""
+    cleaned = list[bool]()
+
+    def work(console):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            signal.raise_signal(signal.SIGINT)
+            cleaned.append(True)
+            time.sleep(1.1 * TWICE)
+            signal.raise_signal(signal.SIGINT)
+            cleaned.append(False)
+
+    before = {n: signal.getsignal(n) for n in STOP_SIGNALS}
+    try:
+        assert run_guarded(work) == 128 + signal.SIGINT
+        signal.raise_signal(signal.SIGINT)  # nothing is left to interrupt
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)
+    assert cleaned == [True] and capsys.readouterr().err.startswith('Interrupted')
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='there is no /dev/full here')

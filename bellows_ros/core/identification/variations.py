@@ -224,7 +224,7 @@ MIN_SECONDS = 3.0
 """Shortest duration of valid samples (s) with which an offset is looked for."""
 
 STARTS_ALONG_Z = np.array([-8e-3, -4e-3, -2e-3, -1e-3, 1e-3, 2e-3, 4e-3, 8e-3])
-"""Lengths that are tried, m."""
+"""Offsets along z that are tried, m."""
 
 
 def _worlds(given: Given) -> list[Array]:
@@ -248,7 +248,8 @@ QUANTITIES = (
                RASTER * np.arange(-20, 21)[:, None], 100.0),
     Hypothesis('com', quantity('com'), (1e-5,) * 3, lambda given:
                np.outer(STARTS_ALONG_Z, np.eye(3)[2]), 1000.0),
-    Hypothesis('length', length, (1e-5,), lambda given: STARTS_ALONG_Z[:, None], 500.0),
+    Hypothesis('length', length, (1e-5,), lambda given:
+               np.outer([1.0, 4.0], STARTS_ALONG_Z).reshape(-1, 1), 500.0),
     Hypothesis('package_world', quantity('package_world'), (1e-5,) * 6, _worlds, 5000.0),
     Hypothesis('inertia', quantity('inertia'), (1e-3,), furthest=1000.0),
     Hypothesis('gravity.direction', tilt, (1e-4,) * 2, furthest=1000.0),
