@@ -252,6 +252,15 @@ TWICE = 0.5  # s, within which two signals are one
 OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
+class Stopped(KeyboardInterrupt):
+    """
+    A signal has come.
+
+    Not KeyboardInterrupt itself: where that passes through an exec(), as where a dataclass is
+    made, CPython ends the process with -SIGINT, whatever code it returns.
+    """
+
+
 def run_guarded(work: Callable[[Console], int]) -> int:
     """
     Do some work with the streams of this process; return the exit code.
@@ -272,7 +281,7 @@ def run_guarded(work: Callable[[Console], int]) -> int:
         # Ctrl-C is pressed again where the first one did not help
         if not ended or number == signal.SIGINT and now - first > TWICE:
             ended.append(number)
-            raise KeyboardInterrupt
+            raise Stopped
 
     def report_unraisable(what: Any) -> None:
         if not (ended and issubclass(what.exc_type, KeyboardInterrupt)):

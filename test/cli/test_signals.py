@@ -116,8 +116,18 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
     assert out == '' and 'no partial output was left' in err
 
 
+def test_a_signal_within_an_exec_has_its_code(user_environment, tmp_path):
+    """What runs as `python -m` would end with -2: CPython remembers a KeyboardInterrupt there."""
+    (tmp_path / 'ended.py').write_text(
+        'import signal, sys\nfrom bellows_ros.cli.console import run_guarded\n'
+        'sys.exit(run_guarded(lambda _: exec("signal.raise_signal(signal.SIGHUP)")))\n')
+    done = subprocess.run([sys.executable, '-m', 'ended'], env=user_environment, text=True,
+                          cwd=tmp_path, stderr=subprocess.PIPE)
+    assert done.returncode == 128 + signal.SIGHUP and 'Ended by SIGHUP' in done.stderr
+
+
 def test_ctrl_c_again_ends_what_the_first_one_did_not(capsys):
-    """At once twice is once, also where the first one is being cleaned up after."""
+    """Twice at once is once, also while the command cleans up."""
     cleaned = list[bool]()
 
     def work(console):
