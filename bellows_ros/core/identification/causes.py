@@ -663,7 +663,7 @@ def setting_of(finding: Finding) -> str:
 
 
 def finding_sentence(finding: Finding, given: Given) -> str:
-    """Return what the finding is, its size, by how much residuals fall, and what to change."""
+    """Return what the finding is, its size, by how much residuals fall if so, and a remedy."""
     if finding.sentence:
         return finding.sentence
     cause, fields = _cause_of(finding), {'value': finding.value}
@@ -672,5 +672,5 @@ def finding_sentence(finding: Finding, given: Given) -> str:
                    'part': f'{100.0 * abs(number):.2g} ± {100.0 * std:.1g}'}
     fields |= cause.fields(finding, given)
     falls = f' With that, the residuals fall to {100.0 * finding.left:.2g} %.'
-    return (f'{cause.what.format(**fields)}.{falls if finding.left else ""} '
+    return (f'{cause.what.format(**fields)}.{falls if 0.0 < finding.left < 0.95 else ""} '
             f'{cause.remedy.format(**fields)}')

@@ -187,6 +187,9 @@ MAX_CAUSES = 2
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
               'world_drift', *quantities.OF_CUP)
 
+SLIP_PERIOD, MIN_SLIP_PERIOD = 1.0, 0.1
+"""Times (s) between the moments at which a slip is tried, and between the last and the best."""
+
 SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
 """Squares of the units in which shifts (m) and turns (rad) of poses are compared."""
 
@@ -202,6 +205,8 @@ def causes(
     """
     falls = scores(search, minimum, [
         name for name in CANDIDATES if name not in (*search.places, *uncertain)])
+    if max(falls.values()) > SIGNIFICANT**2 and 'slip' not in search.places:
+        falls['slip'] = _likeliest_slip(search, minimum)
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     ranked = sorted(falls, key=falls.__getitem__, reverse=True)
     if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
@@ -238,9 +243,34 @@ def causes(
         *(other._replace(certain=other.certain and certain) for other in others))
 
 
+def _likeliest_slip(search: Search, minimum: Minimum) -> float:
+    """Return by how much the squares fall with a slip at the likeliest moment; set that."""
+    def fall(slip_ns: int) -> float:
+        search.slip_ns = slip_ns
+        return scores(search, minimum, ['slip'])['slip']
+
+    period = round(SLIP_PERIOD * NS_PER_S)
+    falls = {int(stamp): 0.0 for segment in search.segments for stamp in np.arange(
+        *segment.path.stamps_ns[[0, -1]], period)[1:]}
+    tried = list(falls)
+    while tried and period > MIN_SLIP_PERIOD * NS_PER_S:
+        falls |= {stamp: fall(stamp) for stamp in tried}
+        search.slip_ns = max(falls, key=falls.__getitem__)
+        period //= 2
+        tried = [search.slip_ns - period, search.slip_ns + period]
+    return falls.get(search.slip_ns, 0.0)
+
+
 def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
     """Return what is reported of a quantity that was freed."""
     name = freed.name
+    if name == 'slip':
+        best = int(np.argmax(np.abs(theta) / std)) // 2 * 2  # of the recording in which it is
+        first_ns = next(segment.package.stamps_ns[0] for segment in freed.search.segments
+                        if segment.measured.recording == best // 2)
+        since = (freed.search.slip_ns - first_ns) / NS_PER_S
+        return Finding('slip', '', np.append(theta[best:best + 2], since),
+                       np.append(std[best:best + 2], MIN_SLIP_PERIOD))
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion
         return Finding('inertia', '', -theta, std)
     if name not in quantities.OF_CUP:

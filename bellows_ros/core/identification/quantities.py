@@ -50,6 +50,7 @@ KINDS: Mapping[str, Kind] = {
     'relaxation': Kind(1e-2, 2, 0.1, False, 1.0),
     'drift': Kind(1e-2, 6, 0.1, False, 1.0),
     'cubic': Kind(1e-2, 6, 0.1, False, 1.0),
+    'slip': Kind(1e-3, 2, 3e-3, True, 0.05),
 }
 """
 By their names in fit.free.
@@ -59,19 +60,23 @@ in axes of the lip, m; the length beside the given one, m; logarithms of the fac
 of inertia and of the mass; shift and turn of the package's world about the middle of the
 package's way, and of B in its own axes against the measured pose, m and rad; by how much that
 world moves and turns per second, m/s and rad/s; the strengths of relaxation beside those of the
-start; and parts by which the diagonal of K changes from beginning to end, and up to displacements
-of the size `LARGE_DISPLACEMENT`.
+start; parts by which the diagonal of K changes from beginning to end, and up to displacements of
+the size `LARGE_DISPLACEMENT`; and by how much x and y of the centre of mass change at some moment
+as the package slips on the lip, m.
 """
 
 OF_CUP = ('drift', 'cubic')
-"""Deviations of the cup itself. The model has none; their effect is added to first order."""
+"""Deviations of the cup itself."""
+
+CHANGING = (*OF_CUP, 'slip')
+"""What changes within a recording. The model has none; the effect is added to first order."""
 
 LARGE_DISPLACEMENT = np.repeat([5e-3, 0.1], 3)
 """m, rad."""
 
 COLUMNS: Mapping[str, slice | list[int]] = {
     'length': LENGTH, 'com': COM, 'relaxation': slice(-2, None),
-    **dict.fromkeys(OF_CUP, [0, 6, 11, 15, 18, 20])}
+    'slip': slice(COM.start, COM.start + 2), **dict.fromkeys(OF_CUP, [0, 6, 11, 15, 18, 20])}
 """Derivatives of the model by quantities, among `jacobians.PARAMETERS`."""
 
 

@@ -395,6 +395,7 @@ class Parametrization:
         self.units, self.weights = np.pad(units, more), np.zeros(ends[-1])
         self.max_std = np.full(ends[-1], MAX_RELATIVE_ERROR)  # of what is identifiable
         self.places = dict[str, Places]()
+        self.slip_ns = 0  # when the package slips, if it may
         for (name, std), shape, first in zip(free.items(), shapes, ends[:-1], strict=True):
             kind, place = KINDS[name], first + np.arange(math.prod(shape)).reshape(shape)
             self.places[name], self.units[place] = place, kind.unit
@@ -514,8 +515,10 @@ class Search(Parametrization):
         free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                 for name, rows in self.places.items() if relaxes or name != 'relaxation'}
         cup = self.cup(theta)
-        return Search(self.segments, self.structure, cup if relaxes else replace(
+        wide = Search(self.segments, self.structure, cup if relaxes else replace(
             cup, relaxation=(0.0, 0.0)), {**free, **more})
+        wide.slip_ns = self.slip_ns
+        return wide
 
     def minimum(
         self, report: Callable[[Cup, float], None] = lambda cup, chi2: None,
@@ -716,24 +719,25 @@ class Search(Parametrization):
         path: whitening.Path,
     ) -> tuple[Array, Array, Array]:
         """
-        Return factors (M, m) of columns from node to node, and unknowns (m,) of `OF_CUP`.
+        Return factors (M, m) of columns from node to node, and unknowns (m,) of `CHANGING`.
 
         And the largest displacements (6,), 1 where all of it is empty as none of them is free.
         """
-        if self.places.keys().isdisjoint(quantities.OF_CUP):
+        if self.places.keys().isdisjoint(quantities.CHANGING):
             return np.empty((len(stamps), 0)), np.empty(0), np.ones(6)
         displacement = _displacement(
             model, path.rows, simulation.simulate_rows(model, start, *path))
         first, *_, last = np.concatenate([
             other.path.stamps_ns[[0, -1]] for other in self.segments
             if other.measured.recording == segment.measured.recording])
-        profiles = {'drift': np.asarray((stamps - first) / (last - first))[:, None] - 0.5,
-                    'cubic': displacement**2}
-        scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
         K = np.diag(gripper_of(self.cup(theta), self.structure.places).stiffness)
-        for name in self.places.keys() & profiles:
-            (places,) = self.places[name]
-            scales[:, places], extra[places] = K * profiles[name], theta[places]
+        profiles = {'drift': K * (np.asarray((stamps - first) / (last - first))[:, None] - 0.5),
+                    'cubic': K * displacement**2,
+                    'slip': ((stamps >= self.slip_ns) & (self.slip_ns >= first))[:, None]}
+        scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
+        for name, places in self.places_of(segment).items():
+            if name in profiles:
+                scales[:, places], extra[places] = profiles[name], theta[places]
         return scales, extra, displacement.max(axis=0)
 
 

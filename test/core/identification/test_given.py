@@ -6,14 +6,18 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.given import given_std, PACKAGE_STD, stated
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.model.cup_package import varied
+from bellows_ros.core.model.simulation import row_state, simulate, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .recordings import PLATE
-from .test_output_error import AXISYMMETRIC, measured, NUMBERS, scaled, TRUTH
+from .recordings import GRAVITY, PLATE, Shake
+from .test_output_error import AXISYMMETRIC, CAMERA, measured, NUMBERS, scaled, TRUTH
+from ..motions import noisy
 
 QUIET = {'package_noise': (1e-4, 5e-4), 'package_hz': 60.0}
 SAID = resolve({'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
@@ -74,6 +78,25 @@ def test_a_length_that_is_off_is_named_though_a_frame_seems_to_explain_more(off)
     longer = replace(TRUTH, length=TRUTH.length + off)
     (first, *_) = output_error([aside], AXISYMMETRIC, longer, given=USUAL).causes
     assert first.name == 'length'
+
+
+def test_a_package_that_slips_under_a_camera_is_named():
+    """Where the noise of slow poses is learned, so that a fit leaves no more than that."""
+    own = measured(4, tool_hz=100.0)
+    truth, rng = Shake(4).trajectory(12.1, 500.0), np.random.default_rng(5)
+    half, slipped = len(truth) // 2, varied(PLATE, com=np.array([6e-3, -4e-3, 0.0]))
+    first = simulate(TRUTH, PLATE, truth.select(slice(half + 1)), gravity=GRAVITY)
+    start = row_state(tool_rows(first.select(slice(half, None)))[0])
+    second = simulate(TRUTH, slipped, truth.select(slice(half, None)), start, GRAVITY)
+    body = Trajectory(*(np.concatenate([getattr(first, name)[:half], getattr(second, name)])
+                        for name in ('stamps_ns', 'position', 'rotation', 'twist')))
+    seen = noisy(rng, resample(body, own.package.stamps_ns), np.array(CAMERA))
+    slipping = replace(own, package=seen)
+    (slip, *_) = output_error([slipping], AXISYMMETRIC, TRUTH, given=USUAL).causes
+    assert slip.name == 'slip' and slip.certain
+    assert np.all(np.abs(slip.theta - [6e-3, -4e-3, half / 500.0]) < 4.0 * slip.std)
+    assert all(cause.name != 'slip' for cause in output_error(
+        [own], AXISYMMETRIC, TRUTH, given=USUAL).causes)
 
 
 @pytest.mark.parametrize(('lip', 'seed', 'tool_hz'), [(False, 7, 120.0), (True, 8, 100.0)])
