@@ -187,6 +187,14 @@ MAX_CAUSES = 2
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
               'world_drift', *quantities.OF_CUP)
 
+MAX_DAMPING, MIN_LENGTH_ERROR = 10.0, 2e-3
+"""
+Times ordinary damping that rubber hardly has, and the least error of a length (m) looked for then.
+
+With a length that is too small the weight seems to stretch the cup: K along z is far too soft, and
+only much damping keeps that from swinging. Smaller errors are found with K and P.
+"""
+
 SLIP_PERIOD, MIN_SLIP_PERIOD = 1.0, 0.1
 """Times (s) between the moments at which a slip is tried, and between the last and the best."""
 
@@ -203,6 +211,8 @@ def causes(
     After it comes what is likeliest where that is corrected, up to so many. What is known to be
     uncertain is none.
     """
+    if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
+        return (wrong,)
     falls = scores(search, minimum, [
         name for name in CANDIDATES if name not in (*search.places, *uncertain)])
     if max(falls.values()) > SIGNIFICANT**2 and 'slip' not in search.places:
@@ -243,6 +253,27 @@ def causes(
         *(other._replace(certain=other.certain and certain) for other in others))
 
 
+def _wrong_length(search: Search, minimum: Minimum) -> Finding | None:
+    """Return a length with which a cup that damps as no rubber does is an ordinary one."""
+    if 'length' in search.places or search.largest_damping(minimum.theta) < MAX_DAMPING:
+        return None
+    noise = [segment.std for segment in search.segments]
+    for segment in search.segments:
+        segment.reset()
+    wide = search.with_free(search.start, quantities.weak_prior(['length']))
+    again = wide.minimum()
+    stds = [segment.std for segment in search.segments]
+    _restore(search, minimum, noise)
+    freed = _Freed('length', wide, again, _gain(minimum, again), stds)
+    theta, std = wide.estimate(again, 'length')
+    if not again.converged or freed.gain < -SIGNIFICANT**2 or (
+            np.abs(theta) < np.maximum(SIGNIFICANT * std, MIN_LENGTH_ERROR)).any() or (
+            wide.largest_damping(again.theta) > search.largest_damping(minimum.theta)):
+        return None
+    return Finding('length', '', theta, std, freed.left(minimum),
+                   moved_between((search, minimum), (wide, again)), instead='com')
+
+
 def _likeliest_slip(search: Search, minimum: Minimum) -> float:
     """Return by how much the squares fall with a slip at the likeliest moment; set that."""
     def fall(slip_ns: int) -> float:
@@ -250,8 +281,8 @@ def _likeliest_slip(search: Search, minimum: Minimum) -> float:
         return scores(search, minimum, ['slip'])['slip']
 
     period = round(SLIP_PERIOD * NS_PER_S)
-    falls = {int(stamp): 0.0 for segment in search.segments for stamp in np.arange(
-        *segment.path.stamps_ns[[0, -1]], period)[1:]}
+    ends = [segment.path.stamps_ns[[0, -1]].tolist() for segment in search.segments]
+    falls = {stamp: 0.0 for first, last in ends for stamp in range(first + period, last, period)}
     tried = list(falls)
     while tried and period > MIN_SLIP_PERIOD * NS_PER_S:
         falls |= {stamp: fall(stamp) for stamp in tried}

@@ -481,6 +481,12 @@ class Parametrization:
         P = LOSS_FACTOR * root @ _symmetric_roots(inverse @ stiffness @ inverse)[0] @ root
         return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
 
+    def largest_damping(self, theta: Array) -> float:
+        """Return the most that a cup damps in some direction, in ordinary damping."""
+        K, P = self._matrices(theta)
+        inverse = _symmetric_roots(self.ordinary_damping(K))[1]
+        return float(np.linalg.eigvalsh(inverse @ P @ inverse)[-1])
+
     def prior(self, theta: Array, forgetting: float) -> tuple[Array, Array]:
         """Return information (m, m) and slope (m,) of the prior."""
         H = np.diag(self.weights) + self.fixing

@@ -80,6 +80,16 @@ def test_a_length_that_is_off_is_named_though_a_frame_seems_to_explain_more(off)
     assert first.name == 'length'
 
 
+@pytest.mark.parametrize('off', [-30e-3, -6e-3])
+def test_a_lip_that_is_lower_than_it_seems_is_no_soft_cup(off):
+    """K along z would be a tenth, held from swinging by damping that no rubber has."""
+    own = measured(5, tool_hz=100.0)
+    short = replace(TRUTH, length=TRUTH.length + off)
+    (wrong,) = output_error([own], AXISYMMETRIC, short, given=USUAL).causes
+    assert wrong.name == 'length' and wrong.certain and wrong.instead == 'com'
+    assert np.all(np.abs(wrong.theta + off) < 4.0 * wrong.std)
+
+
 def test_a_package_that_slips_under_a_camera_is_named():
     """Where the noise of slow poses is learned, so that a fit leaves no more than that."""
     own = measured(4, tool_hz=100.0)
