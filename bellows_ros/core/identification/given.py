@@ -195,8 +195,9 @@ With a length that is too small the weight seems to stretch the cup: K along z i
 only much damping keeps that from swinging. Smaller errors are found with K and P.
 """
 
-SLIP_PERIOD, MIN_SLIP_PERIOD = 1.0, 0.1
-"""Times (s) between the moments at which a slip is tried, and between the last and the best."""
+SLIP_PERIOD, MIN_SLIP_PERIOD, MAX_SLIPS = 1.0, 0.1, 30
+"""Times (s) between the moments at which a slip is tried, and between the last and the best; and
+at how many it is tried at first, as each is a simulation of all recordings."""
 
 SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
 """Squares of the units in which shifts (m) and turns (rad) of poses are compared."""
@@ -215,9 +216,9 @@ def causes(
         return (wrong,)
     falls = scores(search, minimum, [
         name for name in CANDIDATES if name not in (*search.places, *uncertain)])
-    if max(falls.values()) > SIGNIFICANT**2 and 'slip' not in search.places:
-        falls['slip'] = _likeliest_slip(search, minimum)
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
+    if max(falls.values(), default=0.0) > SIGNIFICANT**2 and 'slip' not in search.places:
+        falls['slip'] = _likeliest_slip(search, minimum)
     ranked = sorted(falls, key=falls.__getitem__, reverse=True)
     if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
         return ()
@@ -255,7 +256,9 @@ def causes(
 
 def _wrong_length(search: Search, minimum: Minimum) -> Finding | None:
     """Return a length with which a cup that damps as no rubber does is an ordinary one."""
-    if 'length' in search.places or search.largest_damping(minimum.theta) < MAX_DAMPING:
+    explains = minimum.converged and minimum.squares < MISFIT_CHI2 * minimum.residual_count
+    if not explains or 'length' in search.places or (
+            search.largest_damping(minimum.theta) < MAX_DAMPING):
         return None
     noise = [segment.std for segment in search.segments]
     for segment in search.segments:
@@ -278,10 +281,11 @@ def _likeliest_slip(search: Search, minimum: Minimum) -> float:
     """Return by how much the squares fall with a slip at the likeliest moment; set that."""
     def fall(slip_ns: int) -> float:
         search.slip_ns = slip_ns
-        return scores(search, minimum, ['slip'])['slip']
+        return float(np.nan_to_num(scores(search, minimum, ['slip'])['slip'], posinf=0.0))
 
-    period = round(SLIP_PERIOD * NS_PER_S)
     ends = [segment.path.stamps_ns[[0, -1]].tolist() for segment in search.segments]
+    duration = sum(last - first for first, last in ends)
+    period = max(round(SLIP_PERIOD * NS_PER_S), duration // MAX_SLIPS)
     falls = {stamp: 0.0 for first, last in ends for stamp in range(first + period, last, period)}
     tried = list(falls)
     while tried and period > MIN_SLIP_PERIOD * NS_PER_S:
