@@ -64,6 +64,15 @@ def elsewhere(user_environment, tmp_path):
     return {**user_environment, 'TMPDIR': str(tmp_path / 'tmp')}
 
 
+@pytest.fixture
+def handlers():
+    """Restore the handlers of signals."""
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize(('number', 'said'), [
     (signal.SIGHUP, 'Ended by SIGHUP'), (signal.SIGINT, 'Interrupted')])
 def test_a_signal_ends_in_order(number, said, workshop, tmp_path, elsewhere):
@@ -98,7 +107,7 @@ def test_workers_end_with_a_command_that_is_killed(workshop, compressed, tmp_pat
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys):
+def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys, handlers):
     """As where it comes in a callback that a library made."""
     def work(console):
         with suppress(KeyboardInterrupt):
@@ -106,12 +115,7 @@ def test_a_signal_whose_exception_is_lost_ends_at_the_next_output(number, capsys
         console.line('It goes on.')
         return 0
 
-    before = {n: signal.getsignal(n) for n in STOP_SIGNALS}
-    try:
-        assert run_guarded(work) == 128 + number
-    finally:
-        for n, handler in before.items():
-            signal.signal(n, handler)
+    assert run_guarded(work) == 128 + number
     out, err = capsys.readouterr()
     assert out == '' and 'no partial output was left' in err
 
@@ -126,7 +130,7 @@ def test_a_signal_within_an_exec_has_its_code(user_environment, tmp_path):
     assert done.returncode == 128 + signal.SIGHUP and 'Ended by SIGHUP' in done.stderr
 
 
-def test_ctrl_c_again_ends_what_the_first_one_did_not(capsys):
+def test_ctrl_c_again_ends_what_the_first_one_did_not(capsys, handlers):
     """Twice at once is once, also while the command cleans up."""
     cleaned = list[bool]()
 
@@ -140,13 +144,8 @@ def test_ctrl_c_again_ends_what_the_first_one_did_not(capsys):
             signal.raise_signal(signal.SIGINT)
             cleaned.append(False)
 
-    before = {n: signal.getsignal(n) for n in STOP_SIGNALS}
-    try:
-        assert run_guarded(work) == 128 + signal.SIGINT
-        signal.raise_signal(signal.SIGINT)  # nothing is left to interrupt
-    finally:
-        for n, handler in before.items():
-            signal.signal(n, handler)
+    assert run_guarded(work) == 128 + signal.SIGINT
+    signal.raise_signal(signal.SIGINT)  # nothing is left to interrupt
     assert cleaned == [True] and capsys.readouterr().err.startswith('Interrupted')
 
 

@@ -218,7 +218,7 @@ def causes(
         name for name in CANDIDATES if name not in (*search.places, *uncertain)])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if max(falls.values(), default=0.0) > SIGNIFICANT**2 and 'slip' not in search.places:
-        falls['slip'] = _likeliest_slip(search, minimum)
+        search, falls['slip'] = _with_likeliest_slip(search, minimum)
     ranked = sorted(falls, key=falls.__getitem__, reverse=True)
     if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
         return ()
@@ -255,45 +255,44 @@ def causes(
 
 
 def _wrong_length(search: Search, minimum: Minimum) -> Finding | None:
-    """Return a length with which a cup that damps as no rubber does is an ordinary one."""
+    """Return another length that explains a cup which damps as no rubber does, if one does."""
     explains = minimum.converged and minimum.squares < MISFIT_CHI2 * minimum.residual_count
-    if not explains or 'length' in search.places or (
-            search.largest_damping(minimum.theta) < MAX_DAMPING):
+    damping = search.largest_damping(minimum.theta)
+    if not explains or 'length' in search.places or damping < MAX_DAMPING:
         return None
     noise = [segment.std for segment in search.segments]
-    for segment in search.segments:
-        segment.reset()
-    wide = search.with_free(search.start, quantities.weak_prior(['length']))
-    again = wide.minimum()
-    stds = [segment.std for segment in search.segments]
+    freed = _freed(search, minimum, 'length', noise, from_start=True)
     _restore(search, minimum, noise)
-    freed = _Freed('length', wide, again, _gain(minimum, again), stds)
-    theta, std = wide.estimate(again, 'length')
-    if not again.converged or freed.gain < -SIGNIFICANT**2 or (
-            np.abs(theta) < np.maximum(SIGNIFICANT * std, MIN_LENGTH_ERROR)).any() or (
-            wide.largest_damping(again.theta) > search.largest_damping(minimum.theta)):
+    theta, std = freed.search.estimate(freed.minimum, 'length')
+    if freed.gain < -SIGNIFICANT**2 or abs(theta[0]) < max(
+            SIGNIFICANT * std[0], MIN_LENGTH_ERROR) or (
+            freed.search.largest_damping(freed.minimum.theta) > damping):
         return None
-    return Finding('length', '', theta, std, freed.left(minimum),
-                   moved_between((search, minimum), (wide, again)), instead='com')
+    return Finding('length', '', theta, std, freed.left(minimum), moved_between(
+        (search, minimum), (freed.search, freed.minimum)), instead='com')
 
 
-def _likeliest_slip(search: Search, minimum: Minimum) -> float:
-    """Return by how much the squares fall with a slip at the likeliest moment; set that."""
+def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
+    """Return a search with the likeliest moment of a slip, and by how much the squares fall."""
+    tried = dict[int, tuple[Search, float]]()
+
     def fall(slip_ns: int) -> float:
-        search.slip_ns = slip_ns
-        return float(np.nan_to_num(scores(search, minimum, ['slip'])['slip'], posinf=0.0))
+        if slip_ns not in tried:
+            own = copy(search)
+            own.slip_ns = slip_ns
+            tried[slip_ns] = own, float(np.nan_to_num(
+                scores(own, minimum, ['slip'])['slip'], posinf=0.0))
+        return tried[slip_ns][1]
 
     ends = [segment.path.stamps_ns[[0, -1]].tolist() for segment in search.segments]
-    duration = sum(last - first for first, last in ends)
-    period = max(round(SLIP_PERIOD * NS_PER_S), duration // MAX_SLIPS)
-    falls = {stamp: 0.0 for first, last in ends for stamp in range(first + period, last, period)}
-    tried = list(falls)
-    while tried and period > MIN_SLIP_PERIOD * NS_PER_S:
-        falls |= {stamp: fall(stamp) for stamp in tried}
-        search.slip_ns = max(falls, key=falls.__getitem__)
+    period = max(round(SLIP_PERIOD * NS_PER_S),
+                 sum(last - first for first, last in ends) // MAX_SLIPS)
+    moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]
+    while moments and period > MIN_SLIP_PERIOD * NS_PER_S:
+        best = max(moments, key=fall)
         period //= 2
-        tried = [search.slip_ns - period, search.slip_ns + period]
-    return falls.get(search.slip_ns, 0.0)
+        moments = [best - period, best, best + period]
+    return tried[best] if tried else (search, 0.0)
 
 
 def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
@@ -363,11 +362,17 @@ class _Freed(NamedTuple):
         return float(np.sqrt(now / then))
 
 
-def _freed(search: Search, minimum: Minimum, name: str, noise: list[Array]) -> _Freed:
-    """Return the search from a minimum with one quantity more, and what that explains."""
+def _freed(
+    search: Search, minimum: Minimum, name: str, noise: list[Array], from_start: bool = False
+) -> _Freed:
+    """Return the search from a minimum or its start with one quantity more, and its gain."""
     _restore(search, minimum, noise)
-    wide = search.with_free(minimum.theta, quantities.weak_prior([name]))
-    again = wide.minimum(near=wide.transferred(search, minimum.theta))
+    theta = search.start if from_start else minimum.theta
+    wide = search.with_free(theta, quantities.weak_prior([name]))
+    if from_start:
+        for segment in search.segments:
+            segment.reset()
+    again = wide.minimum(near=None if from_start else wide.transferred(search, theta))
     gain = _gain(minimum, again) if again.converged else -np.inf
     return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
 

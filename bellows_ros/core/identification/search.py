@@ -375,11 +375,14 @@ class Parametrization:
         First guess, with the length.
     free : mapping
         Standard deviation, SI units, of what else is free, by names of `KINDS`.
+    slip_ns : int
+        Stamp at which the package slips, if that is free.
 
     """
 
     def __init__(
-        self, segments: list[Segment], structure: Structure, start: Cup, free: Free
+        self, segments: list[Segment], structure: Structure, start: Cup, free: Free,
+        slip_ns: int = 0,
     ) -> None:
         if 'relaxation' in free:
             start = replace(start, relaxation=_not_below(start.relaxation))
@@ -387,6 +390,7 @@ class Parametrization:
             start = replace(start, stiffness=np.diag(np.diag(start.stiffness)),
                             damping=np.diag(np.diag(start.damping)))
         self.segments, self.structure, self.start_cup = segments, structure, start
+        self.slip_ns = slip_ns
         units = structure.sizes(start.stiffness, start.damping)
         recordings = 1 + max(segment.measured.recording for segment in segments)
         shapes = [(recordings if KINDS[name].each else 1, KINDS[name].size) for name in free]
@@ -395,7 +399,6 @@ class Parametrization:
         self.units, self.weights = np.pad(units, more), np.zeros(ends[-1])
         self.max_std = np.full(ends[-1], MAX_RELATIVE_ERROR)  # of what is identifiable
         self.places = dict[str, Places]()
-        self.slip_ns = 0  # when the package slips, if it may
         for (name, std), shape, first in zip(free.items(), shapes, ends[:-1], strict=True):
             kind, place = KINDS[name], first + np.arange(math.prod(shape)).reshape(shape)
             self.places[name], self.units[place] = place, kind.unit
@@ -521,10 +524,8 @@ class Search(Parametrization):
         free = {name: self.units[rows[0]] * self.weights[rows[0]] ** -0.5
                 for name, rows in self.places.items() if relaxes or name != 'relaxation'}
         cup = self.cup(theta)
-        wide = Search(self.segments, self.structure, cup if relaxes else replace(
-            cup, relaxation=(0.0, 0.0)), {**free, **more})
-        wide.slip_ns = self.slip_ns
-        return wide
+        return Search(self.segments, self.structure, cup if relaxes else replace(
+            cup, relaxation=(0.0, 0.0)), {**free, **more}, self.slip_ns)
 
     def minimum(
         self, report: Callable[[Cup, float], None] = lambda cup, chi2: None,

@@ -22,10 +22,10 @@ from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, deflection
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.tool_screening import (
-    Arrivals,
     COAST_AFTER_NS,
     PoseSample,
     Screen,
+    ToolArrivals,
     TwistSample,
     TwistScreen,
 )
@@ -108,7 +108,7 @@ class LivePredictor:
         Pose and twist of the tool, and the check of its twists.
     package : LivePayload
         State of the package, and the observer that corrects it, if any.
-    arrivals : Arrivals
+    arrivals : ToolArrivals
         When accepted poses came.
     attached : bool
         Whether the cup holds the package; without it nothing is predicted.
@@ -136,7 +136,7 @@ class LivePredictor:
     ) -> None:
         """Prepare the model; predictions begin with the first pose."""
         self._screen, self._twist_screen = Screen(), TwistScreen()
-        self.pairing, self.arrivals = Pairing(), Arrivals()
+        self.pairing, self.arrivals = Pairing(), ToolArrivals()
         self.tool = ToolMotion(twist_frame == 'world')
         self.package = LivePayload(cup, package, gravity)
         self.coast_limit_ns = coast_limit_ns

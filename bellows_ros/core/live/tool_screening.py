@@ -156,7 +156,7 @@ def _pose_step(
     return excess, suspicion, jump, turn_jump, speed, turn_speed, v, w
 
 
-class Arrivals:
+class ToolArrivals:
     """
     When accepted poses came, on a monotonic clock (ns), and whether they stay away.
 

@@ -132,8 +132,7 @@ def test_every_derivative_is_that_of_the_differences():
     own = measured(4, package_noise=(1e-4, 5e-4), tool_hz=125.0, duration=4.0, silent=True,
                    cup=cup)
     search = Search([Segment(own)], AXISYMMETRIC, cup, {
-        name: np.full(kind.size, kind.prior_std) for name, kind in KINDS.items()})
-    search.slip_ns = 2_000_000_000
+        name: np.full(kind.size, kind.prior_std) for name, kind in KINDS.items()}, 2_000_000_000)
     slopes = settled(search, 3)[0].jacobian  # with the first state
     for number in range(len(search.units)):
         size = np.abs(slopes[:, number]).max()
