@@ -8,7 +8,8 @@ one factor the motion is the same, so no recording knows the size of K better th
 
 A cause is a number that moves by many of its standard deviations. Each of `CANDIDATES` gets its
 columns in one pass about the minimum; what the squares would fall by if it were free is its score.
-The best is then freed, and all is fitted again. With it free, what is left is looked at once more:
+The best is then freed, and all is fitted again (a slip from the start, as without it the noise of
+slow poses was learned far too large). With it free, what is left is looked at once more:
 it is certain where no other explains half as much, or none anything beside it and each clearly
 less; and what is found beside it no more than itself.
 """
@@ -223,7 +224,7 @@ def causes(
     if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
         return ()
     noise = [segment.std for segment in search.segments]
-    tried = [_freed(search, minimum, name, noise) for name in ranked[:MAX_TRIED]
+    tried = [_freed(search, minimum, name, noise, name == 'slip') for name in ranked[:MAX_TRIED]
              if falls[name] >= DISTINCT * falls[ranked[0]]]
     best = max(tried, key=attrgetter('gain'))
     if not best.minimum.converged:
