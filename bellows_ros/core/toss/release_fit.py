@@ -452,7 +452,7 @@ def _fitted(
         for one in problem:
             one.accept()
         law, damping = trial, max(damping / 6.0, 1e-6)
-        if cost - lower < 1e-3 * cost:
+        if cost - lower < 1e-5 * cost:
             break
     H, gradients = _reduced(problem, law)
     inverse = np.linalg.pinv(H)
