@@ -9,12 +9,18 @@ from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
-from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
+from bellows_ros.core.identification.search import (
+    _deviation,
+    MeasuredSegment,
+    Search,
+    Segment,
+)
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
@@ -196,6 +202,20 @@ def test_the_path_is_smoothed_as_long_as_no_motion_is_lost(hz, seconds):
     assert Segment(own).half_window == round(250.0 * seconds)
     white = replace(own, tool_noise=BodyNoise(own.tool_noise.std, 0.3))
     assert Segment(white).half_window == round(250.0 / 12)
+
+
+@pytest.mark.parametrize('correlation', [0.0, 0.6])
+def test_means_of_the_tool_are_where_it_is_and_as_noisy_as_said(correlation):
+    true = measured(5, tool_hz=500.0, silent=True).tool
+    e = np.repeat(CAPTURE, 3) * correlated(
+        np.random.default_rng(1).standard_normal((len(true), 6)), correlation)
+    seen = Trajectory(true.stamps_ns, true.position + e[:, :3], true.rotation @ exp_so3(e[:, 3:]))
+    noise = BodyNoise(np.repeat(CAPTURE, 3), correlation)
+    for tool, most in ((true, 2e-7), (seen, np.inf)):
+        own = Segment(replace(measured(5), tool=tool, tool_noise=noise))
+        off = _deviation(true.select(np.isin(true.stamps_ns, own.tool.stamps_ns)), own.tool)
+        assert len(own.tool) < 0.2 * len(true) and np.abs(off).max() < most
+    assert_allclose(off.std(axis=0), own.measured.tool_noise.std, rtol=0.15)
 
 
 def test_noise_of_the_tool_does_not_shake_the_simulated_package():
