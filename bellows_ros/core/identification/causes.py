@@ -319,10 +319,12 @@ def radius_of_gyration(payload: Package) -> float:
 
 
 def _package(recording: Recording) -> Finding | None:
-    """Return the unit of a mass or an inertia that no package has, None where it may have it."""
-    gyration = radius_of_gyration(recording.payload)
-    if recording.payload.mass > checks.MAX_MASS:
+    """Return that no package has such a mass or inertia, by their units; None where it may."""
+    gyration, mass = radius_of_gyration(recording.payload), recording.payload.mass
+    if mass > checks.MAX_MASS:
         return Finding('mass', 'g')
+    if sentence := checks.too_dense(mass, gyration):
+        return _fact('factor of inertia', sentence)
     return None if gyration < checks.GYRATION[-1] else Finding(
         'inertia', checks.unit_of_inertia(gyration))
 

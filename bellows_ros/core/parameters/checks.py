@@ -44,6 +44,9 @@ MIN_MASS, MAX_MASS = 0.01, 50.0
 GYRATION = (0.01, 0.3, 1.0)
 """Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
 
+LEAD = 11_340.0
+"""kg/m^3."""
+
 INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 """What moments of inertia may be in, and how many of each are 1 kg m^2."""
 
@@ -141,7 +144,17 @@ def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
         sentences.append(
             f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '
             f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
+    elif sentence := too_dense(mass, gyration):
+        sentences.append(sentence)
     return tuple(sentences)
+
+
+def too_dense(mass: float, gyration: float) -> str:
+    """Return a sentence if a package (kg, m) would be denser than a ball of lead, else ''."""
+    least = math.sqrt(1.2) * (3.0 * mass / (4.0 * math.pi * LEAD)) ** (1 / 3)
+    return '' if gyration >= least else (
+        f'package.inertia has a radius of gyration of {gyration:.3g} m; even a ball of lead of '
+        f'{mass:g} kg has {least:.3g} m. Is package.mass in kg, and package.inertia in kg m^2?')
 
 
 def unit_of_inertia(gyration: float) -> str:

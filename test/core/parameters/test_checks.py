@@ -176,7 +176,7 @@ def test_a_vacuum_in_another_unit_is_refused_with_the_number_in_pascals(holding)
 
 
 @pytest.mark.parametrize(('factor', 'unit'), [
-    (1.0, None), (1e3, 'g m^2'), (1e4, 'kg cm^2'), (1e6, 'kg mm^2')])
+    (0.02, 'lead'), (1.0, None), (1e3, 'g m^2'), (1e4, 'kg cm^2'), (1e6, 'kg mm^2')])
 def test_an_inertia_in_another_unit_is_named_with_it(factor, unit):
     values = {**PACKAGE, 'package.inertia': [factor * x for x in PACKAGE['package.inertia']]}
     warnings = checks.implausible(checks.resolve(values))
