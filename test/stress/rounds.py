@@ -23,5 +23,5 @@ if find_spec('rclpy'):
     from .messages import messages
     from .requests import requests
 
-    ROUNDS['messages'] = Round(messages, patience=60.0, short=10)
-    ROUNDS['requests'] = Round(requests, patience=300.0, short=3)
+    ROUNDS['messages'] = Round(messages, patience=60.0, short=5)
+    ROUNDS['requests'] = Round(requests, patience=300.0, short=2)

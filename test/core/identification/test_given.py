@@ -58,7 +58,7 @@ def test_couplings_of_a_frame_that_is_off_are_within_their_errors():
 
 
 @pytest.mark.parametrize(('seed', 'factor', 'z', 'largest'), [
-    (11, 4.0, -1.6e-3, 0.3), (13, 2.5, 5.5e-3, 0.15)])
+    pytest.param(11, 4.0, -1.6e-3, 0.3, marks=pytest.mark.stress), (13, 2.5, 5.5e-3, 0.15)])
 def test_a_com_that_is_off_is_found_with_k(seed, factor, z, largest):
     """Where the weight seems to lift the lip, and where K along z was 88 % off beside the com."""
     own = measured(seed, (2e-4, 1e-3), (2e-4, 1e-3), 100.0, 100.0, 8.0, cup=scaled(factor))
@@ -70,7 +70,7 @@ def test_a_com_that_is_off_is_found_with_k(seed, factor, z, largest):
     assert np.all(std < largest * factor * NUMBERS[:4])
 
 
-@pytest.mark.parametrize('off', [6e-3, 20e-3])
+@pytest.mark.parametrize('off', [6e-3, pytest.param(20e-3, marks=pytest.mark.stress)])
 def test_a_length_that_is_off_is_named_though_a_frame_seems_to_explain_more(off):
     """To first order, that is: so the next likeliest is tried, too."""
     own = measured(12, package_noise=(3e-4, 1.5e-3), package_hz=60.0)
@@ -80,7 +80,7 @@ def test_a_length_that_is_off_is_named_though_a_frame_seems_to_explain_more(off)
     assert first.name == 'length'
 
 
-@pytest.mark.parametrize('off', [-30e-3, -6e-3])
+@pytest.mark.parametrize('off', [pytest.param(-30e-3, marks=pytest.mark.stress), -6e-3])
 def test_a_lip_that_is_lower_than_it_seems_is_no_soft_cup(off):
     """K along z would be a tenth, held from swinging by damping that no rubber has."""
     own = measured(5, tool_hz=100.0)
