@@ -26,13 +26,6 @@ def test_layouts_show_topics_of_the_predictor(name, root):
     assert [topic for topic in shown if f"'{topic[1:]}'" not in nodes] == []
 
 
-def test_every_panel_of_the_foxglove_layout_is_placed(root):
-    """Put each configured panel into the layout once."""
-    content = json.loads((root / 'config' / 'predictor.foxglove.json').read_text())
-    placed = re.findall(r'"(\w+!\w+)"', json.dumps(content['layout']))
-    assert sorted(placed) == sorted(content['configById'])
-
-
 def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root):
     """Name panels and paths as Foxglove saves them, with fields of the messages' own types."""
     geometry = pytest.importorskip(

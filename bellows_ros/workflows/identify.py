@@ -27,7 +27,7 @@ from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import cup_of, is_gripper
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.errors import BellowsError, require_pictures, UnexplainedError
 from bellows_ros.files import bag_folder, results, Values
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
@@ -65,6 +65,8 @@ RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 LEAST_SQUARES_NOTE = (
     'K and P are those of least squares: something given is wrong, so the output error was '
     'not fitted. --force fits it all the same.')
+
+NOT_FITTED = 'The cup was not fitted; --force fits it all the same.'
 
 
 def identify(
@@ -119,9 +121,11 @@ def identify(
 
     parts, failed = read(effective)
     notes = _assumed(settings)
-    if values['fit.method'] == 'output_error' and not (
-            force or static or set(values['fit.free']) - REGISTRATION_NAMES) and (
-            methods.are_differentiable(parts, values)):
+    is_output_error = values['fit.method'] == 'output_error' and not force
+    if is_output_error and not methods.are_differentiable(parts, values):
+        if facts := _facts(parts, effective):
+            raise UnexplainedError(f'{facts} {NOT_FITTED}')
+    elif is_output_error and not (static or set(values['fit.free']) - REGISTRATION_NAMES):
         progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, _recordings(parts), effective['cup.length'], effective)
         if early and early._replace(allowed=allowances(effective)).refusals:
@@ -131,6 +135,12 @@ def identify(
         parameter_files=tuple(
             {'path': os.fspath(file), 'files': bag_folder.digests(file)}
             for file in parameter_files))
+
+
+def _facts(parts: Sequence[Part], values: Values) -> str:
+    """Return what is wrong with the recordings without any fit, '' where nothing is."""
+    return ' '.join(causes.finding_sentence(fact, values) for recording in _recordings(parts)
+                    for fact in causes.corrected(recording)[0])
 
 
 def _recordings(parts: Sequence[Part]) -> tuple[Recording, ...]:
@@ -284,9 +294,8 @@ def _identify(
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
             static.standstills if static else (), length.length_std if length else 0.0)
     except BellowsError as error:
-        facts = [causes.finding_sentence(fact, effective) for recording in _recordings(parts)
-                 for fact in causes.corrected(recording)[0]]
-        raise BellowsError(' '.join(facts)) if facts else error from None
+        facts = _facts(parts, effective)
+        raise BellowsError(facts) if facts else error from None
     fit = result.fit
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))

@@ -6,7 +6,7 @@ import re
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnexplainedError
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json, read_result
 from bellows_ros.report.build import write_page
@@ -227,6 +227,16 @@ def sideways(tmp_path_factory, true_cup):
     return str(bag)
 
 
+def test_what_no_package_is_is_not_fitted_to_a_camera(known, true_cup, tmp_path):
+    """Say it at once: a search would go on for minutes."""
+    simulate_recording(true_cup, {
+        'kind': 'multi_sine', 'duration': 3.0, 'rest_duration': 1.0,
+        'multi_sine': {'position': {'x': {'amplitude': [0.03], 'frequency': [0.6]}}},
+        'tool': {'rate_hz': 200.0}, 'package': {'rate_hz': 30.0}}, tmp_path / 'bag')
+    with pytest.raises(UnexplainedError, match=r'package\.mass is in g.* --force'):
+        identify({**known, 'bags': [str(tmp_path / 'bag')], 'package.mass': 1800.0})
+
+
 def test_what_is_not_identifiable_is_infinite_everywhere(shipped, sideways, tmp_path):
     """See torsion unknown in the fit, null in JSON, 1e9 in the cup file, named by the page."""
     result = identify({
@@ -282,14 +292,6 @@ def test_a_wrong_length_is_suspected(shipped):
     assert not any('does not explain' in text for text in result.warnings)  # the cause does
     content = json.loads(format_json(result.as_json()))
     assert content['usable'] is False and 'cup.length' in content['refusals'][-1]
-
-
-@pytest.mark.stress
-@pytest.mark.timeout(600.0)
-def test_wrong_data_are_fitted_by_force(shipped):
-    wrong = {**shipped[0].values, 'cup.length': 0.051, 'fit.method': 'output_error'}
-    result = identify(wrong, force=True)
-    assert result.fit.method == 'output_error' and result.refusals
 
 
 def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):

@@ -1,10 +1,6 @@
 """What recordings can tell, and the structures compared, from bags on disk."""
 
-
-from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import selection, structures
-import numpy as np
 import pytest
 
 from ..core.identification.hypotheses.laboratory import FAULTS, Laboratory
@@ -41,15 +37,3 @@ def test_where_no_structure_fits_the_cause_is_named(fault, word):
     assert found.fits is not bool(fault)
     assert found.advice[0].startswith('No structure fits' if fault else 'Use fit.structure')
     assert word in found.advice[0]
-
-
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: the fit takes minutes')
-def test_the_relaxation_is_that_of_the_output_error(root, known):
-    """Least squares alone is off by five of its standard errors."""
-    found = structures({
-        **known, 'topics.tool_twist': '', 'bags': [str(root / 'bags/rubber')],
-        'recording.start': 14.0,
-    }).recordings[0].relaxation
-    truth = read_parameters(root / 'bags/rubber_cup.yaml')['cup.relaxation']
-    off = np.subtract(found.strengths, truth) / found.std
-    assert np.abs(off).max() < 4.0 and max(found.std) < 5e-3

@@ -78,6 +78,9 @@ NOISE_HZ, NYQUIST_PART = 25.0, 0.9
 MAX_NOISE_ORDER = 3.0
 """Power of frequency with which the density of noise falls; behind a filter of second order, 4."""
 
+MAX_SLIP_ANGLE = 1.2
+"""Angle (rad) by which no package slips between two poses."""
+
 MIN_DENSITY = 1e-18
 """Density (m^2/Hz) below which there is no noise to see a filter by."""
 
@@ -398,13 +401,19 @@ def _twists(recording: Recording) -> Finding | None:
 
 
 def _jump(recording: Recording) -> Finding | None:
-    """Return that the package jumps on the lip and does not return, at the largest such jump."""
+    """Return that the package, or its marker, jumps and does not return, at the largest jump."""
     stream = recording.report.package
     steps = lasting_steps(stream.recorded, stream.timing, stream.outliers)
     if not steps:
         return None
-    largest, stamps_ns = max(steps, key=attrgetter('position')), stream.recorded.stamps_ns
+    R, stamps_ns = stream.recorded.rotation, stream.recorded.stamps_ns
+    before = np.array([step.before for step in steps])
+    turns = np.linalg.norm(lie.log_so3(np.swapaxes(R[before], 1, 2) @ R[before + 1]), axis=1)
+    is_flip = bool(turns.max() > MAX_SLIP_ANGLE)
+    largest = steps[np.argmax(turns)] if is_flip else max(steps, key=attrgetter('position'))
     since = (stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S
+    if is_flip:
+        return Finding('flip', '', np.array([turns.max(), since]), np.zeros(2))
     return Finding('slip', '', np.array([largest.position, 0.0, since]), np.zeros(3))
 
 
@@ -608,6 +617,12 @@ CAUSES: Mapping[str, FitCause] = {
         'or recording.start, and check the vacuum.', ['m', 'm', 's'],
         fields=lambda finding, given: {
             'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]}),
+    'flip': FitCause(
+        'the tracking system', 'The orientation of the package jumps by {degrees:.0f} degrees, '
+        '{since:.1f} s after its first sample', 'Use a marker that looks the same from no other '
+        'side, or leave this out by recording.start and recording.end.', ['rad', 's'],
+        fields=lambda finding, given: {
+            'degrees': np.rad2deg(finding.theta[0]), 'since': finding.theta[1]}),
     'gravity.direction': FitCause(
         'gravity.direction', 'Gravity is {degrees:.1f} degrees off gravity.direction',
         'Level the world, or set gravity.direction: {down}.', 'rad', fields=_gravity_fields),

@@ -84,9 +84,10 @@ def with_given(
     Return the minimum near one with what was given free, by its standard deviations.
 
     With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units. Of
-    a search that did not converge, or leaves more than noise (however little, where something
-    given is known to be off), that from its start with all that was given free, where it leaves
-    less and nothing is off by more than `SIGNIFICANT` times its standard deviation.
+    a search that leaves more than noise (however little, where something given is known to be
+    off), that from its start with all that was given free, where it leaves less and nothing is
+    off by more than `SIGNIFICANT` times its standard deviation. The same, whatever is off, of one
+    that did not converge.
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
@@ -102,8 +103,8 @@ def with_given(
     wide = search.with_free(search.start, more)
     again = wide.minimum(note)
     off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
-    if again.converged and np.all(off < SIGNIFICANT) and not (
-            near[1].converged and near[1].squares < again.squares):
+    if again.converged and (not near[1].converged or np.all(off < SIGNIFICANT)
+                            and again.squares <= near[1].squares):
         return wide, again, np.zeros((len(wide.units),) * 2)
     _restore(search, near[1], stds)
     return near
@@ -176,8 +177,9 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
 MIN_SHIFT = 0.02
 """Part by which a cause moves an entry of K, at least, where it does not halve the residuals."""
 
-MIN_EXCHANGE_SHIFT = 0.5
-"""Part of the distance from lip to centre of mass by which one of them moves if exchanged."""
+MIN_EXCHANGE_SHIFT, MAX_EXCHANGE_REST = 0.5, 0.2
+"""Parts of the distance from lip to centre of mass: by which one of them moves if exchanged, and
+by which the centre of mass may be off then."""
 
 MAX_TRIED = 2
 """Quantities that are freed in turn where the next explains at least half as much."""
@@ -195,6 +197,15 @@ Times ordinary damping that rubber hardly has, and the least error of a length (
 With a length that is too small the weight seems to stretch the cup: K along z is far too soft, and
 only much damping keeps that from swinging. Smaller errors are found with K and P.
 """
+
+MAX_PULL = 4.0
+"""Standard deviations by which nothing that was given is off by chance: one number in 16,000."""
+
+OF_LIP = ('com', 'length', 'package_marker')
+"""What another frame of the package's poses seems to be."""
+
+SIMILAR: Mapping[str, str] = {'com': 'length', 'length': 'com'}
+"""What recordings can hardly tell apart."""
 
 SLIP_PERIOD, MIN_SLIP_PERIOD, MAX_SLIPS = 1.0, 0.1, 30
 """Times (s) between the moments at which a slip is tried, and between the last and the best; and
@@ -229,16 +240,17 @@ def causes(
     best = max(tried, key=attrgetter('gain'))
     if not best.minimum.converged:
         return ()
-    if count == MAX_CAUSES and (frame := _other_frame(search, minimum, best)):
+    theta, std = best.search.estimate(best.minimum, best.name)
+    is_far = best.name in ('com', 'package_marker') and _is_as_far_as_com(search, theta[:3])
+    if count == MAX_CAUSES and is_far and (frame := _other_frame(search, minimum, best.gain)):
         _restore(search, minimum, noise)
         return (frame,)
     _restore(best.search, best.minimum, best.noise)
-    theta, std = best.search.estimate(best.minimum, best.name)
     if np.max(np.abs(theta) / std) < SIGNIFICANT:
         return ()
     moved = moved_between((search, minimum), (best.search, best.minimum))
     gains = falls | {one.name: one.gain for one in tried}
-    similar = {'com': 'length', 'length': 'com'}.get(best.name, '')
+    similar = SIMILAR.get(best.name, '')
     clear = SIGNIFICANT**2 * quantities.KINDS['com'].size  # as it has more numbers
     instead = similar if gains.get(similar, 0.0) > best.gain - clear else ''
     rival = max((gain for name, gain in gains.items() if name not in (best.name, instead)),
@@ -269,8 +281,43 @@ def _wrong_length(search: Search, minimum: Minimum) -> Finding | None:
             SIGNIFICANT * std[0], MIN_LENGTH_ERROR) or (
             freed.search.largest_damping(freed.minimum.theta) > damping):
         return None
+    if _is_as_far_as_com(search, theta):
+        frame = _other_frame(search, minimum, freed.gain)
+        _restore(search, minimum, noise)
+        if frame:
+            return frame
     return Finding('length', '', theta, std, freed.left(minimum), moved_between(
         (search, minimum), (freed.search, freed.minimum)), instead='com')
+
+
+def _is_as_far_as_com(search: Search, shift: Array) -> bool:
+    """Return whether a shift (m) may be that from the lip to the centre of mass."""
+    com = search.segments[0].measured.payload.com
+    return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
+
+
+def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ...]:
+    """
+    Return the length or pose that is off by most of its standard deviations, from `MAX_PULL` on.
+
+    Together, what was given may explain all poses, but only as it was not given.
+    """
+    pulls = {name: float(np.max(np.abs(minimum.theta[rows]) * np.sqrt(search.weights[rows])))
+             for name, rows in search.places.items() if name in given.keys() - {'mass', 'inertia'}}
+    name = max(pulls, key=pulls.__getitem__, default='')
+    if not minimum.converged or not name or pulls[name] < MAX_PULL:
+        return ()
+    noise = [segment.std for segment in search.segments]
+    freed = _freed(search, minimum, name, noise)
+    _restore(search, minimum, noise)
+    if not freed.minimum.converged:
+        freed = freed._replace(search=search, minimum=minimum)
+    if name in OF_LIP and (frame := _other_frame(search, minimum, freed.gain)):
+        _restore(search, minimum, noise)
+        return (frame,)
+    return (Finding(name, '', *freed.search.estimate(freed.minimum, name), moved=moved_between(
+        (search, minimum), (freed.search, freed.minimum)), instead=SIMILAR.get(name, ''),
+        certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count),)
 
 
 def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
@@ -316,31 +363,29 @@ def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
                    datum=False)
 
 
-def _other_frame(search: Search, minimum: Minimum, freed: '_Freed') -> Finding | None:
+def _other_frame(search: Search, minimum: Minimum, rival: float) -> Finding | None:
     """
     Return that poses of the lip are those of the centre of mass, or vice versa, where it is so.
 
-    With the centre of mass free near it, as it is a little off beside. None where what was freed
-    moves by much less than the two are apart, or explains as much.
+    With the centre of mass free near it, as it is a little off beside. None where a rival, which
+    has more numbers, explains more.
     """
-    if freed.name not in ('com', 'package_marker'):
-        return None
     measured = search.segments[0].measured
-    com, is_lip = measured.payload.com, all(measured.moves_with_com)
-    shift = freed.search.estimate(freed.minimum, freed.name)[0][:3]
-    if np.linalg.norm(shift) < MIN_EXCHANGE_SHIFT * np.linalg.norm(com):
-        return None
+    is_lip = all(measured.moves_with_com)
     other, sign = copy(search), -1.0 if is_lip else 1.0
-    other.segments = [Segment(replace(segment.measured, package=replace(
-        segment.measured.package, position=segment.measured.package.position + sign * apply(
-            segment.measured.package.rotation, segment.measured.payload.com))))
+    other.segments = [Segment(replace(
+        segment.measured, moves_with_com=(not is_lip,) * 3, package=replace(
+            segment.measured.package, position=segment.measured.package.position + sign * apply(
+                segment.measured.package.rotation, segment.measured.payload.com))))
         for segment in search.segments]
     start = other.minimum()
     if not start.converged:
         return None
     with_com = _freed(other, start, 'com', [segment.std for segment in other.segments])
-    if not with_com.minimum.converged or (
-            _gain(minimum, with_com.minimum) <= freed.gain + SIGNIFICANT**2):
+    left = np.linalg.norm(with_com.search.estimate(with_com.minimum, 'com')[0])
+    if not with_com.minimum.converged or left > MAX_EXCHANGE_REST * np.linalg.norm(
+            measured.payload.com) or (
+            _gain((search, minimum), with_com[1:3]) < rival - SIGNIFICANT**2):
         return None
     return Finding('recording.package_frame', 'com' if is_lip else 'lip',
                    left=with_com.left(minimum))
@@ -374,7 +419,7 @@ def _freed(
         for segment in search.segments:
             segment.reset()
     again = wide.minimum(near=None if from_start else wide.transferred(search, theta))
-    gain = _gain(minimum, again) if again.converged else -np.inf
+    gain = _gain((search, minimum), (wide, again)) if again.converged else -np.inf
     return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
 
 
@@ -385,10 +430,15 @@ def _restore(search: Search, minimum: Minimum, noise: list[Array]) -> None:
     search.accept(minimum.parts)
 
 
-def _gain(minimum: Minimum, again: Minimum) -> float:
-    """Return by how much squares fall, in the noise that is left, as that of slow poses is fit."""
-    before, after = (minimum.residuals**2 for minimum in (minimum, again))
-    return float(len(after) * np.sum(np.log(np.mean(before, axis=0) / np.mean(after, axis=0))))
+def _gain(*ends: tuple[Search, Minimum]) -> float:
+    """
+    Return by how much squares fall, with those of what was given, from one end to another.
+
+    In the noise that is left, as that of slow poses is fit.
+    """
+    before, after = (np.mean(minimum.residuals**2, axis=0) for _, minimum in ends)
+    given = [search.weights @ minimum.theta**2 for search, minimum in ends]
+    return float(len(ends[1][1].residuals) * np.sum(np.log(before / after)) + given[0] - given[1])
 
 
 def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, float]:

@@ -14,7 +14,14 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.given import causes, moved_between, scores, stated, with_given
+from bellows_ros.core.identification.given import (
+    causes,
+    moved_between,
+    outlying,
+    scores,
+    stated,
+    with_given,
+)
 from bellows_ros.core.identification.identifiability import remedy_for
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
 from bellows_ros.core.identification.result import (
@@ -129,6 +136,12 @@ def output_error(
             progress(iterations[-1])
 
     minimum = search.minimum(record)
+    if given and not minimum.converged:
+        wide, wide_minimum, from_given = with_given(search, minimum, given, record)
+        if wide_minimum.converged and (
+                wide_minimum.squares < MAX_NOISE_CHI2 * wide_minimum.residual_count):
+            reasons = outlying(wide, wide_minimum, given)
+            return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
     if relaxation != 'off':  # rubber may be why a search without it does not converge
         if 'relaxation' not in search.places:
             search, minimum = _with_relaxation(search, minimum, record)
@@ -142,8 +155,10 @@ def output_error(
     search.accept(minimum.parts)
     wide, wide_minimum, from_given = with_given(search, minimum, given, record, bool(reasons))
     if reasons and moved_between((search, minimum), (wide, wide_minimum)) > MIN_SHIFT:
-        reasons = tuple(reason for reason in reasons if reason.name in wide.places) or causes(
+        lasting = {*wide.places, 'recording.package_frame'}
+        reasons = tuple(reason for reason in reasons if reason.name in lasting) or causes(
             wide, wide_minimum, stated(given))
+    reasons = reasons or outlying(wide, wide_minimum, given)
     return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
 
 

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.given import given_std, PACKAGE_STD, stated
+from bellows_ros.core.identification.given import given_std, outlying, PACKAGE_STD, stated
 from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.search import Search, Segment
 from bellows_ros.core.model.cup_package import varied
 from bellows_ros.core.model.simulation import row_state, simulate, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
@@ -108,9 +109,21 @@ def test_a_package_that_slips_under_a_camera_is_named():
     assert not sound
 
 
-@pytest.mark.parametrize(('lip', 'seed', 'tool_hz'), [(False, 7, 120.0), (True, 8, 100.0)])
-def test_poses_of_the_lip_are_told_from_those_of_the_com(lip, seed, tool_hz):
-    own = measured(seed, tool_hz=tool_hz, duration=6.0, **QUIET)
+@pytest.mark.parametrize(('off', 'named'), [(0.0, []), (16e-3, ['length'])])
+def test_what_would_be_off_by_many_standard_deviations_is_named(off, named):
+    """With all that was given free, the fit explains the poses."""
+    longer = replace(TRUTH, length=TRUTH.length + off)
+    search = Search([Segment(measured(6, duration=8.0))], AXISYMMETRIC, longer, USUAL)
+    found = outlying(search, search.minimum(), USUAL)
+    assert [own.name for own in found] == named
+    assert all(abs(own.theta[0] + off) < 4.0 * own.std[0] for own in found)
+
+
+@pytest.mark.parametrize(('lip', 'seed', 'tool_hz', 'sensor'), [
+    (False, 7, 120.0, QUIET), (True, 8, 100.0, QUIET),
+    (False, 6, 500.0, {}), (True, 6, 500.0, {})])
+def test_poses_of_the_lip_are_told_from_those_of_the_com(lip, seed, tool_hz, sensor):
+    own = measured(seed, tool_hz=tool_hz, duration=8.0, **sensor)
     body, away = own.package, (1.0 if lip else -1.0) * PLATE.com
     wrong = replace(own, moves_with_com=(lip,) * 3, package=replace(
         body, position=body.position + body.rotation @ away))

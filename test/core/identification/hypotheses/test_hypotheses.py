@@ -95,10 +95,7 @@ def test_a_turned_marker_of_the_tool_is_found_as_such():
 
 @pytest.mark.parametrize(('first', 'second', 'seed'), [
     ('inertia', 'drift', 313), ('two worlds', 'exchanged topics', 314),
-    ('mass in grams', 'length', 305), ('soft spring', 'centre of mass aside', 723),
-    *(pytest.param(*faults, marks=pytest.mark.stress) for faults in (
-        ('yaw', 'packages exchanged', 306), ('twists in degrees', 'quaternions w first', 312),
-        ('mass 10 %', 'length', 711), ('world', 'exchanged topics', 917)))])
+    ('mass in grams', 'length', 305), ('soft spring', 'centre of mass aside', 723)])
 def test_of_two_faults_both_are_named(first, second, seed):
     laboratory = faulty((first, second), seed)
     _, found = judged(laboratory, with_fit=False)
@@ -108,13 +105,6 @@ def test_of_two_faults_both_are_named(first, second, seed):
     assert [True, True] == [any(FAULTS[fault][1] in own for own in named)
                             for fault in (first, second)]
     assert len(named) == 2 == len(found.cause) and 'Besides' in found.cause[1]
-
-
-def test_no_frame_is_wrong_beside_friction_that_explains_all():
-    own = laboratory.Laboratory(3008)
-    FAULTS['friction'][0](own)
-    found = diagnose(own.recordings(), own.said_length, STRUCTURES['axisymmetric'])
-    assert found.findings[0].name == 'friction' and not found.besides
 
 
 def test_clocks_are_apart_where_a_package_that_swings_hardly_turns_as_its_tool_did():
@@ -150,15 +140,6 @@ def test_a_replay_names_clocks_that_are_apart():
     assert named == [False, True]
 
 
-def test_what_is_left_is_said_where_a_second_fault_is_not_found():
-    laboratory = faulty(('gravity tilted', 'marker frame turned'), 319)
-    _, found = judged(laboratory, with_fit=False)
-    first = found.diagnosis.findings[0]
-    assert first.likely and not first.certain and not found.refusals
-    assert first.rest > causes.DOUBTED
-    assert f'{np.sqrt(first.rest):.2g} times' in ' '.join(found.cause)
-
-
 def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypatch):
     simulations, system = [], Search.system
     monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
@@ -192,13 +173,6 @@ def test_a_camera_that_drifts_is_named_by_the_fit(seed):
     assert f'by {rate:.2g} mm per minute' in verdict.cause[0]
     off = np.diag(found.stiffness) - laboratory.K
     assert np.all(np.abs(off) < 4.0 * np.diag(found.stiffness_std))
-
-
-@pytest.mark.stress
-def test_a_mass_is_named_where_the_rubber_seemed_to_relax_without_it():
-    laboratory = faulty('mass 10 %', 706, rate_hz=480.0, seconds=12.0)
-    cause, = fit(laboratory.recordings(), parameters(laboratory)).fit.causes
-    assert cause.certain and cause.name == 'inertia'
 
 
 @pytest.mark.parametrize(('seed', 'break_it', 'cause'), [
@@ -271,6 +245,11 @@ def test_a_package_that_jumps_has_slipped_whatever_else_explains():
     assert slip.name == 'slip'
     assert slip.theta[0] == pytest.approx(3e-3, rel=0.1)
     assert slip.theta[2] == pytest.approx((half - 1) / 240.0, abs=2e-3)
+    R = poses.rotation.copy()
+    R[half:] *= [-1.0, -1.0, 1.0]  # half a turn about z of the marker
+    (flip,) = implausible_inputs(prepare(
+        own.tool_pose, replace(poses, rotation=R), own.settings, own.tool_twist))
+    assert flip.name == 'flip' and flip.theta[0] == pytest.approx(np.pi, abs=0.2)
 
 
 def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
