@@ -120,8 +120,7 @@ def test_what_would_be_off_by_many_standard_deviations_is_named(off, named):
 
 
 @pytest.mark.parametrize(('lip', 'seed', 'tool_hz', 'sensor'), [
-    (False, 7, 120.0, QUIET), (True, 8, 100.0, QUIET),
-    (False, 6, 500.0, {}), (True, 6, 500.0, {})])
+    (True, 8, 100.0, QUIET), (False, 6, 500.0, {}), (True, 6, 500.0, {})])
 def test_poses_of_the_lip_are_told_from_those_of_the_com(lip, seed, tool_hz, sensor):
     own = measured(seed, tool_hz=tool_hz, duration=8.0, **sensor)
     body, away = own.package, (1.0 if lip else -1.0) * PLATE.com
