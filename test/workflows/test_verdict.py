@@ -128,7 +128,8 @@ def test_wrenches_know_no_more_than_the_fit(monkeypatch, seen, stated, said):
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
-@pytest.mark.parametrize(('aside', 'refused'), [(5e-4, False), (9e-3, True)])
+@pytest.mark.parametrize(('aside', 'refused'), [
+    (5e-4, False), pytest.param(9e-3, True, marks=pytest.mark.stress)])
 def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
     """Fit with it, and say so; refuse beyond three times the ordinary 2 mm."""
     laboratory = Laboratory(4, seconds=8.0, rate_hz=240.0)

@@ -12,6 +12,9 @@ The best is then freed, and all is fitted again (a slip from the start, as witho
 slow poses was learned far too large). With it free, what is left is looked at once more:
 it is certain where no other explains half as much, or none anything beside it and each clearly
 less; and what is found beside it no more than itself.
+
+Where all that was given is free, a cause may leave nothing: it is what is off by many of its
+standard deviations (`outlying`).
 """
 
 from collections.abc import Callable, Mapping, Sequence

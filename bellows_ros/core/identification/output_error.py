@@ -136,7 +136,7 @@ def output_error(
             progress(iterations[-1])
 
     minimum = search.minimum(record)
-    if given and not minimum.converged:
+    if given and relaxation != 'on' and not minimum.converged:
         wide, wide_minimum, from_given = with_given(search, minimum, given, record)
         if wide_minimum.converged and (
                 wide_minimum.squares < MAX_NOISE_CHI2 * wide_minimum.residual_count):

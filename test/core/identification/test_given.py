@@ -32,6 +32,7 @@ def off(fit):
     return error / np.sqrt(own), error / np.sqrt(own + np.diag(fit.from_given))
 
 
+@pytest.mark.stress
 def test_a_frame_and_a_length_that_are_a_little_off_are_found_with_the_cup():
     own = measured(7, tool_hz=100.0, duration=8.0, **QUIET)
     turned = exp_so3(np.array([2e-3, -4e-3, 0.0]))
@@ -71,7 +72,8 @@ def test_a_com_that_is_off_is_found_with_k(seed, factor, z, largest):
     assert np.all(std < largest * factor * NUMBERS[:4])
 
 
-@pytest.mark.parametrize('off', [6e-3, pytest.param(20e-3, marks=pytest.mark.stress)])
+@pytest.mark.stress
+@pytest.mark.parametrize('off', [6e-3, 20e-3])
 def test_a_length_that_is_off_is_named_though_a_frame_seems_to_explain_more(off):
     """To first order, that is: so the next likeliest is tried, too."""
     own = measured(12, package_noise=(3e-4, 1.5e-3), package_hz=60.0)

@@ -353,6 +353,7 @@ def test_rubber_of_five_branches_is_predicted(loss_factor, limit, seed):
     assert not any('smooth' in note for note in fits['auto'].notes)
 
 
+@pytest.mark.stress
 def test_a_kelvin_voigt_cup_shows_no_relaxation():
     own = measured(13, package_noise=(1e-4, 5e-4), tool_hz=125.0)  # benchmarks.rubber has 40
     auto, off = (output_error([own], AXISYMMETRIC, scaled(1.5), relaxation=wanted)
