@@ -79,7 +79,7 @@ MAX_NOISE_ORDER = 3.0
 """Power of frequency with which the density of noise falls; behind a filter of second order, 4."""
 
 MAX_SLIP_ANGLE = 1.2
-"""Angle (rad) by which no package slips between two poses."""
+"""Angle (rad) beyond which no package turns on the lip between two poses."""
 
 MIN_DENSITY = 1e-18
 """Density (m^2/Hz) below which there is no noise to see a filter by."""
@@ -322,7 +322,7 @@ def radius_of_gyration(payload: Package) -> float:
 
 
 def _package(recording: Recording) -> Finding | None:
-    """Return that no package has such a mass or inertia, by their units; None where it may."""
+    """Return what is wrong with a mass or an inertia that no package has, None where one may."""
     gyration, mass = radius_of_gyration(recording.payload), recording.payload.mass
     if mass > checks.MAX_MASS:
         return Finding('mass', 'g')
@@ -409,12 +409,12 @@ def _jump(recording: Recording) -> Finding | None:
     R, stamps_ns = stream.recorded.rotation, stream.recorded.stamps_ns
     before = np.array([step.before for step in steps])
     turns = np.linalg.norm(lie.log_so3(np.swapaxes(R[before], 1, 2) @ R[before + 1]), axis=1)
-    is_flip = bool(turns.max() > MAX_SLIP_ANGLE)
-    largest = steps[np.argmax(turns)] if is_flip else max(steps, key=attrgetter('position'))
+    name, largest = 'slip', max(steps, key=attrgetter('position'))
+    sizes = [largest.position, 0.0]
+    if turns.max() > MAX_SLIP_ANGLE:
+        name, largest, sizes = 'flip', steps[np.argmax(turns)], [turns.max()]
     since = (stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S
-    if is_flip:
-        return Finding('flip', '', np.array([turns.max(), since]), np.zeros(2))
-    return Finding('slip', '', np.array([largest.position, 0.0, since]), np.zeros(3))
+    return Finding(name, '', np.array([*sizes, since]), np.zeros(len(sizes) + 1))
 
 
 def _smoothed(recording: Recording) -> Finding | None:
@@ -619,8 +619,8 @@ CAUSES: Mapping[str, FitCause] = {
             'mm': 1e3 * np.hypot(*finding.theta[:2]), 'since': finding.theta[2]}),
     'flip': FitCause(
         'the tracking system', 'The orientation of the package jumps by {degrees:.0f} degrees, '
-        '{since:.1f} s after its first sample', 'Use a marker that looks the same from no other '
-        'side, or leave this out by recording.start and recording.end.', ['rad', 's'],
+        '{since:.1f} s after its first sample', 'Use a marker without symmetry, or leave '
+        'this out: set recording.start or recording.end.', ['rad', 's'],
         fields=lambda finding, given: {
             'degrees': np.rad2deg(finding.theta[0]), 'since': finding.theta[1]}),
     'gravity.direction': FitCause(

@@ -13,8 +13,8 @@ slow poses was learned far too large). With it free, what is left is looked at o
 it is certain where no other explains half as much, or none anything beside it and each clearly
 less; and what is found beside it no more than itself.
 
-Where all that was given is free, a cause may leave nothing: it is what is off by many of its
-standard deviations (`outlying`).
+With all that was given free, a fit may explain all poses though something given is wrong. The
+cause is then what is off by many of its standard deviations (`outlying`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -202,10 +202,10 @@ only much damping keeps that from swinging. Smaller errors are found with K and 
 """
 
 MAX_PULL = 4.0
-"""Standard deviations by which nothing that was given is off by chance: one number in 16,000."""
+"""Standard deviations beyond which a given number is wrong; by chance, one in 16,000 is."""
 
 OF_LIP = ('com', 'length', 'package_marker')
-"""What another frame of the package's poses seems to be."""
+"""What seems wrong where poses of the lip are taken for those of the centre of mass."""
 
 SIMILAR: Mapping[str, str] = {'com': 'length', 'length': 'com'}
 """What recordings can hardly tell apart."""
@@ -303,7 +303,7 @@ def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ..
     """
     Return the length or pose that is off by most of its standard deviations, from `MAX_PULL` on.
 
-    Together, what was given may explain all poses, but only as it was not given.
+    With all of it free, a fit may explain the poses by numbers that are not those given.
     """
     pulls = {name: float(np.max(np.abs(minimum.theta[rows]) * np.sqrt(search.weights[rows])))
              for name, rows in search.places.items() if name in given.keys() - {'mass', 'inertia'}}

@@ -45,7 +45,7 @@ GYRATION = (0.01, 0.3, 1.0)
 """Radii of gyration of packages, m: the smallest, the largest usual one, the largest of all."""
 
 LEAD = 11_340.0
-"""kg/m^3."""
+"""Density of lead, kg/m^3; no package has a larger one."""
 
 INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 """What moments of inertia may be in, and how many of each are 1 kg m^2."""
