@@ -197,6 +197,8 @@ class LivePayload:
             last.body, before or last.tool, now, (stamp_ns - last.stamp_ns) * 1e-9, stamp_ns)
         if result is None:
             self.outcome = 'diverged'
+            if self.observer is not None:
+                self.observer.forget(is_another=False)
             return self._start(stamp_ns, now)
         body, (force, moment) = result
         self.sample = Sample(stamp_ns, now, body)

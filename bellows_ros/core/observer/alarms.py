@@ -64,7 +64,8 @@ class Cause(NamedTuple):
     every: int = 1
     """One in so many of the onsets is tested, and counts for all of them."""
     after_ns: int = 0
-    """How long (ns) after its onset the fault can be told from others."""
+    """How old (ns) the onset of the fault is at least when it is named: before, its size is not
+    known."""
     mean: float = 0.0
     """Prior mean of the only component."""
 
@@ -75,9 +76,9 @@ CAUSES = (
           (3e-3, 3e-3, 0.1, 0.1, 0.1), (2, 5), 0.3, False, True,
           'The grip has slipped by {} mm[ and turned by {} degrees]: move slower, or raise '
           'the vacuum.', ((0, 2, 1e3), (2, 5, 180.0 / math.pi))),
-    Cause('leak', ((ekf.LENGTHENING,),), (5e-3,), (1,), 0.1, False, True,
+    Cause('leak', ((ekf.LENGTHENING,),), (15e-3,), (1,), 0.1, False, True,
           'The cup yields by {} mm/s, as with a leak: check its lip and the vacuum.',
-          after_ns=300_000_000),
+          after_ns=200_000_000),
     Cause('wear', tuple(tuple(range(ekf.STIFFNESS + i, ekf.STIFFNESS + i + 3)) for i in (0, 3)),
           (0.2, 0.2), (2,), 0.1, True, False,
           'The stiffness of the cup is off by {} % in translation and {} % in rotation: '
@@ -93,6 +94,9 @@ CAUSES = (
           (3, 6), 0.2, True, True,
           'The frame of the camera has moved by {} mm[ and {} mrad]: calibrate it.',
           ((0, 3, 1e3), (3, 6, 1e3))),
+    Cause('latency', ((ekf.LATENCY,),), (0.05,), (1,), 0.1, True, False,
+          'The stamps of the camera are late by {} ms: stamp the exposure, or set '
+          'measured.latency_std.'),
     Cause('cup', ((),), (0.15,), (1,), 0.1, False, True,
           'Cup {:.0f} of cup.layout, at x {:.0f} mm, y {:.0f} mm, holds no more ({}): check its '
           'lip and its vacuum, and add it to cup.open.', ((0, 1, 100.0),), mean=1.0),
@@ -138,7 +142,6 @@ this (ns): all that falls for long has fallen out of any number's range.
 """
 
 EVERY = tuple(cause.every for cause in HYPOTHESES)
-AFTER_NS = tuple(cause.after_ns for cause in HYPOTHESES)
 SLOTS = (1,) * AT_START + tuple(ONSETS // every for every in EVERY[AT_START:])
 """Onsets of each hypothesis, ..."""
 COLUMNS = tuple(np.cumsum([0, *(
@@ -290,9 +293,11 @@ class Alarms:
         The lost cups of a gripper have been found before.
         """
         total, lead, best, second, runner_up, _ = likeliest
+        after_ns = HYPOTHESES[min(best[1], CUP)].after_ns
         if total < self._threshold or len(evidence.suspect_ns) <= CONFIRMED or (
                 stamp_ns - evidence.suspect_ns[0] < (
-                    DECIDE_NS if lead < MIN_LEAD else CONFIRMED_NS)):
+                    DECIDE_NS if lead < MIN_LEAD else CONFIRMED_NS)) or (
+                        stamp_ns < evidence.onsets[1, best[0]] + after_ns):
             return None
         holding = [k for k in range(len(self._places)) if k not in lost_cups]
         odds = math.exp(min(lead, 14.0))
@@ -487,7 +492,7 @@ def _assessed(
         _add_statistics(change, z, number, statistics)
     if used:
         t3.subtract_product(whitened.astype(np.float32), change, E)
-    likeliest = _likeliest_fault(statistics, onsets, stamp_ns, from_start, faults)
+    likeliest = _likeliest_fault(statistics, onsets, from_start, faults)
     if counts[0] >= SETTLING and stamp_ns - onsets[1].max() >= ONSET_NS:
         _add_onset(E, statistics, onsets, steps, stamp_ns, likeliest[5])
     return likeliest
@@ -565,7 +570,7 @@ def _add_statistics(change: Array, z: Array, number: int, statistics: Array) -> 
 
 @array_kernel
 def _likeliest_fault(
-    statistics: Array, onsets: Stamps, stamp_ns: int, from_start: bool, faults: int
+    statistics: Array, onsets: Stamps, from_start: bool, faults: int
 ) -> Likeliest:
     """Return what `_assessed` does."""
     causes = OF_CAUSE[CUP] + faults - CUP
@@ -581,8 +586,7 @@ def _likeliest_fault(
             _explain(statistics[block:], h, i, A, z, explained, determinant)
             for slot in range(SLOTS[h] if IS_END[first + i] else 0):
                 k = slot * EVERY[h] + later
-                if stamp_ns >= onsets[1, k] + AFTER_NS[h] and _is_explained(
-                        statistics[k], explained[slot], onsets[0, k]):
+                if _is_explained(statistics[k], explained[slot], onsets[0, k]):
                     ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
                     _add_ratio(ratio + weight, OF_CAUSE[h] + number - h, (k, number, i + 1),
                                top, sums, best)

@@ -64,6 +64,9 @@ FALLEN = 7
 COVARIANCE_STEPS = 12
 """The covariance is propagated in steps up to this many times longer than the state's."""
 
+STEP_MARGIN = 1.5
+"""By so much the fastest mode may become faster before steps are made shorter."""
+
 NO_MATRIX: Array = np.zeros((0, 0))
 """Stands for a transition and a covariance that are not computed."""
 
@@ -153,6 +156,17 @@ def _scaled_block(A: Matrix, a: Vector, b: Vector) -> Matrix:
         A[0] * a[0] * b[0], A[1] * a[0] * b[1], A[2] * a[0] * b[2],
         A[3] * a[1] * b[0], A[4] * a[1] * b[1], A[5] * a[1] * b[2],
         A[6] * a[2] * b[0], A[7] * a[2] * b[1], A[8] * a[2] * b[2])
+
+
+@kernel
+def stable_step(max_step: float, theta: Array) -> float:
+    """Return the longest step (s) for a model changed by theta: shorter for one much stiffer."""
+    stiffer = damped = 0.0
+    for i in range(6):
+        stiffer = max(stiffer, theta[STIFFNESS - STATE + i] - theta[0])
+        if len(theta) > DAMPING - STATE:
+            damped = max(damped, theta[DAMPING - STATE + i] - theta[0])
+    return max_step * min(1.0, STEP_MARGIN * math.exp(-max(0.5 * stiffer, damped)))
 
 
 @kernel
@@ -503,7 +517,7 @@ def propagated(
     now_ns, until_ns : int
         Beginning, and end.
     max_step : float
-        Longest step of the state, s.
+        Longest step of the nominal state, s.
     drive : ndarray (12, 12)
         Of `driving`.
     cups : ndarray (cups, 54)
@@ -513,7 +527,7 @@ def propagated(
 
     """
     bias, follows, is_reset, h, squares = wrench_bias(theta), T.shape[0] > 0, True, 0.0, 0.0
-    nominal, model = model, with_theta(model, theta)
+    nominal, model, max_step = model, with_theta(model, theta), stable_step(max_step, theta)
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     losses0, losses1 = np.zeros((len(without_cup), 6, 13)), np.zeros((len(without_cup), 6, 13))
@@ -626,7 +640,7 @@ def followed(
     reach: float,
 ) -> tuple[State, Wrench, bool]:
     """Keep a sample of the tool as number k; return the package there, and `checked_wrench`."""
-    model = model_with(row, branches, theta)
+    model, max_step = model_with(row, branches, theta), stable_step(max_step, theta)
     stamps[k] = stamp_ns
     write_row(starts[k], start)
     write_row(ends[k], end)

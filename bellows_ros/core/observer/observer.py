@@ -114,7 +114,7 @@ class Observer:
 
     def forget(self, is_another: bool = True) -> None:
         """Start again, with the same or another package; the camera is the same."""
-        if self._estimates:
+        if self._estimates and np.isfinite(self._estimates[-1].covariance).all():
             last = self._estimates[-1]
             theta, P = last.theta.copy(), last.covariance.copy()
             rows = [row for row in MOTION_ROWS + is_another * PACKAGE_ROWS if row < len(P)]
@@ -226,8 +226,9 @@ class Observer:
         if estimates[0].stamp_ns >= before_ns - HISTORY_NS:
             return
         stamps, k = self._track.rows[0], self._track.after(before_ns) - 1
+        max_step = ekf.stable_step(self._correction.max_step, estimates[0].theta)
         while stamps[k] > estimates[0].stamp_ns:
-            if ekf.ends_step(stamps[k], stamps[k + 1], self._correction.max_step):
+            if ekf.ends_step(stamps[k], stamps[k + 1], max_step):
                 estimates[0] = self._correction.propagated(
                     estimates[0], self._track, int(stamps[k]))
                 break
@@ -237,7 +238,7 @@ class Observer:
         """Return a package after a motion of the tool that is not kept."""
         return ekf.advanced_with_wrench(
             self.model, ekf.wrench_bias(self._theta), body, start, end, seconds,
-            substeps_for(seconds, self._correction.max_step))
+            substeps_for(seconds, ekf.stable_step(self._correction.max_step, self._theta)))
 
     # ------------------------------------------------------------ measurements
 

@@ -6,6 +6,8 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotat
 from bellows_ros.core.live import LivePredictor, tool_twist
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
+from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 import pytest
 
@@ -121,6 +123,21 @@ def test_model_that_cannot_be_integrated_is_started_from_rest(messages, predicto
     (out,) = messages.pose(predictor, 1)
     assert is_finite(out)
     assert predictor.restarts['diverged'] == 1
+
+
+def test_what_an_observer_has_learned_outlasts_a_divergence(messages, predictor):
+    observer = Observer(resolve({
+        'package.mass': 1.0, 'package.inertia': [0.01, 0.01, 0.02, 0.0, 0.0, 0.0]}, ()))
+    thesis = Cup.thesis()
+    predictor.set_model(Cup(thesis.stiffness, -3.0 * thesis.damping, 0.0481), PLATE)
+    predictor.package.observe(observer)
+    for k in range(200):  # a camera that is 20 mm off
+        (out,) = messages.pose(predictor, k)
+        assert is_finite(out)
+        predictor.on_measured(
+            messages.stamps[k], 'base', tuple(np.add(out.position, 0.02)), out.quaternion_xyzw)
+    assert predictor.restarts['diverged'] > 0
+    assert observer.counts['used'] > 100
 
 
 def test_pause_is_bridged_for_a_while_and_then_nothing_is_said(messages):

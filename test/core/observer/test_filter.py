@@ -79,6 +79,22 @@ def test_transition_is_that_by_differences(is_off):
         own / np.outer(SIZES, SIZES), dense / np.outer(SIZES, SIZES), atol=1e-3)
 
 
+@pytest.mark.parametrize('row', [ekf.STIFFNESS, ekf.DAMPING])
+def test_transition_of_a_cup_that_is_much_stiffer_is_stable(row):
+    """Let an error fade within 0.4 s, though steps are as long as the nominal cup allows."""
+    stamps, tool = tool_motion(np.random.default_rng(1), 0.4, period_ns=8_000_000)
+    model, theta = model_tuple(CUP, PACKAGE, 9.81), np.zeros(ekf.ALL_ROWS - 12)
+    theta[row - 12:row - 6] = 2.5
+    body = static_equilibrium(ekf.with_theta(model, theta), tool[0])
+    rows = [np.array([[*o, *q, *v, *w] for o, q, v, w in states])
+            for states in ([tool[0], *tool[:-1]], tool, tool)]
+    T = ekf.identity_transition(ekf.ALL_ROWS)
+    ekf.propagated(
+        model, theta, tool[0], body, T, np.zeros((12, 12)), stamps, *rows, False, 1, stamps[0],
+        stamps[-1], largest_step(model), np.zeros((12, 12)), NO_CUPS, np.zeros((0, 12, 13)))
+    assert np.abs(np.linalg.eigvals(T[:12, :12])).max() < 1.0
+
+
 def test_transition_without_a_cup_is_that_of_the_others():
     """Carry an error for 10 ms as a package goes on that one cup of a gripper lets go."""
     rng = np.random.default_rng(3)
