@@ -2,29 +2,25 @@
 Atomic output: written beside its target, then renamed.
 
 A process that is killed leaves the old output or the new one, and at most a hidden file or folder
-beside it, which the next process removes that writes there. The names of these hold the process,
-and the machine or container, as processes elsewhere cannot be seen.
+beside it.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
 import os
 from pathlib import Path
-import platform
-import re
 import secrets
 import shutil
 import stat
 import sys
-import tempfile
-import zlib
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 
 # Of renameat2(2): names are relative to the working folder; both files exist and change places.
 _HERE, _EXCHANGE = -100, 2
+
+PREFIX = '.bellows-'
 
 
 def write_text(path: File, text: str) -> None:
@@ -165,7 +161,7 @@ def _move_into_place(work: Path, target: Path, replace: bool) -> None:
     finished = work / target.name
     if replace and target.exists():
         if not _exchange(finished, target):  # then there is a moment without either
-            os.rename(target, work / REPLACED)
+            os.rename(target, work / 'replaced')
             os.rename(finished, target)
     elif os.path.lexists(target):
         raise FileExistsError(f"'{target}' has appeared in the meantime")
@@ -187,13 +183,8 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _temporary_path(target: Path) -> Path:
-    """
-    Return a hidden path beside a target; remove what dead processes left there.
-
-    Its unique name shows whether it may be removed later.
-    """
-    remove_abandoned(target.parent)
-    return target.with_name(f'{PREFIX}{os.getpid()}-{_machine()}-{secrets.token_hex(4)}.tmp')
+    """Return a hidden path beside a target."""
+    return target.with_name(f'{PREFIX}{os.getpid()}-{secrets.token_hex(4)}.tmp')
 
 
 def _sync(path: Path) -> None:
@@ -211,56 +202,3 @@ def _failed(path: File, error: Exception) -> BellowsError:
     reason = getattr(error, 'strerror', None) or str(error)
     return BellowsError(
         f"Output '{os.fspath(path)!s}' cannot be written: {reason}. Nothing was changed.")
-
-
-PREFIX = '.bellows-'
-REPLACED = 'replaced'
-"""Something of this name in a hidden folder is the only copy, so it is not removed."""
-
-
-def remove_abandoned(folder: File) -> None:
-    """Remove from a folder what processes of this machine left there that are dead by now."""
-    pattern = re.compile(rf'{re.escape(PREFIX)}(\d{{1,9}})-{_machine()}-\w+\.tmp')
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            match = pattern.fullmatch(entry.name)
-            if not match or _is_alive(int(match[1])):
-                continue
-            if not entry.is_dir(follow_symlinks=False):
-                with suppress(OSError):
-                    os.unlink(entry.path)
-            elif not os.path.lexists(os.path.join(entry.path, REPLACED)):
-                shutil.rmtree(entry.path, ignore_errors=True)
-
-
-@contextmanager
-def temporary_folder() -> Iterator[Path]:
-    """Provide a temporary folder; remove first those that dead processes left."""
-    folder = _temporary_path(Path(tempfile.gettempdir(), 'folder'))
-    folder.mkdir(mode=0o700)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-@cache
-def _machine() -> str:
-    """Return an identifier of what numbers the processes: this machine, or this container."""
-    namespace = ''
-    with suppress(OSError):
-        namespace = os.readlink('/proc/self/ns/pid')
-    return f'{zlib.crc32(f"{platform.node()} {namespace}".encode()):08x}'
-
-
-def _is_alive(pid: int) -> bool:
-    """Return whether a process exists and is not a zombie."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # somebody else's
-        return True
-    with suppress(OSError):
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] not in 'ZX'
-    return True

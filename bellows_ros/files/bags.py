@@ -14,7 +14,6 @@ from contextlib import closing, suppress
 from functools import cache
 from itertools import chain
 from pathlib import Path
-import shutil
 import sqlite3
 from typing import Any, BinaryIO, NamedTuple
 
@@ -29,15 +28,13 @@ import numpy as np
 MAX_MESSAGES = 10_000_000
 # A message that is not a single pose or twist has at most so many bytes.
 MAX_PLAN_BYTES = 2**28
-# A compressed SQLite file is decompressed beside the system's temporary files, up to this size.
-MAX_TEMPORARY_BYTES = 16 * 2**30
+# A compressed SQLite file is decompressed in memory, up to this size.
+MAX_DATABASE_BYTES = 2**30
 
 SQLITE_MAGIC = b'SQLite format 3\0'
 
 MIN_MESSAGE_BYTES = 16
 """Bytes of the shortest message with a header: encoding, stamp, and the length of frame_id."""
-
-_COPY_STEP = 2**20
 
 Stream = PoseStream | TwistStream
 
@@ -437,15 +434,8 @@ def _file_batches(
         file.seek(0)
         if magic.startswith(mcap.MAGIC):
             yield from mcap.scan(file, wanted, counts, losses)
-        elif magic == SQLITE_MAGIC and compressed:
-            from bellows_ros.files.atomic import temporary_folder  # late: rare
-
-            with temporary_folder() as folder:
-                plain = folder / path.stem
-                _decompress(file, plain)
-                yield from scan_database(plain, wanted, counts)
         elif magic == SQLITE_MAGIC:
-            yield from scan_database(path, wanted, counts)
+            yield from scan_database(path, file if compressed else None, wanted, counts)
         elif not magic:
             losses.append('it is empty')
         elif magic.startswith(b'#ROSBAG'):
@@ -456,29 +446,14 @@ def _file_batches(
             raise DamagedError('it is neither an MCAP nor an SQLite file')
 
 
-def _decompress(file: BinaryIO, path: Path) -> None:
-    """Write a file's content to a path, which may take up at most half of the free space."""
-    limit = min(MAX_TEMPORARY_BYTES, shutil.disk_usage(path.parent).free // 2)
-    with path.open('wb') as out:
-        while piece := file.read(_COPY_STEP):
-            if out.tell() + len(piece) > limit:
-                raise DamagedError(
-                    f'decompressed it is too large for {path.parent.parent}. '
-                    "Decompress it with 'zstd -d' where there is space, and give that file")
-            out.write(piece)
-
-
 # ----------------------------------------------------------------------------------- databases
 
 _BATCH = 4096
 
-# Steps of SQLite's machine: a sound file of N bytes is read in far fewer than these.
-_STEPS_PER_BYTE = 10
-_MIN_STEPS = 10_000_000
-_STEPS_BETWEEN_CHECKS = 100_000
 
-
-def scan_database(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Iterator[list[Batch]]:
+def scan_database(
+    path: Path, file: BinaryIO | None, wanted: Wanted, counts: dict[Channel, int]
+) -> Iterator[list[Batch]]:
     """
     Yield the messages of the wanted topics, topic by topic, in the order they are stored in.
 
@@ -487,7 +462,9 @@ def scan_database(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Ite
     Parameters
     ----------
     path : Path
-        Plain file.
+        The file.
+    file : file or None
+        Its decompressed content; None for a plain file.
     wanted : callable
         Topic to whether its messages are yielded.
     counts : dict
@@ -499,15 +476,8 @@ def scan_database(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Ite
         If the file is truncated or damaged, or its recording was not closed.
 
     """
-    _require_closed(path)
     try:
-        with closing(_connect(path)) as database:
-            size, (page_size,) = path.stat().st_size, database.execute(
-                'PRAGMA page_size').fetchone()
-            if size % page_size:  # SQLite would read the rest of the page as zeros
-                raise DamagedError(
-                    f'it ends in the middle: {size} bytes are no whole pages of {page_size}')
-            _require_plain(database)
+        with closing(_in_memory(file) if file else _connect(path)) as database:
             (verdict,) = database.execute('PRAGMA quick_check(1)').fetchone()
             if verdict != 'ok':  # its pages do not fit together: messages could be missing
                 raise DamagedError(f'SQLite finds it damaged: {verdict!s:.200}')
@@ -519,47 +489,30 @@ def scan_database(path: Path, wanted: Wanted, counts: dict[Channel, int]) -> Ite
         raise DamagedError(f'SQLite cannot read it: {error}') from None
 
 
-def _require_closed(path: Path) -> None:
-    """Refuse a database whose last changes are still in its journal."""
+def _in_memory(file: BinaryIO) -> sqlite3.Connection:
+    """Return a database with the content of a file."""
+    content = file.read(MAX_DATABASE_BYTES + 1)
+    if len(content) > MAX_DATABASE_BYTES:
+        raise DamagedError(f'decompressed it is larger than {MAX_DATABASE_BYTES} bytes. '
+                           "Decompress it with 'zstd -d', and give that file")
+    database = sqlite3.connect(':memory:')
+    database.deserialize(content)
+    return database
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    """Open a database to read; refuse one whose last changes are still in its journal."""
     for suffix in ('-wal', '-journal'):
         other = path.with_name(path.name + suffix)
         if other.is_file() and other.stat().st_size:
             raise DamagedError(
                 f'its recording was not closed: {other.name} holds what is not yet in it. '
                 f"Run 'sqlite3 {path.name} .schema' in its folder once, which merges the two")
-
-
-def _require_plain(database: sqlite3.Connection) -> None:
-    """
-    Refuse a database whose content is computed, as by views.
-
-    One step of SQLite's machine may then take any time: steps bound the work on stored values.
-    """
-    tables = "SELECT name, rootpage FROM sqlite_master WHERE type = 'table'"
-    stored = dict(database.execute(tables))
-    if not {'topics', 'messages'} <= stored.keys():
-        raise DamagedError("it has no tables 'topics' and 'messages'")
-    computed = [name for name, root in stored.items() if not root]  # a virtual table has none
-    computed += [name for (name,) in database.execute(
-        'SELECT t.name FROM sqlite_master AS t, pragma_table_xinfo(t.name) AS c '
-        "WHERE t.type = 'table' AND c.hidden")]
-    if computed:
+    database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro&immutable=1', uri=True)
+    size, (page_size,) = path.stat().st_size, database.execute('PRAGMA page_size').fetchone()
+    if size % page_size:  # SQLite would read the rest of the page as zeros
         raise DamagedError(
-            f"its table '{computed[0]:.40}' is computed, not stored, which no recorder does")
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    """Open a database that is neither changed nor trusted."""
-    uri = f'{path.resolve().as_uri()}?mode=ro&immutable=1'
-    database = sqlite3.connect(uri, uri=True)
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, bag_folder.MAX_RECORD_BYTES)
-    for setting in ('trusted_schema = OFF', 'cell_size_check = ON',
-                    'ignore_check_constraints = ON'):
-        database.execute(f'PRAGMA {setting}')
-    steps = max(_MIN_STEPS, path.stat().st_size * _STEPS_PER_BYTE)
-    checks = iter(range(steps // _STEPS_BETWEEN_CHECKS))
-    # What the handler returns ends the query once all checks are used up.
-    database.set_progress_handler(lambda: next(checks, None) is None, _STEPS_BETWEEN_CHECKS)
+            f'it ends in the middle: {size} bytes are no whole pages of {page_size}')
     return database
 
 

@@ -5,8 +5,10 @@ from contextlib import suppress
 from functools import partial
 import io
 from itertools import chain
+from pathlib import Path
 import shutil
 import subprocess
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -14,7 +16,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.load import equivalent_box
 from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
-from bellows_ros.files.atomic import temporary_folder, write_bytes
+from bellows_ros.files.atomic import write_bytes
 from bellows_ros.workflows import plot, recordings, steer
 import numpy as np
 
@@ -230,8 +232,8 @@ def _mp4(pictures: Iterator[Any], rate_hz: float, ffmpeg: str) -> bytes:
     """Return an MP4, made by ffmpeg, that plays everywhere and before it is loaded to its end."""
     first = next(pictures)
     height, width = first.shape[:2]
-    with temporary_folder() as folder:
-        target = folder / 'animation.mp4'
+    with TemporaryDirectory() as folder:
+        target = Path(folder, 'animation.mp4')
         command = [ffmpeg, '-loglevel', 'error', '-f', 'rawvideo', '-pix_fmt', 'rgb24', '-s',
                    f'{width}x{height}', '-r', f'{rate_hz:g}', '-i', '-', '-pix_fmt', 'yuv420p',
                    '-movflags', '+faststart', str(target)]

@@ -13,6 +13,7 @@ The deflection is that of the predicted lip from where it is without load.
 from pathlib import Path
 import subprocess
 import sys
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,7 +22,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.signals.residuals import AXES, MILLI_UNITS
 from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import File
-from bellows_ros.files.atomic import temporary_folder, write_bytes
+from bellows_ros.files.atomic import write_bytes
 from bellows_ros.workflows.plot import Replayed
 import numpy as np
 
@@ -89,8 +90,8 @@ def open_view(replayed: Replayed, note: str) -> None:
         If Rerun is missing, or ends with an error, as it does without a display.
 
     """
-    with temporary_folder() as folder:
-        path = folder / f'view{ENDING}'
+    with TemporaryDirectory() as folder:
+        path = Path(folder, f'view{ENDING}')
         write_view(path, replayed, note)
         done = subprocess.run([sys.executable, '-m', 'rerun', '--hide-welcome-screen', str(path)])
     if done.returncode != 0:

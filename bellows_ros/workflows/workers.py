@@ -8,14 +8,12 @@ from functools import cache
 import importlib
 import logging
 import os
-import tempfile
 import threading
 import time
 from typing import Any
 
 from bellows_ros.errors import BellowsError, install
 from bellows_ros.files import Values
-from bellows_ros.files.atomic import remove_abandoned
 from bellows_ros.workflows.recordings import Failed
 
 ANSWER_TIMEOUT = 10.0
@@ -64,7 +62,7 @@ def _in_pool(
     Yield the results of a pool of processes, which is handed no more than it works on.
 
     The numbers of what it was handed are added to those begun.
-    Whatever ends this generator early ends the processes, and what they left is removed.
+    Whatever ends this generator early ends the processes.
     """
     parallel = joblib.Parallel(
         jobs, backend='loky', return_as='generator_unordered', batch_size=1, pre_dispatch='n_jobs')
@@ -79,7 +77,6 @@ def _in_pool(
         yield from results
     finally:
         results.close()
-        remove_abandoned(tempfile.gettempdir())
 
 
 def _attempt_in_child(parent: int, task: Task, number: int, bag: str, values: Values) -> Outcome:

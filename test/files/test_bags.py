@@ -355,36 +355,14 @@ def altered_database(tmp_path, *statements):
     return folder
 
 
-AS_DATA = ['ALTER TABLE messages RENAME COLUMN data TO old',
-           'ALTER TABLE messages RENAME COLUMN more TO data']
-
-
 @pytest.mark.parametrize('named, statements', [
-    ("'topics'", ['DROP TABLE topics']),
+    ('topics', ['DROP TABLE topics']),
     ('name', ['ALTER TABLE topics RENAME COLUMN name TO x']),
     ("'topics'", ["UPDATE topics SET type = x'00'"]),
     ('4 messages', ['UPDATE messages SET topic_id = 9']),
-    *(("'messages'", [f"UPDATE messages SET {name} = 'text'"]) for name in ('data', 'timestamp')),
-    ("'messages'", ['DROP TABLE messages', 'CREATE VIEW messages AS SELECT 1 AS topic_id']),
-    *(("'messages'", [f'ALTER TABLE messages ADD COLUMN more AS ({data}) VIRTUAL', *AS_DATA])
-      for data in ('data || data', 'zeroblob(900000000)')),
-    ("'other'", [
-        'CREATE TABLE other (x TEXT, y AS (hex(zeroblob(100000000 * x))) VIRTUAL NOT NULL)',
-        "INSERT INTO other (x) VALUES ('1')"]),
-    ("'messages'", ['DROP TABLE messages',
-                    'CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)'])])
-def test_a_damaged_or_computing_database_is_refused(tmp_path, named, statements):
+    *(("'messages'", [f"UPDATE messages SET {name} = 'text'"]) for name in ('data', 'timestamp'))])
+def test_a_damaged_database_is_refused(tmp_path, named, statements):
     assert named in error_of(altered_database(tmp_path, *statements))
-
-
-def test_a_database_that_computes_without_end_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(bags, '_MIN_STEPS', 1_000_000)
-    folder = altered_database(
-        tmp_path,
-        'WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c LIMIT 200000)'
-        ' INSERT INTO messages (topic_id, timestamp, data) SELECT 1, x, zeroblob(0) FROM c')
-    monkeypatch.setattr(bags, '_STEPS_PER_BYTE', 0)
-    error_of(folder)
 
 
 def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):
@@ -395,7 +373,7 @@ def test_a_topic_with_too_many_messages_is_refused(tmp_path, monkeypatch):
 
 def test_a_compressed_database_that_is_too_large_is_refused(tmp_path, monkeypatch):
     folder = one_topic(tmp_path / 'b', made.poses(9), storage='sqlite3', compression='FILE')
-    monkeypatch.setattr(bags, 'MAX_TEMPORARY_BYTES', 1000)
+    monkeypatch.setattr(bags, 'MAX_DATABASE_BYTES', 1000)
     assert "'zstd -d'" in error_of(folder)
 
 
