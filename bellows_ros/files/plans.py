@@ -192,8 +192,6 @@ JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
 MAX_URDF_BYTES = 2**26
-MAX_YAML_BYTES = 2**27
-"""Largest files, in bytes; as much YAML holds `MAX_POINTS` with all their digits."""
 
 
 class NoArmError(BellowsError):
@@ -386,8 +384,8 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
 
 
 def read_yaml(path: File) -> Mapping[str, Any]:
-    """Return the content of a YAML file; points of a message have attributes."""
-    content = safe_yaml.load_records(Path(path), ('points', 'poses'), MAX_YAML_BYTES)
+    """Return the content of a YAML file."""
+    content = safe_yaml.load(Path(path))
     if not isinstance(content, Mapping):
         raise BellowsError(f"'{path}' holds no names and values, so no plan.")
     return content

@@ -6,10 +6,8 @@ when written out.
 """
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-import json
 from pathlib import Path
 import re
-from types import SimpleNamespace
 from typing import Any
 
 from bellows_ros.errors import BellowsError
@@ -110,76 +108,7 @@ def load(path: Path, aliases: bool = False) -> Any:
         If the file cannot be read, is too large, or is not the YAML described above.
 
     """
-    return _parsed(_text(path, MAX_FILE_BYTES), path, aliases)
-
-
-def load_records(path: Path, names: Sequence[str], largest: int) -> Any:
-    """
-    Return the content of a YAML file that may have a long list of records under one of some names.
-
-    Records that differ in plain numbers alone, as the points of a plan do, are read some 50 times
-    faster than other values, and have their parts as attributes. A file without them, or of other
-    records, is read as by `load`.
-
-    Raises
-    ------
-    BellowsError
-        As `load`, for a file of more than `largest` bytes.
-
-    """
-    text = _text(path, largest)
-    start = re.search(rf'^({"|".join(names)}): *\n( *- )', text, re.MULTILINE)
-    if start:
-        after = _NEXT_KEY.search(text, start.end())
-        end = after.start() if after else len(text)
-        records = _records(text[start.end():end].rstrip('\n').split('\n' + start[2]))
-        if records:
-            content = dict(_parsed(text[:start.end()] + '0\n' + text[end:], path, False))
-            content[start[1]] = records
-            return content
-    if len(text) > MAX_FILE_BYTES:
-        raise BellowsError(
-            f'{path} is larger than {MAX_FILE_BYTES} bytes; expected so much only of '
-            f'{" or ".join(names)} that differ in nothing but plain numbers. Give a recording of '
-            "the message: 'ros2 bag record'.")
-    return _parsed(text, path, False)
-
-
-_NEXT_KEY = re.compile(r'^[^\s#-]', re.MULTILINE)
-_NUMBER = r'(-?(?:0|[1-9]\d{0,18})(?:\.\d+)?(?:[eE][-+]?\d+)?)'
-MAX_RECORD_LENGTH = 2**13
-"""Characters."""
-
-
-def _records(texts: Sequence[str]) -> list[Any]:
-    """Return records that differ in their numbers alone, or nothing if they are not such."""
-    if len(texts[0]) > MAX_RECORD_LENGTH:
-        return []
-    between = re.split(rf'(?<=[ ,\[]){_NUMBER}(?=[\s,\]}}]|\Z)', texts[0])[::2]
-    marked = ''.join(f'{part}__{i}__' for i, part in enumerate(between))
-    try:
-        first = _Loader('- ' + marked.removesuffix(f'__{len(between) - 1}__')).get_single_data()
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return []
-    form = json.dumps(first[0]).replace('%', '%%')
-    form, count = re.subn(r'"__\d+__"', '%s', form)
-    if count != len(between) - 1:
-        return []
-    alike = re.compile(_NUMBER.join(map(re.escape, between)))
-    matches = [alike.fullmatch(text) for text in texts]
-    if None in matches:
-        return []
-    decode = json.JSONDecoder(object_hook=lambda part: SimpleNamespace(**part)).decode
-    return [decode(form % each.groups()) for each in matches if each]
-
-
-def _text(path: Path, largest: int) -> str:
-    """Return the text of a file, without what ends a message that ROS prints."""
-    return read_text(path, largest).removesuffix('---\n')
-
-
-def _parsed(text: str, path: Path, aliases: bool) -> Any:
-    """Return what `load` does, of a text in a file; with aliases no key knows its line."""
+    text = read_text(path, MAX_FILE_BYTES).removesuffix('---\n')  # the end of a printed message
     try:
         loader = _Loader(text)
         loader.aliases_allowed = aliases  # in files that other programs write
