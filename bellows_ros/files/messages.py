@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
-from bellows_ros.core.signals.screening import unusable_stamps
+from bellows_ros.core.signals.screening import REFUSALS, UNIT_TOLERANCE, unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_folder import Batch, rows_of
@@ -317,31 +317,19 @@ def decode_bool(message: bytes) -> bool | None:
 
 Refused = dict[str, tuple[int, ...]]
 
-# A quaternion shorter than this is zero; one whose norm is off by more than that is no unit
-# quaternion. Smaller deviations are the rounding of drivers that send single precision or a few
-# decimals.
 MIN_QUATERNION_NORM = 1e-6
-MAX_NORM_ERROR = 0.01
+"""A shorter quaternion is zero."""
+
 # No robot is further away (m), or faster (m/s, rad/s), than this; a damaged message may say so.
 MAX_VALUE = 1e6
 
-REASONS: Mapping[str, str] = MappingProxyType({
-    'malformed': 'could not be decoded',
-    'zero_stamp': 'have no stamp',
-    'nan': 'hold NaN or infinity',
-    'out_of_range': f'hold a number above {MAX_VALUE:g}',
-    'zero_quaternion': 'have a quaternion of zero',
-    'not_unit': f'have a quaternion whose norm is off by more than {MAX_NORM_ERROR:.0%}',
-    'frame_id': 'name another frame than most',
-    'duplicate_stamp': 'repeat the stamp before',
-    'backward_stamp': 'have a stamp before an earlier one',
-    'future_stamp': 'have a stamp ahead of its time'})
+REASONS: Mapping[str, str] = {**REFUSALS['both'], **REFUSALS['recorded']}
 
 
 def describe(refused: Mapping[str, tuple[int, ...]]) -> str:
     """Return the refusals in words: how many of each reason, and where the first is."""
     return ', '.join(
-        f'{len(indices)} {REASONS.get(reason, reason)} (first: message {indices[0]})'
+        f'{len(indices)} x {REASONS.get(reason, reason)} (first: message {indices[0]})'
         for reason, indices in refused.items() if indices) or 'none'
 
 
@@ -369,7 +357,7 @@ def pose_stream(name: str, decoded: Decoded) -> PoseStream:
         norm = np.linalg.norm(decoded.values[:, 3:], axis=1)
     unusable = {
         'zero_quaternion': norm < MIN_QUATERNION_NORM,
-        'not_unit': np.abs(norm - 1.0) > MAX_NORM_ERROR}
+        'not_unit': np.abs(norm - 1.0) > UNIT_TOLERANCE}
     used, frame_id, refused = _drop_invalid(decoded, decoded.values[:, :3], unusable)
     return PoseStream(
         name, frame_id, decoded.stamps_ns[used], decoded.values[used, :3],

@@ -1,7 +1,6 @@
 """Plans in every form they come in, what is said of them, and bad ones refused."""
 
 from dataclasses import replace
-import json
 import math
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
@@ -17,12 +16,12 @@ from bellows_ros.files.plan_messages import (
     PATH,
     PlanMessage,
 )
-from bellows_ros.files.plans import DESCRIPTION, JOINTS, plan_in_yaml, read_yaml, STATES, TF
+from bellows_ros.files.plans import DESCRIPTION, JOINTS, read_yaml, STATES, TF
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
 from bellows_ros.workflows.plan import plan, read_plan
 import numpy as np
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 import pytest
 import yaml
 

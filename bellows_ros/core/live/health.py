@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Safety
-from bellows_ros.core.live.predictor import LivePredictor, REFUSALS, RESTARTS
+from bellows_ros.core.live.predictor import LivePredictor, MESSAGES, REFUSALS, RESTARTS
 from bellows_ros.core.model.validity_range import Distance
 import numpy as np
 
@@ -108,22 +108,7 @@ class Arrivals:
 MAX_AGE = 1.0
 """Messages older or younger (s) than this carry stamps of another clock."""
 
-TWIST_MESSAGES = {
-    'other_axes': 'The twists do not fit the poses in the axes of tool_twist.frame, but they do '
-                  'in the other choice: switch it between world and tool.',
-    'does_not_fit': 'The twists do not fit the poses. Check their units, and that they are '
-                    'those of the tool tip.',
-}
-PHASE_MESSAGES = {
-    'detached': 'Detached: no package is held, so nothing is predicted.',
-    'waiting': 'Waiting for the first pose of the tool.',
-    'settling': 'Settling: the prediction started while the tool moved, or after doubtful poses.',
-    'coasting': 'Coasting: no pose of the tool arrives, so its motion is extrapolated.',
-    'released': 'Released: the valve is switched off, and the cup still holds the package.',
-    'flying': 'Flying: the cup has let the package go.',
-    'landed': 'Landed: nothing is published until vacuum/valve is true again.',
-    'lost': 'Lost: no usable pose of the tool arrives, so nothing is published.',
-}
+PHASES, TWISTS, FAULTS = (MESSAGES[name] for name in ('phases', 'twists', 'faults'))
 
 
 class Mismatch(NamedTuple):
@@ -324,31 +309,22 @@ def _judge_prediction(report: PredictionReport) -> tuple[Level, str]:
     if report.state != 'active':
         return Level.OK, f'{report.state.capitalize()}: nothing is published.'
     if restarts.get('no_equilibrium'):
-        return Level.ERROR, (
-            'Nothing is published: the cup cannot hold the package at rest in this tool pose. '
-            'Check package.mass, package.com, cup.stiffness and their units, and that z of the '
-            'tool points from the cup back into the arm.')
+        return Level.ERROR, FAULTS['no_equilibrium']
     if failures := restarts.get('failure'):
         return Level.ERROR, f'{failures} callbacks failed, a fault of this node. Report its log.'
     if phase == 'lost':
-        return Level.ERROR, PHASE_MESSAGES[phase]
+        return Level.ERROR, PHASES[phase]
     if report.above:
-        return Level.ERROR, (
-            'The package is above the tool: z of the tool points down, but must point from the '
-            "cup back into the arm. Turn the driver's tool frame by 180 degrees about x, or set "
-            'gravity.direction if the arm is not mounted upright.')
+        return Level.ERROR, FAULTS['above']
     if reasons := _listed(restarts):
         return Level.WARN, f'Started again from static equilibrium: {reasons}.'
     if phase in ('coasting', 'settling'):
-        return Level.WARN, PHASE_MESSAGES[phase]
-    if report.twist_verdict in TWIST_MESSAGES:
-        return Level.WARN, TWIST_MESSAGES[report.twist_verdict]
+        return Level.WARN, PHASES[phase]
+    if report.twist_verdict in TWISTS:
+        return Level.WARN, TWISTS[report.twist_verdict]
     if not report.has_covariance:
-        return Level.WARN, (
-            'The covariance of package/odometry is unknown, because the package has no stable '
-            'equilibrium under the tool. Check package.com, and that z of the tool points from '
-            'the cup back into the arm.')
-    return Level.OK, PHASE_MESSAGES.get(phase, 'Predicting.')
+        return Level.WARN, FAULTS['no_covariance']
+    return Level.OK, PHASES.get(phase, 'Predicting.')
 
 
 def load_status(
@@ -375,8 +351,7 @@ def load_status(
     elif excess is not None and excess.outside:
         level, message = Level.WARN, excess.text
     elif not (has_grip or has_envelope):
-        message = ('The limits of the cup are unknown. Set cup.lip_radius with vacuum.holding, '
-                   'and envelope.*.')
+        message = FAULTS['no_limits']
     elif safety is None and excess is None:
         message = 'No load: no package is held.'
     return Status(name, level, message, values)

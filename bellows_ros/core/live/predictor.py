@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+import tomllib
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
@@ -34,7 +36,7 @@ from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
-from bellows_ros.core.signals.screening import LONGEST_GAP_NS
+from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.trajectory import frozen, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -46,37 +48,13 @@ COAST_LIMIT_NS = 100_000_000
 MOVING_SPEED, MOVING_RATE = 0.02, 0.1
 """Speed (m/s) or rate (rad/s) of the tool from which on no package is released."""
 
-REFUSALS = {
-    'nan': 'nan (a number in it is not finite)',
-    'zero_quaternion': 'zero quaternion',
-    'not_unit': 'quaternion not of unit length',
-    'zero_stamp': 'no valid stamp',
-    'duplicate_stamp': 'repeated stamp',
-    'backward_stamp': 'backward stamp',
-    'future_stamp': 'stamp in the future',
-    'frame_id': 'frame_id is another than before',
-    'repeated_pose': 'the pose repeats although the tool moves (tracking lost?)',
-    'jump': 'too far from the pose before (tracking lost, or two tools on one topic?)',
-    'twist_nan': 'nan (a number in it is not finite)',
-    'twist_too_fast': 'faster than any arm',
-    'twist_frame_id': 'frame_id is another than before',
-    'twist_misses_pose': 'does not match the motion from pose to pose',
-    'twist_unpaired': 'no pose near its stamp',
-}
+REFUSALS: Mapping[str, str] = {**screening.REFUSALS['both'], **screening.REFUSALS['live']}
 """Why messages are refused, in words."""
 
-RESTARTS = {
-    'gap': f'no usable pose arrived for more than {LONGEST_GAP_NS * 1e-9:g} s',
-    'clock_set_back': 'the stamps went back (a clock was set, or a recording started again)',
-    'clock_set_forward': 'the stamps jumped ahead of the elapsed time',
-    'clock_jump': 'the clock of the simulation was set, or switched on or off',
-    'frame_changed': "the tool's poses are now in another frame",
-    'moved': "the tool's poses jumped further than it can move",
-    'diverged': 'the prediction diverged, with its lip further away than any cup reaches; check '
-                'cup.stiffness, cup.damping and the package',
-    'no_equilibrium': 'the cup cannot hold the package',
-    'failure': 'a fault of this node',
-}
+MESSAGES = tomllib.loads(Path(__file__).with_name('messages.toml').read_text())
+RESTARTS: Mapping[str, str] = {
+    reason: text.format(gap=screening.LONGEST_GAP_NS * 1e-9)
+    for reason, text in MESSAGES['restarts'].items()}
 """Why the prediction starts again, in words."""
 
 
