@@ -14,15 +14,10 @@ import os
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.identification import (
-    causes,
-    identifiability,
-    least_squares,
-    methods,
-    samples,
-)
+from bellows_ros.core.identification import causes, identifiability, least_squares, methods
 from bellows_ros.core.identification.reduction import reduced, ReducedRecording
 from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import cup_of, is_gripper
 from bellows_ros.core.parameters import checks
@@ -349,7 +344,7 @@ def selection(
 
     progress('comparing structures', FIT_ENDS)
     compared = select_structure(
-        [samples.samples_of(recording) for recording in recordings], values['cup.length'],
+        [samples_of(recording) for recording in recordings], values['cup.length'],
         [recording.noise for recording in recordings],
         structure.given_structure({**values, 'fit.structure': 'layout'})
         if is_gripper(values) else None)

@@ -5,8 +5,6 @@ A kernel is scalar code on tuples of floats. Where numba is installed it is comp
 machine code kept on disk), where it is not the very same source is interpreted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 import ctypes

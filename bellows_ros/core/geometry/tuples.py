@@ -7,8 +7,6 @@ A vector is ``(x, y, z)``, a 3x3 matrix its nine entries row by row, a rotation 
 Products of small arrays are compiled loops where numba is, else those of numpy.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The package from the valve on: held until the cup lets go, flying, landed. Pure code, no ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 import math

@@ -6,8 +6,6 @@ Rates, jitter, age and computing times of messages are kept in constant memory.
 OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Mapping
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """Vacuum, holding margin and distance from the validity range, live; checks of values."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 import re

@@ -1,7 +1,5 @@
 """The state of the held package: started at rest, propagated with the tool, extrapolated."""
 
-from __future__ import annotations
-
 from functools import partial
 import math
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ Drivers start late and run scaled, so the plan is anchored to the tool: to the p
 along its path, not to the clock. Pure code, no ROS.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ The node and `bellows replay` run this very code. Nothing here reads a clock: th
 is in the stamps, and the caller passes the arrival of each message.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,14 +21,6 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL, deflection
 from bellows_ros.core.live.payload import LivePayload
-from bellows_ros.core.live.tool_screening import (
-    COAST_AFTER_NS,
-    PoseSample,
-    Screen,
-    ToolArrivals,
-    TwistSample,
-    TwistScreen,
-)
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import Cup, Package
@@ -41,6 +31,8 @@ from bellows_ros.core.signals.trajectory import frozen, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+
+from .tool_screening import PoseSample, Screen, ToolArrivals, TwistSample, TwistScreen
 
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""
@@ -391,7 +383,7 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
     live.on_twist(arrival_ns + 1_500_000, still, still)
     live.on_pose(arrival_ns + 1_000_000, 'world', (1e-6, 0.0, 0.0), upright, arrival_ns)
     live.flush()
-    for prediction in live.coast(arrival_ns + COAST_AFTER_NS + 1_000_000):
+    for prediction in live.coast(arrival_ns + live.coast_limit_ns):
         deflection(live.model, prediction)
 
 

@@ -8,8 +8,6 @@ changes its frame or a tool was moved while nobody saw it. Of two tools on one t
 came first is followed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

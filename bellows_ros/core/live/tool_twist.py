@@ -9,8 +9,6 @@ Measured twists are checked against the poses, in both choices of axes (`TwistCh
 `ToolMotion` joins both.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 import math

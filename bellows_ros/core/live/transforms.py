@@ -1,7 +1,5 @@
 """The tool's pose from a tree of transforms, as they arrive on tf."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence

@@ -22,8 +22,6 @@ are thrown about later as no arm moves, the prediction is wrong by an amount tha
 the package's modes. Until then it settles (`Settling`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial

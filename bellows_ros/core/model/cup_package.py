@@ -1,7 +1,5 @@
 """Cup and package as frozen data, the regressor, and what their uncertain parameters do."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -102,7 +100,7 @@ class Cup:
                 'is identified with these.')
 
     @classmethod
-    def thesis(cls) -> Cup:
+    def thesis(cls) -> 'Cup':
         """Return the cup identified in the thesis: K (4.78), P (4.79), l0 of section 4.2."""
         return cls(np.diag(structure.THESIS_STIFFNESS), np.diag(structure.THESIS_DAMPING),
                    structure.THESIS_LENGTH)

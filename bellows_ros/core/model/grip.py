@@ -10,8 +10,6 @@ s (f, m) still holds with the same V; infinite where no size of the wrench lets 
 the grip is lost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple

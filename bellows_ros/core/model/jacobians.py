@@ -9,8 +9,6 @@ All is worked out at S1, the package's end of the spring: a shift and turn xi of
 X(S1_H_B) xi, as a twist is, and the twist relative to the tool changes with xi by -ad(v_tool) xi.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3

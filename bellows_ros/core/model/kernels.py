@@ -13,8 +13,6 @@ A cup that relaxes has two branches behind P, and its package's state two intern
 kernel is compiled once with them and once without; at rest, without them, K alone acts.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3

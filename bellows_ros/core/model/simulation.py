@@ -1,7 +1,5 @@
 """Simulation of the package under a tool motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -60,7 +58,7 @@ MAX_NEWTON_STEPS, MAX_NEWTON_STEP = 30, 0.1
 
 
 def steady_start(
-    model: ModelTuple, tool: Trajectory | ToolRows, guess: State | None = None
+    model: ModelTuple, tool: 'Trajectory | ToolRows', guess: State | None = None
 ) -> State:
     """
     Return the package in steady motion at a plan's first point: at rest where the tool is.

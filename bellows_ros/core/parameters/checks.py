@@ -1,7 +1,5 @@
 """Validation of parameter values against the table, and of the settings of other YAML files."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 import difflib
@@ -410,12 +408,12 @@ class Settings:
             raise self.refuse(name, 'a list of one or more numbers', [])
         return values
 
-    def block(self, name: str) -> Settings:
+    def block(self, name: str) -> 'Settings':
         """Return a block of this one; an empty one when it is not given."""
         self._asked.append(name)
         return self._inside(name, self._values.get(name))
 
-    def blocks(self, name: str) -> list[Settings]:
+    def blocks(self, name: str) -> list['Settings']:
         """Return a list of one or more blocks."""
         self._asked.append(name)
         value = self._values.get(name)
@@ -423,7 +421,7 @@ class Settings:
             raise self.refuse(name, 'a list of one or more blocks', value)
         return [self._inside(f'{name}[{i}]', item) for i, item in enumerate(value)]
 
-    def _inside(self, name: str, values: object) -> Settings:
+    def _inside(self, name: str, values: object) -> 'Settings':
         """Return a block of this one, to be done with it."""
         self._blocks[name] = Settings(values, self.name(name), self._where)
         return self._blocks[name]

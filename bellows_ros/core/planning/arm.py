@@ -1,7 +1,5 @@
 """Kinematics of an arm from its URDF: pose and Jacobian of the tool for joint positions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -59,7 +57,7 @@ class Arm:
     tool_link: str
     joints: tuple[Joint, ...]
 
-    def with_tip(self, tip: Array | None) -> Arm:
+    def with_tip(self, tip: Array | None) -> 'Arm':
         """Return the arm with E at a pose (4, 4) in its tool link."""
         if tip is None:
             return self

@@ -1,7 +1,5 @@
 """Speed, acceleration and jerk; shortest times of motions within limits and with a safe grip."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 import math

@@ -5,8 +5,6 @@ A plan is a `Trajectory` of E with body twists; the tool moves between its point
 Hermite curve, and stands still after the last one. Loads are 1 / safety factor of the grip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
@@ -188,7 +186,7 @@ class PlanSimulation:
         simulation.require_steps(float(tool.seconds[-1]) / self._longest)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
 
-    def with_model(self, model: ModelTuple) -> PlanSimulation:
+    def with_model(self, model: ModelTuple) -> 'PlanSimulation':
         """Return the same run with a slightly different model."""
         other = copy(self)
         other._model = model

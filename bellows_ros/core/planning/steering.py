@@ -6,8 +6,6 @@ wrench of the cup, and with the damper, linear in the relative twist, the motion
 Input shaping (Singer and Seering) adds up delayed copies of a motion, whose swings cancel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 import math

@@ -12,33 +12,15 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply
-from bellows_ros.core.recording.alignment import (
-    aligned_at_rest,
-    Alignment,
-    in_world,
-    rest_of,
-    standstill,
-)
-from bellows_ros.core.recording.outliers import (
-    find_outliers,
-    increments_of,
-    LastingStep,
-    Outliers,
-    repeats_in_motion,
-)
-from bellows_ros.core.recording.recording import (
-    Filter,
-    LOW_RATE_HZ,
-    PrepareSettings,
-    Recording,
-    Report,
-    StreamReport,
-)
 from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import weights_for
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
+
+from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill
+from .outliers import find_outliers, increments_of, LastingStep, Outliers, repeats_in_motion
+from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
 # Half a filter window, s, where none is given. With order 6 the filter takes less than 0.1 % from
 # K and P of a cup shaken at 3 Hz, and averages as much noise as that allows.

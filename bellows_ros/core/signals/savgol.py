@@ -12,17 +12,12 @@ from math import pi
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import (
-    any_within,
-    Filtered,
-    frozen,
-    Trajectory,
-    uniform_rate_hz,
-)
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
+
+from .trajectory import any_within, Filtered, frozen, Trajectory, uniform_rate_hz
 
 # The polynomial must have a second derivative, for the accelerations.
 MIN_ORDER = 2

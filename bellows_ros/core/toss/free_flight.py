@@ -1,7 +1,5 @@
 """Free flight: the impulse of a blow-off, the parabola with a tumbling package, the landing."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

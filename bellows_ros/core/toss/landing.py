@@ -6,21 +6,13 @@ the rotation vector from a nominal landing, in world axes (rad). Each toss lands
 instant, so that the shift along the flight is projected out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.model.cup_package import (
-    contributions,
-    model_with,
-    PARAMETER_NAMES,
-    parameter_std,
-    parameter_vector,
-)
+from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.structure import places_of
 from bellows_ros.core.toss import release as toss_release
@@ -133,10 +125,11 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
 def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
     until = nominal.release_time + MARGIN
-    names, parts = contributions(
+    names, parts = cup_package.contributions(
         case.values, case.held.model,
         lambda model: case.error(case.with_numbers(model, case.release, until), nominal))
-    std = [parameter_std(case.values)[PARAMETER_NAMES.index(name)] for name in names]
+    every = cup_package.parameter_std(case.values)
+    std = [every[cup_package.PARAMETER_NAMES.index(name)] for name in names]
     factor, count = release_factor(case.values), len(names)
     of_law = np.linalg.norm(factor, axis=1)
     uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
@@ -170,11 +163,12 @@ class MonteCarlo(NamedTuple):
 def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
     """Return random tosses with every parameter drawn from its normal distribution."""
     rng = np.random.default_rng(seed)
-    numbers, std = parameter_vector(case.values), parameter_std(case.values)
+    numbers = cup_package.parameter_vector(case.values)
+    std = cup_package.parameter_std(case.values)
     factor = release_factor(case.values)
     until, rows, failed = nominal.release_time + MARGIN, [], 0
     for _ in range(count):
-        model = model_with(
+        model = cup_package.model_with(
             case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = release_with(case.release, factor @ rng.standard_normal(8))
         try:

@@ -16,8 +16,6 @@ flies without air, and lands when a corner of its box is at the floor's height, 
 gravity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple

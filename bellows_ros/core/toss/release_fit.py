@@ -10,8 +10,6 @@ from what each drop contributes to the gradient, so from the scatter between dro
 with what the drops of one mass have left in common, which scatter does not explain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -473,13 +471,13 @@ def _fitted(
         tuple(one.explained(law) for one in problem), lack, common)
 
 
-def _reduced(problem: Sequence[_DropFit], law: Array) -> tuple[Array, Array]:
+def _reduced(problem: Sequence['_DropFit'], law: Array) -> tuple[Array, Array]:
     """Return the matrix of the free numbers, and the gradient of each drop."""
     matrices, gradients = zip(*[one.reduced(law) for one in problem], strict=True)
     return np.sum(matrices, axis=0), np.array(gradients)
 
 
-def _of_fixed(problem: Sequence[_DropFit], law: Array, inverse: Any, fixed_std: Array) -> Array:
+def _of_fixed(problem: Sequence['_DropFit'], law: Array, inverse: Any, fixed_std: Array) -> Array:
     """Return the covariance (8, 8) from fixed numbers of a std (8,), which move the others."""
     free, fixed = problem[0].free, np.flatnonzero(fixed_std).tolist()
     both = [_DropFit(one.drop, (*free, *fixed)) for one in problem]
@@ -493,7 +491,7 @@ def _of_fixed(problem: Sequence[_DropFit], law: Array, inverse: Any, fixed_std: 
     return np.asarray(moves @ moves.T)
 
 
-def _in_common(problem: Sequence[_DropFit], law: Array) -> tuple[float, float]:
+def _in_common(problem: Sequence['_DropFit'], law: Array) -> tuple[float, float]:
     """
     Return what drops of one mass have left in common, over what scatter explains, and its rms (m).
 
