@@ -22,8 +22,8 @@ import numpy as np
 MAGIC = b'\x89MCAP0\r\n'
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
-_STATISTICS, _DATA_END = 0x0B, 0x0F
-_READ_KINDS = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END}
+_STATISTICS = 0x0B
+_READ_KINDS = {_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS}
 _RECORD_HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = np.dtype([
     ('kind', 'u1'), ('size', '<u8'), ('channel', '<u2'), ('number', '<u4'), ('log_time', '<u8'),
@@ -102,22 +102,19 @@ class _Scan:
 
         Of a chunk at which the file ends, what there is of it.
         """
-        kind, checksum = 0, zlib.crc32(MAGIC)
+        kind = 0
         while kind != _FOOTER:
             head = _exactly(file, _RECORD_HEAD.size)
             kind, size = _RECORD_HEAD.unpack(head)
             if not kind:
                 raise DamagedError('a record has no kind')
-            before, checksum = checksum, zlib.crc32(head, checksum)
             if kind not in _READ_KINDS:
                 for at in range(0, size, _SKIP_STEP):
-                    checksum = zlib.crc32(_exactly(file, min(size - at, _SKIP_STEP)), checksum)
+                    _exactly(file, min(size - at, _SKIP_STEP))
             elif size > MAX_RECORD_BYTES:
                 raise DamagedError(f'a record says it is {size} bytes long')
             else:
                 body = file.read(size)
-                _require_checksums(kind, body, before, checksum)
-                checksum = 0 if kind == _DATA_END else zlib.crc32(body, checksum)
                 if len(body) == size or kind == _CHUNK:
                     yield kind, body
                 if len(body) != size:
@@ -249,20 +246,6 @@ def _texts(body: bytes, at: int, count: int) -> list[str]:
     return texts
 
 
-def _require_checksums(kind: int, body: bytes, before: int, checksum: int) -> None:
-    """Check the ends of data and summary, by the checksums before and behind their heads."""
-    if kind == _DATA_END:
-        _require_checksum(body[:4], before, 'its data')
-    elif kind == _FOOTER:  # behind two offsets
-        _require_checksum(body[16:20], zlib.crc32(body[:16], checksum), 'its summary')
-
-
-def _require_checksum(stated: bytes, computed: int, of: str) -> None:
-    """Refuse a checksum other than the stated one; 0 stands for none."""
-    if struct.unpack('<I', stated)[0] not in (0, computed):
-        raise DamagedError(f'the checksum of {of} is wrong')
-
-
 def _chunk_data(body: bytes) -> bytes:
     """
     Return the decompressed records of a chunk, checked against its size and its checksum.
@@ -287,7 +270,9 @@ def _chunk_data(body: bytes) -> bytes:
         return data
     if len(data) != size:
         raise DamagedError(f'a chunk has {len(data)} bytes, but says {size}')
-    _require_checksum(body[24:28], zlib.crc32(data), 'a chunk')
+    (checksum,) = struct.unpack_from('<I', body, _CHUNK_CHECKSUM_AT)
+    if checksum not in (0, zlib.crc32(data)):
+        raise DamagedError('the checksum of a chunk is wrong')
     return data
 
 

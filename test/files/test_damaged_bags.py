@@ -9,7 +9,6 @@ import re
 import struct
 import sys
 import time
-import zlib
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import mcap
@@ -201,28 +200,6 @@ def test_a_recording_that_was_not_ended_and_has_nothing_is_refused(tmp_path):
     path = write_mcap(tmp_path / 'a.mcap', BASE, ended=False)
     with pytest.raises(BellowsError, match=r'\b0 messages'):
         read_streams(path, WANTED)
-
-
-def summed(data):
-    """Return the checksum of some bytes."""
-    return struct.pack('<I', zlib.crc32(data))
-
-
-def test_checksums_of_data_and_summary_are_verified(tmp_path):
-    """Both begin where the format says: with the first byte, and behind the end of the data."""
-    data = mcap.MAGIC + HEADER + BASE + message(0)
-    summary = channel() + statistics({1: 1})
-    foot = struct.pack('<BQ', 2, 20) + struct.pack('<QQ', len(data) + 13, 0)
-    sound = [data, record(0x0F, summed(data)), summary, foot, summed(summary + foot), mcap.MAGIC]
-    path = tmp_path / 'a.mcap'
-    path.write_bytes(b''.join(sound))
-    assert len(outcome(path).streams['p']) == 1
-    for part, of in ((1, 'data'), (4, 'summary')):
-        wrong = list(sound)
-        wrong[part] = wrong[part][:-1] + bytes([wrong[part][-1] ^ 1])
-        path.write_bytes(b''.join(wrong))
-        with pytest.raises(BellowsError, match=f'checksum of its {of}'):
-            read_streams(path, WANTED)
 
 
 def test_small_files_that_inflate_do_not_fill_the_memory(tmp_path):
