@@ -334,17 +334,3 @@ def _discard(stream: TextIO) -> None:
     with suppress(OSError):
         stream.flush()
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Hold these signals and Ctrl-C back while finished work is written: all of it or nothing."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handlers = {n: signal.signal(n, lambda *_: None) for n in STOP_SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)

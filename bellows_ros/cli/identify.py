@@ -11,7 +11,7 @@ from bellows_ros.workflows.identify import identify
 
 from . import options
 from .arguments import STDOUT
-from .console import Console, NOT_USABLE, OK, uninterrupted
+from .console import Console, NOT_USABLE, OK
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.toss import ReleaseResult
@@ -35,8 +35,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
                           arguments.force)
     usable = not result.refusals
     written = usable or (arguments.force and result.fit.usable)
-    with uninterrupted():  # all of it, even when Ctrl-C comes in between
-        save(result, cup_file if written else '', json_file, arguments.force)
+    save(result, cup_file if written else '', json_file, arguments.force)
     if page:
         from bellows_ros.report.build import write_page
 
@@ -72,12 +71,10 @@ def _release(arguments: argparse.Namespace, settings: dict[str, Any], console: C
 
     with console.progress() as progress:
         result = identify_release(settings, progress)
-    with uninterrupted(), options.naming_partial_output() as written:
-        if arguments.out:
-            write_parameters(arguments.out, result.parameters())
-            written += [arguments.out]
-        options.write_result(arguments.json, {
-            **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
+    if arguments.out:
+        write_parameters(arguments.out, result.parameters())
+    options.write_result(arguments.json, {
+        **result.as_json(), 'provenance': provenance(result.bags, arguments.params)})
     _print_release(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK

@@ -1,8 +1,8 @@
 """Options shared by the commands, the settings they give, and the order of work on plans."""
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from itertools import permutations
 import os
 from pathlib import Path
@@ -36,18 +36,6 @@ def write_result(target: str, content: Any) -> None:
     """Write a result to the target of --json, if there is one."""
     if target:
         results.write_json(target, content)
-
-
-@contextmanager
-def naming_partial_output() -> Iterator[list[str]]:
-    """Let an error while outputs are written say which of them are written already."""
-    written: list[str] = []
-    try:
-        yield written
-    except BellowsError as error:
-        if any(written):
-            error.args = (f'{error} Already written: {", ".join(filter(None, written))}.',)
-        raise
 
 
 def read_settings(
@@ -219,20 +207,17 @@ def run_plan_command(
     with console.progress() as progress:
         progress('planning')
         result = work(values, progress)
-        with naming_partial_output() as written:
-            if arguments.out:
-                write(result)
-                written += [arguments.out]
-            if film and arguments.plot.lower().endswith(style.FILMS):
-                film(result)
-            elif arguments.plot:
-                style.write_figure(arguments.plot, result.plot())
-            written += [arguments.plot]
-            if arguments.json:
-                plans = [arguments.plan] if 'plan' in arguments else []
-                write_result(arguments.json, {
-                    **result.as_json(), 'version': __version__,
-                    'provenance': results.provenance(plans, arguments.params)})
+        if arguments.out:
+            write(result)
+        if film and arguments.plot.lower().endswith(style.FILMS):
+            film(result)
+        elif arguments.plot:
+            style.write_figure(arguments.plot, result.plot())
+        if arguments.json:
+            plans = [arguments.plan] if 'plan' in arguments else []
+            write_result(arguments.json, {
+                **result.as_json(), 'version': __version__,
+                'provenance': results.provenance(plans, arguments.params)})
     print_result(result, console)
     console.wrote(*(getattr(arguments, name, '')
                     for name in ('json', 'plot', 'csv', 'urscript', 'out')))

@@ -41,25 +41,20 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         result = replay.replay(
             arguments.bag, settings, progress, arguments.observe, arguments.calibrate_alarms)
     limit = MAX_NRMSE if arguments.limit is None else arguments.limit / PERCENT
-    with options.naming_partial_output() as written:
-        if result.observed and arguments.out:
+    if result.observed and arguments.out:
+        parameter_files.write_parameters(arguments.out, result.observed.parameters, [
+            f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
+    if arguments.report:
+        from bellows_ros.report.build import replay_report
 
-            parameter_files.write_parameters(arguments.out, result.observed.parameters, [
-                f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
-            written += [arguments.out]
-        if arguments.report:
-            from bellows_ros.report.build import replay_report
+        atomic.write_text(arguments.report, replay_report(result, arguments.params))
+    if arguments.view is not None and result.live:
+        from bellows_ros.plots.viewer import open_view, write_view
 
-            atomic.write_text(arguments.report, replay_report(result, arguments.params))
-            written += [arguments.report]
-        if arguments.view is not None and result.live:
-            from bellows_ros.plots.viewer import open_view, write_view
-
-            shown = plot.with_bodies(result.values, result.recording, result.live)
-            if arguments.view:
-                write_view(arguments.view, shown, result.bag)
-                written += [arguments.view]
-        options.write_result(arguments.json, result.as_json(limit, arguments.params))
+        shown = plot.with_bodies(result.values, result.recording, result.live)
+        if arguments.view:
+            write_view(arguments.view, shown, result.bag)
+    options.write_result(arguments.json, result.as_json(limit, arguments.params))
     print_replay(result, console, limit)
     if result.live:
         console.paragraph(

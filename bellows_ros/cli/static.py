@@ -29,12 +29,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     options.require_named_outputs(arguments, [bag for bag, _ in bags])
     with console.progress() as progress:
         result = static.static_check(bags, settings, progress)
-    with options.naming_partial_output() as written:
-        if arguments.out:
-            static.save_length(result, arguments.out)
-            written += [arguments.out]
-        options.write_result(
-            arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
+    if arguments.out:
+        static.save_length(result, arguments.out)
+    options.write_result(
+        arguments.json, {**result.as_json(), 'settings': settings, 'version': __version__})
     print_result(result, console)
     console.wrote(arguments.out, arguments.json)
     return OK if result.spring is None or result.spring.passed else NOT_USABLE

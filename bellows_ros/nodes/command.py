@@ -7,9 +7,8 @@ that the user can correct are printed without a traceback and end with 2.
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
 import importlib.util
-from itertools import pairwise, takewhile
+from itertools import takewhile
 import os
 from pathlib import Path
 from pkgutil import resolve_name
@@ -161,35 +160,13 @@ def require_ros() -> None:
         raise BellowsError(NO_ROS)
 
 
-def origin_of(name: str, arguments: Sequence[str]) -> str:
-    """Return the last argument that gives a parameter its value; '' if none does."""
-    from ..files.parameter_files import read_parameters
-
-    origin = ''
-    for option, value in pairwise(arguments):
-        if option in ('-p', '--param') and value.partition(':=')[0] == name:
-            origin = value
-        elif option == '--params-file':
-            with suppress(BellowsError):  # of other nodes, which ROS reads
-                origin = value if name in read_parameters(value) else origin
-    return origin
-
-
 def _initialise(argv: Sequence[str]) -> None:
     """Start ROS; say plainly what is wrong with its arguments."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
     from ..core.parameters.table import short
-    from ..files.safe_yaml import MAX_FILE_BYTES
 
-    for before, file in pairwise(argv):
-        path = Path(file)
-        size = path.stat().st_size if before == '--params-file' and path.is_file() else 0
-        if size > MAX_FILE_BYTES:  # ROS would read it for minutes, deaf to Ctrl-C
-            raise BellowsError(
-                f"Parameter file '{short(file)}' is too large: {size} bytes, at most "
-                f'{MAX_FILE_BYTES}. It may be a recording or a result.')
     try:
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl

@@ -29,7 +29,6 @@ from ..core.geometry.arrays import Mask
 from ..core.parameters.table import short
 
 PACKAGE = Path(__file__).parents[1]
-NEGATIVE_TIME = 'negative time on /clock'
 
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
@@ -48,7 +47,7 @@ class GuardedNode(Node):
     Attributes
     ----------
     failures : collections.Counter
-        How often which place in the code failed, and `NEGATIVE_TIME` came.
+        How often which place in the code failed.
     workers : list of Worker
         Its threads.
 
@@ -107,9 +106,7 @@ class GuardedNode(Node):
         if on_publishers:
             options['event_callbacks'] = SubscriptionEventCallbacks(
                 matched=self.guarded(lambda matched: on_publishers(matched.current_count)))
-        if msg_type is Clock:
-            callback = partial(self._set_time, callback)
-        else:
+        if msg_type is not Clock:
             options['qos_overriding_options'] = QoSOverridingOptions(OVERRIDABLE)
         return super().create_subscription(
             msg_type, topic, self.guarded(callback), *more, **options)
@@ -126,16 +123,6 @@ class GuardedNode(Node):
     ) -> Any:
         """Start a timer with a callback that may fail."""
         return super().create_timer(timer_period_sec, self.guarded(callback), *more, **options)
-
-    def _set_time(self, set_time: Callable[[Clock], Any], message: Clock) -> None:
-        """Take a time of the clock; drop one before 1970, for which rclpy raises."""
-        if message.clock.sec >= 0:
-            set_time(message)
-            return
-        self.failures[NEGATIVE_TIME] += 1
-        self.get_logger().warning(
-            f'A negative time on /clock was ignored: {message.clock.sec} s. Further ones are only '
-            'counted. Check the publisher of /clock.', once=True)
 
 
 STOP_TIMEOUT = 0.25

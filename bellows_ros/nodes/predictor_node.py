@@ -1,7 +1,6 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
 from collections import Counter
-import sys
 import time
 from typing import Any
 
@@ -16,7 +15,6 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import Trigger
 
-from .command import origin_of
 from .parameters import ManagedNode, QOS_PREFIX, Values
 from .pipeline import Pipeline
 from ..core.geometry.tuples import rotation_matrix
@@ -118,8 +116,7 @@ class PredictorNode(ManagedNode):
                       if not {key, key.replace('cup', f'cups.{name}')} & self.overridden]:
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
-        origin = table.short(origin_of('package.mass', sys.argv), 200)
-        log(f"Package of {values['package.mass']:g} kg" + (f', from {origin}.' if origin else '.'))
+        log(f"Package of {values['package.mass']:g} kg.")
         for sentence in checks.implausible(values):
             self.get_logger().warning(sentence)
         log(f'Listens to {pipeline.pose_in.topic} and {pipeline.twist_in.topic}, publishes '

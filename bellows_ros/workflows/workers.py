@@ -4,12 +4,9 @@ import asyncio
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
-from functools import cache
 import importlib
 import logging
 import os
-import threading
-import time
 from typing import Any
 
 from bellows_ros.errors import BellowsError, install
@@ -18,9 +15,6 @@ from bellows_ros.workflows.recordings import Failed
 
 ANSWER_TIMEOUT = 10.0
 """Longest wait (s) for an answer of the Dask scheduler."""
-
-PARENT_CHECK_PERIOD = 0.5
-"""Period (s) at which a process checks that its parent exists."""
 
 Work = tuple[int, str, dict[str, Any]]
 """Index in the parameter `bags`, recording, and its parameters."""
@@ -70,30 +64,13 @@ def _in_pool(
     def handed() -> Iterator[Any]:
         for item in work:
             begun.append(item[0])
-            yield joblib.delayed(_attempt_in_child)(os.getpid(), task, *item)
+            yield joblib.delayed(_attempt)(task, *item)
 
     results = parallel(handed())
     try:
         yield from results
     finally:
         results.close()
-
-
-def _attempt_in_child(parent: int, task: Task, number: int, bag: str, values: Values) -> Outcome:
-    """Return the result of `_attempt`, in a process that ends with its parent."""
-    _exit_with_parent(parent)
-    return _attempt(task, number, bag, values)
-
-
-@cache
-def _exit_with_parent(parent: int) -> None:
-    """End this process, from a thread, once its parent is gone: even one that was killed."""
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(PARENT_CHECK_PERIOD)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _attempt(task: Task, number: int, bag: str, values: Values, **more: Any) -> Outcome:

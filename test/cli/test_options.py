@@ -1,9 +1,7 @@
 """Values from the command line, and what else the commands share."""
 
-import os
-import signal
 
-from bellows_ros.cli.console import progress_line, uninterrupted
+from bellows_ros.cli.console import progress_line
 from bellows_ros.cli.options import parse_override
 import pytest
 
@@ -28,18 +26,6 @@ def test_overrides_are_read_in_the_kind_of_the_parameter(text, name, value):
     got = parse_override(text)
     assert got == (name, value)
     assert type(got[1]) is type(value)
-
-
-def test_an_interrupt_waits_for_finished_work_to_be_written():
-    """Let nothing stop the writing half way, and give Ctrl-C back after it."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        before = signal.getsignal(number)
-        written = []
-        with uninterrupted():
-            os.kill(os.getpid(), number)
-            written.append('all')
-        assert written == ['all']
-        assert signal.getsignal(number) is before
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import json
 
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import topics
 
 from .conftest import contents
@@ -33,22 +32,6 @@ def test_says_writes_and_draws(bellows, workshop, transport, tmp_path):
                    '--json', 'other.json', cwd=tmp_path)
     assert done.returncode == 2 and '--force' in done.stderr
     assert contents(tmp_path) == before
-
-
-def test_what_was_written_before_a_full_disk_is_named(
-    bellows, workshop, transport, tmp_path, monkeypatch
-):
-    """Say which outputs exist where a later one fails."""
-    def fails(*_):
-        raise BellowsError('No space is left.')
-
-    monkeypatch.setattr('bellows_ros.files.results.write_json', fails)
-    out = tmp_path / 'predicted'
-    done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--out', out, '--json',
-                   tmp_path / 'plan.json')
-    assert done.returncode == 2
-    assert str(out) in ''.join(done.stderr.split())
-    assert topics(out) and not (tmp_path / 'plan.json').exists()
 
 
 def test_a_cup_that_lets_go_is_a_no(bellows, workshop, transport):

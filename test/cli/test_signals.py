@@ -3,7 +3,6 @@
 from contextlib import suppress
 import os
 from pathlib import Path
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,15 +10,11 @@ import time
 
 from bellows_ros.cli.console import run_guarded, STOP_SIGNALS, TWICE
 from bellows_ros.files.atomic import PREFIX
-from bellows_ros.files.messages import encode, LAYOUTS
-import numpy as np
 import pytest
 
 from .conftest import contents, MOTION, write_yaml
-from ..files.recordings import POSE, write
 
 WITHIN = 60.0  # s, for what must come at once on a machine that is not busy
-POSES = 150_000
 Process = subprocess.Popen[str]
 
 
@@ -39,21 +34,6 @@ def wait_until_hidden(folder, process):
             return
         time.sleep(0.002)
     pytest.fail(f'nothing was written in {folder}: {process.communicate()}')
-
-
-@pytest.fixture(scope='module')
-def compressed(tmp_path_factory):
-    """Give a folder with three compressed SQLite recordings that take seconds to read."""
-    folder = tmp_path_factory.mktemp('compressed')
-    stamps = 10**18 + 2_777_778 * np.arange(POSES)
-    poses = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (POSES, 1))
-    data = [bytes(one) for one in encode(stamps, poses, ['world'], LAYOUTS[POSE])]
-    messages = list(zip(stamps.tolist(), data, strict=True))
-    write(folder / 'r0', {(name, POSE): messages for name in (
-        '/tool_arm/pose', '/package/pose')}, 'sqlite3', 'FILE')
-    for name in ('r1', 'r2'):
-        shutil.copytree(folder / 'r0', folder / name)
-    return folder
 
 
 @pytest.fixture
@@ -80,19 +60,6 @@ def test_a_signal_ends_in_order(number, said, workshop, tmp_path, user_environme
     assert process.returncode == 128 + number
     assert out == '' and err == f'{said}; no partial output was left.\n'
     assert contents(tmp_path) == before
-
-
-@pytest.mark.skipif(not Path('/proc/self/task').exists(), reason='there is no /proc here')
-def test_workers_end_with_a_command_that_is_killed(workshop, compressed, user_environment):
-    pytest.importorskip('joblib', reason="no joblib here (pip install '.[parallel]')")
-    process = start(
-        user_environment, 'identify', 'r0', 'r1', 'r2', '--params', workshop / 'package.yaml',
-        '--set', 'topics.tool_twist=', '--jobs', 2, cwd=compressed)
-    children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
-    while process.poll() is None and len(children.read_text().split()) < 2:
-        time.sleep(0.002)
-    process.kill()
-    process.communicate(timeout=WITHIN)  # ends when no worker holds the pipes any more
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])

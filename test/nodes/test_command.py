@@ -7,8 +7,7 @@ import sys
 import time
 
 from bellows_ros.core.parameters.table import parameters_of
-from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.nodes.command import help_text, interface, origin_of
+from bellows_ros.nodes.command import help_text, interface
 from bellows_ros.nodes.command import run as run_node
 import pytest
 
@@ -80,14 +79,10 @@ def test_numpy_waits_for_the_limit_of_its_threads(user_environment, root):
     (['--ros-args', '--params-file', 'nowhere.yaml'], "'--params-file nowhere.yaml'"),
     (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], 'use_sim_time'),
     (['a\x1b[31mb'], "'a?[31mb'"), (['package.yaml'], "'package.yaml'"),
-    (['--ros-args', '--params-file', 'large.yaml'], 'large.yaml'),
 ])
 def test_what_the_user_can_put_right_ends_with_2(arguments, named, tmp_path, monkeypatch, capfd):
-    """Print what is wrong and no traceback, at once also where ROS would read for minutes."""
+    """Print what is wrong and no traceback."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
-    if 'large.yaml' in arguments:  # 10 MB
-        lines = ''.join(f'    some.name{k}: 1.0\n' for k in range(400_000))
-        (tmp_path / 'large.yaml').write_text(f'/**:\n  ros__parameters:\n{lines}')
     monkeypatch.chdir(tmp_path)
     assert run_node('predictor', arguments) == 2
     printed = capfd.readouterr().err
@@ -128,17 +123,3 @@ def test_process_ends_at_once_while_it_compiles(run_predictor, tmp_path):
     assert (process.returncode, out) == (0, '')
     assert 'Listens to' not in log and 'Traceback' not in log
     assert 0 < compiled < 40, 'it went on compiling'
-
-
-def test_the_last_argument_with_a_parameter_is_its_origin(root, tmp_path):
-    """Say which file the package is from, as a cup file may hold another one."""
-    other = tmp_path / 'other.yaml'
-    other.write_text('camera:\n  ros__parameters:\n    odd: [1, "a"]\n')
-    cup, package = (str(root / 'bags' / name) for name in ('cup.yaml', 'package.yaml'))
-    files = ['--params-file', package, '--params-file', cup]
-    assert origin_of('package.mass', ['--ros-args', *files]) == (
-        cup if 'package.mass' in read_parameters(cup) else package)
-    assert origin_of('cup.name', files) == ''
-    assert origin_of('package.mass', [
-        *files, '--params-file', package, '--params-file', str(other)]) == package
-    assert origin_of('package.mass', [*files, '-p', 'package.mass:=2.0']) == 'package.mass:=2.0'
