@@ -98,7 +98,7 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
                 raise BellowsError(
                     f"{content.where(where)}'{name}' is given before with another value. "
                     'Keep one.')
-            values[lookup(name).name] = checked
+            values[name] = checked
     return values
 
 
@@ -136,7 +136,7 @@ def write_parameters(path: File, values: Values, header: Sequence[str] = ()) -> 
 
 def format_parameters(values: Values, header: Sequence[str] = ()) -> str:
     """Return the text of a parameter file; see `write_parameters`."""
-    checked = {lookup(name).name: validate(name, value) for name, value in values.items()}
+    checked = {name: validate(name, value) for name, value in values.items()}
     # A line break in a comment must not end it.
     plain = (''.join(c if c.isprintable() else ' ' for c in line) for line in header)
     lines = [f'# {line}'.rstrip() for line in plain]

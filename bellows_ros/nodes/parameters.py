@@ -98,7 +98,7 @@ class TableNode(GuardedNode):
         self._read_only = read_only
         try:
             overridden = {
-                table.lookup(name).name: parameter.value
+                name: parameter.value
                 for name, parameter in self._parameter_overrides.items()
                 if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
             self.overridden = frozenset(overridden)

