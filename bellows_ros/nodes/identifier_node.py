@@ -1,14 +1,10 @@
 """The node that identifies a cup from recordings and shows the result."""
 
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future as Work
+from collections.abc import Callable, Mapping
 from threading import Thread
 import time
 from typing import Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
@@ -19,7 +15,7 @@ from ..report.build import write_page
 from ..workflows.identification import Identification, save
 from ..workflows.identify import identify
 
-TICK = 0.1
+POLL_PERIOD = 0.05
 PREDICTOR_TIMEOUT = 10.0
 """How long (s) to wait for the predictor."""
 
@@ -56,57 +52,42 @@ class IdentifierNode(TableNode):
         """Start the work."""
         super().__init__('identifier', read_only=True, results=RESULT_NAMES, **options)
         self.finished: Future = Future()
-        self._stages: deque[str] = deque()
-        self._work: Work[Any] = Work()
+        self._stage = ''
         if not self.values['bags']:
             self.destroy_node()
             raise BellowsError(
                 'The parameter bags is empty. Name one or more recordings, for example '
                 "--ros-args -p bags:='[recording]' or in the parameter file bags: ['recording'].")
         settings = {name: self.values[name] for name in self.values if name in self.overridden}
-        Thread(target=self._identify, args=(settings,), daemon=True).start()
-        self._steps = self._step_by_step()
-        self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        Thread(target=self._run, args=(settings,), daemon=True).start()
 
-    # --------------------------------------------------------------- in a thread
-
-    def _identify(self, settings: Mapping[str, Any]) -> None:
-        """Identify and write the files, in a thread without ROS calls."""
+    def _run(self, settings: Mapping[str, Any]) -> None:
+        """Identify, show the result, and set it on the predictor; an error ends the node."""
         try:
-            result = identify(settings, lambda stage, fraction: self._stages.append(stage))
-            cup_file, json_file, page = (result.values[name] for name in OUTPUTS)
-            save(result, cup_file, json_file)
-            if page:
-                write_page(result, page)
-            self._work.set_result(result)
-        except Exception as error:  # noqa: BLE001 (it is raised again where the node ends)
-            self._work.set_exception(error)
-
-    # ------------------------------------------------------------- in the executor
-
-    def _tick(self) -> None:
-        """Take the next step, if there is one; an error ends the node."""
-        try:
-            next(self._steps, None)
+            cup = self._show(self._identified(settings))
+            if self.values['predictor']:
+                self._set_on_predictor(cup)
+            if self.values['exit_when_done']:
+                self.finished.set_result(None)
+            else:
+                self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
         except Exception as error:  # noqa: BLE001 (raised again where the end is awaited)
             self.finished.set_exception(error)
 
-    def _step_by_step(self) -> Iterator[None]:
-        """Log the progress, show the result, and set it on the predictor, tick by tick."""
-        logged = ''
-        while not self._work.done() or self._stages:
-            while self._stages:
-                if (stage := self._stages.popleft()) != logged:
-                    self.get_logger().info(stage)
-                logged = stage
-            yield
-        cup = self._show(self._work.result())
-        if self.values['predictor']:
-            yield from self._set_on_predictor(cup)
-        if self.values['exit_when_done']:
-            self.finished.set_result(None)
-        else:
-            self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
+    def _identified(self, settings: Mapping[str, Any]) -> Identification:
+        """Return the result, written to the files."""
+        result = identify(settings, self._log_stage)
+        cup_file, json_file, page = (result.values[name] for name in OUTPUTS)
+        save(result, cup_file, json_file)
+        if page:
+            write_page(result, page)
+        return result
+
+    def _log_stage(self, stage: str, part: float = 0.0) -> None:
+        """Log what is done, once."""
+        if stage != self._stage:
+            self._stage = stage
+            self.get_logger().info(stage)
 
     def _show(self, result: Identification) -> dict[str, table.Value]:
         """Make the result parameters of this node; return all that describes the cup."""
@@ -128,25 +109,25 @@ class IdentifierNode(TableNode):
             self.get_logger().info(f'Wrote {file}.')
         return cup
 
-    def _set_on_predictor(self, cup: Mapping[str, table.Value]) -> Iterator[None]:
+    def _set_on_predictor(self, cup: Mapping[str, table.Value]) -> None:
         """Set the cup on the predictor as soon as it is there, and log the answer."""
         name = str(self.values['predictor'])
         client = AsyncParameterClient(self, name)
         deadline = time.monotonic() + PREDICTOR_TIMEOUT
 
-        def wait_for(done: Callable[[], bool], missing: str) -> Iterator[None]:
+        def wait_for(done: Callable[[], bool], missing: str) -> None:
             while not done():
                 if time.monotonic() > deadline:
                     raise BellowsError(
                         f"The cup was identified, but could not be set on '{name}': {missing} "
                         f'({PREDICTOR_TIMEOUT:g} s waited). Start the predictor, check its name '
                         'and namespace, or leave the parameter predictor empty.')
-                yield
+                time.sleep(POLL_PERIOD)
 
-        yield from wait_for(client.services_are_ready, 'there is no node of this name')
+        wait_for(client.services_are_ready, 'there is no node of this name')
         answer = client.set_parameters_atomically(
             [ros_parameter(key, value) for key, value in cup.items()])
-        yield from wait_for(answer.done, 'there was no answer')
+        wait_for(answer.done, 'there was no answer')
         result = answer.result().result
         if not result.successful:
             raise BellowsError(f"The node '{name}' refused the identified cup: {result.reason}")
