@@ -451,22 +451,15 @@ def compare_files(before: File, after: File) -> ResultComparison:
     from bellows_ros.core.identification.comparison import compare_fits
 
     contents = [results.read_result(path) for path in (before, after)]
-    fitted = list['Fitted']()
-    for path, content in zip((before, after), contents, strict=True):
-        with results.content_of(path):
-            fitted.append(_fitted(content))
-    with results.content_of(before):
-        settings = contents[0].get('settings')
-        if not isinstance(settings, dict):
-            raise BellowsError('The result has no settings, so the package is unknown. Identify '
-                               'the cup again with this version.')
-        values: dict[str, Any] = dict(checks.resolve(settings, checks.PACKAGE_PARAMETERS))
     with results.content_of(before, after):
+        values: dict[str, Any] = dict(
+            checks.resolve(contents[0]['settings'], checks.PACKAGE_PARAMETERS))
+        one, other = map(_fitted, contents)
         (old, new), (used, again) = (list(map(part, contents)) for part in (_described, _contents))
         return ResultComparison(
             (os.fspath(before), os.fspath(after)),
             compare_fits(
-                fitted[0], fitted[1], cup_package.package_of(values), values['gravity.magnitude']),
+                one, other, cup_package.package_of(values), values['gravity.magnitude']),
             tuple(Difference(name, old.get(name), new.get(name))
                   for name in sorted({*old, *new}) if old.get(name) != new.get(name)),
             tuple(name for name, content in again.items() if content in used.values()))

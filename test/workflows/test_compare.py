@@ -41,7 +41,7 @@ def test_two_recordings_of_one_cup(files):
 
 
 @pytest.mark.parametrize(('change', 'named'), [
-    ({'parameters': {}}, "'labels'"), ({'settings': None}, 'settings'),
+    ({'parameters': {}}, "'labels'"), ({'settings': None}, 'NoneType'),
     ({'structure': 'round'}, "'round'"), ({'damping': 3}, r'damping .*\(6, 6\)'),
     ({'parameters': {'labels': ['K x'], 'covariance': [[1.0]]}}, "'K z'"),
     *((change, '') for change in (
