@@ -5,20 +5,24 @@ What comes out are points as `plan_messages.PlanMessage` has them; whether an ar
 what lies between the points, is not decided here.
 
 Transforms are a tree of frames on /tf and /tf_static, whose links may come at different times and
-rates: those of the link with most messages count, and the others are interpolated there.
+rates: those of the moving link next to the wanted frame count, and the others are interpolated
+there, as live.
 """
 
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.tuples import normalised
 from bellows_ros.core.planning.arm import Arm, read_arm
 from bellows_ros.core.planning.points import require_count
-from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
+from bellows_ros.core.signals.screening import PoseSample, why_no_pose
+from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.signals.transforms import Chain
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, plan_messages, read_text, safe_yaml
 from bellows_ros.files.bags import decoded, message_types, messages_of
@@ -27,26 +31,19 @@ import numpy as np
 
 TF, STATIC_TF = 'tf2_msgs/msg/TFMessage', '/tf_static'
 
-MAX_GAP_PERIODS = 4.0
-"""Gaps in a link's transforms longer than this many periods are not interpolated."""
 
+class Transform(NamedTuple):
+    """A frame in its parent: at a time, or always."""
 
-class Link(NamedTuple):
-    """
-    A frame in its parent: poses (N, 4, 4) at stamps (ns), one if it is fixed.
-
-    Bad: how many others are no poses.
-    """
-
+    child: str
     parent: str
-    stamps_ns: Stamps
-    poses: Array
-    bad: int = 0
+    sample: PoseSample
+    is_fixed: bool
 
 
-def read_transforms(path: File) -> dict[str, Link]:
+def read_transforms(path: File) -> list[Transform]:
     """
-    Return the links of all frames in a recording by name; a fixed link counts once.
+    Return the transforms of a recording: those that are fixed, and the others by their stamps.
 
     Raises
     ------
@@ -54,8 +51,7 @@ def read_transforms(path: File) -> dict[str, Link]:
         If it cannot be read, or a frame has two parents.
 
     """
-    transforms: dict[str, dict[int, tuple[float, ...]]] = {}
-    parents: dict[str, str] = {}
+    transforms, parents = list[Transform](), dict[str, str]()
     for topic, kind, _, data in messages_of(path, (TF,)):
         for each in decoded(data, kind).transforms:
             child, parent = (name.lstrip('/') for name in (
@@ -65,34 +61,30 @@ def read_transforms(path: File) -> dict[str, Link]:
                     f"Frame '{child}' has two parents in the transforms of '{path}', "
                     f"'{parents[child]}' and '{parent}'. Record one of them.")
             stamp, o, q = each.header.stamp, each.transform.translation, each.transform.rotation
-            at = 0 if topic == STATIC_TF else stamp.sec * NS_PER_S + stamp.nanosec
-            transforms.setdefault(child, {})[at] = (o.x, o.y, o.z, q.x, q.y, q.z, q.w)
-    return {child: _link(parents[child], series) for child, series in transforms.items()}
+            transforms.append(Transform(child, parent, PoseSample(
+                stamp.sec * NS_PER_S + stamp.nanosec, (o.x, o.y, o.z), (q.x, q.y, q.z, q.w),
+            ), topic == STATIC_TF))
+    return sorted(transforms, key=lambda each: (not each.is_fixed, each.sample.stamp_ns))
 
 
-def _link(parent: str, series: Mapping[int, tuple[float, ...]]) -> Link:
-    """Return a link in the order of its stamps, without invalid transforms."""
-    stamps = np.array(sorted(series), dtype=np.int64)
-    rows = np.array([series[stamp] for stamp in stamps.tolist()])
-    length = np.linalg.norm(rows[:, 3:], axis=1)
-    good = np.isfinite(rows).all(axis=1) & (np.abs(length - 1.0) < 0.01)
-    q = rows[good, 3:] / length[good, None]
-    return Link(parent, stamps[good], lie.transform(lie.quaternion_to_rotation(q), rows[good, :3]),
-                int(np.count_nonzero(~good)))
+def moving_frames(transforms: Iterable[Transform]) -> list[str]:
+    """Return the frames that have several transforms."""
+    counts = Counter(each.child for each in transforms if not each.is_fixed)
+    return sorted(frame for frame, count in counts.items() if count > 1)
 
 
 def poses_in(
-    links: Mapping[str, Link], frame: str, world: str, of: str
+    transforms: Sequence[Transform], frame: str, world: str, of: str
 ) -> tuple[Stamps, Array, str, int]:
     """
-    Return stamps (N,), poses (N, 4, 4) of a frame in another one, and the name of that.
+    Return stamps (N,), poses (N, 7) of a frame in another one, and the name of that.
 
     And how many transforms between them are left out because they are no poses.
 
     Parameters
     ----------
-    links : mapping of str to Link
-        By the names of frames.
+    transforms : sequence of Transform
+        As `read_transforms` returns them.
     frame, world : str
         The frame wanted, and in which one; in the farthest one above it where that is ''.
     of : str
@@ -104,88 +96,43 @@ def poses_in(
         If one is unknown, nothing connects them, or nothing moves between them.
 
     """
-    frame, world = frame.lstrip('/'), world.lstrip('/')
-    up = _frames_to_root(links, frame, of)
-    root = world or (links[up[-1]].parent if up else frame)
-    down = _frames_to_root(links, root, of)
-    while up and down and up[-1] == down[-1]:
-        up, down = up[:-1], down[:-1]
-    ends = [links[path[-1]].parent if path else end for path, end in ((up, frame), (down, root))]
-    if ends[0] != ends[1]:
+    parents = {each.child: each.parent for each in transforms}
+    path = _frames_to_root(parents, frame.lstrip('/'), of)
+    world = world.lstrip('/') or path[-1]
+    path += _frames_to_root(parents, world, of)
+    good = [each for each in transforms if not why_no_pose(*each.sample[1:])]
+    firsts = {each.child: each for each in reversed(good)}  # which make the tree
+    chain, rows = Chain(world, path[0]), list[PoseSample]()
+    for child, parent, sample, is_fixed in (*firsts.values(), *good):
+        q = normalised(sample.quaternion_xyzw)
+        chain.add(parent, child, sample._replace(quaternion_xyzw=q), is_fixed)
+        rows += chain.due()
+    if len(rows) < 2:
         raise BellowsError(
-            f"No transforms of {of} connect '{frame}' and '{root}': one is below "
-            f"'{ends[0]}', the other below '{ends[1]}'. Record those between them.")
-    for name in (*up, *down):
-        if not len(links[name].stamps_ns):
-            raise BellowsError(
-                f"No transform of '{name}' in '{links[name].parent}' of {of} is a pose "
-                f'({links[name].bad} came): numbers are not finite, or the norm of the '
-                'quaternion is not 1. Correct their publisher.')
-    moving = [links[name] for name in (*up, *down) if len(links[name].stamps_ns) > 1]
-    if not moving:
-        raise BellowsError(f"'{frame}' does not move in '{root}' in the transforms of {of}.")
-    stamps = max(moving, key=lambda link: len(link.stamps_ns)).stamps_ns
-    first = max(link.stamps_ns[0] for link in moving)
-    last = min(link.stamps_ns[-1] for link in moving)
-    stamps = stamps[(stamps >= first) & (stamps <= last)]
-    (T, valid), (T_common_world, valid_world) = (
-        _chain_poses(links, chain, stamps) for chain in (up, down))
-    T, valid = lie.inverse_transform(T_common_world) @ T, valid & valid_world
-    if valid.sum() < 2:
-        raise BellowsError(
-            f"The transforms between '{frame}' and '{root}' in {of} have no time in common. "
-            'Record them together, with stamps of one clock.')
-    return stamps[valid], T[valid], root, sum(links[name].bad for name in (*up, *down))
+            f"There are no poses of '{path[0]}' in '{world}' in {of}: "
+            f'{chain.missing or "the transforms have no time in common"}. Record the transforms '
+            'between them together, with stamps of one clock.')
+    stamps, position, quaternion = map(np.array, zip(*rows, strict=True))
+    bad = sum(each.child in path for each in transforms) - sum(each.child in path for each in good)
+    return stamps, np.hstack([position, quaternion]), world, bad
 
 
-def rotations_in_root(links: Mapping[str, Link], frame: str, of: str) -> tuple[Array, str]:
-    """
-    Return rotations (N, 3, 3) of a frame in the farthest one above it, and the name of that.
-
-    All of each link, with the last ones of the others; parameters as of `poses_in`.
-    """
-    R: Array = np.eye(3)[None]
-    chain = _frames_to_root(links, frame, of)
-    for name in chain:
-        rotations = links[name].poses[:, :3, :3]
-        R = np.concatenate([rotations @ R[-1], rotations[-1:] @ R])
-    return R, links[chain[-1]].parent if chain else frame
-
-
-def _frames_to_root(links: Mapping[str, Link], frame: str, of: str) -> list[str]:
-    """Return the frames from this one up to below the root; refuse loops."""
-    if frame not in links and frame not in {link.parent for link in links.values()}:
+def _frames_to_root(parents: Mapping[str, str], frame: str, of: str) -> list[str]:
+    """Return the frames from this one up to the root; refuse loops."""
+    if frame not in {*parents, *parents.values()}:
         raise BellowsError(
             f"Frame '{frame}' is not among the transforms of {of}. There are: "
-            f"{', '.join(sorted(links)[:8]) or 'none'}.")
-    chain: list[str] = []
-    while frame in links:
-        chain.append(frame)
-        frame = links[frame].parent
+            f"{', '.join(sorted(parents)[:8]) or 'none'}.")
+    chain = [frame]
+    while frame in parents:
+        frame = parents[frame]
         if frame in chain:
             loop = ' in '.join(f"'{name}'" for name in [*chain[chain.index(frame):], frame])
             raise BellowsError(
                 f'The transforms of {of} form a loop: {loop}. A frame has one parent, which is '
                 'not below it; record without the publisher of one of these.')
+        chain.append(frame)
     return chain
-
-
-def _chain_poses(
-    links: Mapping[str, Link], chain: list[str], stamps: Stamps
-) -> tuple[Array, Mask]:
-    """Return poses (N, 4, 4) of the first frame of a path above its last, and which are valid."""
-    T: Array = np.tile(np.eye(4), (len(stamps), 1, 1))
-    valid: Mask = np.ones(len(stamps), dtype=bool)
-    for name in chain:
-        link = links[name]
-        if len(link.stamps_ns) == 1:
-            T = link.poses @ T
-            continue
-        recorded = Trajectory(link.stamps_ns, link.poses[:, :3, 3], link.poses[:, :3, :3])
-        longest = MAX_GAP_PERIODS * float(np.median(np.diff(link.stamps_ns)))
-        at = resample(recorded, stamps, round(longest))
-        T, valid = lie.transform(at.rotation, at.position) @ T, valid & at.valid
-    return T, valid
 
 
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
@@ -325,7 +272,8 @@ def recorded_joints(path: File, arm: Arm) -> PlanMessage:
         rates) else None
     T, twist = arm.tool(position, velocity)
     stamps = np.array([ns_of(m.header.stamp) for m in useful])
-    return _recorded(stamps, T, twist if rates else None, arm.root)
+    poses = np.hstack([T[:, :3, 3], lie.rotation_to_quaternion(T[:, :3, :3])])
+    return _recorded(stamps, poses, twist if rates else None, arm.root)
 
 
 def joints_or_tf(path: File, urdf: File, tool_link: str) -> PlanMessage:
@@ -341,20 +289,19 @@ def joints_or_tf(path: File, urdf: File, tool_link: str) -> PlanMessage:
     try:
         arm = arm_of(urdf, tool_link, path)
     except NoArmError as no_arm:
-        links = read_transforms(path)
-        if not links:
+        transforms = read_transforms(path)
+        if not transforms:
             raise NoArmError(f"'{path}' has no transforms. {no_arm}") from None
-        stamps, T, root, _ = poses_in(links, tool_link, '', f"'{path}'")
-        return _recorded(stamps, T, None, root)
+        stamps, poses, root, _ = poses_in(transforms, tool_link, '', f"'{path}'")
+        return _recorded(stamps, poses, None, root)
     return recorded_joints(path, arm)
 
 
-def _recorded(stamps: Stamps, T: Array, twist: Array | None, frame: str) -> PlanMessage:
-    """Return recorded poses (N, 4, 4) in the order of their stamps, each stamp once."""
+def _recorded(stamps: Stamps, poses: Array, twist: Array | None, frame: str) -> PlanMessage:
+    """Return recorded poses (N, 7) in the order of their stamps, each stamp once."""
     stamps, first = np.unique(stamps, return_index=True)
-    poses = np.hstack([T[first, :3, 3], lie.rotation_to_quaternion(T[first, :3, :3])])
     return PlanMessage(
-        int(stamps[0]), frame, ('tool',), stamps - stamps[0], poses,
+        int(stamps[0]), frame, ('tool',), stamps - stamps[0], poses[first],
         None if twist is None else twist[first])
 
 

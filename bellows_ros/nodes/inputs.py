@@ -24,11 +24,13 @@ from std_srvs.srv import Trigger
 from . import conversions
 from .guarding import GuardedNode
 from .outputs import Topic
-from ..core.live import health, LivePredictor, load, tool_screening, transforms
+from ..core.live import health, LivePredictor, load
 from ..core.model.kernels import ModelTuple
 from ..core.observer.alarms import Alarm
 from ..core.observer.observer import Observer, VERDICTS, warm_up_observer
 from ..core.parameters.table import short
+from ..core.signals import transforms
+from ..core.signals.screening import PoseSample
 from ..errors import BellowsError
 
 QUEUE = 500
@@ -163,7 +165,7 @@ class TransformInput(SensorInput):
         """Put the transforms of a message into the tree."""
         for stamped in message.transforms:
             header, transform = stamped.header, stamped.transform
-            self._chain.add(header.frame_id, stamped.child_frame_id, tool_screening.PoseSample(
+            self._chain.add(header.frame_id, stamped.child_frame_id, PoseSample(
                 conversions.stamp_to_ns(header.stamp), conversions.vector(transform.translation),
                 conversions.quaternion_xyzw(transform.rotation)), static)
 

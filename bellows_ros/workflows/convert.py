@@ -189,7 +189,7 @@ def bodies_in_transforms(
         If the transforms do not lead from both to the world.
 
     """
-    links, bodies = plans.read_transforms(bag), list[Body]()
+    transforms, bodies = plans.read_transforms(bag), list[Body]()
     names = names or (TOOL_POSE, PACKAGE_POSE)
     if len(set(names)) != 2:
         raise BellowsError('Name two topics with --topic, of the tool and of the package.')
@@ -197,8 +197,7 @@ def bodies_in_transforms(
         raise BellowsError(
             f"'{tool_frame}' is named as the frame of the tool and of the package. Name two.")
     for frame, topic in zip((tool_frame, package_frame), names, strict=True):
-        stamps, T, world_frame, bad = plans.poses_in(links, frame, world_frame, f"'{bag}'")
-        rows = np.hstack([T[:, :3, 3], rotation_to_quaternion(T[:, :3, :3])])
+        stamps, rows, world_frame, bad = plans.poses_in(transforms, frame, world_frame, f"'{bag}'")
         bodies.append(Body(
             bag_writer.as_messages(bags.absolute(topic), POSE, stamps, rows, world_frame),
             f"{frame} in '{world_frame}' of {bag}",

@@ -237,8 +237,7 @@ def info(path: File, span: Values = MappingProxyType({})) -> Info:
 
 def _frames_note(path: File) -> str:
     """Return which frames move in the transforms, and how to make a recording with poses."""
-    moving = sorted(table.short(name) for name, link in plans.read_transforms(path).items()
-                    if len(link.stamps_ns) > 1)
+    moving = list(map(table.short, plans.moving_frames(plans.read_transforms(path))))
     if len(moving) > MAX_FRAMES:
         moving[MAX_FRAMES:] = [f'and {len(moving) - MAX_FRAMES} more']
     return (

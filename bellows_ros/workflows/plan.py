@@ -1,6 +1,6 @@
 """Predict a planned motion: read the plan, predict the package, and the uncertainty."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
@@ -15,7 +15,7 @@ from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, cup_of, model_tuple, package_of
 from bellows_ros.core.model.grip import Grip, grip_of, safety_sentence
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.parameters import checks, table
+from bellows_ros.core.parameters import checks
 from bellows_ros.core.planning.limits import Fastest, fastest
 from bellows_ros.core.planning.plan import MAX_TAIL, PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
@@ -40,9 +40,6 @@ TIME_MARGIN = 1.001
 
 TAIL_SHOWN, STANDSTILL_STEP = 1.5, 0.005
 """Time (s) shown after the end, and the spacing of its points."""
-
-MAX_TILT = 0.02
-"""A frame tilts where gravity turns by more than this in it (rad)."""
 
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
@@ -385,25 +382,8 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
     if read:
         notes = ([f"'{file}' has {len(read)} plans; using the first, on {read[0][0]}."]
                  if len(read) > 1 else [])
-        source = replace(_source_of_plan(read[0][1], values, urdf, file), notes=tuple(notes))
-        _require_level(file, source.frame_id, values['gravity.direction'])
-        return source
+        return replace(_source_of_plan(read[0][1], values, urdf, file), notes=tuple(notes))
     return _source_of_recording(file, values, urdf, topic)
-
-
-def _require_level(file: Path, frame_id: str, direction: Sequence[float]) -> None:
-    """Refuse a plan in a frame that the transforms of its recording turn against gravity."""
-    links = plans.read_transforms(file)
-    if frame_id not in links:
-        return
-    R, root = plans.rotations_in_root(links, frame_id, f"'{file}'")
-    down = np.asarray(direction) / np.linalg.norm(direction)
-    tilt = float(np.max(np.linalg.norm(R @ down - down, axis=1)))
-    if tilt > MAX_TILT:
-        raise BellowsError(
-            f"The plan is in frame '{table.short(frame_id)}', which transforms in the recording "
-            f"tilt by {math.degrees(tilt):.3g} degrees from '{table.short(root)}'; expected one "
-            'in which gravity has gravity.direction. Transform the plan.')
 
 
 def _source_of_plan(

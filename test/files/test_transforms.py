@@ -75,18 +75,18 @@ def test_both_bodies_are_found_in_the_world(tmp_path):
 
 def test_the_world_may_be_any_frame(tmp_path):
     links = read_transforms(recording(tmp_path / 'tf'))
-    stamps, T, world, bad = poses_in(links, '/box', 'tool', 'it')
+    stamps, poses, world, bad = poses_in(links, '/box', 'tool', 'it')
     s = (stamps - T0) * 1e-9
     expected = [inverse_transform(MOUNT @ base_in_rail(x) @ flange_in_base(x) @ FLANGE)
                 @ CAMERA @ box_in_camera(x) for x in s]
-    assert world == 'tool' and len(s) == 201 and not bad  # the arm's; the box's between them
-    assert_allclose(T[:, :3, 3], np.array(expected)[:, :3, 3], atol=1e-4)
+    assert world == 'tool' and len(s) == 121 and not bad  # the box's
+    assert_allclose(poses[:, :3], np.array(expected)[:, :3, 3], atol=1e-4)
 
 
 def test_what_is_missing_is_said(tmp_path):
     links = read_transforms(recording(tmp_path / 'tf', [(T0 + 5, 'elsewhere', 'lone', CAMERA)]))
     for frame, world, named in (
-        ('tol', '', "'tol'.* base, box, camera"), ('tool', 'elsewhere', "'hall'.*'elsewhere'"),
+        ('tol', '', "'tol'.* base, box, camera"), ('tool', 'elsewhere', "'elsewhere'.*'hall'"),
         ('camera', 'rail', "'camera'.*'rail'"),
     ):
         with pytest.raises(BellowsError, match=named):
@@ -110,15 +110,6 @@ def test_circles_and_numbers_that_are_no_poses_are_said(tmp_path):
         poses_in(links, 'tool', 'lost', 'it')
     done = to_bag(bodies_in_transforms(folder, 'tool', 'box'), tmp_path / 'out')
     assert [b.left_out for b in done.bodies] == [{}, {'transforms that are no poses': 1}]
-
-
-def test_a_gap_is_not_bridged(tmp_path):
-    links = read_transforms(recording(tmp_path / 'tf'))
-    there = links['base']
-    keep = (there.stamps_ns < T0 + 0.5e9) | (there.stamps_ns > T0 + 1.5e9)
-    links['base'] = there._replace(stamps_ns=there.stamps_ns[keep], poses=there.poses[keep])
-    s = (poses_in(links, 'tool', '', 'it')[0] - T0) * 1e-9
-    assert len(s) and not ((s > 0.51) & (s < 1.49)).any()
 
 
 @pytest.mark.skipif(TF not in made.TYPES.types, reason='this rosbags does not know tf2_msgs')

@@ -311,20 +311,6 @@ def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path, values):
         figures(bag, values=values)
 
 
-def test_a_plan_in_a_frame_that_transforms_tilt_is_refused(tmp_path):
-    half = math.radians(15.0)
-    tilted = [[(header(0, 'base'), 'camera', (
-        [0.0, 0.0, 1.0], [math.sin(half), 0.0, 0.0, math.cos(half)]))]]
-    for frame in ('base', 'camera'):
-        write_bag(tmp_path / frame, [
-            Encoded('/tf_static', TF, np.array([T0]), [serialized(TF, tilted)]),
-            Encoded('/plan', MULTI_DOF, np.array([T0]),
-                    [encode_multi_dof(message(frame_id=frame))])])
-    assert figures(tmp_path / 'base')['frame_id'] == 'base'
-    with pytest.raises(BellowsError, match="'camera'.* degrees .*'base'"):
-        figures(tmp_path / 'camera')
-
-
 def test_the_settling_time_has_a_deviation_where_it_may_be_longer_than_is_watched(bag):
     """With half of the damping it is not over after 30 s; where it is not known, there is none."""
     weak = 0.04 * CUP.damping.ravel()

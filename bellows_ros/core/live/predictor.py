@@ -27,12 +27,13 @@ from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.signals import screening
+from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import frozen, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .tool_screening import PoseSample, Screen, ToolArrivals, TwistSample, TwistScreen
+from .tool_screening import Screen, ToolArrivals, TwistSample, TwistScreen
 
 COAST_LIMIT_NS = 100_000_000
 """Default time (ns) for which the tool is extrapolated."""

@@ -55,14 +55,6 @@ MAX_BURST_NS = 100_000_000
 """... and recurring pauses up to this (ns), which separate bursts."""
 
 
-class PoseSample(NamedTuple):
-    """A pose of the tool in the world that has been accepted."""
-
-    stamp_ns: int
-    position: Vector
-    quaternion_xyzw: Quaternion
-
-
 class TwistSample(NamedTuple):
     """A twist of the tool in the axes its driver uses, m/s and rad/s."""
 

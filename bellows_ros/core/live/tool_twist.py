@@ -19,8 +19,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, kernel
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
-from bellows_ros.core.live.tool_screening import PoseSample, TwistSample
+from bellows_ros.core.live.tool_screening import TwistSample
 from bellows_ros.core.model.kernels import State
+from bellows_ros.core.signals.screening import PoseSample
 import numpy as np
 
 PAIRING_TOLERANCE_NS = 100_000

@@ -49,6 +49,14 @@ MIN_DELAY_SAMPLES = 10
 ACCEPTED = ''
 
 
+class PoseSample(NamedTuple):
+    """A pose of the tool in the world that has been accepted."""
+
+    stamp_ns: int
+    position: Vector
+    quaternion_xyzw: Quaternion
+
+
 class Verdict(NamedTuple):
     """The decision on a pose."""
 

@@ -5,8 +5,9 @@ The estimate is exact on quadratics, and of second order on smooth motions.
 """
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
-from bellows_ros.core.live.tool_screening import PoseSample, TwistSample
+from bellows_ros.core.live.tool_screening import TwistSample
 from bellows_ros.core.live.tool_twist import MAX_QUEUE, Pairing, PoseHistory
+from bellows_ros.core.signals.screening import PoseSample
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

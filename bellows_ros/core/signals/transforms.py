@@ -1,12 +1,12 @@
-"""The tool's pose from a tree of transforms, as they arrive on tf."""
+"""The tool's pose from a tree of transforms, as they arrive on tf or were recorded."""
 
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.live.tool_screening import PoseSample
-from bellows_ros.core.model.kernels import ORIGIN
+from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.signals.screening import PoseSample
 
 QUEUE_LENGTH = 500
 """Transforms stored for each moving link."""
@@ -126,7 +126,8 @@ class Chain:
 
     def _pose(self, branch: Sequence[str], stamp_ns: int) -> PoseSample:
         """Return the pose of the first frame of a branch in the parent of the last."""
-        o, q = ORIGIN[:2]
+        o: Vector = t3.ZERO
+        q: Quaternion = (0.0, 0.0, 0.0, 1.0)
         for link in branch:
             _, position, outer = self._static.get(link) or interpolated_pose(
                 self._moving[link], stamp_ns)

@@ -1,8 +1,8 @@
 """The tool's pose by a tree of frames, against SciPy's rotations and matrices."""
 
 from bellows_ros.core.geometry.lie import transform
-from bellows_ros.core.live.tool_screening import PoseSample
-from bellows_ros.core.live.transforms import Chain, MAX_FRAMES, QUEUE_LENGTH
+from bellows_ros.core.signals.screening import PoseSample
+from bellows_ros.core.signals.transforms import Chain, MAX_FRAMES, QUEUE_LENGTH
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
