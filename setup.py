@@ -86,7 +86,7 @@ setup(
     package_data={PACKAGE: [
         'py.typed', 'cli/commands.toml', 'core/live/messages.toml', 'core/parameters/table.toml',
         'core/signals/refusals.toml', 'files/bellows_cup.h', 'files/cup.mjcf', 'files/cup.sdf',
-        'files/motion.script', 'files/units.toml', 'nodes/identifier.toml',
+        'files/exports.toml', 'files/motion.script', 'files/units.toml', 'nodes/identifier.toml',
         'nodes/predictor.toml', 'plots/pictures.mplstyle', 'report/page.html',
         'report/style.css']},
     python_requires='>=3.11',

@@ -6,9 +6,10 @@ the middle of the cup. None has the energy (3.17) of the thesis, off-diagonal en
 of (3.35). The header in C (bellows_cup.h, and the numbers behind it) is the model itself.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 import re
+import tomllib
 from typing import Any, NamedTuple
 import zlib
 
@@ -33,8 +34,7 @@ class Target(NamedTuple):
 
     name: str
     write: Callable[..., str]
-    """Takes cup, package, gravity, grip and name; the last three are used in C only."""
-    limits: tuple[str, ...]
+    limits: Sequence[str]
     whole: bool = False
     """Whether it has all entries of K and P."""
 
@@ -159,25 +159,9 @@ def _braced(values: Any) -> str:
     return f'{{{{{inner}}}}}' if matrix else f'{{{inner}}}'
 
 
-_ANGLES = (
-    'Rotation angles are taken one after the other and springs are linear in them; (3.17) '
-    'has the sine of one rotation. The difference is below 5 % up to 15 degrees.')
-
-_TOOL_AXES = (
-    'Springs and dampers along x, y, z are in axes of the tool, not halfway to the package. With '
-    'its weight on them a swing differs by some percent.')
+WRITERS: Mapping[str, Callable[..., str]] = {'mjcf': mjcf, 'sdf': sdf, 'c': header}
+"""Each takes cup, package, gravity, grip and name; the last three are used in C only."""
 
 TARGETS: Mapping[str, Target] = {
-    'mjcf': Target('MuJoCo (MJCF)', mjcf, (
-        _ANGLES,
-        _TOOL_AXES,
-        'A tool that is a mocap body has no velocity in MuJoCo, so the damper would act against '
-        'the world: move the tool with joints.')),
-    'sdf': Target('SDF', sdf, (
-        _ANGLES,
-        f'Five dummy links stand between the joints. They and the tool weigh {100 * DUMMY:g} % of '
-        'the package each, and need time steps of 0.1 ms or less.',
-        _TOOL_AXES)),
-    'c': Target('C99 (a header)', header, (
-        'Release, flight and uncertainties are left out; the model itself is complete.',
-    ), whole=True)}
+    name: Target(write=WRITERS[name], **entry) for name, entry in tomllib.loads(
+        Path(__file__).with_name('exports.toml').read_text()).items()}

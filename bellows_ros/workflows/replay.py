@@ -1,6 +1,6 @@
 """Predict a recording with a cup, also with measured poses of the package, and rate the cup."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from operator import itemgetter
@@ -368,12 +368,12 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
               if alarm.cause == 'lost']
     if not losses:
         return free.warnings
-    causes = tuple(_causes(free.values, free.validation))
+    hint = _mass_hint(free.values, free.recording)
     return (
         f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
         f'that are not of the cup. Rate it with --set '
         f'recording.end={max(losses[0] - 0.5, 0.0):.1f}.',
-        *(warning for warning in free.warnings if warning not in causes))
+        *(warning for warning in free.warnings if warning not in hint))
 
 
 def validated(values: Values, recording: Recording) -> Replay:
@@ -382,7 +382,7 @@ def validated(values: Values, recording: Recording) -> Replay:
         validation = validate(cup_of(values), recording)
         is_worse = bool(validation.worse_than_noise)
     except UnstableError as error:
-        raise UnstableError(f'{_mass_hint(values, recording)}{error}') from None
+        raise UnstableError(' '.join([*_mass_hint(values, recording), str(error)])) from None
     warnings = [
         *(finding_sentence(cause, values) for cause in corrected(recording)[0]
           if cause.name not in CAUSES_IN_VALUES),
@@ -397,7 +397,7 @@ def validated(values: Values, recording: Recording) -> Replay:
             f'{"; ".join(outside[:MAX_LISTED])}{more}. There the errors say little about the fit.')
     warnings += checks.implausible(values)
     if is_worse:
-        warnings += _causes(values, validation)
+        warnings += _mass_hint(values, recording)
     return Replay(recording.name, dict(values), recording, validation, tuple(warnings))
 
 
@@ -405,37 +405,19 @@ STRETCH_RATIOS = (0.7, 1.4)
 """Range of the ratios of stretch that a wrong stiffness explains."""
 
 
-def _causes(values: Values, validation: Validation) -> Iterator[str]:
-    """Yield the likeliest cause of a bad prediction, where the data show it."""
-    stretched, expected = (
-        _stretch(values, rows) for rows in (validation.measured, validation.predicted))
-    factor = stretched / expected if expected > 0.0 else 0.0
-    if factor > 0.0 and not STRETCH_RATIOS[0] < factor < STRETCH_RATIOS[1]:
-        mass = values['package.mass']
-        yield (
-            f'On average the cup is stretched {factor:.2g} times as far as predicted: '
-            f'package.mass is likely {factor * mass:.2g} kg instead of {mass:g}, or package.com '
-            'or cup.length is wrong.')
-
-
-def _stretch(values: Values, relative: Array) -> float:
-    """Return the mean stretch (m) of the cup in tool-relative coordinates (N, 6)."""
-    com = np.array(values['package.com'])
-    lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ com
-    return float(np.nanmean(-lip[:, 2])) - float(values['cup.length'])
-
-
-def _mass_hint(values: Values, recording: Recording) -> str:
-    """Return the mass that the recorded stretch stands for, where it is another; else ''."""
-    relative = residuals.relative_coordinates(recording.measured_tool, recording.measured_package)
-    stretch = _stretch(values, relative[recording.measured])
+def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
+    """Return the mass that the mean stretch of the cup stands for, where it is another."""
+    relative = residuals.relative_coordinates(
+        recording.measured_tool, recording.measured_package)[recording.measured]
+    lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values['package.com'])
+    stretch = float(np.mean(-lip[:, 2])) - float(values['cup.length'])
     stiffness = cup_of(values).stiffness[2, 2]
     mass, stated = stiffness * stretch / values['gravity.magnitude'], values['package.mass']
     if not mass > 0.0 or STRETCH_RATIOS[0] < mass / stated < STRETCH_RATIOS[1]:
-        return ''
+        return ()
     return (
-        f'On average the cup is stretched by {1e3 * stretch:.2g} mm, as by {mass:.2g} kg: '
-        f'package.mass is likely that instead of {stated:g} kg. ')
+        f'On average the cup is stretched by {1e3 * stretch:.2g} mm: package.mass is likely '
+        f'{mass:.2g} kg instead of {stated:g}, or package.com or cup.length is wrong.',)
 
 
 def predicted_live(recording: Recording, values: Values, progress: Progress = no_progress) -> Live:
