@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from bellows_ros.core.identification.comparison import Change
 from bellows_ros.core.parameters.table import short
-from bellows_ros.report import formatted, listed, with_error
+from bellows_ros.report import formatted, in_milli, listed, with_error
 from bellows_ros.workflows.identification import compare_files, ResultComparison
 
 from . import options
@@ -43,8 +43,7 @@ def _change_rows(changes: tuple[Change, ...]) -> list[tuple[str, ...]]:
     """Return a row for each change: both values, the change, and it in standard errors."""
     rows: list[tuple[str, ...]] = [('', 'A', 'B', 'unit', 'change', 'std. errors')]
     for change in changes:
-        is_pose = change.unit in ('m', 'rad')
-        scale, unit = (1e3, f'm{change.unit}') if is_pose else (1.0, change.unit)
+        scale, unit = in_milli(change.unit)
         rows.append((
             change.name,
             with_error(scale * change.before, scale * change.before_std),

@@ -8,7 +8,6 @@ and none divides finished work.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-import errno
 import os
 import re
 import shutil
@@ -129,13 +128,6 @@ class Console:
         head, _, rest = '\n'.join(lines).partition(' ')
         self._write_error(f'{self._styled(self._err, head, "red")} {rest}')
 
-    def last_error(self, text: str) -> None:
-        """Print an error where stderr takes it."""
-        try:
-            self.error(text)
-        except OSError:
-            _discard(self._err)
-
     def _write_error(self, text: str) -> None:
         """Print on stderr, in order if both streams have the same target."""
         self._close_gap()
@@ -249,7 +241,6 @@ def aligned(rows: Sequence[Sequence[str]], right: bool = False) -> list[str]:
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TWICE = 0.5  # s, within which two signals are one
-OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 class Stopped(KeyboardInterrupt):
@@ -297,12 +288,6 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     except BrokenPipeError:  # the reader of the output has closed it
         _discard(sys.stdout)
         return PIPE_CLOSED
-    except OSError as error:
-        if error.errno not in OUTPUT_ERRORS:
-            raise
-        _discard(sys.stdout)
-        console.last_error(f'The output cannot be written: {error.strerror}. Write elsewhere.')
-        return USER_ERROR
     finally:
         sys.unraisablehook = unraisable
         for number in handled if not ended else ():  # ignored: what is left is to clean up

@@ -3,9 +3,10 @@
 import argparse
 import math
 
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.toss.landing import coverage
 from bellows_ros.errors import BellowsError
-from bellows_ros.report import column, formatted, with_error
+from bellows_ros.report import column, formatted, in_milli, with_error
 from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
 import numpy as np
 
@@ -15,11 +16,6 @@ from .options import run_plan_command
 MILLI = 1e3
 MAX_TARGET = 100.0
 """Largest coordinate of a target, m."""
-UNITS = {
-    'package.mass': (1e3, 'g'), 'package.com': (1e3, 'mm'), 'release.delay': (1e3, 'ms'),
-    'release.tau': (1e3, 'ms'), 'release.impulse': (1e3, 'mN s'), 'release.closing': (1.0, 'N'),
-    'release.opening': (1e3, 'mm'), 'release.damping': (1.0, 'N s/m')}
-"""In which units a standard deviation is printed."""
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -98,7 +94,8 @@ def _print_budget(result: TossResult, console: Console) -> None:
     for group, shift, angle in zip(
             groups, *(column(sizes, 0.1 * max(sizes) or 1.0) for sizes in (shifts, angles)),
             strict=True):
-        factor, unit = UNITS.get(group.name, (1.0, ''))
+        parameter = PARAMETERS.get(group.name)
+        factor, unit = in_milli(parameter.unit if parameter else '')
         unknown = 'one fit' if group.name == 'release' else 'per entry'
         rows.append((group.name, formatted(group.std, '.3g', unit, factor, unknown),
                      f'{shift} mm', f'{angle} deg'))

@@ -65,6 +65,13 @@ def percent(ratio: float, decimals: int = 2) -> str:
     return formatted(ratio, f'.{decimals}f', '%', 100.0)
 
 
+def in_milli(unit: str) -> tuple[float, str]:
+    """Return factor and name of the unit in which a small quantity is printed."""
+    if unit == 'kg':
+        return 1e3, 'g'
+    return (1e3, f'm{unit}') if unit in ('m', 'rad', 's', 'N s') else (1.0, unit)
+
+
 def listed(items: Sequence[str]) -> str:
     """Return items as in a sentence; of many the first ones and how many more."""
     if len(items) > MAX_LISTED:

@@ -36,9 +36,6 @@ MIN_DURATION, MAX_DURATION = motion_design.REST + 3.0 * motion_design.RAMP, 120.
 STANDSTILLS, EXCITATION, VALIDATION = '1_standstills', '2_excitation', '3_validation'
 """Names of the recordings of a series, in order."""
 
-NO_GRIP = (
-    'The safety factor of the grip is unknown and does not limit this motion: set '
-    'cup.lip_radius and vacuum.holding.')
 
 NO_HOLD = (
     'The motion has no hold, as no tilt is within the limits: a fit cannot tell how far the '
@@ -87,7 +84,7 @@ class DesignedMotion(CommandResult):
         """Return warnings before the motion: what it cannot identify, and what would."""
         warnings = checks.implausible(self.values)
         if motion_design.LOADS[-1] not in self.design.ratios:
-            warnings += (NO_GRIP,)
+            warnings += (plan.NO_GRIP,)
         if self.hold and not self.design.motion.hold:
             warnings += (NO_HOLD,)
         limit = max(self.design.shares, key=lambda name: self.design.shares[name], default='')

@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -103,20 +102,3 @@ def test_ctrl_c_again_ends_what_the_first_one_did_not(capsys, handlers):
     assert run_guarded(work) == 128 + signal.SIGINT
     signal.raise_signal(signal.SIGINT)  # nothing is left to interrupt
     assert cleaned == [True] and capsys.readouterr().err.startswith('Interrupted')
-
-
-@pytest.mark.skipif(not Path('/dev/full').exists(), reason='there is no /dev/full here')
-@pytest.mark.parametrize('line', [
-    ('parameters',), ('--version',),
-    ('plan', 'transport.yaml', '--params', 'tossing.yaml', '--json', '-')])
-def test_a_full_device_is_one_sentence(line, user_environment, root):
-    """Where all commands print; once also with nowhere to say it."""
-    with open('/dev/full', 'w') as full:
-        for err in (subprocess.PIPE, full)[:1 + (line == ('parameters',))]:
-            done = subprocess.run(
-                [sys.executable, '-m', 'bellows_ros.cli', *line], cwd=root / 'bags', text=True,
-                env=user_environment, stdout=full, stderr=err)
-            assert done.returncode == 2
-            if err == subprocess.PIPE:
-                assert 'No space left on device' in done.stderr.splitlines()[-1]
-                assert 'Traceback' not in done.stderr
