@@ -8,6 +8,7 @@ and none divides finished work.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 import os
 import re
 import shutil
@@ -33,9 +34,6 @@ BAR = 24  # characters
 REDRAW_INTERVAL = 0.1  # s, between two drawings of the progress
 CLEAR_LINE = '\r\x1b[2K'
 STYLES: Mapping[str, str] = {'bold': '1', 'dim': '2', 'red': '31', 'yellow': '33', 'green': '32'}
-
-# For output that knows only ASCII.
-PLAIN = str.maketrans({'±': '+-', '²': '^2', '→': '->'})
 
 
 class Console:
@@ -79,12 +77,12 @@ class Console:
         self.require_no_signal()
         self._close_gap()
         self._begun = True
-        _write(self._out, self._styled(self._out, printable(text), style))
+        print(self._styled(self._out, printable(text), style), file=self._out)
 
     def _close_gap(self) -> None:
         """Print the empty line that is due."""
         if self._gap:
-            _write(self._out, '')
+            print(file=self._out)
         self._gap = False
 
     def paragraph(self, *texts: str, style: str = '') -> None:
@@ -132,7 +130,7 @@ class Console:
         """Print on stderr, in order if both streams have the same target."""
         self._close_gap()
         self._out.flush()
-        _write(self._err, text)
+        print(text, file=self._err)
 
     @contextmanager
     def progress(self) -> Iterator['Progress']:
@@ -203,15 +201,6 @@ def _is_terminal(stream: TextIO) -> bool:
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 
-def _write(stream: TextIO, text: str) -> None:
-    """Print a line in the characters that the stream's encoding has."""
-    try:
-        text.encode(stream.encoding or 'utf-8')
-    except UnicodeEncodeError:
-        text = text.translate(PLAIN).encode('ascii', 'backslashreplace').decode()
-    print(text, file=stream)
-
-
 def _wrapped(text: str, first: str, rest: str) -> list[str]:
     """Return lines as wide as the terminal, at most what is easy to read, with indentations."""
     width = max(min(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns), MIN_WIDTH)
@@ -263,6 +252,8 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     """
     ended = list[int]()
     first = 0.0
+    if isinstance(sys.stdout, TextIOWrapper):  # as stderr does with what its encoding lacks
+        sys.stdout.reconfigure(errors='backslashreplace')
     console = Console(sys.stdout, sys.stderr, ended)
 
     def end(number: int, frame: FrameType | None) -> None:
