@@ -8,6 +8,7 @@ and none divides finished work.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+import errno
 from io import TextIOWrapper
 import os
 import re
@@ -279,6 +280,12 @@ def run_guarded(work: Callable[[Console], int]) -> int:
     except BrokenPipeError:  # the reader of the output has closed it
         _discard(sys.stdout)
         return PIPE_CLOSED
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        _discard(sys.stdout)
+        console.error(f'The output cannot be written: {error.strerror}. Write elsewhere.')
+        return USER_ERROR
     finally:
         sys.unraisablehook = unraisable
         for number in handled if not ended else ():  # ignored: what is left is to clean up

@@ -102,3 +102,15 @@ def test_ctrl_c_again_ends_what_the_first_one_did_not(capsys, handlers):
     assert run_guarded(work) == 128 + signal.SIGINT
     signal.raise_signal(signal.SIGINT)  # nothing is left to interrupt
     assert cleaned == [True] and capsys.readouterr().err.startswith('Interrupted')
+
+
+@pytest.mark.skipif(not os.path.exists('/dev/full'), reason='there is no /dev/full here')
+@pytest.mark.parametrize('option', ['--yaml', '--help'])
+def test_a_full_device_is_one_sentence(option, user_environment):
+    """Exit with 2, not with the code of a negative result."""
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(
+            [sys.executable, '-m', 'bellows_ros.cli', 'parameters', option], text=True,
+            env=user_environment, stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 2
+    assert 'No space left on device' in done.stderr and 'Traceback' not in done.stderr
