@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 from bellows_ros.core.excitation.motion_design import Design
 from bellows_ros.core.model.structure import STRUCTURES
-from bellows_ros.workflows.excite import DesignedMotion, NO_GRIP
+from bellows_ros.workflows.excite import DesignedMotion
+from bellows_ros.workflows.plan import NO_GRIP
 import numpy as np
 
 STRUCTURE = STRUCTURES['axisymmetric']
