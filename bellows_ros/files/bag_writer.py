@@ -13,7 +13,7 @@ from typing import Literal
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_folder, bags, File, messages
+from bellows_ros.files import atomic, bag_folder, bags, File, mcap, messages
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
@@ -130,6 +130,8 @@ def write_bag(
                 streams = [r.messages(number) for number, r in enumerate(recorded)]
                 for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
                     writer.write(connections[names[number]], log_time_ns, data)
+            if storage == 'mcap':
+                mcap.seal(folder / f'{folder.name}.mcap')
         except sqlite3.Error as error:  # of a full disk, which others say as the system does
             raise OSError(f'SQLite says {error}') from None
 

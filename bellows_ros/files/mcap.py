@@ -1,5 +1,5 @@
 """
-Reading the messages of an MCAP file from front to back.
+Reading the messages of an MCAP file from front to back, and the checksums of its chunks.
 
 The file is read as a stream and nothing in it is believed that could cost memory: sizes are
 bounded before they are allocated, chunks are decompressed one at a time up to the size they
@@ -10,6 +10,7 @@ crashed, is read up to the break. The format is specified at https://mcap.dev/sp
 from collections import Counter
 from collections.abc import Iterator
 import os
+from pathlib import Path
 import struct
 from typing import BinaryIO
 import zlib
@@ -273,3 +274,18 @@ def _chunk_data(body: bytes) -> bytes:
     if checksum not in (0, zlib.crc32(data)):
         raise DamagedError('the checksum of a chunk is wrong')
     return data
+
+
+def seal(path: Path) -> None:
+    """Write the checksums of the chunks of a sound MCAP file that was written without them."""
+    with path.open('r+b') as file:
+        file.seek(len(MAGIC))
+        kind = 0
+        while kind != _FOOTER:
+            kind, size = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+            at = file.tell()
+            if kind == _CHUNK:
+                records = _chunk_data(file.read(size))
+                file.seek(at + _CHUNK_CHECKSUM_AT)
+                file.write(struct.pack('<I', zlib.crc32(records)))
+            file.seek(at + size)
