@@ -35,13 +35,14 @@ class Target(NamedTuple):
     name: str
     write: Callable[..., str]
     limits: Sequence[str]
+    """Names of sentences."""
     whole: bool = False
     """Whether it has all entries of K and P."""
 
 
 def limits(target: Target, cup: Cup) -> list[str]:
     """Return what a format cannot express, and what of this cup it leaves out."""
-    lost = list(target.limits)
+    lost = [TABLES['sentences'][name] for name in target.limits]
     if target.whole:
         return lost
     for name, matrix in (('K', cup.stiffness), ('P', cup.damping)):
@@ -162,6 +163,6 @@ def _braced(values: Any) -> str:
 WRITERS: Mapping[str, Callable[..., str]] = {'mjcf': mjcf, 'sdf': sdf, 'c': header}
 """Each takes cup, package, gravity, grip and name; the last three are used in C only."""
 
+TABLES = tomllib.loads(Path(__file__).with_name('exports.toml').read_text())
 TARGETS: Mapping[str, Target] = {
-    name: Target(write=WRITERS[name], **entry) for name, entry in tomllib.loads(
-        Path(__file__).with_name('exports.toml').read_text()).items()}
+    name: Target(write=WRITERS[name], **entry) for name, entry in TABLES['formats'].items()}
