@@ -2,9 +2,9 @@
 What was given with a recording, each number a measurement with a standard deviation.
 
 About the minimum all of it is free at once beside K and P. Directions of it that the recordings
-know thirty times better than it was given are found with K and P. The others stay as they were
-given, and what they move K and P by is an error of its own: with mass, inertia, K and P larger by
-one factor the motion is the same, so no recording knows the size of K better than the mass.
+know better than it was given are found with K and P. The others stay as they were given, and what
+they move K and P by is an error of its own: with mass, inertia, K and P larger by one factor the
+motion is the same, so no recording knows the size of K better than the mass.
 
 A cause is a number that moves by many of its standard deviations. Each of `CANDIDATES` gets its
 columns in one pass about the minimum; what the squares would fall by if it were free is its score.
@@ -41,9 +41,6 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
-
-MIN_INFORMATION_RATIO = 1000.0
-"""A direction is fitted if the recordings have this many times the information that was given."""
 
 MAX_SOUND_CHI2 = 1.03
 """Chi^2 per difference above which another minimum is looked for where something given is off."""
@@ -124,9 +121,11 @@ def _near_with_given(
     parts, H, g = wide.system(start)
     if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
         return search, minimum._replace(converged=False), np.zeros((size, size))
-    S = H[size:, size:] - H[size:, :size] @ np.linalg.solve(H[:size, :size], H[:size, size:])
-    values, vectors = np.linalg.eigh(std[:, None] * S * std)  # with 1 of what was given
-    free = int(np.count_nonzero(values > MIN_INFORMATION_RATIO))
+    known = np.sum([part.jacobian.T @ part.jacobian for part in parts], axis=0)  # without a prior
+    S = known[size:, size:] - known[size:, :size] @ np.linalg.lstsq(
+        known[:size, :size], known[:size, size:])[0]
+    values, vectors = np.linalg.eigh(std[:, None] * S * std)  # what was given has 1
+    free = int(np.count_nonzero(values > 1.0))
     fixed = vectors[:, :len(std) - free] / std[:, None]
     wide.fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
     again = wide.minimum(note, start, (parts, H + wide.fixing, g))

@@ -16,7 +16,6 @@ from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import (
     causes,
-    moved_between,
     outlying,
     scores,
     stated,
@@ -53,9 +52,6 @@ NOTHING: Free = MappingProxyType({})
 
 MAX_NOISE_SHARE, MAX_ERROR_SHARE = 0.9, 0.5
 """Most noise in information that errors allow for, and in the error of what is identifiable."""
-
-MIN_SHIFT = 0.2
-"""Part by which K moves to another minimum, which has other causes."""
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Of the noise that tests this, and its sizes in that of the poses."""
@@ -154,7 +150,7 @@ def output_error(
     reasons = causes(search, minimum, stated(given))
     search.accept(minimum.parts)
     wide, wide_minimum, from_given = with_given(search, minimum, given, record, bool(reasons))
-    if reasons and moved_between((search, minimum), (wide, wide_minimum)) > MIN_SHIFT:
+    if reasons:
         lasting = {*wide.places, 'recording.package_frame'}
         reasons = tuple(reason for reason in reasons if reason.name in lasting) or causes(
             wide, wide_minimum, stated(given))
