@@ -307,7 +307,8 @@ def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ..
     pulls = {name: float(np.max(np.abs(minimum.theta[rows]) * np.sqrt(search.weights[rows])))
              for name, rows in search.places.items() if name in given.keys() - {'mass', 'inertia'}}
     name = max(pulls, key=pulls.__getitem__, default='')
-    if not minimum.converged or not name or pulls[name] < MAX_PULL:
+    explains = minimum.converged and minimum.squares < MISFIT_CHI2 * minimum.residual_count
+    if not explains or not name or pulls[name] < MAX_PULL:
         return ()
     noise = [segment.std for segment in search.segments]
     freed = _freed(search, minimum, name, noise)

@@ -35,6 +35,7 @@ from bellows_ros.core.identification.search import (
     measured_segments,
     MeasuredSegment,
     Minimum,
+    MISFIT_CHI2,
     Search,
     Segment,
     WhitenedSegment,
@@ -150,7 +151,7 @@ def output_error(
     reasons = causes(search, minimum, stated(given))
     search.accept(minimum.parts)
     wide, wide_minimum, from_given = with_given(search, minimum, given, record, bool(reasons))
-    if reasons:
+    if reasons and wide_minimum.squares < MISFIT_CHI2 * wide_minimum.residual_count:
         lasting = {*wide.places, 'recording.package_frame'}
         reasons = tuple(reason for reason in reasons if reason.name in lasting) or causes(
             wide, wide_minimum, stated(given))
