@@ -298,6 +298,26 @@ def _is_as_far_as_com(search: Search, shift: Array) -> bool:
     return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
 
 
+def lasting(
+    reasons: Sequence[Finding], search: Search, minimum: Minimum
+) -> tuple[Finding, ...]:
+    """
+    Return those causes of another minimum that are of this one, where what was given is free.
+
+    What is not clearly off here, nor more than it may be, was what else that was given explains.
+    """
+    def lasts(reason: Finding) -> bool:
+        if reason.name not in search.places:
+            return reason.name == 'recording.package_frame'
+        place = search.places[reason.name].ravel()
+        theta, std = search.estimate(minimum, reason.name)
+        expected = MAX_PULL * search.units[place] * search.weights[place] ** -0.5
+        return bool(np.any(np.abs(theta) > SIGNIFICANT * std)
+                    or np.any(np.abs(reason.theta) > expected))
+
+    return tuple(filter(lasts, reasons))
+
+
 def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ...]:
     """
     Return the length or pose that is off by most of its standard deviations, from `MAX_PULL` on.
@@ -307,7 +327,7 @@ def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ..
     pulls = {name: float(np.max(np.abs(minimum.theta[rows]) * np.sqrt(search.weights[rows])))
              for name, rows in search.places.items() if name in given.keys() - {'mass', 'inertia'}}
     name = max(pulls, key=pulls.__getitem__, default='')
-    explains = minimum.converged and minimum.squares < MISFIT_CHI2 * minimum.residual_count
+    explains = minimum.converged and minimum.robust_chi2 < MISFIT_CHI2
     if not explains or not name or pulls[name] < MAX_PULL:
         return ()
     noise = [segment.std for segment in search.segments]

@@ -16,6 +16,7 @@ from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import (
     causes,
+    lasting,
     outlying,
     scores,
     stated,
@@ -71,9 +72,6 @@ MIN_SCATTER = 0.25
 
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
-
-MEDIAN_OF_NORMAL = 0.6744897501960817
-"""Median of the absolute value of a standard normal variable."""
 
 ALSO_GIVEN = (
     'Measure them more exactly and state it (package.com_std, cup.length_std, '
@@ -151,9 +149,8 @@ def output_error(
     reasons = causes(search, minimum, stated(given))
     search.accept(minimum.parts)
     wide, wide_minimum, from_given = with_given(search, minimum, given, record, bool(reasons))
-    if reasons and wide_minimum.squares < MISFIT_CHI2 * wide_minimum.residual_count:
-        lasting = {*wide.places, 'recording.package_frame'}
-        reasons = tuple(reason for reason in reasons if reason.name in lasting) or causes(
+    if reasons and wide_minimum.robust_chi2 < MISFIT_CHI2:
+        reasons = lasting(reasons, wide, wide_minimum) or causes(
             wide, wide_minimum, stated(given))
     reasons = reasons or outlying(wide, wide_minimum, given)
     return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
@@ -251,9 +248,7 @@ def _fit(
     if np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * least_squares.RATIO_STD * r1:
         notes.append(least_squares.R2_ASSUMED)
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
-    r = np.concatenate([part.innovations for part in minimum.parts])
     residuals = minimum.residuals
-    robust_chi2 = float((np.median(np.abs(r)) / MEDIAN_OF_NORMAL) ** 2)
     learned = max(float(np.mean(part)) for segment in search.segments for part in np.split(
         (segment.std / segment.measured.package_noise.std) ** 2, 2))  # of slow poses, by the fit
     total = sum(len(segment.measured.package) for segment in search.segments)
@@ -270,9 +265,9 @@ def _fit(
         weight=np.diag(search.segments[0].std ** -2),
         residual_rms=np.sqrt(np.mean(residuals**2, axis=0)),
         notes=tuple(notes) if minimum.converged else (NOT_CONVERGED,),
-        misfit=_misfit(robust_chi2),
-        chi2=minimum.squares / max(len(r) - len(x), 1),
-        robust_chi2=robust_chi2 * max(learned, 1.0),
+        misfit=_misfit(minimum.robust_chi2),
+        chi2=minimum.squares / max(minimum.residual_count - len(x), 1),
+        robust_chi2=minimum.robust_chi2 * max(learned, 1.0),
         converged=minimum.converged,
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),

@@ -136,7 +136,8 @@ And the largest of the last step allowed: numbers that are barely identifiable k
 """
 
 MAX_RISE = 1.2
-"""Factor by which the sum of squares may rise in a step: their weights change, too."""
+"""Factor by which the sum of squares, in noise as it is estimated now, may rise in a step: their
+weights change, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,6 +357,12 @@ class Minimum(NamedTuple):
         return squares(self.parts)
 
     @property
+    def robust_chi2(self) -> float:
+        """Chi^2 per difference, from their median: tails of the noise do not count."""
+        r = np.concatenate([part.innovations for part in self.parts])
+        return float(np.median(np.abs(r)) * MAD_TO_STD) ** 2
+
+    @property
     def residuals(self) -> Array:
         """The differences (N, 6) of all segments, m and rad."""
         return np.concatenate([part.residuals for part in self.parts])
@@ -573,6 +580,7 @@ class Search(Parametrization):
         damping, settled = min_damping, True
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
+        largest = MAX_RISE * max(squares(parts), expected)
         for number in range(max_steps):
             if number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected:
                 break
@@ -581,7 +589,7 @@ class Search(Parametrization):
             length = self.squared_length(step, H)
             try:
                 new = self.system(moved, forgetting)
-                improves = squares(new[0]) < MAX_RISE * max(squares(parts), expected)
+                improves = squares(new[0]) < largest
             except BellowsError:  # no cup is that short or fast, no clock that far off
                 improves = False
             if not improves:  # or nan
@@ -591,7 +599,11 @@ class Search(Parametrization):
             history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
             theta, (parts, H, g) = moved, new
             self.accept(parts)
+            before = [segment.std for segment in self.segments]
             settled = forgetting > 0.0 or self.update_noise(parts)
+            largest = MAX_RISE * max(expected, sum(
+                float(np.sum((part.innovations.reshape(-1, 6) * std / segment.std) ** 2))
+                for segment, part, std in zip(self.segments, parts, before, strict=True)))
             settled &= damping <= MAX_FINAL_DAMPING
             damping = max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0
             report(self.cup(theta), squares(parts) / expected)

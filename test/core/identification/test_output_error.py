@@ -6,12 +6,13 @@ from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification import output_error as module
 from bellows_ros.core.identification import search as module_of_search
 from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.given import causes
+from bellows_ros.core.identification.given import causes, lasting
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import (
     _deviation,
     MeasuredSegment,
+    Minimum,
     Search,
     Segment,
 )
@@ -370,15 +371,14 @@ def test_a_kelvin_voigt_cup_shows_no_relaxation():
         output_error([own], AXISYMMETRIC, TRUTH, relaxation='on')
 
 
-def test_causes_of_one_minimum_are_not_said_of_another(monkeypatch):
-    """But of what is free there, which has moved to it."""
-    def with_given(search, found, *others):
-        wide = search.with_free(found.theta, weak_prior(['com']))
-        return wide, found._replace(theta=wide.start), np.zeros((len(wide.units),) * 2)
-
-    monkeypatch.setattr(module, 'with_given', with_given)
-    monkeypatch.setattr(module, 'causes', lambda *own: (
-        Finding('cubic', 'K x'), Finding('com', '')))
-    monkeypatch.setattr(module, '_fit', lambda *own: own[-1])
-    reasons = output_error([measured(3, duration=3.0)], AXISYMMETRIC, TRUTH)
-    assert [own.name for own in reasons] == ['com']
+@pytest.mark.parametrize(('mm', 'elsewhere_mm', 'named'), [
+    (1.0, 1.0, []), (7.0, 1.0, ['com']), (1.0, 5.0, ['com'])])
+def test_causes_of_one_minimum_are_not_said_of_another(mm, elsewhere_mm, named):
+    """But of what is clearly off there, too, or more than it may be."""
+    search = Search([Segment(measured(3, duration=3.0))], AXISYMMETRIC, TRUTH,
+                    {'com': np.full(3, 1e-3)})
+    there = Minimum(np.append(search.start[:8], [mm, 0.0, 0.0]), [], np.eye(11), True)
+    reasons = lasting(
+        [Finding('cubic', 'K x'), Finding('com', '', np.full(3, 1e-3 * elsewhere_mm))],
+        search, there)
+    assert [own.name for own in reasons] == named
