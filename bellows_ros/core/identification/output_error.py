@@ -64,6 +64,9 @@ MAX_CHI2 = 1.2
 BLOCK_DURATION = 1.0
 """Length (s) of the segments whose gradients are kept."""
 
+CHANCE = 3.0
+"""Standard deviations by which noise at rest may be smaller by chance."""
+
 COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
 
@@ -249,8 +252,10 @@ def _fit(
         notes.append(least_squares.R2_ASSUMED)
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
     residuals = minimum.residuals
-    learned = max(float(np.mean(part)) for segment in search.segments for part in np.split(
-        (segment.std / segment.measured.package_noise.std) ** 2, 2))  # of slow poses, by the fit
+    learned = max(  # noise of slow poses, by the fit, beside what it may be of those at rest
+        float(np.mean(part)) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent)))
+        for segment in search.segments for noise in [segment.measured.package_noise]
+        for part in np.split((segment.std / noise.std) ** 2, 2))
     total = sum(len(segment.measured.package) for segment in search.segments)
     offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(

@@ -873,7 +873,7 @@ def _with_means_of_tool(measured: MeasuredSegment) -> MeasuredSegment:
     Each is of an odd number of poses, at most `MAX_NODE_STEP` long, about a smooth path, so that
     no motion is lost.
     """
-    tool, (std, correlation), package = measured.tool, measured.tool_noise, measured.package
+    tool, (std, correlation, _), package = measured.tool, measured.tool_noise, measured.package
     rate = uniform_rate_hz(tool.stamps_ns)
     half, n = int((MAX_NODE_STEP * rate - 1.0) / 2.0), round(HALF_WINDOWS[-1] * rate)
     count = 2 * half + 1

@@ -120,13 +120,18 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
     return np.asarray(_clipped_rms(residuals) / np.sqrt(ripple_part(ar1)))
 
 
-def noise_at_rest(poses: Trajectory) -> Array:
-    """Return the standard deviations (6,) of poses of a body at rest, in body axes, m and rad."""
+def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
+    """Return the noise of poses of a body at rest: with a memory, that of fewer poses."""
     back = poses.rotation[0].T
     moved = np.hstack([apply(back, poses.position - poses.position[0]),
                        log_so3(back @ poses.rotation)])
-    factor = float(np.sqrt(len(moved) / (len(moved) - 1)))
-    return factor * _clipped_rms(moved - moved.mean(axis=0))
+    moved = moved - moved.mean(axis=0)
+    limit = CLIP_DEVIATIONS * MAD_TO_STD * np.median(np.abs(moved), axis=0)
+    moved = np.clip(moved, -limit, limit)
+    squares = np.maximum(np.sum(moved**2, axis=0), 1e-30)
+    kept = max(float(np.mean(np.sum(moved[1:] * moved[:-1], axis=0) / squares)), 0.0)
+    count = max(len(moved) * (1.0 - kept) / (1.0 + kept), 2.0)
+    return BodyNoise(np.sqrt(count / (count - 1.0) * squares / len(moved)), independent=count)
 
 
 def _clipped_rms(residuals: Array) -> Array:
@@ -186,10 +191,15 @@ def ar1_noise_of(poses: Trajectory, noise: Noise) -> tuple[AR1Noise, AR1Noise]:
 
 
 class BodyNoise(NamedTuple):
-    """Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose."""
+    """
+    Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose.
+
+    And of how many independent poses it was estimated.
+    """
 
     std: Array
     correlation: float = 0.0
+    independent: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -596,7 +606,7 @@ class Recording:
             still = package.between(first, last)
             still = still.select(still.valid)
             if len(still) >= MIN_SAMPLES_AT_REST:
-                of_package = of_package._replace(std=noise_at_rest(still))
+                of_package = noise_at_rest(still)
         return of_tool, of_package
 
     @cached_property

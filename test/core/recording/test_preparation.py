@@ -6,9 +6,9 @@ from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.recording.outliers import find_outliers, LastingStep
 from bellows_ros.core.recording.preparation import prepare, stream_warnings
-from bellows_ros.core.recording.recording import PrepareSettings
+from bellows_ros.core.recording.recording import noise_at_rest, PrepareSettings
 from bellows_ros.core.signals.resampling import timing
-from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.savgol import correlated, savgol
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from .tracking import displaced, held, Noise, START
-from ..motions import noisy
+from ..motions import noisy, with_errors
 
 COM = (0.0, 0.0, -0.03)
 WINDOWS = {f'{body}_{name}': size for body in ('tool', 'package')
@@ -66,6 +66,18 @@ def test_poses_that_need_nothing_are_only_filtered():
     assert found.report.warnings == ()
     assert found.start_ns == tool.stamps_ns[0]
     assert_allclose(found.since_start(package.stamps_ns), package.seconds)
+
+
+def test_noise_at_rest_with_a_memory_is_that_of_fewer_poses():
+    """So 51 poses that keep 72 % of it say by chance that there is far less."""
+    rng, stamps_ns = np.random.default_rng(1), np.rint(np.arange(51) * 1e9 / 30.0).astype(np.int64)
+    still = Trajectory(stamps_ns, np.zeros((51, 3)), np.tile(np.eye(3), (51, 1, 1)))
+    seen = [noise_at_rest(with_errors(still, 1e-3 * correlated(
+        rng.standard_normal((51, 6)), 0.72))) for _ in range(200)]
+    squares = np.array([noise.std**2 for noise in seen]) / 1e-6
+    assert abs(squares.mean() - 1.0) < 0.05
+    independent = np.median([noise.independent for noise in seen])
+    assert 0.6 < squares[:, :3].mean(axis=1).std() / np.sqrt(2.0 / 3.0 / independent) < 1.0
 
 
 @pytest.mark.parametrize('rate_hz', [100.0, 360.0, 1000.0])
