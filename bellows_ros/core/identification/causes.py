@@ -136,9 +136,9 @@ class Finding(NamedTuple):
         """
         Whether it is worth a word: it explains most, whatever else does.
 
-        A drift is found by its standard errors alone: between two poses it is hardly any.
+        A drift or a slip is found by its standard errors alone: of each pose it is hardly any.
         """
-        return self.certain or self.left**2 < DISTINCT or self.name == 'world_drift'
+        return self.certain or self.left**2 < DISTINCT or self.name in ('world_drift', 'slip')
 
 
 IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')

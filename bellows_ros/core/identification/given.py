@@ -200,8 +200,10 @@ With a length that is too small the weight seems to stretch the cup: K along z i
 only much damping keeps that from swinging. Smaller errors are found with K and P.
 """
 
-MAX_PULL = 4.0
-"""Standard deviations beyond which a given number is wrong; by chance, one in 16,000 is."""
+MAX_PULL, MIN_KNOWN = 4.0, 0.01
+"""Standard deviations beyond which a given number is wrong; by chance, one in 16,000 is. They are
+of its change by the recordings, and that part of its variance at least: of what only a sum is
+known (length, centre of mass, marker), each moves by a part."""
 
 OF_LIP = ('com', 'length', 'package_marker')
 """What seems wrong where poses of the lip are taken for those of the centre of mass."""
@@ -248,7 +250,8 @@ def causes(
         _restore(search, minimum, noise)
         return (frame,)
     _restore(best.search, best.minimum, best.noise)
-    if np.max(np.abs(theta) / std) < SIGNIFICANT:
+    least = SIGNIFICANT**2 * best.minimum.colour
+    if np.max(np.abs(theta) / std) ** 2 < least:
         return ()
     moved = moved_between((search, minimum), (best.search, best.minimum))
     gains = falls | {one.name: one.gain for one in tried}
@@ -261,7 +264,7 @@ def causes(
     others = causes(best.search, best.minimum, uncertain, count - 1) if count > 1 else ()
     is_all = count > 1 and not others  # so that what a rival leaves is its own
     certain = (moved > MIN_SHIFT or left < DISTINCT) and (
-        rival < DISTINCT * best.gain or is_all and best.gain - rival > SIGNIFICANT**2) and (
+        rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
         # what no cause explains may be of another
         bool(others) or best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count)
     return (_finding(best, theta, std)._replace(
@@ -304,7 +307,8 @@ def lasting(
     """
     Return those causes of another minimum that are of this one, where what was given is free.
 
-    What is not clearly off here, nor more than it may be, was what else that was given explains.
+    None where the first is not: it is not free, or neither clearly off here nor more than it may
+    be there, so that what else was given explains it.
     """
     def lasts(reason: Finding) -> bool:
         if reason.name not in search.places:
@@ -315,7 +319,7 @@ def lasting(
         return bool(np.any(np.abs(theta) > SIGNIFICANT * std)
                     or np.any(np.abs(reason.theta) > expected))
 
-    return tuple(filter(lasts, reasons))
+    return tuple(filter(lasts, reasons)) if lasts(reasons[0]) else ()
 
 
 def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ...]:
@@ -324,8 +328,13 @@ def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ..
 
     With all of it free, a fit may explain the poses by numbers that are not those given.
     """
-    pulls = {name: float(np.max(np.abs(minimum.theta[rows]) * np.sqrt(search.weights[rows])))
-             for name, rows in search.places.items() if name in given.keys() - {'mass', 'inertia'}}
+    pulls = dict[str, float]()
+    open_variance = np.diag(np.linalg.inv(minimum.information - search.fixing))
+    for name in search.places.keys() & given.keys() - {'mass', 'inertia'}:
+        rows = search.places[name].ravel()
+        known = np.maximum(1.0 - search.weights[rows] * open_variance[rows], MIN_KNOWN)
+        pulls[name] = float(np.max(
+            np.abs(minimum.theta[rows]) * np.sqrt(search.weights[rows] / known)))
     name = max(pulls, key=pulls.__getitem__, default='')
     explains = minimum.converged and minimum.robust_chi2 < MISFIT_CHI2
     if not explains or not name or pulls[name] < MAX_PULL:
@@ -338,9 +347,12 @@ def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ..
     if name in OF_LIP and (frame := _other_frame(search, minimum, freed.gain)):
         _restore(search, minimum, noise)
         return (frame,)
-    return (Finding(name, '', *freed.search.estimate(freed.minimum, name), moved=moved_between(
-        (search, minimum), (freed.search, freed.minimum)), instead=SIMILAR.get(name, ''),
-        certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count),)
+    theta, std = freed.search.estimate(freed.minimum, name)
+    is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # the cup, as the length is
+    moved = moved_between((search, minimum), (freed.search, freed.minimum))
+    return (Finding(name, '', theta, std, moved=moved,
+                    instead=SIMILAR.get(name, '') if is_along else '',
+                    certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count),)
 
 
 def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:

@@ -152,11 +152,20 @@ def output_error(
     reasons = causes(search, minimum, stated(given))
     search.accept(minimum.parts)
     wide, wide_minimum, from_given = with_given(search, minimum, given, record, bool(reasons))
-    if reasons and wide_minimum.robust_chi2 < MISFIT_CHI2:
-        reasons = lasting(reasons, wide, wide_minimum) or causes(
-            wide, wide_minimum, stated(given))
-    reasons = reasons or outlying(wide, wide_minimum, given)
+    reasons = _reasons_at(wide, wide_minimum, given, reasons)
     return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
+
+
+def _reasons_at(
+    search: Search, minimum: Minimum, given: Free, elsewhere: tuple[Finding, ...]
+) -> tuple[Finding, ...]:
+    """Return the causes at a minimum with what was given free, from those at another."""
+    reasons = elsewhere
+    if reasons and minimum.robust_chi2 < MISFIT_CHI2:
+        reasons = lasting(reasons, search, minimum) or causes(search, minimum, stated(given))
+    if any(reason.certain for reason in reasons):
+        return reasons
+    return outlying(search, minimum, given) or reasons
 
 
 def _with_relaxation(

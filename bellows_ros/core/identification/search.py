@@ -363,6 +363,14 @@ class Minimum(NamedTuple):
         return float(np.median(np.abs(r)) * MAD_TO_STD) ** 2
 
     @property
+    def colour(self) -> float:
+        """Squares that memory and tails of the noise make of those of white normal noise."""
+        r = [part.innovations.reshape(-1, 6) for part in self.parts]
+        kept = sum(np.sum(one[1:] * one[:-1]) for one in r) / max(self.squares, 1e-99)
+        kept = min(max(float(kept), 0.0), 0.95)
+        return max(self.squares / self.residual_count, 1.0) * (1.0 + kept) / (1.0 - kept)
+
+    @property
     def residuals(self) -> Array:
         """The differences (N, 6) of all segments, m and rad."""
         return np.concatenate([part.residuals for part in self.parts])

@@ -379,6 +379,6 @@ def test_causes_of_one_minimum_are_not_said_of_another(mm, elsewhere_mm, named):
                     {'com': np.full(3, 1e-3)})
     there = Minimum(np.append(search.start[:8], [mm, 0.0, 0.0]), [], np.eye(11), True)
     reasons = lasting(
-        [Finding('cubic', 'K x'), Finding('com', '', np.full(3, 1e-3 * elsewhere_mm))],
+        [Finding('com', '', np.full(3, 1e-3 * elsewhere_mm)), Finding('cubic', 'K x')],
         search, there)
     assert [own.name for own in reasons] == named
