@@ -20,7 +20,7 @@ from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions
 from bellows_ros.core.recording.preparation import lasting_steps, prepare
-from bellows_ros.core.recording.recording import NOISE_SAMPLES, Recording
+from bellows_ros.core.recording.recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.savgol import savgol
 from bellows_ros.core.signals.trajectory import earlier, NS_PER_S, Trajectory, uniform_rate_hz
@@ -413,6 +413,8 @@ def _jump(recording: Recording) -> Finding | None:
     sizes = [largest.position, 0.0]
     if turns.max() > MAX_SLIP_ANGLE:
         name, largest, sizes = 'flip', steps[np.argmax(turns)], [turns.max()]
+    elif stream.timing.rate_hz < LOW_RATE_HZ:  # the fit tells a slip from tails of the noise
+        return None
     since = (stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S
     return Finding(name, '', np.array([*sizes, since]), np.zeros(len(sizes) + 1))
 

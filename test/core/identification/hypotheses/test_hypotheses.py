@@ -237,6 +237,11 @@ def test_a_package_that_jumps_has_slipped_whatever_else_explains():
     assert slip.name == 'slip'
     assert slip.theta[0] == pytest.approx(3e-3, rel=0.1)
     assert slip.theta[2] == pytest.approx((half - 1) / 240.0, abs=2e-3)
+    every = slice(half % 4, None, 4)
+    slow = prepare(own.tool_pose, replace(
+        poses, stamps_ns=poses.stamps_ns[every], position=(poses.position + way)[every],
+        rotation=poses.rotation[every]), own.settings)
+    assert slow.report.package.outliers.steps and not implausible_inputs(slow)  # the fit tells
     R = poses.rotation.copy()
     R[half:] *= [-1.0, -1.0, 1.0]  # half a turn about z of the marker
     (flip,) = implausible_inputs(prepare(
