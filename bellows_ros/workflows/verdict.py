@@ -1,6 +1,6 @@
 """What a cup is worth, what explains what noise does not, and whether it is refused."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -9,9 +9,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes, methods
 from bellows_ros.core.identification.given import as_found, given_std, stated
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
-from bellows_ros.core.identification.quantities import Free
+from bellows_ros.core.identification.quantities import Free, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
-from bellows_ros.core.model.cup_package import Cup, gripper_of
+from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import given_structure, Structure
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
@@ -34,6 +34,9 @@ DRAWS, SIGMAS = 5, 3.0
 
 LOCAL = frozenset({'com', 'length', 'package_marker', 'time_offset', 'package_world'})
 """What recordings tell apart from K and P. Not mass and inertia, which scale with them."""
+
+NOTABLE = 0.5
+"""Standard deviations of what was given by which a fit changes it, at least, to say so."""
 
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
@@ -103,6 +106,8 @@ class FitVerdict(NamedTuple):
     """... and of all that output error may correct beside them."""
     log_inertia_ratio: float = 0.0
     """Logarithm of inertia over mass as estimated by the fit, relative to what was given."""
+    found: Mapping[str, Array] = MappingProxyType({})
+    """Parameters of package and cup by the fit, where it has changed one notably."""
 
     def allows_for(self, finding: causes.Finding) -> bool:
         """Return whether the fit has corrected a cause, which is no larger than expected."""
@@ -138,13 +143,20 @@ class FitVerdict(NamedTuple):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """A sentence where the fit has corrected the inertia, as the mass may be wrong instead."""
-        if abs(self.log_inertia_ratio) < causes.MATERIAL or self.refusals:
-            return ()
-        return (
-            f'package.inertia is {np.exp(-self.log_inertia_ratio):.3g} times the value consistent '
-            'with package.mass, and the fit has corrected the inertia. If the mass is wrong '
-            'instead, K and P are off by that factor: weigh the package.',)
+        """Sentences on what the fit has corrected, of which the mass may be wrong instead."""
+        sentences = []
+        if abs(self.log_inertia_ratio) >= causes.MATERIAL:
+            sentences.append(
+                f'package.inertia is {np.exp(-self.log_inertia_ratio):.3g} times the value '
+                'consistent with package.mass, and the fit has corrected the inertia. If the mass '
+                'is wrong instead, K and P are off by that factor: weigh the package.')
+        if self.found:
+            found = ', '.join(
+                f'{name} [{", ".join(f"{x:.4g}" for x in values)}]'
+                for name, values in self.found.items())
+            sentences.append(f'Found with K and P: {found}. Predictions of this package need '
+                             'these values, too.')
+        return () if self.refusals else tuple(sentences)
 
     @property
     def cause(self) -> tuple[str, ...]:
@@ -280,7 +292,8 @@ def verdict_of(
     verdict = FitVerdict(
         tuple(_simulated(cup, as_found(recording, fit.nuisances, number), others)
               for number, recording in enumerate(tested) if fit.usable),
-        diagnosis, given, fit.robust_chi2, allowed, expected, log_inertia_ratio)
+        diagnosis, given, fit.robust_chi2, allowed, expected, log_inertia_ratio,
+        _found(fit, values, package, length))
     if fit.method == 'output_error' and not fit.causes and verdict.is_at_noise:
         # The fit itself tests all that wrenches show, except for what has a stated error.
         findings, besides = (
@@ -298,6 +311,18 @@ def verdict_of(
         return verdict
     return verdict._replace(diagnosis=diagnosis._replace(  # wrenches show no cause
         findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))
+
+
+def _found(fit: Fit, values: Values, package: Package, length: float) -> Mapping[str, Array]:
+    """Return parameters as a fit has found them, if it has changed one notably; length in m."""
+    std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()}
+    found = payload_of(package, free)
+    parameters = {
+        'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
+        'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}
+    names = [name for name in parameters if name in free and name in std]
+    is_notable = any(np.any(np.abs(free[name]) > NOTABLE * std[name]) for name in names)
+    return dict(parameters[name] for name in names) if is_notable else {}
 
 
 def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:

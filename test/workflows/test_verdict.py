@@ -145,4 +145,7 @@ def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
     if not refused:
         off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
         assert np.all(off < 4.0)
-        assert abs(found.nuisances['com'][0, 0] + aside) < 0.1 * aside
+        stated = {**values, 'package.com_std': (aside,) * 3}
+        said = verdict.verdict_of(found, recordings, laboratory.length, stated)
+        np.testing.assert_allclose(said.found['package.com'][:2], 0.0, atol=0.1 * aside)
+        assert 'package.com [' in said.doubts[-1]
