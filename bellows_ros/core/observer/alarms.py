@@ -577,6 +577,8 @@ def _likeliest_fault(
     top, sums, best = np.full(causes, -math.inf), np.zeros(causes), np.zeros((causes, 3), np.int64)
     A, z = np.empty((MAX_COMPONENTS, MAX_COMPONENTS, ONSETS)), np.empty((MAX_COMPONENTS, ONSETS))
     explained, determinant = np.empty(ONSETS), np.empty(ONSETS)
+    unusual = np.where(onsets[0] > 0, statistics[:1 + ONSETS] - 6.0 * onsets[0] - 4.0 * np.sqrt(
+        12.0 * onsets[0]), math.inf)
     for number in range(0 if from_start else AT_START, faults):
         h, _, block = _layout(number)
         first, later = FIRSTS[h], h >= AT_START
@@ -584,12 +586,13 @@ def _likeliest_fault(
         explained[:], determinant[:] = 0.0, 1.0
         for i in range(FIRSTS[h + 1] - first):
             _explain(statistics[block:], h, i, A, z, explained, determinant)
-            for slot in range(SLOTS[h] if IS_END[first + i] else 0):
-                k = slot * EVERY[h] + later
-                if _is_explained(statistics[k], explained[slot], onsets[0, k]):
-                    ratio = 0.5 * (explained[slot] - math.log(determinant[slot]))
-                    _add_ratio(ratio + weight, OF_CAUSE[h] + number - h, (k, number, i + 1),
-                               top, sums, best)
+            if IS_END[first + i]:
+                c = OF_CAUSE[h] + number - h
+                slot, top[c], sums[c] = _sum_over_onsets(
+                    unusual[later::EVERY[h]], explained[:SLOTS[h]], determinant, weight, top[c],
+                    sums[c])
+                if slot >= 0:
+                    best[c, 0], best[c, 1], best[c, 2] = slot * EVERY[h] + later, number, i + 1
     for c in range(causes):
         top[c] += math.log(max(sums[c], 1.0)) + LOG_SHARES[min(c, OF_CAUSE[CUP])]
         if c >= OF_CAUSE[CUP]:
@@ -609,22 +612,33 @@ def _likeliest_fault(
 
 
 @kernel
-def _is_explained(distance: float, explained: float, count: int) -> bool:
-    """Return whether a fault leaves of the squared distances since its onset what is usual."""
-    usual = 6.0 * count + 4.0 * math.sqrt(12.0 * count)
-    return count > 0 and distance - explained <= usual + MAX_UNEXPLAINED * explained
+def _sum_over_onsets(
+    unusual: Array, explained: Array, determinant: Array, weight: float, top: float, total: float
+) -> tuple[int, float, float]:
+    """
+    Return the likeliest onset, and the sum of likelihood ratios with those of all onsets.
 
-
-@kernel
-def _add_ratio(
-    ratio: float, c: int, fault: tuple[int, int, int], top: Array, sums: Array, best: Any
-) -> None:
-    """Add a likelihood ratio, by its logarithm, to the sum of a cause, relative to the largest."""
-    if ratio > top[c]:
-        sums[c] = 1.0 + sums[c] * math.exp(top[c] - ratio)
-        top[c], best[c, 0], best[c, 1], best[c, 2] = ratio, fault[0], fault[1], fault[2]
-    else:
-        sums[c] += math.exp(ratio - top[c])
+    Of onsets since when a fault explains most of the squared distances that are unusual. The sum
+    is in the largest ratio so far, whose logarithm is `top`; -1 where none of them is larger.
+    """
+    slot, largest = -1, -math.inf
+    for k in range(len(explained)):
+        if unusual[k] <= (1.0 + MAX_UNEXPLAINED) * explained[k]:
+            largest = max(largest, explained[k])
+    if largest == -math.inf:
+        return slot, top, total
+    base = max(0.5 * largest, top - weight)
+    greatest = math.exp(top - weight - base)
+    total *= greatest
+    for k in range(len(explained)):
+        if unusual[k] <= (1.0 + MAX_UNEXPLAINED) * explained[k]:
+            ratio = math.exp(0.5 * explained[k] - base) / math.sqrt(determinant[k])
+            total += ratio
+            if ratio > greatest:
+                slot, greatest = k, ratio
+    if slot >= 0:
+        top = base + math.log(greatest) + weight
+    return slot, top, total / greatest
 
 
 @kernel
