@@ -123,7 +123,7 @@ def identify(
     elif is_output_error and not (static or set(values['fit.free']) - REGISTRATION_NAMES):
         progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, _recordings(parts), effective['cup.length'], effective)
-        if early and early._replace(allowed=allowances(effective)).refusals:
+        if early and early.beyond(allowances(effective)).refusals:
             effective, notes = {**effective, **LEAST_SQUARES}, (*notes, LEAST_SQUARES_NOTE)
     return _identify(
         values, effective, parts, static, progress, read, failed=tuple(failed), assumed=notes,

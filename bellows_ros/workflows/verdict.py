@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import causes, methods
-from bellows_ros.core.identification.given import as_found, given_std, stated
+from bellows_ros.core.identification.given import as_found, given_std
 from bellows_ros.core.identification.hypotheses import diagnose, Diagnosis
 from bellows_ros.core.identification.quantities import Free, payload_of
 from bellows_ros.core.identification.result import Fit, POSE_UNITS
@@ -41,12 +41,6 @@ NOTABLE = 0.5
 AT_NOISE = 1.1
 """A free simulation that is off by so many times the noise leaves nothing to doubt. Residuals may
 be left all the same: filters take a part of quick motions, not of the output error."""
-
-
-ALLOWED_FOR = (
-    'This is within three standard deviations of the given value: the fit has corrected it, and K '
-    'and P hold. Correct the value, too: predictions need it.')
-"""Of a cause that refuses no cup."""
 
 
 class Simulated(NamedTuple):
@@ -100,25 +94,32 @@ class FitVerdict(NamedTuple):
     diagnosis: Diagnosis
     given: Values
     chi2: float | None = None
-    allowed: Free = MappingProxyType({})
-    """Standard deviations, SI units, of what was given and the fit has found with K and P ..."""
     expected: Free = MappingProxyType({})
-    """... and of all that output error may correct beside them."""
+    """Standard deviations, SI units, of what output error may correct beside K and P."""
     log_inertia_ratio: float = 0.0
     """Logarithm of inertia over mass as estimated by the fit, relative to what was given."""
     found: Mapping[str, Array] = MappingProxyType({})
     """Parameters of package and cup by the fit, where it has changed one notably."""
 
-    def allows_for(self, finding: causes.Finding) -> bool:
-        """Return whether the fit has corrected a cause, which is no larger than expected."""
-        return _is_within(finding, self.allowed)
+    def beyond(self, corrected: Free, explains: bool = False) -> 'FitVerdict':
+        """
+        Return it without what a fit corrects, no further off than by three standard deviations.
+
+        And without any number where the fit explains all: it tests all that wrenches show.
+        """
+        findings, besides = (
+            tuple(finding for finding in each if finding.is_fact or not finding.datum
+                  or not explains and not _is_within(finding, corrected))
+            for each in (self.diagnosis.findings, self.diagnosis.besides))
+        return self._replace(
+            diagnosis=self.diagnosis._replace(findings=findings, besides=besides))
 
     def is_wrong(self, finding: causes.Finding) -> bool:
         """Return whether no cup is right without a cause: certain, or likely, large, and for K."""
         large = (self.chi2 is not None and finding.name in LOCAL and finding.likely
                  and finding.moved > causes.MATERIAL)
-        return finding.datum and not self.allows_for(finding) and (finding.certain or (
-            large and not _is_within(finding, self.expected)))
+        return finding.datum and (
+            finding.certain or large and not _is_within(finding, self.expected))
 
     @property
     def causing(self) -> list[causes.Finding]:
@@ -169,8 +170,7 @@ class FitVerdict(NamedTuple):
         if self.diagnosis.is_open:
             besides.append('More may be wrong: correct this, and run it again.')
         if first.certain:
-            allowed = [ALLOWED_FOR] if self.allows_for(first) else []
-            return (causes.finding_sentence(first, self.given), *allowed, *besides)
+            return (causes.finding_sentence(first, self.given), *besides)
         if self.is_at_noise:
             return ()
         if first.likely:
@@ -280,8 +280,7 @@ def verdict_of(
         diagnosis = diagnose(tested, length, given_structure(given), identifiable)
     if fit is None:
         return FitVerdict((), diagnosis, given)
-    expected, uncertain = allowances(values), stated(given_std(values))
-    allowed = {name: std for name, std in expected.items() if name in fit.nuisances}
+    expected = allowances(values)
     log_inertia_ratio = float(
         np.mean(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
         'inertia' in fit.nuisances) else 0.0
@@ -292,16 +291,12 @@ def verdict_of(
     verdict = FitVerdict(
         tuple(_simulated(cup, as_found(recording, fit.nuisances, number), others)
               for number, recording in enumerate(tested) if fit.usable),
-        diagnosis, given, fit.robust_chi2, allowed, expected, log_inertia_ratio,
+        diagnosis, given, fit.robust_chi2, expected, log_inertia_ratio,
         _found(fit, values, package, length))
-    if fit.method == 'output_error' and not fit.causes and verdict.is_at_noise:
-        # The fit itself tests all that wrenches show, except for what has a stated error.
-        findings, besides = (
-            tuple(finding for finding in each
-                  if finding.is_fact or not finding.datum or finding.name in uncertain)
-            for each in (diagnosis.findings, diagnosis.besides))
-        diagnosis = diagnosis._replace(findings=findings, besides=besides)
-        verdict = verdict._replace(diagnosis=diagnosis)
+    explains = fit.method == 'output_error' and not fit.causes and verdict.is_at_noise
+    verdict = verdict.beyond(
+        {name: std for name, std in expected.items() if name in fit.nuisances}, explains)
+    diagnosis = verdict.diagnosis
     # A slip shows in the fit as a drift, too, but as one that leaves more causes.
     drifts = [cause.name for cause in fit.causes] == ['world_drift']
     is_shown = any(finding.certain or finding.datum and not (drifts and finding.name == 'slip')

@@ -14,13 +14,15 @@ it is certain where no other explains half as much, or none anything beside it a
 less; and what is found beside it no more than itself.
 
 With all that was given free, a fit may explain all poses though something given is wrong. The
-cause is then what is off by many of its standard deviations (`outlying`).
+cause is then what is off by many of its standard deviations (`outlying`). Where neither is so, no
+cause is looked for; else first with what was given free, then with it as it was given.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from operator import attrgetter
+from operator import attrgetter, itemgetter
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -42,8 +44,7 @@ from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-MAX_SOUND_CHI2 = 1.03
-"""Chi^2 per difference above which another minimum is looked for where something given is off."""
+NOTHING: Free = MappingProxyType({})
 
 FIXED_INFORMATION, MIN_STD = 1e8, 1e-9
 """Information that fixes the other directions; and the smallest standard deviation, SI units."""
@@ -78,35 +79,31 @@ def stated(given: Free) -> list[str]:
 
 def with_given(
     search: Search, minimum: Minimum, given: Free, note: Callable[[Cup, float], None],
-    is_off: bool = False,
 ) -> tuple[Search, Minimum, Array]:
     """
     Return the minimum near one with what was given free, by its standard deviations.
 
-    With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units. Of
-    a search that leaves more than noise (however little, where something given is known to be
-    off), that from its start with all that was given free, where it leaves less and nothing is
-    off by more than `SIGNIFICANT` times its standard deviation. The same, whatever is off, of one
-    that did not converge.
+    With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units.
+    Where that leaves a cause to look for, the minimum from the start with all that was given free,
+    if it leaves less and nothing is off by more than `SIGNIFICANT` times its standard deviation,
+    or the search did not converge, or to a cup that damps as no rubber does.
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
     near = search, minimum, np.zeros((size, size))
-    if more and minimum.converged:
+    if more and search.is_plausible(minimum):
         near = _near_with_given(search, minimum, more, note)
-    noise = (MAX_SOUND_CHI2 if is_off else MAX_NOISE_CHI2) * near[1].residual_count
-    if not more or near[1].converged and near[1].squares < noise:
+    if not more or is_explained(*near[:2], given):
         return near
-    stds = [segment.std for segment in search.segments]
     for segment in search.segments:
         segment.reset()
     wide = search.with_free(search.start, more)
     again = wide.minimum(note)
     off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
-    if again.converged and (not near[1].converged or np.all(off < SIGNIFICANT)
+    if again.converged and (not near[0].is_plausible(near[1]) or np.all(off < SIGNIFICANT)
                             and again.squares <= near[1].squares):
         return wide, again, np.zeros((len(wide.units),) * 2)
-    _restore(search, near[1], stds)
+    search.restore(near[1])
     return near
 
 
@@ -192,9 +189,9 @@ MAX_CAUSES = 2
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
               'world_drift', *quantities.OF_CUP)
 
-MAX_DAMPING, MIN_LENGTH_ERROR = 10.0, 2e-3
+MIN_LENGTH_ERROR = 2e-3
 """
-Times ordinary damping that rubber hardly has, and the least error of a length (m) looked for then.
+The least error of a length (m) looked for where a cup damps as no rubber does.
 
 With a length that is too small the weight seems to stretch the cup: K along z is far too soft, and
 only much damping keeps that from swinging. Smaller errors are found with K and P.
@@ -220,26 +217,27 @@ SQUARED_UNITS = [1.0, 1.0, 1.0, 0.01, 0.01, 0.01]
 
 
 def causes(
-    search: Search, minimum: Minimum, uncertain: Sequence[str] = (), count: int = MAX_CAUSES,
+    search: Search, minimum: Minimum, given: Free = NOTHING, count: int = MAX_CAUSES,
 ) -> tuple[Finding, ...]:
     """
     Return the likeliest cause of what a fit leaves, none where all is as it should be.
 
-    After it comes what is likeliest where that is corrected, up to so many. What is known to be
-    uncertain is none.
+    After it comes what is likeliest where that is corrected, up to so many. What was given is none
+    with an uncertainty that was stated.
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
     falls = scores(search, minimum, [
-        name for name in CANDIDATES if name not in (*search.places, *uncertain)])
+        name for name in CANDIDATES if name not in (*search.places, *stated(given))])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
-    if max(falls.values(), default=0.0) > SIGNIFICANT**2 and 'slip' not in search.places:
+    if 'slip' not in search.places and (
+            max(falls.values(), default=0.0) > SIGNIFICANT**2
+            or largest_pull(search, minimum, given)[1] > MAX_PULL):  # a slip moves the com, too
         search, falls['slip'] = _with_likeliest_slip(search, minimum)
     ranked = sorted(falls, key=falls.__getitem__, reverse=True)
     if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
         return ()
-    noise = [segment.std for segment in search.segments]
-    tried = [_freed(search, minimum, name, noise, name == 'slip') for name in ranked[:MAX_TRIED]
+    tried = [_freed(search, minimum, name, name == 'slip') for name in ranked[:MAX_TRIED]
              if falls[name] >= DISTINCT * falls[ranked[0]]]
     best = max(tried, key=attrgetter('gain'))
     if not best.minimum.converged:
@@ -247,9 +245,9 @@ def causes(
     theta, std = best.search.estimate(best.minimum, best.name)
     is_far = best.name in ('com', 'package_marker') and _is_as_far_as_com(search, theta[:3])
     if count == MAX_CAUSES and is_far and (frame := _other_frame(search, minimum, best.gain)):
-        _restore(search, minimum, noise)
+        search.restore(minimum)
         return (frame,)
-    _restore(best.search, best.minimum, best.noise)
+    best.search.restore(best.minimum)
     least = SIGNIFICANT**2 * best.minimum.colour
     if np.max(np.abs(theta) / std) ** 2 < least:
         return ()
@@ -261,7 +259,7 @@ def causes(
     rival = max((gain for name, gain in gains.items() if name not in (best.name, instead)),
                 default=0.0)
     left = best.left(minimum)
-    others = causes(best.search, best.minimum, uncertain, count - 1) if count > 1 else ()
+    others = causes(best.search, best.minimum, given, count - 1) if count > 1 else ()
     is_all = count > 1 and not others  # so that what a rival leaves is its own
     certain = (moved > MIN_SHIFT or left < DISTINCT) and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
@@ -272,15 +270,43 @@ def causes(
         *(other._replace(certain=other.certain and certain) for other in others))
 
 
+def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
+    """Return whether a minimum leaves no cause to look for, with what was given free."""
+    names = [name for name in CANDIDATES if name not in search.places]
+    sound = search.is_plausible(minimum) and (
+        minimum.robust_chi2 * max(search.learned(minimum), 1.0) < MISFIT_CHI2)
+    return sound and max(scores(search, minimum, names).values()) < SIGNIFICANT**2 and (
+        largest_pull(search, minimum, given)[1] < MAX_PULL)
+
+
+def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ...]:
+    """
+    Return the likeliest causes where a search ended, none if nothing is left to explain.
+
+    Of several ends those at the first that shows a certain one, or else any. What was given and is
+    free may be one, too.
+    """
+    likely: tuple[Finding, ...] = ()
+    if is_explained(*next(iter(ends.items())), given):
+        return likely
+    for search, minimum in ends.items():
+        search.restore(minimum)
+        for look in (causes, outlying):
+            reasons = look(search, minimum, given)
+            if any(reason.certain for reason in reasons):
+                return reasons
+            likely = likely or reasons
+    return likely
+
+
 def _wrong_length(search: Search, minimum: Minimum) -> Finding | None:
     """Return another length that explains a cup which damps as no rubber does, if one does."""
     explains = minimum.converged and minimum.squares < MISFIT_CHI2 * minimum.residual_count
-    damping = search.largest_damping(minimum.theta)
-    if not explains or 'length' in search.places or damping < MAX_DAMPING:
+    if not explains or 'length' in search.places or search.is_plausible(minimum):
         return None
-    noise = [segment.std for segment in search.segments]
-    freed = _freed(search, minimum, 'length', noise, from_start=True)
-    _restore(search, minimum, noise)
+    damping = search.largest_damping(minimum.theta)
+    freed = _freed(search, minimum, 'length', from_start=True)
+    search.restore(minimum)
     theta, std = freed.search.estimate(freed.minimum, 'length')
     if freed.gain < -SIGNIFICANT**2 or abs(theta[0]) < max(
             SIGNIFICANT * std[0], MIN_LENGTH_ERROR) or (
@@ -288,7 +314,7 @@ def _wrong_length(search: Search, minimum: Minimum) -> Finding | None:
         return None
     if _is_as_far_as_com(search, theta):
         frame = _other_frame(search, minimum, freed.gain)
-        _restore(search, minimum, noise)
+        search.restore(minimum)
         if frame:
             return frame
     return Finding('length', '', theta, std, freed.left(minimum), moved_between(
@@ -301,58 +327,55 @@ def _is_as_far_as_com(search: Search, shift: Array) -> bool:
     return bool(np.linalg.norm(shift) > MIN_EXCHANGE_SHIFT * np.linalg.norm(com))
 
 
-def lasting(
-    reasons: Sequence[Finding], search: Search, minimum: Minimum
-) -> tuple[Finding, ...]:
+def largest_pull(search: Search, minimum: Minimum, given: Free) -> tuple[str, float]:
     """
-    Return those causes of another minimum that are of this one, where what was given is free.
+    Return what was given and is off by most standard deviations, and by how many.
 
-    None where the first is not: it is not free, or neither clearly off here nor more than it may
-    be there, so that what else was given explains it.
+    Of mass and inertia only the ratio is known.
     """
-    def lasts(reason: Finding) -> bool:
-        if reason.name not in search.places:
-            return reason.name == 'recording.package_frame'
-        place = search.places[reason.name].ravel()
-        theta, std = search.estimate(minimum, reason.name)
-        expected = MAX_PULL * search.units[place] * search.weights[place] ** -0.5
-        return bool(np.any(np.abs(theta) > SIGNIFICANT * std)
-                    or np.any(np.abs(reason.theta) > expected))
+    pulls = {'': 0.0}
+    covariance = np.linalg.inv(minimum.information - search.fixing)
 
-    return tuple(filter(lasts, reasons)) if lasts(reasons[0]) else ()
+    def pull(by: Array) -> float:
+        """Return that of a sum of the unknowns."""
+        prior = float(np.sum(by**2 / np.where(by != 0.0, search.weights, 1.0)))
+        known = max(1.0 - float(by @ covariance @ by) / prior, MIN_KNOWN)
+        return abs(float(by @ minimum.theta)) / float(np.sqrt(prior * known))
+
+    for name in search.places.keys() & given.keys() - {'mass', 'inertia'}:
+        pulls[name] = max(map(pull, np.eye(len(search.units))[search.places[name].ravel()]))
+    if {'mass', 'inertia'} <= search.places.keys() & given.keys():
+        ratio = np.zeros(len(search.units))
+        for name, part in (('mass', -1.0), ('inertia', 1.0 / 3.0)):
+            place = search.places[name].ravel()
+            ratio[place] = part * search.units[place]
+        pulls['mass'] = pull(ratio)
+    return max(pulls.items(), key=itemgetter(1))
 
 
 def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ...]:
     """
-    Return the length or pose that is off by most of its standard deviations, from `MAX_PULL` on.
+    Return what is off by most of its standard deviations, from `MAX_PULL` on.
 
     With all of it free, a fit may explain the poses by numbers that are not those given.
     """
-    pulls = dict[str, float]()
-    open_variance = np.diag(np.linalg.inv(minimum.information - search.fixing))
-    for name in search.places.keys() & given.keys() - {'mass', 'inertia'}:
-        rows = search.places[name].ravel()
-        known = np.maximum(1.0 - search.weights[rows] * open_variance[rows], MIN_KNOWN)
-        pulls[name] = float(np.max(
-            np.abs(minimum.theta[rows]) * np.sqrt(search.weights[rows] / known)))
-    name = max(pulls, key=pulls.__getitem__, default='')
     explains = minimum.converged and minimum.robust_chi2 < MISFIT_CHI2
-    if not explains or not name or pulls[name] < MAX_PULL:
+    name, pull = largest_pull(search, minimum, given)
+    if not explains or pull < MAX_PULL:
         return ()
-    noise = [segment.std for segment in search.segments]
-    freed = _freed(search, minimum, name, noise)
-    _restore(search, minimum, noise)
+    freed = _freed(search, minimum, name)
+    search.restore(minimum)
     if not freed.minimum.converged:
         freed = freed._replace(search=search, minimum=minimum)
     if name in OF_LIP and (frame := _other_frame(search, minimum, freed.gain)):
-        _restore(search, minimum, noise)
+        search.restore(minimum)
         return (frame,)
     theta, std = freed.search.estimate(freed.minimum, name)
     is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # the cup, as the length is
     moved = moved_between((search, minimum), (freed.search, freed.minimum))
-    return (Finding(name, '', theta, std, moved=moved,
-                    instead=SIMILAR.get(name, '') if is_along else '',
-                    certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count),)
+    return (_finding(freed, theta, std)._replace(
+        moved=moved, instead=SIMILAR.get(name, '') if is_along else '',
+        certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count),)
 
 
 def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
@@ -416,7 +439,7 @@ def _other_frame(search: Search, minimum: Minimum, rival: float) -> Finding | No
     start = other.minimum()
     if not start.converged:
         return None
-    with_com = _freed(other, start, 'com', [segment.std for segment in other.segments])
+    with_com = _freed(other, start, 'com')
     left = np.linalg.norm(with_com.search.estimate(with_com.minimum, 'com')[0])
     if not with_com.minimum.converged or left > MAX_EXCHANGE_REST * np.linalg.norm(
             measured.payload.com) or (
@@ -433,8 +456,6 @@ class _Freed(NamedTuple):
     search: Search
     minimum: Minimum
     gain: float
-    noise: list[Array]
-    """Of the poses of each segment, as it was estimated (6,)."""
 
     def left(self, before: Minimum) -> float:
         """Return the RMS of the differences over that before, 1 mm as much as 10 mrad."""
@@ -444,10 +465,10 @@ class _Freed(NamedTuple):
 
 
 def _freed(
-    search: Search, minimum: Minimum, name: str, noise: list[Array], from_start: bool = False
+    search: Search, minimum: Minimum, name: str, from_start: bool = False
 ) -> _Freed:
     """Return the search from a minimum or its start with one quantity more, and its gain."""
-    _restore(search, minimum, noise)
+    search.restore(minimum)
     theta = search.start if from_start else minimum.theta
     wide = search.with_free(theta, quantities.weak_prior([name]))
     if from_start:
@@ -455,14 +476,7 @@ def _freed(
             segment.reset()
     again = wide.minimum(near=None if from_start else wide.transferred(search, theta))
     gain = _gain((search, minimum), (wide, again)) if again.converged else -np.inf
-    return _Freed(name, wide, again, gain, [segment.std for segment in search.segments])
-
-
-def _restore(search: Search, minimum: Minimum, noise: list[Array]) -> None:
-    """Go back to the paths, first states and noise of a minimum."""
-    for segment, std in zip(search.segments, noise, strict=True):
-        segment.std = std
-    search.accept(minimum.parts)
+    return _Freed(name, wide, again, gain)
 
 
 def _gain(*ends: tuple[Search, Minimum]) -> float:

@@ -104,7 +104,8 @@ def fit(
             'centre of mass), or record a richer motion.')
     std = dict(zip(result.labels, np.sqrt(np.diag(result.covariance)), strict=True))
     largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
-    explained = (result.robust_chi2 or 0.0) <= MAX_MISFIT_TO_NOISE**2 and not any(
+    explained = max(result.chi2 or 0.0, result.robust_chi2 or 0.0) <= (
+        MAX_MISFIT_TO_NOISE**2) and not any(
         cause.certain for cause in result.causes)  # else errors are of the misfit
     certain = [
         parameter.label for parameter in excitation.parameters if parameter.identifiable

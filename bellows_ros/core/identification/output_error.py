@@ -7,7 +7,6 @@ Also two clocks, two worlds and a marker anywhere on the package, from one recor
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
-from types import MappingProxyType
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -15,11 +14,9 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import (
-    causes,
-    lasting,
-    outlying,
+    NOTHING,
+    reasons_at,
     scores,
-    stated,
     with_given,
 )
 from bellows_ros.core.identification.identifiability import remedy_for
@@ -36,7 +33,6 @@ from bellows_ros.core.identification.search import (
     measured_segments,
     MeasuredSegment,
     Minimum,
-    MISFIT_CHI2,
     Search,
     Segment,
     WhitenedSegment,
@@ -50,8 +46,6 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
-NOTHING: Free = MappingProxyType({})
-
 MAX_NOISE_SHARE, MAX_ERROR_SHARE = 0.9, 0.5
 """Most noise in information that errors allow for, and in the error of what is identifiable."""
 
@@ -63,9 +57,6 @@ MAX_CHI2 = 1.2
 
 BLOCK_DURATION = 1.0
 """Length (s) of the segments whose gradients are kept."""
-
-CHANCE = 3.0
-"""Standard deviations by which noise at rest may be smaller by chance."""
 
 COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
@@ -134,44 +125,43 @@ def output_error(
             progress(iterations[-1])
 
     minimum = search.minimum(record)
-    if given and relaxation != 'on' and not minimum.converged:
-        wide, wide_minimum, from_given = with_given(search, minimum, given, record)
-        if wide_minimum.converged and (
-                wide_minimum.squares < MAX_NOISE_CHI2 * wide_minimum.residual_count):
-            reasons = outlying(wide, wide_minimum, given)
-            return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
-    if relaxation != 'off':  # rubber may be why a search without it does not converge
-        if 'relaxation' not in search.places:
-            search, minimum = _with_relaxation(search, minimum, record)
-        elif not _relaxes(search, minimum):  # as least squares, which noise disturbs, has it
-            stiff = search.with_free(minimum.theta, {}, relaxes=False)
-            near = stiff.transferred(search, minimum.theta)
-            search, minimum = stiff, stiff.minimum(record, near)
-        if relaxation == 'on' and 'relaxation' not in search.places:
-            raise UndeterminedError(least_squares.NOT_RELAXING)
-    reasons = causes(search, minimum, stated(given))
-    search.accept(minimum.parts)
-    wide, wide_minimum, from_given = with_given(search, minimum, given, record, bool(reasons))
-    reasons = _reasons_at(wide, wide_minimum, given, reasons)
+    end, is_open = (search, minimum, np.zeros((len(search.units),) * 2)), True
+    if given and relaxation != 'on' and not search.is_plausible(minimum):
+        end = with_given(search, minimum, given, record)
+        is_open = not end[1].converged or (
+            end[1].squares > MAX_NOISE_CHI2 * end[1].residual_count)
+    if is_open:  # rubber may be why
+        stiff = search
+        search, minimum = _with_relaxation(search, minimum, relaxation, record)
+        if end[0] is stiff or search is not stiff:
+            end = with_given(search, minimum, given, record)
+    wide, wide_minimum, from_given = end
+    reasons = reasons_at({wide: wide_minimum, search: minimum}, given)
+    wide.restore(wide_minimum)
     return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
 
 
-def _reasons_at(
-    search: Search, minimum: Minimum, given: Free, elsewhere: tuple[Finding, ...]
-) -> tuple[Finding, ...]:
-    """Return the causes at a minimum with what was given free, from those at another."""
-    reasons = elsewhere
-    if reasons and minimum.robust_chi2 < MISFIT_CHI2:
-        reasons = lasting(reasons, search, minimum) or causes(search, minimum, stated(given))
-    if any(reason.certain for reason in reasons):
-        return reasons
-    return outlying(search, minimum, given) or reasons
-
-
 def _with_relaxation(
+    search: Search, minimum: Minimum, relaxation: str, record: Callable[[Cup, float], None]
+) -> tuple[Search, Minimum]:
+    """Return the search with strengths of relaxation where they are significant, else without."""
+    if relaxation == 'off':
+        return search, minimum
+    if 'relaxation' not in search.places:
+        search, minimum = _relaxed(search, minimum, record)
+    elif not _relaxes(search, minimum):  # as least squares, which noise disturbs, has it
+        stiff = search.with_free(minimum.theta, {}, relaxes=False)
+        near = stiff.transferred(search, minimum.theta)
+        search, minimum = stiff, stiff.minimum(record, near)
+    if relaxation == 'on' and 'relaxation' not in search.places:
+        raise UndeterminedError(least_squares.NOT_RELAXING)
+    return search, minimum
+
+
+def _relaxed(
     search: Search, minimum: Minimum, record: Callable[[Cup, float], None]
 ) -> tuple[Search, Minimum]:
-    """Return the search with strengths of relaxation where they are significant, else as it is."""
+    """Return the search with strengths of relaxation if they explain most, else as it is."""
     (score,) = scores(search, minimum, ['relaxation']).values()
     if score > least_squares.MIN_SQUARED_DISTANCE:
         wide = search.with_free(minimum.theta, weak_prior(['relaxation']))
@@ -261,10 +251,6 @@ def _fit(
         notes.append(least_squares.R2_ASSUMED)
     std = np.where(identifiable, np.sqrt(np.diag(covariance)), np.inf)
     residuals = minimum.residuals
-    learned = max(  # noise of slow poses, by the fit, beside what it may be of those at rest
-        float(np.mean(part)) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent)))
-        for segment in search.segments for noise in [segment.measured.package_noise]
-        for part in np.split((segment.std / noise.std) ** 2, 2))
     total = sum(len(segment.measured.package) for segment in search.segments)
     offsets = np.ravel(search.places['time_offset']) if 'time_offset' in named else slice(0)
     return Fit(
@@ -281,7 +267,7 @@ def _fit(
         notes=tuple(notes) if minimum.converged else (NOT_CONVERGED,),
         misfit=_misfit(minimum.robust_chi2),
         chi2=minimum.squares / max(minimum.residual_count - len(x), 1),
-        robust_chi2=minimum.robust_chi2 * max(learned, 1.0),
+        robust_chi2=minimum.robust_chi2 * max(search.learned(minimum), 1.0),
         converged=minimum.converged,
         iterations=tuple(iterations),
         delays=tuple(x[offsets].tolist()),

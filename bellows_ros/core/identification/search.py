@@ -125,6 +125,12 @@ So a search simulates a wrong recording 53 times at most (with clocks or frames 
 fit is several: with relaxation, the likeliest causes and what was given free in turn.
 """
 
+MAX_DAMPING = 10.0
+"""Times ordinary damping that rubber hardly has."""
+
+CHANCE = 3.0
+"""Standard deviations by which noise at rest may be smaller by chance."""
+
 MAX_NOISE_CHI2, MISFIT_CHI2 = 1.2, 1.5
 """Chi^2 per difference that is put down to noise, and above which surely more is left."""
 
@@ -339,12 +345,17 @@ System = tuple[list[WhitenedSegment], Array, Array]
 
 
 class Minimum(NamedTuple):
-    """Where the search ended: unknowns, segments, information, and whether it is a minimum."""
+    """
+    Where the search ended: unknowns, segments, information, and whether it is a minimum.
+
+    And the noise (6,) of the poses of each segment, as it was estimated.
+    """
 
     theta: Array
     parts: list[WhitenedSegment]
     information: Array
     converged: bool
+    noise: tuple[Array, ...]
 
     @property
     def residual_count(self) -> int:
@@ -581,7 +592,7 @@ class Search(Parametrization):
             finite = [part._replace(**{name: np.nan_to_num(getattr(part, name), posinf=0.0)
                                        for name in ('innovations', 'jacobian', 'variance')})
                       for part in parts]
-            return Minimum(theta, finite, np.eye(len(theta)), False)
+            return Minimum(theta, finite, np.eye(len(theta)), False, self.noise)
         min_damping, tolerance, max_steps = (
             (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
             (0.0, TOLERANCE, MAX_STEPS))
@@ -607,7 +618,7 @@ class Search(Parametrization):
             history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
             theta, (parts, H, g) = moved, new
             self.accept(parts)
-            before = [segment.std for segment in self.segments]
+            before = self.noise
             settled = forgetting > 0.0 or self.update_noise(parts)
             largest = MAX_RISE * max(expected, sum(
                 float(np.sum((part.innovations.reshape(-1, 6) * std / segment.std) ** 2))
@@ -618,7 +629,7 @@ class Search(Parametrization):
             if length < tolerance and settled:
                 break
         self.update_noise(parts)
-        return Minimum(theta, parts, H, length < LOOSE_TOLERANCE and settled)
+        return Minimum(theta, parts, H, length < LOOSE_TOLERANCE and settled, self.noise)
 
     def _damped_step(
         self, theta: Array, H: Array, g: Array, damping: float, directions: Array
@@ -657,6 +668,29 @@ class Search(Parametrization):
             H = H + part.jacobian.T @ part.jacobian
             g = g + part.jacobian.T @ part.innovations
         return parts, H, g
+
+    @property
+    def noise(self) -> tuple[Array, ...]:
+        """That (6,) of the poses of each segment, as it is estimated now."""
+        return tuple(segment.std for segment in self.segments)
+
+    def restore(self, minimum: Minimum) -> None:
+        """Go back to the paths, first states and noise of a minimum."""
+        for segment, std in zip(self.segments, minimum.noise, strict=True):
+            segment.std = std
+        self.accept(minimum.parts)
+
+    def is_plausible(self, minimum: Minimum) -> bool:
+        """Return whether a search converged, and to a cup that damps as rubber may."""
+        return minimum.converged and self.largest_damping(minimum.theta) < MAX_DAMPING
+
+    def learned(self, minimum: Minimum) -> float:
+        """Return the variance of slow poses by a fit, in what it may be of those at rest."""
+        return max(
+            float(np.mean(part) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
+            for segment, std in zip(self.segments, minimum.noise, strict=True)
+            for noise in [segment.measured.package_noise]
+            for part in np.split((std / noise.std) ** 2, 2))
 
     def accept(self, parts: Sequence[WhitenedSegment]) -> None:
         """Set the likeliest paths and first states, but for a simulation that diverges."""

@@ -11,6 +11,7 @@ from bellows_ros.core.model.simulation import row_state, simulate, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
 from numpy.testing import assert_allclose
@@ -18,7 +19,7 @@ import pytest
 
 from .recordings import GRAVITY, PLATE, Shake
 from .test_output_error import AXISYMMETRIC, CAMERA, measured, NUMBERS, scaled, TRUTH
-from ..motions import noisy, with_errors
+from ..motions import with_errors
 
 QUIET = {'package_noise': (1e-4, 5e-4), 'package_hz': 60.0}
 SAID = resolve({'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
@@ -93,9 +94,14 @@ def test_a_lip_that_is_lower_than_it_seems_is_no_soft_cup(off):
     assert np.all(np.abs(wrong.theta + off) < 4.0 * wrong.std)
 
 
-def test_a_package_that_slips_under_a_camera_is_named():
-    """Where the noise of slow poses is learned, so that a fit leaves no more than that."""
-    own = measured(4, tool_hz=100.0)
+@pytest.mark.parametrize('memory', [0.0, 0.1])
+def test_a_package_that_slips_under_a_camera_is_named(memory):
+    """
+    Where the noise of slow poses is learned, so that a fit leaves no more than that.
+
+    And where that noise has a memory (s), and a centre of mass in between explains a part.
+    """
+    own, kept = measured(4, tool_hz=100.0), np.exp(-1.0 / (30.0 * memory)) if memory else 0.0
     truth, rng = Shake(4).trajectory(12.1, 500.0), np.random.default_rng(5)
     half, slipped = len(truth) // 2, varied(PLATE, com=np.array([6e-3, -4e-3, 0.0]))
     first = simulate(TRUTH, PLATE, truth.select(slice(half + 1)), gravity=GRAVITY)
@@ -103,11 +109,13 @@ def test_a_package_that_slips_under_a_camera_is_named():
     second = simulate(TRUTH, slipped, truth.select(slice(half, None)), start, GRAVITY)
     body = Trajectory(*(np.concatenate([getattr(first, name)[:half], getattr(second, name)])
                         for name in ('stamps_ns', 'position', 'rotation', 'twist')))
-    seen = noisy(rng, resample(body, own.package.stamps_ns), np.array(CAMERA))
+    noise = correlated(rng.standard_normal((len(own.package), 6)), kept)
+    seen = with_errors(resample(body, own.package.stamps_ns), noise * np.repeat(CAMERA, 3))
     (slip, *_), sound = (output_error([each], AXISYMMETRIC, TRUTH, given=USUAL).causes
                          for each in (replace(own, package=seen), own))
     assert slip.name == 'slip' and slip.certain
-    assert np.all(np.abs(slip.theta - [6e-3, -4e-3, half / 500.0]) < 4.0 * slip.std)
+    largest = 4.0 * np.sqrt((1.0 + kept) / (1.0 - kept)) * slip.std
+    assert np.all(np.abs(slip.theta - [6e-3, -4e-3, half / 500.0]) < largest)
     assert not sound
 
 

@@ -5,14 +5,12 @@ from dataclasses import replace
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.identification import output_error as module
 from bellows_ros.core.identification import search as module_of_search
-from bellows_ros.core.identification.causes import Finding
-from bellows_ros.core.identification.given import causes, lasting
+from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.search import (
     _deviation,
     MeasuredSegment,
-    Minimum,
     Search,
     Segment,
 )
@@ -303,7 +301,7 @@ def test_a_wrong_number_is_named_with_its_size_and_a_sound_recording_is_not_accu
 
 def test_a_slip_is_no_noise_of_a_slow_camera(monkeypatch):
     """Its noise is learned from what the fit leaves, but compared with that of its poses alone."""
-    monkeypatch.setattr(module, 'causes', lambda *search: ())
+    monkeypatch.setattr(module, 'reasons_at', lambda *ends: ())
     sound = measured(5)
     package, half = sound.package, len(sound.package) // 2
     shift = np.where(np.arange(len(package))[:, None] < half, 0.0, [1e-2, 1e-2, 0.0])
@@ -369,16 +367,3 @@ def test_a_kelvin_voigt_cup_shows_no_relaxation():
     assert np.all(apart < 0.1 * np.sqrt(np.diag(off.covariance)))
     with pytest.raises(UndeterminedError, match='fit.relaxation'):
         output_error([own], AXISYMMETRIC, TRUTH, relaxation='on')
-
-
-@pytest.mark.parametrize(('mm', 'elsewhere_mm', 'named'), [
-    (1.0, 1.0, []), (7.0, 1.0, ['com']), (1.0, 5.0, ['com'])])
-def test_causes_of_one_minimum_are_not_said_of_another(mm, elsewhere_mm, named):
-    """But of what is clearly off there, too, or more than it may be."""
-    search = Search([Segment(measured(3, duration=3.0))], AXISYMMETRIC, TRUTH,
-                    {'com': np.full(3, 1e-3)})
-    there = Minimum(np.append(search.start[:8], [mm, 0.0, 0.0]), [], np.eye(11), True)
-    reasons = lasting(
-        [Finding('com', '', np.full(3, 1e-3 * elsewhere_mm)), Finding('cubic', 'K x')],
-        search, there)
-    assert [own.name for own in reasons] == named
