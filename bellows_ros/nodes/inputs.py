@@ -102,21 +102,25 @@ class SensorInput:
             self.topic, publishers, self._mismatch(publishers), self.arrivals.reset(), silent,
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
-    def _mismatch(self, publishers: int) -> health.Mismatch | None:
+    def _mismatch(self, publishers: int) -> str:
         """Return why a publisher cannot be heard, if there is one."""
         if self._subscription.get_publisher_count() >= publishers:
-            return None
+            return ''
         asked = self._subscription.qos_profile
         for other in self._node.get_publishers_info_by_topic(self.topic):
             offered = other.qos_profile
             if other.topic_type != self._type:
-                return health.Mismatch('type', other.topic_type)
+                return self._sentence('type', other.topic_type)
             for name, mismatch in (
                     ('reliability', (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)),
                     ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
                 if (getattr(asked, name), getattr(offered, name)) == mismatch:
-                    return health.Mismatch('qos', name)
-        return None
+                    return self._sentence('qos', name)
+        return ''
+
+    def _sentence(self, mismatch: str, name: str) -> str:
+        """Return what does not match, in words."""
+        return str(health.MISMATCHES[mismatch].format(topic=self.topic, name=name))
 
 
 class TransformInput(SensorInput):
@@ -173,10 +177,10 @@ class TransformInput(SensorInput):
         """Return the arrivals since the last call, with the poses that lacked a transform."""
         return super().report({**refused, 'no_transform': self._chain.dropped})
 
-    def _mismatch(self, publishers: int) -> health.Mismatch | None:
+    def _mismatch(self, publishers: int) -> str:
         """Return why there is no pose although there is a publisher."""
         missing = self._chain.missing if publishers and self.arrivals.is_empty else ''
-        return health.Mismatch('frames', missing) if missing else super()._mismatch(publishers)
+        return self._sentence('frames', missing) if missing else super()._mismatch(publishers)
 
 
 class Attachment:

@@ -10,7 +10,7 @@ from array import array
 from collections.abc import Mapping
 from enum import IntEnum
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Safety
@@ -19,14 +19,6 @@ from bellows_ros.core.model.validity_range import Distance
 import numpy as np
 
 WINDOW_LENGTH = 2048
-
-
-class Quantiles(NamedTuple):
-    """Median, 99 % quantile and maximum of some numbers; NaN without any."""
-
-    p50: float
-    p99: float
-    largest: float
 
 
 class Window:
@@ -49,10 +41,10 @@ class Window:
         return values
 
 
-def quantiles(values: Array) -> Quantiles:
-    """Return the quantiles of numbers (N,)."""
-    numbers = values if len(values) else math.nan
-    return Quantiles(*np.percentile(numbers, (50.0, 99.0, 100.0)).tolist())
+def quantiles(values: Array) -> dict[str, float]:
+    """Return median, 99 % quantile and maximum of numbers (N,); NaN without any."""
+    numbers = np.percentile(values if len(values) else math.nan, (50.0, 99.0, 100.0)).tolist()
+    return dict(zip(('p50', 'p99', 'max'), numbers, strict=True))
 
 
 class ArrivalStatistics(NamedTuple):
@@ -62,8 +54,8 @@ class ArrivalStatistics(NamedTuple):
     rate_hz: float
     jitter: float
     """Standard deviation of the time between two arrivals, s."""
-    age: Quantiles
-    """Of arrival minus stamp on the node's clock, s."""
+    age: dict[str, float]
+    """Quantiles of arrival minus stamp on the node's clock, s."""
 
 
 class Arrivals:
@@ -106,14 +98,8 @@ class Arrivals:
 MAX_AGE = 1.0
 """Messages older or younger (s) than this carry stamps of another clock."""
 
-PHASES, TWISTS, FAULTS = (MESSAGES[name] for name in ('phases', 'twists', 'faults'))
-
-
-class Mismatch(NamedTuple):
-    """Why an input cannot be received: a QoS policy, another type, or a missing part."""
-
-    kind: Literal['qos', 'type', 'frames']
-    name: str
+PHASES, TWISTS, FAULTS, MISMATCHES = (
+    MESSAGES[name] for name in ('phases', 'twists', 'faults', 'mismatches'))
 
 
 class Level(IntEnum):
@@ -138,8 +124,8 @@ class InputReport(NamedTuple):
 
     topic: str
     publishers: int
-    mismatch: Mismatch | None
-    """What does not match some publisher's, if any."""
+    mismatch: str
+    """What does not match some publisher's, or ''."""
     arrivals: ArrivalStatistics
     silent: float
     """Seconds since the last message; infinite before the first."""
@@ -164,8 +150,8 @@ def _values(report: InputReport) -> dict[str, str]:
     arrivals = report.arrivals
     numbers = {
         'rate (Hz)': arrivals.rate_hz, 'jitter (s)': arrivals.jitter,
-        'age p50 (s)': arrivals.age.p50, 'age p99 (s)': arrivals.age.p99,
-        'age max (s)': arrivals.age.largest, 'silent for (s)': report.silent}
+        **{f'age {which} (s)': age for which, age in arrivals.age.items()},
+        'silent for (s)': report.silent}
     return {
         'topic': report.topic, 'publishers': str(report.publishers),
         **{name: number(value) for name, value in numbers.items()},
@@ -194,8 +180,8 @@ def _judge_input(report: InputReport, optional: bool) -> tuple[Level, str]:
     if refused:
         return worst if refused >= messages else Level.WARN, f'{_refusals(report)}.'
     if report.mismatch:
-        return Level.WARN, _mismatch_message(report.topic, report.mismatch)
-    age = report.arrivals.age.p50
+        return Level.WARN, report.mismatch
+    age = report.arrivals.age['p50']
     if abs(age) > MAX_AGE:
         return Level.WARN, (
             f'Stamps are {abs(age):.3g} s {"behind" if age > 0.0 else "ahead of"} the clock of '
@@ -219,7 +205,7 @@ def _judge_silence(report: InputReport, optional: bool, worst: Level) -> tuple[L
     """Return level and message of a silent input."""
     topic, silent = report.topic, report.silent
     if report.mismatch:
-        return worst, _mismatch_message(topic, report.mismatch)
+        return worst, report.mismatch
     if report.publishers:
         since = f'for {silent:.1f} s' if math.isfinite(silent) else 'so far'
         return worst, (
@@ -228,19 +214,6 @@ def _judge_silence(report: InputReport, optional: bool, worst: Level) -> tuple[L
     if optional:
         return Level.OK, f'Nobody publishes {topic}: estimated from the poses.'
     return worst, f'Nobody publishes {topic}. Start the driver, or remap the topic.'
-
-
-def _mismatch_message(topic: str, mismatch: Mismatch) -> str:
-    """Return the message on a mismatch of QoS, type or frames."""
-    kind, name = mismatch
-    if kind == 'frames':
-        return (f'No pose of the tool from {topic}: {name}. Check frames.world and frames.tool, '
-                'and their publishers.')
-    if kind == 'type':
-        return (f'A publisher of {topic} sends {name}, but the node subscribes to another type. '
-                'Set tool_pose.type, or remap the topic.')
-    return (f'QoS does not match: a publisher of {topic} offers a {name} other than the '
-            f'requested one. Set qos_overrides.{topic}.subscription.{name} to the offered value.')
 
 
 def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
@@ -258,7 +231,7 @@ def _judge_vacuum(report: InputReport, held: bool, latched: bool) -> tuple[Level
     worst = Level.WARN if held else Level.ERROR  # not held, nothing is predicted
     state, topic = f'the package counts as {"" if held else "not "}held', report.topic
     if report.mismatch:
-        return worst, _mismatch_message(topic, report.mismatch)
+        return worst, report.mismatch
     if report.publishers == 0:
         return worst, (f'Nobody publishes {topic}: {state}. Start the driver, remap the topic, or '
                        'set vacuum.signal to none.')
@@ -293,10 +266,10 @@ class PredictionReport(NamedTuple):
 
 def prediction_status(name: str, report: PredictionReport) -> Status:
     """Return the status of the prediction."""
-    times = zip(('p50', 'p99', 'max'), quantiles(report.compute), strict=True)
     return Status(name, *_judge_prediction(report), {
         'lifecycle': report.state, 'phase': report.phase, 'cup': report.cup,
-        **{f'compute time {which} (us)': number(1e6 * seconds) for which, seconds in times},
+        **{f'compute time {which} (us)': number(1e6 * seconds)
+           for which, seconds in quantiles(report.compute).items()},
         'twists against poses': report.twist_verdict,
         **{name: str(count) for name, count in report.counts.items()}})
 
