@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs
@@ -174,15 +174,6 @@ class Track:
             new[:self.count] = old[first:end]
 
 
-class Outcome(NamedTuple):
-    """What a measured pose makes of an estimate."""
-
-    estimate: Estimate
-    verdict: str
-    """`used`, `recovered`, `gate` or `out_of_reach`."""
-    alarm: Alarm | None = None
-
-
 class Correction:
     """
     The filter of one model: each method takes an estimate, and returns another.
@@ -283,13 +274,18 @@ class Correction:
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool
-    ) -> Outcome:
-        """Return the estimate after a measurement: the one before it where that is no package."""
+    ) -> tuple[Estimate, str, Alarm | None]:
+        """
+        Return the estimate after a measurement: the one before it where that is no package.
+
+        With the verdict (`used`, `recovered`, `gate` or `out_of_reach`), and an alarm if one is
+        raised.
+        """
         stamp_ns, lost_cups = measurement.stamp_ns, before.lost_cups
         verdict, after, likeliest = self._step(
             before, track, stamp_ns, is_recorded, measurement, GATE)
         if verdict == OUT_OF_REACH:
-            return Outcome(before, 'out_of_reach')
+            return before, 'out_of_reach', None
         gated = (*before.gated_ns, stamp_ns) if verdict == OUTSIDE else ()
         name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
@@ -305,13 +301,13 @@ class Correction:
             lost_cups += (fault.cup,) if fault.cup >= 0 else ()
             body, theta = changed_by(after.body, after.theta, fault.error)
             memory = np.r_[self.first_memory[:11], after.memory[11:]]
-            return Outcome(after._replace(  # the fault was taken for noise, too
+            after = after._replace(  # the fault was taken for noise, too
                 body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
                 evidence=self._evidence(stamp_ns, lost_cups, False),
-                covariance=after.covariance + fault.spread @ fault.spread.T), name, fault.alarm)
-        if name == 'recovered':
-            return Outcome(self._restarted(after, before.memory, track, measurement), name)
-        return Outcome(after, name)
+                covariance=after.covariance + fault.spread @ fault.spread.T)
+        elif name == 'recovered':
+            after = self._restarted(after, before.memory, track, measurement)
+        return after, name, fault and fault.alarm
 
     def _restarted(
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement

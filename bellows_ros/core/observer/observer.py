@@ -21,7 +21,6 @@ from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.correction import Correction, MOTION_ROWS, PACKAGE_ROWS, Track
 from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE, STATE
-from bellows_ros.core.observer.loss import LossDetector
 from bellows_ros.core.observer.measurement import changed_by, Measurement, PoseSensor
 import numpy as np
 
@@ -33,6 +32,13 @@ HISTORY_NS = 100_000_000
 Estimates are kept so much longer (ns) than anything can change them: with a camera of 10 Hz and
 more no pose of the tool waits for a covariance to be propagated.
 """
+
+LOST_AFTER_NS = 25_000_000
+"""A package out of reach for so long (ns) is lost: trackers confuse bodies for some frames."""
+
+SILENT_PERIODS, SILENT_NS = 2.5, 50_000_000
+"""After a pose out of reach the camera is silent if this many of its periods pass, and this time
+(ns)."""
 
 REPEATED_NS = 5_000_000_000
 """What stays wrong raises an alarm so often (ns)."""
@@ -98,13 +104,12 @@ class Observer:
         self._pending: list[Measurement] = []  # newer than the tool
         self._newest: Estimate | None = None  # at the newest sample, where it has been asked for
         self._delay_ns = 0  # of the newest measurement, when it came
-        self._loss = LossDetector()
+        self._vacuum: tuple[int, bool] | None = None  # when, on the tool's clock, and if it holds
         self.alarms: list[Alarm] = []
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
         """Set a nominal model, its longest step (s), and how far (m) a lip can be."""
         self._correction = Correction(self._values, self.sensor.marker, model, max_step, reach)
-        self._loss.alarms, self._loss.reach = self._correction.alarms, reach
         self._estimates.clear()
         self._lost_cups: tuple[int, ...] = ()
         prior = self._correction.prior
@@ -212,10 +217,7 @@ class Observer:
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
         if self._estimates[-1].away_ns > 0 and len(self._measurements) > 1:
-            before_ns, last_ns = (each.stamp_ns for each in self._measurements[-2:])
-            self._estimates[-1], alarm = self._loss.unseen(
-                self._estimates[-1], before_ns, last_ns, self._delay_ns, stamp_ns)
-            self._raise(alarm)
+            self._note_silence(stamp_ns)
         return prediction
 
     def _drop_old(self, before_ns: int) -> None:
@@ -278,18 +280,62 @@ class Observer:
             if k == first:
                 self.counts[verdict] += 1
             if verdict == 'out_of_reach':
-                after, alarm = self._loss.out_of_reach(after, measurements[k].stamp_ns)
+                after, alarm = self._out_of_reach(after, measurements[k].stamp_ns)
             self._raise(alarm)
             estimates.append(after)
         self._newest = None
         self._predict_with(estimates[-1].theta, estimates[-1].lost_cups)
         self.body = self._correction.body_at_end(estimates[-1], self._track)
 
+    # ---------------------------------------------------------- a lost package
+
+    def _out_of_reach(self, estimate: Estimate, stamp_ns: int) -> tuple[Estimate, Alarm | None]:
+        """Note a pose out of reach; a package that was within reach is lost after some time."""
+        alarms, evidence, away_ns = self._correction.alarms, estimate.evidence, estimate.away_ns
+        if alarms is None or away_ns < 0:
+            return estimate, None
+        if away_ns == 0:
+            was_near = not evidence.from_start or evidence.onsets[0, 0] > 0
+            return estimate._replace(away_ns=stamp_ns * was_near), None
+        if stamp_ns - away_ns < LOST_AFTER_NS:
+            return estimate, None
+        alarm = alarms.lost(
+            stamp_ns, self._is_held_since(away_ns), reach=self._correction.reach)
+        return estimate._replace(away_ns=-1), alarm
+
+    def _note_silence(self, stamp_ns: int) -> None:
+        """Note that the camera sees nothing, after the package has left its reach."""
+        alarms = self._correction.alarms
+        before_ns, last_ns = (each.stamp_ns for each in self._measurements[-2:])
+        silence_ns = max(SILENT_PERIODS * (last_ns - before_ns), SILENT_NS)
+        if alarms is None or stamp_ns - last_ns <= silence_ns + self._delay_ns:
+            return
+        self._estimates[-1] = self._estimates[-1]._replace(away_ns=-1)
+        is_held = self._is_held_since(last_ns)
+        if not is_held:  # else it was one wrong pose, and none since
+            self._raise(alarms.lost(stamp_ns, is_held))
+
     def on_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
-        """Join the measured poses with the vacuum, see `LossDetector`."""
-        self._raise(self._loss.on_vacuum(
-            self._estimates[-1] if self._estimates else None, self._track.newest_ns, is_held,
-            breaks, moves, cup))
+        """
+        Note a reading of the vacuum of one cup of a gripper, or of all with a cup below zero.
+
+        Where it breaks down the package is lost, unless the tool is at rest, as for a release, and
+        no pose is out of reach. That of one cup means that this cup is lost.
+        """
+        newest_ns = self._track.newest_ns
+        if cup < 0:
+            self._vacuum = newest_ns, is_held
+        if not (self._estimates and self._correction.alarms and breaks):
+            return
+        is_seen = self._estimates[-1].away_ns != 0
+        if cup < 0 and (moves or is_seen):
+            self._raise(self._correction.alarms.lost(newest_ns, False, is_seen))
+        elif moves:
+            self._raise(self._correction.alarms.without_vacuum(newest_ns, cup))
+
+    def _is_held_since(self, stamp_ns: int) -> bool | None:
+        """Return whether the vacuum holds at a stamp or later; None if not measured since."""
+        return self._vacuum[1] if self._vacuum and self._vacuum[0] >= stamp_ns else None
 
     def _raise(self, alarm: Alarm | None) -> None:
         """Keep an alarm if there is one, unless the same has just been raised."""
