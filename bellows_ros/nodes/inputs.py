@@ -120,7 +120,7 @@ class SensorInput:
 
     def _sentence(self, mismatch: str, name: str) -> str:
         """Return what does not match, in words."""
-        return str(health.MISMATCHES[mismatch].format(topic=self.topic, name=name))
+        return str(health.INPUTS[mismatch].format(topic=self.topic, name=name))
 
 
 class TransformInput(SensorInput):

@@ -98,8 +98,8 @@ class Arrivals:
 MAX_AGE = 1.0
 """Messages older or younger (s) than this carry stamps of another clock."""
 
-PHASES, TWISTS, FAULTS, MISMATCHES = (
-    MESSAGES[name] for name in ('phases', 'twists', 'faults', 'mismatches'))
+PHASES, INPUTS, TWISTS, FAULTS = (
+    MESSAGES[name] for name in ('phases', 'inputs', 'twists', 'faults'))
 
 
 class Level(IntEnum):
@@ -183,9 +183,7 @@ def _judge_input(report: InputReport, optional: bool) -> tuple[Level, str]:
         return Level.WARN, report.mismatch
     age = report.arrivals.age['p50']
     if abs(age) > MAX_AGE:
-        return Level.WARN, (
-            f'Stamps are {abs(age):.3g} s {"behind" if age > 0.0 else "ahead of"} the clock of '
-            'this node. Synchronise the clocks, or set use_sim_time while playing a recording.')
+        return Level.WARN, INPUTS['behind' if age > 0.0 else 'ahead'].format(seconds=abs(age))
     rate_hz = report.arrivals.rate_hz
     return Level.OK, f'{rate_hz:.4g} Hz.' if math.isfinite(rate_hz) else 'A single message.'
 
@@ -196,9 +194,8 @@ def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> S
     rare = 2 * report.arrivals.messages <= poses
     if status.level > Level.OK or rare or 2 * unpaired <= poses:
         return status
-    return status._replace(level=Level.WARN, message=(
-        f'{unpaired} of {poses} poses had no twist of the same stamp; it was estimated. Check '
-        'that one clock stamps poses and twists.'))
+    return status._replace(
+        level=Level.WARN, message=INPUTS['unpaired'].format(unpaired=unpaired, poses=poses))
 
 
 def _judge_silence(report: InputReport, optional: bool, worst: Level) -> tuple[Level, str]:
@@ -208,12 +205,10 @@ def _judge_silence(report: InputReport, optional: bool, worst: Level) -> tuple[L
         return worst, report.mismatch
     if report.publishers:
         since = f'for {silent:.1f} s' if math.isfinite(silent) else 'so far'
-        return worst, (
-            f'The publisher of {topic} is silent: no message {since}. Check that the driver and '
-            'its controller are active.')
+        return worst, INPUTS['silent'].format(topic=topic, since=since)
     if optional:
-        return Level.OK, f'Nobody publishes {topic}: estimated from the poses.'
-    return worst, f'Nobody publishes {topic}. Start the driver, or remap the topic.'
+        return Level.OK, INPUTS['estimated'].format(topic=topic)
+    return worst, INPUTS['absent'].format(topic=topic)
 
 
 def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
@@ -233,8 +228,7 @@ def _judge_vacuum(report: InputReport, held: bool, latched: bool) -> tuple[Level
     if report.mismatch:
         return worst, report.mismatch
     if report.publishers == 0:
-        return worst, (f'Nobody publishes {topic}: {state}. Start the driver, remap the topic, or '
-                       'set vacuum.signal to none.')
+        return worst, INPUTS['no_vacuum'].format(topic=topic, state=state)
     if any(report.refused.values()):
         return worst, f'{_refusals(report)}; {state}. Publish the absolute pressure, Pa.'
     if not math.isfinite(report.silent):
@@ -314,11 +308,9 @@ def load_status(
     if factor < required:
         level = Level.ERROR if factor < 1.0 else Level.WARN
         limit = '1: the cup lets go' if factor < 1.0 else f'safety.least, {required:g}'
-        message = (f'The safety factor of the grip is {factor:.2f} ({mode}), below '
-                   f'{limit}. Move slower, or raise the vacuum.')
+        message = FAULTS['unsafe'].format(factor=factor, mode=mode, limit=limit)
     elif bending > FLAT_MOMENT_BENDING:
-        level, message = Level.WARN, (
-            f'The cup bends by {bending:.2g} rad, where its restoring moment hardly grows.')
+        level, message = Level.WARN, FAULTS['bending'].format(bending=bending)
     elif excess is not None and excess.outside:
         level, message = Level.WARN, excess.text
     elif not (has_grip or has_envelope):
