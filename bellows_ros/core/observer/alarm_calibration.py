@@ -52,12 +52,17 @@ class SoundWork(Observer):
     values : mapping
         As of `Observer`.
 
+    Attributes
+    ----------
+    squares : list of array (6,)
+        Expected squares of the noise of each pose, relative to that stated.
+
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         """Start without poses."""
         super().__init__({**values, 'alarm.false_per_hour': 0.0, 'measured.calibrate': True})
-        self._squares: list[Array] = []
+        self.squares: list[Array] = []
         self._places: list[tuple[float, float, float]] = []
 
     def _reprocess(self, first: int) -> None:
@@ -67,21 +72,14 @@ class SoundWork(Observer):
         if self.counts['used'] > used:
             after = self._estimates[first + 1]
             noise = after.theta[ekf.NOISE - STATE:ekf.NOISE - STATE + 6]
-            self._squares.append(
+            self.squares.append(
                 noise**2 + np.diag(after.covariance)[ekf.NOISE:ekf.NOISE + 6])
             self._places.append(self._measurements[first].position)
 
     @property
-    def count(self) -> int:
-        """The number of poses whose noise is known."""
-        return len(self._squares)
-
-    @property
-    def noise_factors(self) -> tuple[float, float]:
+    def noise_factors(self) -> tuple[float, ...]:
         """By how much position and rotation are noisier than stated (expectation step)."""
-        position, rotation = np.sqrt(
-            np.mean(self._squares[SETTLING_POSES:], axis=0).reshape(2, 3).mean(axis=1)).tolist()
-        return position, rotation
+        return _rms_of_axes(np.mean(self.squares[SETTLING_POSES:], axis=0))
 
     @property
     def memory(self) -> float:
@@ -93,21 +91,25 @@ class SoundWork(Observer):
         return float(np.clip(-seconds / math.log(share), *MEMORY_RANGE))
 
     @property
-    def offset_std(self) -> tuple[float, float]:
+    def offset_std(self) -> tuple[float, ...]:
         """RMS error of the camera's position (m), where the package is, and of its rotation."""
         last, rows = self._estimates[-1], slice(ekf.CAMERA, ekf.CAMERA + 6)
         at_package: Array = np.eye(6)
         at_package[:3, 3:] = -hat(np.mean(self._places, axis=0))
         e = at_package @ last.theta[ekf.CAMERA - STATE:ekf.CAMERA - STATE + 6]
-        squares = e**2 + np.diag(at_package @ last.covariance[rows, rows] @ at_package.T)
-        position, rotation = np.sqrt(squares.reshape(2, 3).mean(axis=1)).tolist()
-        return position, rotation
+        return _rms_of_axes(
+            e**2 + np.diag(at_package @ last.covariance[rows, rows] @ at_package.T))
 
     @property
     def latency_std(self) -> float:
         """RMS error of the stamps (s)."""
         last, row = self._estimates[-1], ekf.LATENCY
         return math.hypot(last.theta[row - STATE], math.sqrt(last.covariance[row, row]))
+
+
+def _rms_of_axes(squares: Array) -> tuple[float, ...]:
+    """Return the RMS value per axis of position and rotation, from squares (6,)."""
+    return tuple(np.sqrt(squares.reshape(2, 3).mean(axis=1)).tolist())
 
 
 @dataclass(frozen=True)
@@ -203,10 +205,10 @@ def calibrated_alarms(
     for _ in range(ITERATIONS):
         work = SoundWork(estimated)
         run(work)
-        if work.count < MIN_POSES:
+        if len(work.squares) < MIN_POSES:
             raise BellowsError(
-                f'The recording has {work.count} usable measured poses; calibrating alarms takes '
-                f'at least {MIN_POSES}. Record sound work for longer, best several minutes.')
+                f'The recording has {len(work.squares)} usable measured poses; calibrating alarms '
+                f'takes at least {MIN_POSES}. Record sound work for longer, best several minutes.')
         estimated['measured.memory'] = work.memory
         estimated['measured.noise'] = tuple(
             np.multiply(estimated['measured.noise'], work.noise_factors).tolist())
