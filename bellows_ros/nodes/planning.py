@@ -149,7 +149,7 @@ class Planning:
                 (JointTrajectory, 'tool_arm/plan_joints', reader.of_joints)):
             plans.subscribe(kind, topic, partial(plans.submit, self._on_plan, read))
         plans.subscribe(Header, 'package/predict_at', self._on_request)
-        self.steering = Steering(pipeline, reader, self._refuse).answers
+        self.steering = Steering(pipeline, reader, self._refuse)
         self.forget()
 
     def forget(self) -> None:
@@ -365,7 +365,7 @@ class PlanReader:
                 "the tool's poses. Transform the plan.")
 
 
-class Steering:
+class Steering(Answers):
     """
     Motions that leave the package without swing.
 
@@ -378,26 +378,22 @@ class Steering:
     refuse : callable
         As of `Answers`.
 
-    Attributes
-    ----------
-    answers : Answers
-
     """
 
     def __init__(
         self, pipeline: Any, reader: PlanReader, refuse: Callable[[str, BellowsError], None]
     ) -> None:
         """Advertise and subscribe."""
+        super().__init__(pipeline.node, 'motion to be steered', self._compile, refuse)
         self._pipeline, self._reader = pipeline, reader
         self._tool = Topic(pipeline.node, MultiDOFJointTrajectory, 'tool_arm/steered')
         self._joints = Topic(pipeline.node, JointTrajectory, 'tool_arm/steered_joints')
-        self.answers = Answers(pipeline.node, 'motion to be steered', self._warm_up, refuse)
         for kind, topic, work in (
                 (MultiDOFJointTrajectory, 'tool_arm/steer', self._steer_tool),
                 (JointTrajectory, 'tool_arm/steer_joints', self._steer_joints)):
-            self.answers.subscribe(kind, topic, partial(self.answers.submit, work))
+            self.subscribe(kind, topic, partial(self.submit, work))
 
-    def _warm_up(self) -> None:
+    def _compile(self) -> None:
         """Compile the answer to a motion to be steered, by answering one."""
         self._steered(_standstill().trajectory())
         gc.freeze()
@@ -410,7 +406,7 @@ class Steering:
                 'Split the motion, or use bellows steer.')
         tool = steer(self._pipeline.live.model, plan, self._pipeline.values['steer.method'],
                      of_package).tool
-        if self.answers.worker.stop[0]:
+        if self.worker.stop[0]:
             raise BellowsError('The steering was stopped before its end.')
         return tool
 
