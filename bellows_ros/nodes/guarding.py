@@ -180,14 +180,13 @@ class Worker:
         with self._changed:
             self._pending.clear()
             self.stop[0] = True
+            self._changed.notify_all()
             self._changed.wait_for(lambda: self._running is None, STOP_TIMEOUT)
 
     def close(self) -> None:
         """End the thread."""
         self._is_closed = True
         self.cancel()
-        with self._changed:
-            self._changed.notify_all()
 
     def _work(self) -> None:
         """Do what is asked for, in the order of first requests."""
