@@ -166,7 +166,6 @@ class Outputs:
         """Go on with another cup or package; compile all that is shown of a prediction."""
         model, values = self._pipeline.live.model, self._pipeline.values
         self.uncertainty = uncertainty.Uncertainty(model, values)
-        load.deflection(model, uncertainty.STILL)
         load.deflection_rotation(uncertainty.STILL)
         Picture(values).of('', model, uncertainty.STILL)
         self._picture = Picture(values)

@@ -19,7 +19,7 @@ from bellows_ros.core.geometry.jit import seldom_collected
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
-from bellows_ros.core.live.load import ALL, deflection
+from bellows_ros.core.live.load import ALL
 from bellows_ros.core.live.payload import LivePayload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.live.uncertainty import Prediction
@@ -384,8 +384,7 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
     live.on_twist(arrival_ns + 1_500_000, still, still)
     live.on_pose(arrival_ns + 1_000_000, 'world', (1e-6, 0.0, 0.0), upright, arrival_ns)
     live.flush()
-    for prediction in live.coast(arrival_ns + live.coast_limit_ns):
-        deflection(live.model, prediction)
+    live.coast(arrival_ns + live.coast_limit_ns)
 
 
 BLOCK = 2000
