@@ -99,7 +99,7 @@ class SensorInput:
         silent = (time.monotonic_ns() - last_ns) * 1e-9 if last_ns >= 0 else float('inf')
         publishers = self._node.count_publishers(self.topic)
         return health.InputReport(
-            self.topic, publishers, self._mismatch(publishers), self.arrivals.reset(), silent,
+            self.topic, publishers, self._mismatch(publishers), *self.arrivals.reset(), silent,
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
     def _mismatch(self, publishers: int) -> str:

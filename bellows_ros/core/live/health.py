@@ -47,17 +47,6 @@ def quantiles(values: Array) -> dict[str, float]:
     return dict(zip(('p50', 'p99', 'max'), numbers, strict=True))
 
 
-class ArrivalStatistics(NamedTuple):
-    """How messages of one topic arrived; NaN where too few did."""
-
-    messages: int
-    rate_hz: float
-    jitter: float
-    """Standard deviation of the time between two arrivals, s."""
-    age: dict[str, float]
-    """Quantiles of arrival minus stamp on the node's clock, s."""
-
-
 class Arrivals:
     """
     Arrivals of the messages of one topic since the last reset.
@@ -86,13 +75,16 @@ class Arrivals:
         self.last_ns = arrival_ns
         self._ages.add(age)
 
-    def reset(self) -> ArrivalStatistics:
-        """Return how messages arrived since the last call, and begin again."""
+    def reset(self) -> tuple[int, float, float, dict[str, float]]:
+        """
+        Return how messages arrived since the last call, and begin again.
+
+        Number, rate (Hz), jitter and age (s) as in `InputReport`; NaN where too few did.
+        """
         count, intervals = self._ages.count, self._intervals.reset()
         mean = float(intervals.mean()) if len(intervals) else math.nan
-        return ArrivalStatistics(
-            count, 1.0 / mean if mean > 0.0 else math.nan,
-            float(intervals.std()) if len(intervals) else 0.0, quantiles(self._ages.reset()))
+        return (count, 1.0 / mean if mean > 0.0 else math.nan,
+                float(intervals.std()) if len(intervals) else 0.0, quantiles(self._ages.reset()))
 
 
 MAX_AGE = 1.0
@@ -126,7 +118,12 @@ class InputReport(NamedTuple):
     publishers: int
     mismatch: str
     """What does not match some publisher's, or ''."""
-    arrivals: ArrivalStatistics
+    messages: int
+    rate_hz: float
+    jitter: float
+    """Standard deviation of the time between two arrivals, s."""
+    age: dict[str, float]
+    """Quantiles of arrival minus stamp on the node's clock, s."""
     silent: float
     """Seconds since the last message; infinite before the first."""
     refused: Mapping[str, int]
@@ -147,10 +144,9 @@ def input_status(name: str, report: InputReport, optional: bool = False) -> Stat
 
 def _values(report: InputReport) -> dict[str, str]:
     """Return the numbers of an input."""
-    arrivals = report.arrivals
     numbers = {
-        'rate (Hz)': arrivals.rate_hz, 'jitter (s)': arrivals.jitter,
-        **{f'age {which} (s)': age for which, age in arrivals.age.items()},
+        'rate (Hz)': report.rate_hz, 'jitter (s)': report.jitter,
+        **{f'age {which} (s)': age for which, age in report.age.items()},
         'silent for (s)': report.silent}
     return {
         'topic': report.topic, 'publishers': str(report.publishers),
@@ -167,31 +163,31 @@ def _listed(counts: Mapping[str, int]) -> str:
 
 def _refusals(report: InputReport) -> str:
     """Return how many messages were refused since the last report, and why."""
-    refused, messages = sum(report.refused.values()), report.arrivals.messages
-    return f'{refused} of {messages} messages refused: {_listed(report.refused)}'
+    refused = sum(report.refused.values())
+    return f'{refused} of {report.messages} messages refused: {_listed(report.refused)}'
 
 
 def _judge_input(report: InputReport, optional: bool) -> tuple[Level, str]:
     """Return level and message of an input."""
     worst = Level.WARN if optional else Level.ERROR
-    messages, refused = report.arrivals.messages, sum(report.refused.values())
-    if messages == 0:
+    refused = sum(report.refused.values())
+    if report.messages == 0:
         return _judge_silence(report, optional, worst)
     if refused:
-        return worst if refused >= messages else Level.WARN, f'{_refusals(report)}.'
+        return worst if refused >= report.messages else Level.WARN, f'{_refusals(report)}.'
     if report.mismatch:
         return Level.WARN, report.mismatch
-    age = report.arrivals.age['p50']
+    age = report.age['p50']
     if abs(age) > MAX_AGE:
         return Level.WARN, INPUTS['behind' if age > 0.0 else 'ahead'].format(seconds=abs(age))
-    rate_hz = report.arrivals.rate_hz
-    return Level.OK, f'{rate_hz:.4g} Hz.' if math.isfinite(rate_hz) else 'A single message.'
+    is_single = not math.isfinite(report.rate_hz)
+    return Level.OK, 'A single message.' if is_single else f'{report.rate_hz:.4g} Hz.'
 
 
 def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> Status:
     """Return the status of the twists, with the number of recent poses without one."""
     status = input_status(name, report, optional=True)
-    rare = 2 * report.arrivals.messages <= poses
+    rare = 2 * report.messages <= poses
     if status.level > Level.OK or rare or 2 * unpaired <= poses:
         return status
     return status._replace(
@@ -233,7 +229,7 @@ def _judge_vacuum(report: InputReport, held: bool, latched: bool) -> tuple[Level
         return worst, f'{_refusals(report)}; {state}. Publish the absolute pressure, Pa.'
     if not math.isfinite(report.silent):
         return Level.WARN, f'No message on {topic} so far: {state}.'
-    if not (report.arrivals.messages or latched):
+    if not (report.messages or latched):
         return worst, f'{topic} has been silent for {report.silent:.1f} s: {state}.'
     return Level.OK, 'Held.' if held else 'Not held.'
 
