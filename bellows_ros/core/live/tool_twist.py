@@ -391,7 +391,7 @@ class TwistCheck:
         self._recent.clear()
         self._due_ns = -1
         self._count = 0
-        self._squares = 0.0, 0.0, 0.0  # as of `misfits`
+        self._squares: tuple[float, ...] = 0.0, 0.0, 0.0  # as of `misfits`
 
     def skip(self) -> None:
         """Record that a pose came without a measured twist."""
@@ -404,10 +404,9 @@ class TwistCheck:
             return
         v, w = history.state(LATER_POSES)[2:4]
         self._due_ns = pose.stamp_ns + PERIOD_NS
-        before, (energy, world, tool) = self._squares, misfits(*self._recent[0], v, w)
-        self._squares = (
-            FORGETTING * before[0] + energy, FORGETTING * before[1] + world,
-            FORGETTING * before[2] + tool)
+        squares = misfits(*self._recent[0], v, w)
+        self._squares = tuple(
+            FORGETTING * before + new for before, new in zip(self._squares, squares, strict=True))
         self._count += 1
 
     @property
