@@ -259,15 +259,15 @@ class LivePayload:
         try:
             body = equilibrium.static_equilibrium(self.model, tool)
             still: State = tool[0], tool[1], ZERO, ZERO
-            (force, moment), _ = kernels.checked_wrench(self.model, still, body, math.inf)
+            wrench, is_sound = kernels.checked_wrench(self.model, still, body, math.inf)
         except (BellowsError, ArithmeticError, ValueError):
             return None
-        if not all(map(math.isfinite, (*body[0], *body[1], *force, *moment))):
+        if not is_sound:
             return None
         self.outcome, self._retry_ns = outcome, -1
         self.sample = Sample(stamp_ns, tool, body)
         if self.observer is not None:
             self.observer.start(*self.sample)
         self.settling.begin(stamp_ns, tool)
-        return Prediction(stamp_ns, *body[:4], force, moment, tool, False, self.settling.now,
+        return Prediction(stamp_ns, *body[:4], *wrench, tool, False, self.settling.now,
                           strains=body[4:])
