@@ -168,7 +168,7 @@ class LivePredictor:
             return self.flight.state
         if self.arrivals.newest_ns is None:
             return 'waiting'
-        if silent_ns := self.arrivals.silent_ns(arrival_ns):
+        if silent_ns := self.arrivals.silent_ns(arrival_ns, self._screen.period_ns):
             return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
         if not (self.package.sample or self.pairing.waiting):
             return 'lost'
@@ -242,7 +242,6 @@ class LivePredictor:
 
         """
         self.poses_in += 1
-        newest_ns = self._screen.newest_ns
         verdict = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
         if verdict.refused:
             self._counts[verdict.refused] += 1
@@ -252,8 +251,6 @@ class LivePredictor:
             predictions = self.flush()
             self.restarts[verdict.restart] += 1
             self._forget_motion()
-        elif newest_ns >= 0:
-            self.arrivals.period_ns = stamp_ns - newest_ns
         if self._screen.suspect:
             self.package.settling.inflate(stamp_ns, *self._screen.jump)
         self.arrivals.add(arrival_ns)

@@ -154,8 +154,6 @@ class ToolArrivals:
     ----------
     newest_ns : int or None
         Arrival of the newest pose; None before the first.
-    period_ns : int
-        Between the stamps of the last two.
 
     """
 
@@ -166,7 +164,7 @@ class ToolArrivals:
     def clear(self) -> None:
         """Forget all poses."""
         self.newest_ns: int | None = None
-        self.period_ns = self._pause_ns = 0
+        self._pause_ns = 0
 
     def add(self, arrival_ns: int | None) -> None:
         """Add a pose; None where messages do not arrive in real time."""
@@ -177,10 +175,10 @@ class ToolArrivals:
                 self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
         self.newest_ns = arrival_ns
 
-    def silent_ns(self, now_ns: int) -> int:
-        """Return for how long no pose came, 0 as long as that is usual."""
+    def silent_ns(self, now_ns: int, period_ns: int) -> int:
+        """Return for how long no pose came, 0 as long as that is usual at the poses' period."""
         silent_ns = 0 if self.newest_ns is None else now_ns - self.newest_ns
-        usual_ns = max(COAST_AFTER_NS, COAST_PERIODS * self.period_ns, 3 * self._pause_ns // 2)
+        usual_ns = max(COAST_AFTER_NS, COAST_PERIODS * period_ns, 3 * self._pause_ns // 2)
         return silent_ns if silent_ns > usual_ns else 0
 
 
@@ -299,12 +297,11 @@ class Screen(StampScreen):
             moved = self._elsewhere if verdict.restart == 'moved' else None
             if verdict.restart:
                 self.forget_motion()
-            seconds = 0.0 if self._last is None else (stamp_ns - self.newest_ns) * 1e-9
+            self.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
             self._last = moved or Reference(
-                stamp_ns, position, quaternion_xyzw, seconds, self._step)
+                stamp_ns, position, quaternion_xyzw, self.period_ns * 1e-9, self._step)
             self.frame_id, self._elsewhere = frame_id, None
             self._change.clear()
-            self.accept_stamp(stamp_ns, arrival_ns, verdict.restart)
         return verdict
 
     def _judge(

@@ -89,6 +89,8 @@ class StampScreen:
     ----------
     newest_ns : int
         The newest accepted stamp, -1 before the first.
+    period_ns : int
+        Between the last two accepted stamps, 0 before the second.
 
     """
 
@@ -99,7 +101,7 @@ class StampScreen:
     def forget_stamps(self) -> None:
         """Take whatever stamp comes next."""
         self.newest_ns = -1
-        self._period_ns = 0
+        self.period_ns = 0
         self._newest_arrival_ns: int | None = None
         self._least_age_ns = self._accepted = 0
         self._leap_ns = -1
@@ -139,7 +141,7 @@ class StampScreen:
         if restart:
             self.forget_stamps()
         elif self.newest_ns >= 0:
-            self._period_ns = stamp_ns - self.newest_ns
+            self.period_ns = stamp_ns - self.newest_ns
         self.newest_ns = stamp_ns
         if arrival_ns is not None:
             self._note_age(arrival_ns - stamp_ns)
@@ -161,7 +163,7 @@ class StampScreen:
         if ahead_ns <= LEAP_NS or self._accepted < MIN_DELAY_SAMPLES:
             self._leap_ns = -1
             return False
-        if ahead_ns <= LEAP_PERIODS * self._period_ns:
+        if ahead_ns <= LEAP_PERIODS * self.period_ns:
             return False
         before, self._leap_ns = self._leap_ns, stamp_ns
         return not 0 <= before < stamp_ns
