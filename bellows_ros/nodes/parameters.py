@@ -300,7 +300,6 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
 
     def configure(self) -> None:
         """Make everything that needs the parameters, or raise the obstacle."""
-        raise NotImplementedError
 
     def start(self) -> None:
         """Configure and activate, or end and raise the obstacle."""

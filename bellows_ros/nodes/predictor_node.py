@@ -157,9 +157,6 @@ class PredictorNode(ManagedNode):
             self.pipeline.use_values()
 
 
-HARDWARE = 'suction cup'
-TOPIC = '/diagnostics'
-TWIST_PREFIX = 'twist_'
 ERROR_LINES = ('prediction', 'load')
 """Lines whose errors are logged as such; those of others are warnings."""
 
@@ -185,7 +182,7 @@ class Diagnostics:
         """Advertise."""
         self._node = node
         self._publisher = node.create_publisher(
-            DiagnosticArray, TOPIC, QoSProfile(depth=10),
+            DiagnosticArray, '/diagnostics', QoSProfile(depth=10),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self._due: dict[tuple[str, object], float] = {}
 
@@ -197,7 +194,7 @@ class Diagnostics:
         message.status = [
             DiagnosticStatus(
                 level=bytes([line.level]), name=f'{name}: {line.name}', message=line.message,
-                hardware_id=HARDWARE,
+                hardware_id='suction cup',
                 values=[KeyValue(key=key, value=value) for key, value in line.values.items()])
             for line in self._lines()]
         self._publisher.publish(message)
@@ -226,7 +223,7 @@ class Diagnostics:
             return lines
         started = tuple(reason for reason, count in restarts.items() if count)
         self._log(lines[0], above or bool(started), 0.0 if started else LOG_DELAY, started)
-        of_twists = {k: n for k, n in live.refused.items() if k.startswith(TWIST_PREFIX)}
+        of_twists = {k: n for k, n in live.refused.items() if k.startswith('twist_')}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault where twists come more often than poses
         poses, twists = pipeline.pose_in.report(of_poses), pipeline.twist_in.report(of_twists)

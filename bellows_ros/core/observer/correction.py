@@ -12,14 +12,8 @@ from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import composition, is_single, maps, places_of, UPPER
+from bellows_ros.core.observer import alarms
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.alarms import (
-    Alarm,
-    Alarms,
-    filter_step,
-    Likeliest,
-    MIN_NOISE_COUNT,
-)
 from bellows_ros.core.observer.filter import Estimate, Evidence, NO_EVIDENCE, STATE
 from bellows_ros.core.observer.measurement import changed_by, Measurement, OUT_OF_REACH, OUTSIDE
 import numpy as np
@@ -207,7 +201,7 @@ class Correction:
         self._marker, places = marker, places_of(values)
         self._cups = cups_of(model, places)
         allowed = values['alarm.false_per_hour']
-        self.alarms = Alarms(
+        self.alarms = alarms.Alarms(
             allowed, len(self.prior), marker[2], places) if allowed > 0.0 else None
         self._steps = self.alarms.steps if self.alarms else ekf.NO_MATRIX
         self.first_memory = first_memory(values['measured.memory'])
@@ -246,15 +240,16 @@ class Correction:
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0,
-    ) -> tuple[int, Estimate, Likeliest]:
+    ) -> tuple[int, Estimate, alarms.Likeliest]:
         """Return verdict, estimate and faults by `filter_step`; only propagate with gate 0."""
         evidence = before.evidence
-        verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest = filter_step(
+        after = alarms.filter_step(
             self.row(before.lost_cups), self.branches, before.theta, before.tool, before.body,
             before.covariance, before.memory, *track.rows, is_recorded, track.count,
             before.stamp_ns, stamp_ns, self.max_step, self._drive, self._walk, *evidence[:3],
             evidence.from_start, self._steps, self._holding(before.lost_cups), gate > 0.0,
             *measurement[1:], self._marker, self.reach, gate)
+        verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest = after
         return verdict, Estimate(
             stamp_ns, tool, body, theta, P, memory,
             Evidence(E, statistics, onsets, *evidence[3:]), *before[7:]), likeliest
@@ -274,7 +269,7 @@ class Correction:
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool
-    ) -> tuple[Estimate, str, Alarm | None]:
+    ) -> tuple[Estimate, str, alarms.Alarm | None]:
         """
         Return the estimate after a measurement: the one before it where that is no package.
 
@@ -319,7 +314,8 @@ class Correction:
         restarted = estimate._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(restarted, track, stamp_ns, True, measurement, math.inf)
         _, _, onsets, _, from_start = estimate.evidence
-        from_start &= bool(onsets[0].max(initial=0) < MIN_NOISE_COUNT)  # off since the beginning
+        # a fault found so early has been there since the beginning
+        from_start &= bool(onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
         return after._replace(
             memory=memory, gated_ns=(), away_ns=0,
             evidence=self._evidence(stamp_ns, estimate.lost_cups, from_start))

@@ -166,13 +166,6 @@ def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> St
         t3.add_scaled(t3.scale(-late, body[3]), half, t3.add(dw, more[1])), ZERO, ZERO)
 
 
-@kernel
-def lip_shift(position: Vector, q: Quaternion, com: Vector, tool: State, length: float) -> float:
-    """Return the displacement (m) of the lip from its place without load, for a package pose."""
-    o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
-    return t3.norm((o[0], o[1], o[2] + length))
-
-
 Innovation = tuple[Array, Array, Array, float, Array]
 """
 The difference of a measured pose from an estimate, shift (m) and turn (rad) in B axes, times its
@@ -379,8 +372,9 @@ def updated(
             noise[i, j] *= math.sqrt(memory[11 + i // 3] * memory[11 + j // 3])
     innovation = innovation_of(exposed, theta, P, position, q, noise, marker)
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
+    o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
     verdict = USED
-    if lip_shift(position, q, com, tool, model[0][1]) > reach + 5.0 * spread:
+    if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach + 5.0 * spread:
         verdict = OUT_OF_REACH
     elif innovation[3] > gate:
         verdict = OUTSIDE

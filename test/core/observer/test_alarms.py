@@ -7,7 +7,7 @@ from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.model.kernels import model_of
 from bellows_ros.core.model.simulation import first_after
 from bellows_ros.core.model.structure import SINGLE
-from bellows_ros.core.observer import alarms, correction
+from bellows_ros.core.observer import alarms
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarms, AT_START, HYPOTHESES
 from bellows_ros.core.observer.correction import NO_CUPS
@@ -244,7 +244,7 @@ def _dense_total(given):
 @pytest.mark.parametrize('kind', ['slip', 'drop'])
 def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
     """Sum the same likelihood ratios of causes and onsets as matrices of full size do."""
-    processed, given, totals = correction.filter_step, [], []
+    processed, given, totals = alarms.filter_step, [], []
     interpreted = getattr(ekf.predicted, 'py_func', ekf.predicted)  # compiling it takes some 7 s
 
     def processing(row, branches, theta, tool, body, P, memory, *more):
@@ -262,7 +262,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
                 totals.append(result[9][0])
         return result
 
-    monkeypatch.setattr(correction, 'filter_step', processing)
+    monkeypatch.setattr(alarms, 'filter_step', processing)
     monkeypatch.setattr('bellows_ros.core.observer.alarms.CONFIRMED', 1000)  # no alarm
     Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.28, size=1.5).run()
     assert len(totals) > 12
