@@ -89,17 +89,12 @@ def write_place(pose: geometry.Pose, position: Vector, xyzw: Quaternion) -> None
     write_quaternion(pose.orientation, xyzw)
 
 
-def write_place_stamped(
+def write_pose(
     message: geometry.PoseStamped, stamp_ns: int, frame_id: str, position: Vector, xyzw: Quaternion
 ) -> None:
     """Write position and orientation with their header."""
     write_header(message, stamp_ns, frame_id)
     write_place(message.pose, position, xyzw)
-
-
-def write_pose(message: geometry.PoseStamped, frame_id: str, prediction: Prediction) -> None:
-    """Write the package's pose in the frame of the tool's poses."""
-    write_place_stamped(message, prediction.stamp_ns, frame_id, *prediction[1:3])
 
 
 def write_tf(message: Any, frame_id: str, child_frame_id: str, prediction: Prediction) -> None:
@@ -163,10 +158,9 @@ def write_payload(message: geometry.InertiaStamped, frame_id: str, payload: Payl
 
 
 def write_landing(
-    message: geometry.PoseWithCovarianceStamped, landing: flight.Landing, stamp_ns: int,
-    frame_id: str
+    message: geometry.PoseWithCovarianceStamped, frame_id: str, landing: flight.Landing
 ) -> None:
     """Write the pose of B at landing, stamped as the prediction that it was made from."""
-    write_header(message, stamp_ns, frame_id)
+    write_header(message, landing.stamp_ns, frame_id)
     write_place(message.pose.pose, *landing.toss.landing[:2])
     message.pose.covariance = landing.covariance.ravel()

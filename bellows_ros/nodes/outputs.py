@@ -184,7 +184,8 @@ class Outputs:
         self._is_due = not (
             self._is_late if self._pipeline.values['coast.poses'] else prediction.coasting)
         if self._is_due:
-            conversions.write_pose(self.pose.message, self._pipeline.live.frame_id, prediction)
+            conversions.write_pose(
+                self.pose.message, stamp_ns, self._pipeline.live.frame_id, *prediction[1:3])
             self.pose.publish(self.pose.message)
 
     def publish_more(
@@ -213,7 +214,7 @@ class Outputs:
                 self.uncertainty.root(prediction) if has_covariance else uncertainty.UNKNOWN_ROOT)
         if self._deflection.subscribed and not prediction.flies:
             self._deflection.send(
-                conversions.write_place_stamped, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX,
+                conversions.write_pose, stamp_ns, values['frames.lip'] + NOMINAL_SUFFIX,
                 load.deflection(live.model, prediction)[0], load.deflection_rotation(prediction))
         if self._markers.subscribed and self._picture.is_due(stamp_ns):
             self._markers.publish(self._picture.of(frame_id, live.model, prediction))
@@ -366,10 +367,10 @@ class Tossing:
             landing = self.flight.landing(
                 model, held, self._pipeline.outputs.uncertainty.covariance)
             if landing is not None:
-                self._landing.send(conversions.write_landing, landing, held.stamp_ns, frame_id)
+                self._landing.send(conversions.write_landing, frame_id, landing)
                 if self._markers.subscribed:
                     path = flight_path(model, landing.toss, flight.PATH_POINTS)
-                    self._markers.publish(_landing_markers(landing, path, held.stamp_ns, frame_id))
+                    self._markers.publish(_landing_markers(landing, path, frame_id))
         if (self._at.subscribed and now_ns - self._valve_time_ns >= VALVE_TIME_PERIOD_NS
                 and not self._worker.is_busy):
             self._valve_time_ns = now_ns
@@ -386,16 +387,14 @@ class Tossing:
             self._at.publish(message)
 
 
-def _landing_markers(
-    landing: flight.Landing, path: Array, stamp_ns: int, frame_id: str
-) -> MarkerArray:
+def _landing_markers(landing: flight.Landing, path: Array, frame_id: str) -> MarkerArray:
     """Return the path of the flight, and the 95 % ellipse about its end."""
     ring = np.zeros((33, 3)) + landing.toss.landing[0]
     ring[:, :2] += ellipse(landing.covariance, 33)
     markers = []
     for number, points in enumerate((path[:, :3], ring)):
         line = marker(number, Marker.LINE_STRIP, (0.005, 0.0, 0.0), f'{NAMESPACE}_landing')
-        show(line, stamp_ns, frame_id, BLUE)
+        show(line, landing.stamp_ns, frame_id, BLUE)
         line.points = [point(each) for each in points.tolist()]
         markers.append(line)
     return MarkerArray(markers=markers)

@@ -30,7 +30,7 @@ def test_stamp_that_is_none(sec, nanosec):
 def test_prediction_becomes_three_messages():
     """Put each part where it belongs."""
     pose, twist, wrench = PoseStamped(), TwistStamped(), WrenchStamped()
-    conversions.write_pose(pose, 'base', PREDICTION)
+    conversions.write_pose(pose, PREDICTION.stamp_ns, 'base', *PREDICTION[1:3])
     conversions.write_twist(twist, 'package', PREDICTION)
     conversions.write_wrench(wrench, 'cup_lip', PREDICTION)
 

@@ -39,8 +39,10 @@ PATH_POINTS = 24
 class Landing(NamedTuple):
     """Where the package would land if the valve were switched at a prediction."""
 
+    stamp_ns: int
+    """Of the prediction."""
     toss: Toss
-    """Times are s since the prediction."""
+    """Times are s since then."""
     covariance: Array
     """Of position on the floor and rotation vector, in world axes (6, 6); written over by the next
     landing."""
@@ -267,7 +269,8 @@ class Flight:
         except (BellowsError, ArithmeticError, ValueError):
             is_sound = False
         self._count = self._count + 1 if is_sound else 0
-        return Landing(Toss(*landing), self._covariance) if is_sound else None
+        return Landing(
+            prediction.stamp_ns, Toss(*landing), self._covariance) if is_sound else None
 
     def time_to_target(self, model: ModelTuple, prediction: Prediction) -> float | None:
         """Return the time (s) until the valve should be switched for the target, or None."""

@@ -102,50 +102,6 @@ def locate(
 
 
 @kernel
-def departure_index(rows: Any, reach: Any) -> int:
-    """Return the index of the first point at which the tool has left, or the last."""
-    start = row_state(rows[0])
-    for i in range(len(rows)):
-        if pose_distance(rows[i], start[0], start[1]) > PLACE_TOLERANCE + reach[i]:
-            return i
-    return len(rows) - 1
-
-
-@kernel
-def remaining_plan(
-    rows: Any, seconds: Any, tool: State, progress: float, rate: float, wait: float,
-    spacing: float, stamps_ns: Stamps, out: Array,
-) -> int:
-    """
-    Write the tool as it is, then what is left of a plan from the progress (s) on.
-
-    The plan starts after a wait (s) and is driven at so many times its speed; its points are
-    thinned to a spacing (s). Return how many points that makes.
-    """
-    last, here = len(seconds) - 1, index_at(seconds, progress)
-    if here < last and seconds[here + 1] - progress < progress - seconds[here]:
-        here += 1
-    join = min(MAX_JOIN_TIME, pose_distance(rows[here], tool[0], tool[1]) / JOIN_SPEED)
-    first = progress + max(join, 1e-4 if wait == 0.0 else 0.0)
-    k = index_at(seconds, first)
-    if k < last and seconds[k] < first:
-        k += 1
-    gap = max(seconds[last] - seconds[k], 1e-9) / max(1, last - k)
-    stride, count = max(1, round(spacing / gap)), 1
-    stamps_ns[0] = 0
-    write_row(out[0], tool)
-    while True:
-        o, q, v, w = row_state(rows[k])[:4]
-        stamps_ns[count] = round(
-            (wait + max(seconds[k] - progress, 1e-4) / rate) * NS_PER_S)
-        write_row(out[count], (o, q, t3.scale(rate, v), t3.scale(rate, w)))
-        count += 1
-        if k == last:
-            return count
-        k = min(k + stride, last)
-
-
-@kernel
 def thin_out(times_ns: Stamps, states: Array, rate: float, in_world: bool) -> int:
     """
     Move at most so many states a second, and the last, to the front; return how many.
@@ -200,7 +156,10 @@ class PlanTracker:
         reach = 0.5 * speed * np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
         self._inputs = as_inputs(self._rows, self._seconds, reach)
         self._slow = MIN_SPEED_RATIO * float(speed.max())
-        self._leaves = float(self._seconds[departure_index(self._inputs[0], self._inputs[2])])
+        o, q = row_state(self._rows[0])[:2]
+        self._leaves = float(next((
+            t for t, row, near in zip(self._seconds, self._rows, reach, strict=True)
+            if pose_distance(row, o, q) > PLACE_TOLERANCE + near), self._seconds[-1]))
         self.done = self.deviated = self.paused = False
         self._anchor = -1, 0.0, 1.0
 
@@ -250,18 +209,25 @@ class PlanTracker:
 
     def rest(self, now: Prediction, spacing: float = SPACING) -> ToolRows:
         """
-        Return the rest of the plan from the current tool pose, with stamps from now.
+        Return the tool as it is, then the rest of the plan, with stamps from now.
 
-        A plan that has not begun and has no time to begin, begins now.
+        A plan that has not begun and has no time to begin, begins now. The tool joins it at
+        `JOIN_SPEED`, and drives it at `rate`; its points are thinned to a spacing (s).
         """
-        stored_ns, progress, rate = self._anchor
-        wait = 0.0
+        _, progress, rate = self._anchor
+        seconds, last, wait = self._seconds, len(self._seconds) - 1, 0.0
         if progress > 0.0:  # the last pose and this one need not be the same
-            progress = min(self._expected(now.stamp_ns), float(self._seconds[-1]))
+            progress = min(self._expected(now.stamp_ns), float(seconds[last]))
         elif self._wait(now.stamp_ns) < math.inf:
             wait = max(0.0, self._wait(now.stamp_ns))
-        stamps_ns = np.empty(len(self._rows) + 1, np.int64)
-        rows = np.empty((len(stamps_ns), 13))
-        count = remaining_plan(
-            *self._inputs[:2], now.tool, progress, rate, wait, spacing, stamps_ns, rows)
-        return ToolRows(stamps_ns[:count], rows[:count])
+        nearest = self._rows[np.abs(seconds - progress).argmin()]
+        join = min(MAX_JOIN_TIME, pose_distance(nearest, *now.tool[:2]) / JOIN_SPEED)
+        start = progress + max(join, 1e-4 if wait == 0.0 else 0.0)
+        first = min(int(np.searchsorted(seconds, start)), last)
+        gap = max(seconds[last] - seconds[first], 1e-9) / max(1, last - first)
+        chosen = np.append(np.arange(first, last, max(1, round(spacing / gap))), last)
+        times = wait + np.maximum(seconds[chosen] - progress, 1e-4) / rate
+        rows = self._rows[chosen] * np.repeat([1.0, rate], [7, 6])
+        return ToolRows(
+            np.append(0, np.rint(times * NS_PER_S).astype(np.int64)),
+            np.vstack([np.concatenate(now.tool), rows]))
