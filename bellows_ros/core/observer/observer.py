@@ -279,29 +279,28 @@ class Observer:
                 estimates[k], self._track, measurements[k], k == first)
             if k == first:
                 self.counts[verdict] += 1
-            if verdict == 'out_of_reach':
-                after, alarm = self._out_of_reach(after, measurements[k].stamp_ns)
             self._raise(alarm)
-            estimates.append(after)
+            estimates.append(self._out_of_reach(after, measurements[k].stamp_ns)
+                             if verdict == 'out_of_reach' else after)
         self._newest = None
         self._predict_with(estimates[-1].theta, estimates[-1].lost_cups)
         self.body = self._correction.body_at_end(estimates[-1], self._track)
 
     # ---------------------------------------------------------- a lost package
 
-    def _out_of_reach(self, estimate: Estimate, stamp_ns: int) -> tuple[Estimate, Alarm | None]:
+    def _out_of_reach(self, estimate: Estimate, stamp_ns: int) -> Estimate:
         """Note a pose out of reach; a package that was within reach is lost after some time."""
         alarms, evidence, away_ns = self._correction.alarms, estimate.evidence, estimate.away_ns
         if alarms is None or away_ns < 0:
-            return estimate, None
+            return estimate
         if away_ns == 0:
             was_near = not evidence.from_start or evidence.onsets[0, 0] > 0
-            return estimate._replace(away_ns=stamp_ns * was_near), None
+            return estimate._replace(away_ns=stamp_ns * was_near)
         if stamp_ns - away_ns < LOST_AFTER_NS:
-            return estimate, None
-        alarm = alarms.lost(
-            stamp_ns, self._is_held_since(away_ns), reach=self._correction.reach)
-        return estimate._replace(away_ns=-1), alarm
+            return estimate
+        self._raise(alarms.lost(
+            stamp_ns, self._is_held_since(away_ns), reach=self._correction.reach))
+        return estimate._replace(away_ns=-1)
 
     def _note_silence(self, stamp_ns: int) -> None:
         """Note that the camera sees nothing, after the package has left its reach."""
