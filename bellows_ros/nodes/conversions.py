@@ -47,14 +47,11 @@ def write_stamp(stamp: Time, stamp_ns: int) -> None:
     stamp.sec, stamp.nanosec = divmod(stamp_ns, NS_PER_S)
 
 
-def vector(message: Any) -> Vector:
-    """Return a Point or Vector3 as a tuple."""
-    return message.x, message.y, message.z
+vector: Callable[[Any], Vector] = attrgetter('x', 'y', 'z')
+"""Returns a Point or Vector3 as a tuple."""
 
-
-def quaternion_xyzw(message: Any) -> Quaternion:
-    """Return a Quaternion as a tuple."""
-    return message.x, message.y, message.z, message.w
+quaternion_xyzw: Callable[[Any], Quaternion] = attrgetter('x', 'y', 'z', 'w')
+"""Returns a Quaternion as a tuple."""
 
 
 def read_pose(

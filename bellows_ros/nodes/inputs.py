@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 
 from . import conversions
 from .guarding import GuardedNode
-from .outputs import Topic
+from .outputs import QUEUE, Topic
 from ..core.live import health, LivePredictor, load
 from ..core.model.kernels import ModelTuple
 from ..core.observer.alarms import Alarm
@@ -32,9 +32,6 @@ from ..core.parameters.table import short
 from ..core.signals import transforms
 from ..core.signals.screening import PoseSample
 from ..errors import BellowsError
-
-QUEUE = 500
-"""Length of each queue: at 1 kHz the longest gap across which the motion is followed."""
 
 
 class SensorInput:

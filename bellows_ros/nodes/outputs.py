@@ -31,6 +31,7 @@ from ..core.toss.landing import ellipse
 from ..core.toss.release import flight_path
 
 QUEUE = 500
+"""Length of each queue: at 1 kHz the longest gap across which the motion is followed."""
 
 MAX_LATENESS_NS = 1_000_000_000
 """Up to this far (ns) behind an extrapolated stamp one is late; farther, of another clock."""

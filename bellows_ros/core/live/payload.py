@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, Settling
+from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY_NS, Settling
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import Branch, ModelTuple, State, Wrench
@@ -26,9 +26,6 @@ weight shifts it by in the softest direction."""
 
 MIN_STEP = 1e-6
 """A model that needs shorter integration steps (s) cannot be predicted live."""
-
-RETRY_NS = 100_000_000
-"""Time (ns) until a failed search for equilibrium, which takes milliseconds, is repeated."""
 
 
 @kernel
