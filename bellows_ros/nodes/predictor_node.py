@@ -255,8 +255,6 @@ class Diagnostics:
     def _load(self, load: Load) -> health.Status:
         """Return the line on the load; a safety factor that became too small is logged too."""
         safety, distance, bending = load.reset()
-        status = health.load_status(
-            'load', safety, distance, bending, load.grip is not None, load.has_envelope,
-            load.required)
+        status = health.load_status('load', load, safety, distance, bending)
         self._log(status, safety is not None and safety.factor < load.required)
         return status

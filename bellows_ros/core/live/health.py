@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Safety
+from bellows_ros.core.live.load import FLAT_MOMENT_BENDING, Load, Safety
 from bellows_ros.core.live.predictor import LivePredictor, MESSAGES, REFUSALS, RESTARTS
 from bellows_ros.core.model.validity_range import Distance
 import numpy as np
@@ -289,16 +289,16 @@ def _judge_prediction(report: PredictionReport) -> tuple[Level, str]:
 
 
 def load_status(
-    name: str, safety: Safety | None, excess: Distance | None, bending: float,
-    has_grip: bool, has_envelope: bool, required: float,
+    name: str, load: Load, safety: Safety | None, excess: Distance | None, bending: float
 ) -> Status:
-    """Return the status of the cup's load: safety factor and validity range."""
+    """Return the status of the cup's load, by what its `reset` returns."""
     factor, mode = safety or Safety(math.nan, 'nothing')
+    has_grip, required = load.grip is not None, load.required
     values = {
         'safety factor': number(factor) if has_grip else 'not known',
         'limited by': mode,
         'distance from envelope': number(
-            excess.value if excess else math.nan) if has_envelope else 'not known',
+            excess.value if excess else math.nan) if load.has_envelope else 'not known',
         'largest bending (rad)': number(bending)}
     level, message = Level.OK, 'Within all known limits.'
     if factor < required:
@@ -309,7 +309,7 @@ def load_status(
         level, message = Level.WARN, FAULTS['bending'].format(bending=bending)
     elif excess is not None and excess.outside:
         level, message = Level.WARN, excess.text
-    elif not (has_grip or has_envelope):
+    elif not (has_grip or load.has_envelope):
         message = FAULTS['no_limits']
     elif safety is None and excess is None:
         message = 'No load: no package is held.'

@@ -145,7 +145,8 @@ def of_prediction(**changes):
 
 def of_load(factor, bending):
     safety = factor and loads.Safety(factor, 'peel')
-    return health.load_status('x', safety, None, bending, factor is not None, False, 1.5)
+    load = Load(resolve({'cup.lip_radius': 0.02, 'vacuum.holding': 6e4 if factor else 0.0}))
+    return health.load_status('x', load, safety, None, bending)
 
 
 @pytest.mark.parametrize(('status', 'level', 'words'), [
