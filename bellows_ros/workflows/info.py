@@ -271,16 +271,17 @@ def _describe_quality(stream: Stream, start_ns: int) -> dict[str, Any]:
         'gaps': tuple(((gap.start_ns - start_ns) / NS_PER_S, gap.duration_s) for gap in time.gaps)}
     if isinstance(stream, PoseStream):
         stream, arrivals = at_sampling(stream)
-        time, poses = timing(stream.stamps_ns), stream.trajectory()
-        outliers = find_outliers(poses, time.longest_step_ns)
-        moved, turned = (part[outliers.good] for part in (poses.position, poses.rotation))
+        time = timing(stream.stamps_ns)
+        outliers = find_outliers(stream.trajectory(), time.longest_step_ns)
+        moved, turned = (part[outliers.good] for part in (stream.position, stream.rotation))
         quality |= {
             'outliers': int(np.count_nonzero(~outliers.good)),
             'noise': {name: x.tolist() for name, x in outliers.noise.items()},
             'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},
-            'warnings': tuple(preparation.stream_warnings(stream, time, outliers, arrivals))}
+            'warnings': tuple(preparation.stream_warnings(
+                recording.StreamReport(stream, time, outliers, arrivals=arrivals)))}
     return quality
 
 

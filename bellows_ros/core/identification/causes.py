@@ -403,7 +403,7 @@ def _twists(recording: Recording) -> Finding | None:
 def _jump(recording: Recording) -> Finding | None:
     """Return that the package, or its marker, jumps and does not return, at the largest jump."""
     stream = recording.report.package
-    steps = lasting_steps(stream.recorded, stream.timing, stream.outliers)
+    steps = lasting_steps(stream)
     if not steps:
         return None
     R, stamps_ns = stream.recorded.rotation, stream.recorded.stamps_ns

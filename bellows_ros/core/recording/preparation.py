@@ -19,7 +19,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill
-from .outliers import find_outliers, increments_of, LastingStep, Outliers, repeats_in_motion
+from .outliers import find_outliers, increments_of, LastingStep, repeats_in_motion
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
 # Half a filter window, s, where none is given. With order 6 the filter takes less than 0.1 % from
@@ -83,8 +83,7 @@ def prepare(
             of_body.poses.between(*of_body.stamps_ns[[0, -1]]).valid & ~of_body.whole)))
         for report, of_body, arrivals in zip(
             (of_tool, of_package), filters, (tool_arrivals, package_arrivals), strict=True))
-    warnings = [warning for report in (of_tool, of_package) for warning in stream_warnings(
-        report.recorded, report.timing, report.outliers, report.arrivals)]
+    warnings = [*stream_warnings(of_tool), *stream_warnings(of_package)]
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
@@ -119,7 +118,7 @@ def _joined(recording: Recording) -> Recording:
             f"'{r.recorded.name}': {r.marked} of {len(r.recorded)} poses are outliers, "
             f'{len(r.timing.gaps)} gaps, {r.overlapping_gap} filtered samples touch one of these'
             for r in both)
-        remedy = burst_sentence(*((r.recorded, r.timing) for r in both)) or (
+        remedy = burst_sentence(*both) or (
             'Use smaller half windows, or a recording with fewer gaps and outliers.')
         raise BellowsError(f'None of the {len(common)} common samples is left: {faults}. {remedy}')
     return recording
@@ -228,24 +227,21 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
          'recording.align_at_rest to false if the poses are already those of E and S.')) if is_due]
 
 
-def stream_warnings(
-    recorded: PoseStream, time: resampling.Timing, outliers: Outliers,
-    arrivals: resampling.ArrivalStamps | None = None,
-) -> list[str]:
+def stream_warnings(report: StreamReport) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
-    name = recorded.name
+    recorded, time, name = report.recorded, report.timing, report.recorded.name
     steps = [
         f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
         f'{(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s after its '
         'start and does not return, so all later poses are offset from the earlier ones. Use the '
         'recording up to there, or from there on.'
-        for step in lasting_steps(recorded, time, outliers)]
-    good = recorded.position[outliers.good]
+        for step in lasting_steps(report)]
+    good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
-    if arrivals:
-        steps.append(arrivals.sentence(name))
-    elif bursts := burst_sentence((recorded, time)):
+    if report.arrivals:
+        steps.append(report.arrivals.sentence(name))
+    elif bursts := burst_sentence(report):
         return [bursts, *steps]
     return steps + [warning for is_due, warning in (
         (travel > MAX_TRAVEL,
@@ -263,21 +259,20 @@ def stream_warnings(
          'stamp the poses when they are measured.')) if is_due]
 
 
-def burst_sentence(*streams: tuple[PoseStream, resampling.Timing]) -> str:
+def burst_sentence(*reports: StreamReport) -> str:
     """Return a sentence on streams in which no pose comes most of the time, '' without any."""
-    bursts = [f"'{poses.name}'" for poses, time in streams
-              if sum(gap.duration_s for gap in time.gaps) > MAX_GAP_FRACTION * float(
-                  np.ptp(poses.stamps_ns)) / NS_PER_S]
+    bursts = [f"'{report.recorded.name}'" for report in reports
+              if sum(gap.duration_s for gap in report.timing.gaps) > MAX_GAP_FRACTION * float(
+                  np.ptp(report.recorded.stamps_ns)) / NS_PER_S]
     return (f'The poses of {" and ".join(bursts)} come in bursts, as if stamped on arrival: stamp '
             'them when they are measured.') if bursts else ''
 
 
-def lasting_steps(
-    poses: PoseStream, time: resampling.Timing, outliers: Outliers
-) -> list[LastingStep]:
+def lasting_steps(report: StreamReport) -> list[LastingStep]:
     """Return the jumps without a return that are neither of uneven stamps nor of quick motion."""
-    if not outliers.steps:
+    if not report.outliers.steps:
         return []
+    poses, time = report.recorded, report.timing
     moved, typical = np.linalg.norm(increments_of(poses), axis=2), np.zeros(2)
     if time.rate_hz < LOW_RATE_HZ:  # then a body moves far between two poses
         typical = np.percentile(moved, MOTION_PERCENTILE, axis=1)
@@ -290,4 +285,4 @@ def lasting_steps(
         return not any(np.all(step[1:] < limit) for limit in (
             typical, STEP_JITTERS * time.jitter_s * speed))
 
-    return list(filter(exceeds_motion, outliers.steps))
+    return list(filter(exceeds_motion, report.outliers.steps))

@@ -54,16 +54,13 @@ class Gap:
 
     Parameters
     ----------
-    index : int
-        Sample before the gap, among those the stream has.
     start_ns : int
-        Its stamp.
+        Stamp of the sample before the gap.
     duration_s : float
         Time to the next sample, s.
 
     """
 
-    index: int
     start_ns: int
     duration_s: float
 
@@ -131,7 +128,7 @@ def timing(stamps_ns: Stamps) -> Timing:
     result = Timing(NS_PER_S / period, jitter / NS_PER_S, uniform, ())
     long = np.flatnonzero(steps > result.longest_step_ns)
     return replace(result, gaps=tuple(
-        Gap(int(i), int(stamps_ns[i]), float(steps[i] / NS_PER_S)) for i in long))
+        Gap(int(stamps_ns[i]), float(steps[i] / NS_PER_S)) for i in long))
 
 
 def _period(steps: Stamps) -> float:
@@ -189,18 +186,17 @@ class ArrivalStamps(NamedTuple):
         Stamps that were replaced.
     jitter_s, latest_s : float
         Standard deviation and range of how late the poses came, s.
-    rougher : (float, float)
-        Deviation (m, rad) of the poses from smooth motion at the recorded stamps.
-    smoother : (float, float)
-        The same at the times of sampling.
+    rougher, smoother : array (2,)
+        Deviation (m, rad) of the poses from smooth motion at the recorded stamps, and at the
+        times of sampling.
 
     """
 
     replaced: int
     jitter_s: float
     latest_s: float
-    rougher: tuple[float, float]
-    smoother: tuple[float, float]
+    rougher: Array
+    smoother: Array
 
     def sentence(self, name: str) -> str:
         """Return what the user should know."""
@@ -231,8 +227,7 @@ def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
         return stream, None
     delay = (stream.stamps_ns - sampled) / NS_PER_S
     return replace(stream, stamps_ns=sampled), ArrivalStamps(
-        len(delay), float(np.std(delay)), float(np.ptp(delay)),
-        (float(before[0]), float(before[1])), (float(after[0]), float(after[1])))
+        len(delay), float(np.std(delay)), float(np.ptp(delay)), before, after)
 
 
 def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
