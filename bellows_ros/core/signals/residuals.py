@@ -48,9 +48,7 @@ class Scores:
     @property
     def nrmse(self) -> Array:
         """RMS error over RMS deviation of the measured coordinate from its mean, (6,)."""
-        ratio: Array = np.full(6, np.nan)
-        np.divide(self.rms, self.motion, out=ratio, where=self.motion > 0.0)
-        return ratio
+        return self.rms / np.where(self.motion > 0.0, self.motion, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,8 +185,7 @@ class Spectrum:
         The rest is left out in equal shares below and above. NaN where there is no power.
         """
         total = np.cumsum(self.density, axis=0)
-        share = np.full_like(total, np.nan)
-        np.divide(total, total[-1], out=share, where=total[-1] > 0.0)
+        share = total / np.where(total[-1] > 0.0, total[-1], np.nan)
         low, high = (
             np.where(np.isfinite(share[-1]), self.frequency[np.argmax(share >= level, axis=0)],
                      np.nan)
@@ -326,7 +323,6 @@ def portmanteau(residuals: Array, lags: int = LAGS) -> Whiteness:
     e = np.where(present[:, None], residuals, 0.0)
     power = np.sum(e**2, axis=0)
     products = np.array([np.einsum('nc,nc->c', e[k:], e[:-k]) for k in range(1, lags + 1)])
-    r = np.full_like(products, np.nan)
-    np.divide(products, power, out=r, where=power > 0.0)
+    r = products / np.where(power > 0.0, power, np.nan)
     Q = count * (count + 2) * np.sum(r**2 / pairs[:, None], axis=0)
     return Whiteness(count, r, Q, chdtrc(lags, Q))
