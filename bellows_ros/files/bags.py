@@ -255,11 +255,9 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     return contents
 
 
-def messages_of(
-    path: File, types: Collection[str], topic: str = ''
-) -> Iterator[tuple[str, str, int, bytes]]:
+def messages_of(path: File, types: Collection[str], topic: str = '') -> Iterator[Message]:
     """
-    Yield topic, type, log time (ns) and CDR of messages of some types, in the order of the files.
+    Return the messages of some types, in CDR and in the order of the files.
 
     Parameters
     ----------
@@ -277,10 +275,8 @@ def messages_of(
 
     """
     name = topic and absolute(topic)
-    for channel, log_time_ns, data in _Bag(path).messages(
-        lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name)
-    ):
-        yield channel.name, channel.type_name, log_time_ns, data
+    return _Bag(path).messages(
+        lambda t: t.type_name in types and t.encoding == 'cdr' and name in ('', t.name))
 
 
 def decoded(data: bytes, type_name: str) -> Any:
@@ -344,9 +340,9 @@ class _Collector:
 
     def stream(self, recording: Path) -> Stream:
         """Return the usable messages as they were recorded, measured poses by their stamps."""
-        joined = (np.concatenate([getattr(part, name) for part in self._decoded])
-                  for name in ('stamps_ns', 'values', 'frame', 'arrivals_ns'))
-        stamps_ns, values, frame, log_times = joined
+        stamps_ns, values, frame, log_times = (
+            np.concatenate([getattr(part, name) for part in self._decoded])
+            for name in ('stamps_ns', 'values', 'frame', 'arrivals_ns'))
         self._decoded.clear()
         order: Any = np.argsort(stamps_ns if self._by_stamp else log_times, kind='stable')
         if np.array_equal(order, np.arange(len(order))):

@@ -50,7 +50,7 @@ def scan(
     Parameters
     ----------
     file : binary file
-        At its beginning.
+        It begins with `MAGIC`.
     wanted : callable
         Topic to whether its messages are yielded.
     counts : dict
@@ -61,11 +61,10 @@ def scan(
     Raises
     ------
     DamagedError
-        If the file is damaged though it ends as it should, or is no MCAP file.
+        If the file is damaged though it ends as it should.
 
     """
-    if file.read(len(MAGIC)) != MAGIC:
-        raise DamagedError('it does not begin as an MCAP file does')
+    file.seek(len(MAGIC))
     scanned = _Scan(wanted, counts)
     try:
         yield from scanned.batches(scanned.file_records(file))

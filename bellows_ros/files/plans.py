@@ -52,8 +52,8 @@ def read_transforms(path: File) -> list[Transform]:
 
     """
     transforms, parents = list[Transform](), dict[str, str]()
-    for topic, kind, _, data in messages_of(path, (TF,)):
-        for each in decoded(data, kind).transforms:
+    for topic, _, data in messages_of(path, (TF,)):
+        for each in decoded(data, TF).transforms:
             child, parent = (name.lstrip('/') for name in (
                 each.child_frame_id, each.header.frame_id))
             if parents.setdefault(child, parent) != parent:
@@ -63,7 +63,7 @@ def read_transforms(path: File) -> list[Transform]:
             stamp, o, q = each.header.stamp, each.transform.translation, each.transform.rotation
             transforms.append(Transform(child, parent, PoseSample(
                 stamp.sec * NS_PER_S + stamp.nanosec, (o.x, o.y, o.z), (q.x, q.y, q.z, q.w),
-            ), topic == STATIC_TF))
+            ), topic.name == STATIC_TF))
     return sorted(transforms, key=lambda each: (not each.is_fixed, each.sample.stamp_ns))
 
 
@@ -159,7 +159,8 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
         MULTI_DOF: plan_messages.decode_multi_dof,
         PATH: lambda data: path_points(decoded(data, PATH)),
         JOINTS: lambda data: plan_messages.joint_plan(decoded(data, JOINTS))}
-    return [(name, makers[kind](data)) for name, kind, _, data in messages_of(path, makers, topic)]
+    return [(channel.name, makers[channel.type_name](data))
+            for channel, _, data in messages_of(path, makers, topic)]
 
 
 def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPlan:
@@ -204,7 +205,6 @@ def _with_attributes(content: Any) -> Any:
 def multi_dof(message: Any) -> PlanMessage:
     """Return the points of a MultiDOFJointTrajectory."""
     points = message.points
-    require_count(len(points), 'The plan')
     transforms, *rates = (plan_messages.lists_of(points, part, 1)
                           for part in ('transforms', 'velocities', 'accelerations'))
     if transforms is None:
@@ -258,7 +258,7 @@ def recorded_joints(path: File, arm: Arm) -> PlanMessage:
         If there are none, or they lack a joint of the arm.
 
     """
-    messages = [decoded(data, kind) for _, kind, _, data in messages_of(path, (STATES,))]
+    messages = [decoded(data, STATES) for _, _, data in messages_of(path, (STATES,))]
     useful = [m for m in messages if set(arm.moving) <= set(m.name)
               and len(m.position) == len(m.name)]
     if not useful:
@@ -322,9 +322,9 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
     if urdf:
         return read_arm(read_text(urdf, MAX_URDF_BYTES, 'URDF'), tool_link)
     if recording:
-        for name, kind, _, data in messages_of(recording, (DESCRIPTION,)):
-            if name.endswith('robot_description'):
-                return read_arm(decoded(data, kind).data, tool_link)
+        for topic, _, data in messages_of(recording, (DESCRIPTION,)):
+            if topic.name.endswith('robot_description'):
+                return read_arm(decoded(data, DESCRIPTION).data, tool_link)
     raise NoArmError(
         'Joints are given, and the arm is not: there is no /robot_description. Give its URDF: '
         '--urdf FILE.')

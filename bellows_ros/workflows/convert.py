@@ -15,6 +15,7 @@ from bellows_ros.core.recording.conventions import reordered
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, bags, File, plans, results, trajectory_files, Values
+from bellows_ros.files.bag_folder import Channel
 from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks, within_interval
 import numpy as np
 
@@ -243,15 +244,15 @@ def bodies_in_recording(
 
 def _copied_topics(bag: File, types: Collection[str], without: Collection[str] = ()) -> list[Body]:
     """Return messages of some types in a recording as they are, but those of some topics."""
-    grouped: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
-    for topic, kind, log_ns, data in bags.messages_of(bag, types):
-        if topic not in without:
-            grouped.setdefault((topic, kind), []).append((log_ns, data))
+    grouped: dict[Channel, list[tuple[int, bytes]]] = {}
+    for topic, log_ns, data in bags.messages_of(bag, types):
+        if topic.name not in without:
+            grouped.setdefault(topic, []).append((log_ns, data))
     return [
         Body(bag_writer.Encoded(
-            topic, kind, np.array([at for at, _ in messages], dtype=np.int64),
+            topic.name, topic.type_name, np.array([at for at, _ in messages], dtype=np.int64),
             tuple(data for _, data in messages)), os.fspath(bag))
-        for (topic, kind), messages in grouped.items()]
+        for topic, messages in grouped.items()]
 
 
 def to_bag(

@@ -613,10 +613,10 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
     vacuum, readings = Vacuum(values), list[tuple[int, bool, int]]()
     if (signal := values['vacuum.signal']) == 'none':
         return []
-    kind, topic = {'bool': (messages.BOOL, 'vacuum/held'),
-                   'pressure': ('sensor_msgs/msg/FluidPressure', 'vacuum/pressure')}[signal]
-    for name, _, log_ns, data in bags.messages_of(bag, (kind,)):
-        if not name.endswith('/' + topic):
+    kind, name = {'bool': (messages.BOOL, 'vacuum/held'),
+                  'pressure': ('sensor_msgs/msg/FluidPressure', 'vacuum/pressure')}[signal]
+    for topic, log_ns, data in bags.messages_of(bag, (kind,)):
+        if not topic.name.endswith('/' + name):
             continue
         if signal == 'bool':
             held = messages.decode_bool(data)
@@ -629,7 +629,7 @@ def _vacuum(bag: File, values: Values) -> list[tuple[int, bool, int]]:
             (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, *state) for state in states]
     if not readings:
         raise BellowsError(
-            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {topic}. "
+            f"vacuum.signal is '{signal}', but the recording has no usable {kind} on {name}. "
             'Record it, or add --set vacuum.signal=none.')
     return sorted(readings, key=itemgetter(0))
 

@@ -390,7 +390,7 @@ def _valve_times(bag: str, values: Values) -> list[int]:
     """Return when the valve is switched off, ns as received."""
     topic = values['topics.valve']
     switched = sorted(
-        (log_ns, on) for _, _, log_ns, data in bags.messages_of(bag, (messages.BOOL,), topic)
+        (log_ns, on) for _, log_ns, data in bags.messages_of(bag, (messages.BOOL,), topic)
         if (on := messages.decode_bool(data)) is not None) if topic else []
     if not switched:
         raise NoTopicError(
