@@ -460,9 +460,7 @@ class Settings:
         """Return a setting as it is given, or its default, if it is as a parameter would be."""
         self._asked.append(name)
         value = self._values.get(name, default)
-        parameter = Parameter(
-            f"Setting '{self.name(name)}'", None, used_by=(), kind=kind,
-            **{'unit': '', **constraint})
+        parameter = Parameter(f"Setting '{self.name(name)}'", kind=kind, **constraint)
         if value is None:
             raise self.error(
                 name, f'{parameter.name} is missing; it must be {parameter.constraint}.')

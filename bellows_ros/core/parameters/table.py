@@ -67,9 +67,9 @@ class Parameter:
     """
 
     name: str
-    default: Value | None
-    unit: str
-    used_by: tuple[str, ...]
+    default: Value | None = None
+    unit: str = ''
+    used_by: tuple[str, ...] = ()
     kind: Kind = 'string'
     minimum: float | None = None
     maximum: float | None = None
@@ -102,7 +102,10 @@ class Parameter:
         kind = _KIND_MESSAGES[self.kind]
         if self.length:
             kind = kind.replace('numbers', f'{self.length} numbers')
-        return kind + self._range() + unit
+        ends = (('above', self.above), ('at least', self.minimum), ('at most', self.maximum))
+        limits = ' and '.join(f'{word} {end:g}' for word, end in ends if end is not None)
+        each = ' each' if self.kind == 'double_array' else ''
+        return kind + (f',{each} {limits}' if limits else '') + unit
 
     @property
     def default_text(self) -> str:
@@ -116,15 +119,6 @@ class Parameter:
             name = 'the unit matrix' if self.name == 'release.correlation' else 'from the thesis'
             return f'default {name if len(default) > 6 else list(default)}'
         return f'default {str(default).lower() if isinstance(default, bool) else repr(default)}'
-
-    def _range(self) -> str:
-        """Return the range in words, with a leading blank, or ''."""
-        low = [f'above {self.above:g}'] if self.above is not None else []
-        low += [f'at least {self.minimum:g}'] if self.minimum is not None else []
-        high = [f'at most {self.maximum:g}'] if self.maximum is not None else []
-        text = ' and '.join(low + high)
-        each = ' each' if self.kind == 'double_array' else ''
-        return f',{each} {text}' if text else ''
 
 
 _KINDS: Mapping[type, Kind] = {
@@ -159,9 +153,9 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
     """Return a parameter as its entry in the file describes it."""
     fields: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in (
-            {'default': None, 'unit': '', **entry, **_COMPUTED.get(name, {})}).items()}
-    if isinstance(fields['default'], float) and 'length' in fields:
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in {**entry, **_COMPUTED.get(name, {})}.items()}
+    if 'length' in fields and isinstance(fields.get('default'), float):
         fields['default'] = (fields['default'],) * fields['length']
     return Parameter(name, **fields)
 
