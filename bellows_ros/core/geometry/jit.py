@@ -45,9 +45,7 @@ def kernel(function: Function) -> Function:
     Division by zero gives inf or nan in compiled code and raises in interpreted code, so a
     kernel guards its divisors itself.
     """
-    if not COMPILED:
-        return function
-    return _wrapped(function, OPTIONS)
+    return _wrapped(function, OPTIONS) if COMPILED else function
 
 
 def array_kernel(function: Function) -> Function:

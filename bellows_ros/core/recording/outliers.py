@@ -335,8 +335,6 @@ def _jump_over(
 
 def _thresholds_over(poses: Trajectory, increments: Array, breaks: Mask, slots: int) -> Array:
     """Return the thresholds (2,) of jumps over gaps of several periods; infinite if unknown."""
-    if len(breaks) < slots + 2:
-        return np.full(2, np.inf)
     free = np.flatnonzero(~any_within(breaks, slots + 2)) + 1
     if len(free) < MIN_GAPS_SAMPLED * slots:  # parts that overlap tell little more than one
         return np.full(2, np.inf)

@@ -63,14 +63,12 @@ def prepare(
         not begin at rest where they should, or nothing valid is left.
 
     """
-    turn, of_tool_ns = settings.R_world_recorded, tool.stamps_ns
-    (tool, tool_arrivals), (package, package_arrivals) = map(
-        resampling.at_sampling, (tool, package))
-    if tool_twist is not None and tool_arrivals:
+    of_tool, _, tool_poses = _clean(tool, settings.R_world_recorded)
+    of_package, tracked, package_poses = _clean(package, settings.R_world_recorded)
+    if tool_twist is not None and of_tool.arrivals:
         tool_twist = replace(tool_twist, stamps_ns=_shifted_alike(
-            tool_twist.stamps_ns, of_tool_ns, tool.stamps_ns))
-    of_tool, _, tool_poses = _clean(tool, turn)
-    of_package, tracked, package_poses = _clean(package, turn)
+            tool_twist.stamps_ns, tool.stamps_ns, of_tool.recorded.stamps_ns))
+    tool, package = of_tool.recorded, of_package.recorded
     _common(tool_poses.stamps_ns, package_poses.stamps_ns, (tool, package))
     as_they_are = not settings.align_at_rest and alignment is None
     alignment = alignment or _alignment(tool_poses, package_poses, settings)
@@ -79,10 +77,9 @@ def prepare(
         _filter(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
         _filter(aligned[1], settings.package_half_window, settings.package_order, package.name))
     of_tool, of_package = (
-        replace(report, arrivals=arrivals, overlapping_gap=int(np.count_nonzero(
+        replace(report, overlapping_gap=int(np.count_nonzero(
             of_body.poses.between(*of_body.stamps_ns[[0, -1]]).valid & ~of_body.whole)))
-        for report, of_body, arrivals in zip(
-            (of_tool, of_package), filters, (tool_arrivals, package_arrivals), strict=True))
+        for report, of_body in zip((of_tool, of_package), filters, strict=True))
     warnings = [*stream_warnings(of_tool), *stream_warnings(of_package)]
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence
@@ -142,6 +139,7 @@ def _clean(
     recorded: PoseStream, R_world_recorded: Array
 ) -> tuple[StreamReport, Trajectory, Trajectory]:
     """Return the faults of a topic, and its poses in the world, also at a uniform rate, marked."""
+    recorded, arrivals = resampling.at_sampling(recorded)
     poses = in_world(recorded.trajectory(), R_world_recorded)
     with _naming(recorded.name):
         timing = resampling.timing(poses.stamps_ns)
@@ -150,7 +148,8 @@ def _clean(
         good = np.flatnonzero(outliers.good)  # a stray pose before or after may be hours away
         if len(good) > 2:
             marked = marked.select(slice(good[0], good[-1] + 1))
-        return StreamReport(recorded, timing, outliers), marked, resampling.on_grid(marked, timing)
+        return (StreamReport(recorded, timing, outliers, arrivals=arrivals), marked,
+                resampling.on_grid(marked, timing))
 
 
 @contextmanager

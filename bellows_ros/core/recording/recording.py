@@ -117,7 +117,8 @@ def pose_noise(poses: Trajectory, ar1: float) -> Array:
     """
     residuals, rotation = ripple(poses)
     residuals[:, :3] = apply(np.swapaxes(rotation, 1, 2), residuals[:, :3])
-    return np.asarray(_clipped_rms(residuals) / np.sqrt(ripple_part(ar1)))
+    rms = np.sqrt(np.mean(_clipped(residuals) ** 2, axis=0))
+    return np.asarray(rms / np.sqrt(ripple_part(ar1)))
 
 
 def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
@@ -125,19 +126,17 @@ def noise_at_rest(poses: Trajectory) -> 'BodyNoise':
     back = poses.rotation[0].T
     moved = np.hstack([apply(back, poses.position - poses.position[0]),
                        log_so3(back @ poses.rotation)])
-    moved = moved - moved.mean(axis=0)
-    limit = CLIP_DEVIATIONS * MAD_TO_STD * np.median(np.abs(moved), axis=0)
-    moved = np.clip(moved, -limit, limit)
+    moved = _clipped(moved - moved.mean(axis=0))
     squares = np.maximum(np.sum(moved**2, axis=0), 1e-30)
     kept = max(float(np.mean(np.sum(moved[1:] * moved[:-1], axis=0) / squares)), 0.0)
     count = max(len(moved) * (1.0 - kept) / (1.0 + kept), 2.0)
     return BodyNoise(np.sqrt(count / (count - 1.0) * squares / len(moved)), independent=count)
 
 
-def _clipped_rms(residuals: Array) -> Array:
-    """Return the RMS (6,) of residuals (N, 6), in which outliers do not count."""
+def _clipped(residuals: Array) -> Array:
+    """Return residuals (N, 6) in which outliers do not count."""
     limit = CLIP_DEVIATIONS * MAD_TO_STD * np.median(np.abs(residuals), axis=0)
-    return np.asarray(np.sqrt(np.mean(np.minimum(residuals**2, limit**2), axis=0)))
+    return np.clip(residuals, -limit, limit)
 
 
 def noise_of(poses: Trajectory) -> Noise:
