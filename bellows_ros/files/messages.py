@@ -11,7 +11,6 @@ What cannot be used is left out of a stream, and counted by reason.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import struct
-from types import MappingProxyType
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
@@ -63,18 +62,15 @@ class Layout:
     pose_covariance: int = 0
 
 
-_POSE, _TWIST, _COVARIANCE = 7, 6, 36
-_SECOND = _POSE + _COVARIANCE
+# A pose has 7 doubles, a twist 6, and the covariance behind either 36.
+_POSE = slice(0, 7)
 
-LAYOUTS: Mapping[str, Layout] = MappingProxyType({
-    'geometry_msgs/msg/PoseStamped': Layout(1, _POSE, pose=slice(0, 7)),
-    'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(
-        1, _SECOND, pose=slice(0, 7), pose_covariance=_COVARIANCE),
-    'geometry_msgs/msg/TransformStamped': Layout(2, _POSE, pose=slice(0, 7)),
-    'geometry_msgs/msg/TwistStamped': Layout(1, _TWIST, twist=slice(0, 6)),
-    'nav_msgs/msg/Odometry': Layout(
-        2, _SECOND + _TWIST + _COVARIANCE, pose=slice(0, 7),
-        twist=slice(_SECOND, _SECOND + _TWIST), pose_covariance=_COVARIANCE)})
+LAYOUTS: Mapping[str, Layout] = {
+    'geometry_msgs/msg/PoseStamped': Layout(1, 7, _POSE),
+    'geometry_msgs/msg/PoseWithCovarianceStamped': Layout(1, 43, _POSE, pose_covariance=36),
+    'geometry_msgs/msg/TransformStamped': Layout(2, 7, _POSE),
+    'geometry_msgs/msg/TwistStamped': Layout(1, 6, twist=slice(0, 6)),
+    'nav_msgs/msg/Odometry': Layout(2, 85, _POSE, twist=slice(43, 49), pose_covariance=36)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +243,6 @@ def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
 
 def _dtype(head: bytes, size: int, layout: Layout) -> np.dtype[np.void] | None:
     """Return the memory layout of messages with this head, or None if it differs."""
-    if head[0] or head[1] > 1:  # not plain CDR
-        return None
     order = '<' if head[1] else '>'
     doubles_at = _doubles_at(head)
     if not 0 <= size - doubles_at - 8 * layout.doubles <= _MAX_PADDING:
@@ -292,11 +286,7 @@ def encode(stamps_ns: Indices, values: Array, names: Sequence[str], layout: Layo
     size = _doubles_at(head) + 8 * layout.doubles
     rows = np.zeros(len(stamps_ns), _dtype(head, size, layout))
     rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, NS_PER_S)
-    column = 0
-    for part in filter(None, (layout.pose, layout.twist)):
-        width = part.stop - part.start
-        rows['doubles'][:, part] = values[:, column:column + width]
-        column += width
+    rows['doubles'][:, np.r_[*filter(None, (layout.pose, layout.twist))]] = values
     raw = rows.view(np.uint8).reshape(len(rows), size)
     raw[:, :_STAMP_AT] = np.frombuffer(head[:_STAMP_AT], np.uint8)
     raw[:, _STRINGS_AT:_STRINGS_AT + len(head) - _STAMP_AT] = np.frombuffer(
