@@ -16,7 +16,6 @@ from typing import Any
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
-from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.flight import Flight
 from bellows_ros.core.live.load import ALL
@@ -26,6 +25,7 @@ from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
+from bellows_ros.core.model.simulation import trajectory_of
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import frozen, Trajectory
@@ -464,6 +464,4 @@ def predicted_trajectory(
         raise BellowsError(
             f'The predictor made {len(stamps)} predictions, too few to compare. Check the '
             'recording, and whether the cup can hold the package.')
-    rows = frozen(np.frombuffer(numbers).reshape(-1, 13))
-    rotation = frozen(quaternion_to_rotation(rows[:, 3:7]))
-    return Trajectory(np.array(stamps), rows[:, :3], rotation, rows[:, 7:])
+    return trajectory_of(np.array(stamps), frozen(np.frombuffer(numbers).reshape(-1, 13)))

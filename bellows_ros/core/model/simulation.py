@@ -145,8 +145,7 @@ class ToolRows:
 
     def trajectory(self) -> Trajectory:
         """Return it as a checked trajectory."""
-        return Trajectory(self.stamps_ns, self.rows[:, :3],
-                          lie.quaternion_to_rotation(self.rows[:, 3:7]), self.rows[:, 7:])
+        return trajectory_of(self.stamps_ns, self.rows)
 
 
 def tool_rows(tool: Trajectory | ToolRows) -> Array:
@@ -156,6 +155,12 @@ def tool_rows(tool: Trajectory | ToolRows) -> Array:
     if tool.twist is None:
         raise BellowsError('The tool trajectory has no twists; filter or differentiate it first.')
     return np.hstack([tool.position, lie.rotation_to_quaternion(tool.rotation), tool.twist])
+
+
+def trajectory_of(stamps_ns: Stamps, rows: Array) -> Trajectory:
+    """Return rows (N, 13), as of `tool_rows`, or longer ones as a motion with twists."""
+    rotation = frozen(lie.quaternion_to_rotation(rows[:, 3:7]))
+    return Trajectory(stamps_ns, rows[:, :3], rotation, rows[:, 7:13])
 
 
 def simulate(
@@ -207,10 +212,7 @@ def simulate(
             'The simulation diverged. The package is too heavy for the cup, the cup too stiff for '
             'the sampling time, or its damping negative. Check package.mass, cup.stiffness, '
             'cup.damping and their units.')
-    return Trajectory(
-        stamps_ns=tool.stamps_ns,
-        position=frozen(out)[:, :3], rotation=frozen(lie.quaternion_to_rotation(out[:, 3:7])),
-        twist=out[:, 7:13])
+    return trajectory_of(tool.stamps_ns, frozen(out))
 
 
 def simulate_rows(

@@ -257,8 +257,7 @@ def inverse(
     index = np.append(np.arange(0, last, max(1, round(GRID / h))), last)
     stamps = reference.stamps_ns[0] + np.round(index * h * NS_PER_S).astype(np.int64)
     tool, package = (
-        Trajectory(stamps, rows[:, :3], lie.quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
-        for rows in (out[index], package[index]))
+        simulation.trajectory_of(stamps, rows) for rows in (out[index], package[index]))
     if np.sum(tool.rotation[:, :, 2] * package.rotation[:, :, 2], axis=1).min() < math.cos(
             planning.PEAK_MOMENT_BENDING):
         raise _too_far()

@@ -19,10 +19,10 @@ import re
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import apply, exp_so3, quaternion_to_rotation
+from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.simulation import MAX_REST_RATES, write_row
+from bellows_ros.core.model.simulation import MAX_REST_RATES, trajectory_of, write_row
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
@@ -526,9 +526,7 @@ def tossed(
         rows[part][t > thrown.landing_time] = resting
         tosses.append(Thrown(
             times[k], start + thrown.release_time, start + thrown.landing_time, drawn.law))
-    package = Trajectory(
-        tool.stamps_ns, rows[:, :3], quaternion_to_rotation(rows[:, 3:7]), rows[:, 7:])
-    return Truth(tool, package, held, tracked, tuple(tosses))
+    return Truth(tool, trajectory_of(tool.stamps_ns, rows), held, tracked, tuple(tosses))
 
 
 def _require_rest(tool: Trajectory) -> None:
