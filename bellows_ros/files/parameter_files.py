@@ -15,6 +15,7 @@ from pathlib import Path
 import textwrap
 from typing import Any
 
+from bellows_ros.core.model.structure import AXES
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
 from bellows_ros.errors import BellowsError
@@ -33,9 +34,6 @@ _ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overri
 # Units of the rows of K and P as comments: linear and angular columns.
 _ROW_UNITS = {
     'cup.stiffness': ('N/m, N', 'N, N m/rad'), 'cup.damping': ('N s/m, N s', 'N s, N m s/rad')}
-_AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
-
-NamedValue = tuple[str, Any, tuple[str, ...]]
 
 OTHER_FILES = {
     'kind': "a motion, for --motion or 'bellows plan'",
@@ -178,7 +176,7 @@ def _ros_sections(content: Mapping[str, Any], keys: tuple[str, ...]) -> Iterator
 
 def _flattened(
     part: Mapping[str, Any], keys: tuple[str, ...], prefix: str = ''
-) -> Iterator[NamedValue]:
+) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
     """Yield the dotted names and values of nested mappings, with the keys that lead to each."""
     for key, value in part.items():
         where = (*keys, str(key))
@@ -235,7 +233,7 @@ def _rows(parameter: Parameter, value: tuple[Any, ...], indent: str) -> Iterator
         opening = '[' if start == 0 else ' '
         closing = ']' if start + _ROW >= len(value) else ','
         if of_rows:
-            unit = f'  # {_AXES[row]}: {of_rows[row // 3]}'
+            unit = f'  # {AXES[row]}: {of_rows[row // 3]}'
         yield f'{indent}{opening}{cells}{closing}{unit}'
 
 

@@ -15,7 +15,6 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import jacobians, kernels
-from bellows_ros.core.model.jacobians import Square
 from bellows_ros.core.model.kernels import Blocks, ModelTuple, ORIGIN, State
 from bellows_ros.errors import UnstableError
 import numpy as np
@@ -92,7 +91,7 @@ def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     return Jacobian(*map(_matrix, (*of_body, *of_tool)))
 
 
-def _matrix(square: Square) -> Array:
+def _matrix(square: jacobians.Square) -> Array:
     """Return a 6x6 matrix of its blocks oo, oR, Ro, RR."""
     return np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
 

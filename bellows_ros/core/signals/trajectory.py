@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.geometry.lie import apply as applied
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -372,9 +371,9 @@ def at_tip(motion: Posed, tip: Array | None) -> Posed:
         return motion
     twist, changed = getattr(motion, 'twist', None), dict[str, Any]()
     if twist is not None:
-        changed['twist'] = applied(lie.adjoint(lie.inverse_transform(tip)), twist)
+        changed['twist'] = lie.apply(lie.adjoint(lie.inverse_transform(tip)), twist)
     return replace(
-        motion, position=motion.position + applied(motion.rotation, tip[..., :3, 3]),
+        motion, position=motion.position + lie.apply(motion.rotation, tip[..., :3, 3]),
         rotation=motion.rotation @ tip[..., :3, :3], **changed)
 
 
@@ -395,7 +394,7 @@ def streams_at_tip(
         later = np.searchsorted(poses.stamps_ns, twists.stamps_ns).clip(1, len(poses) - 1)
         before = twists.stamps_ns - poses.stamps_ns[later - 1]
         nearest = np.where(before < poses.stamps_ns[later] - twists.stamps_ns, later - 1, later)
-        R, lever = np.eye(3), applied(poses.rotation[nearest], tip[:3, 3])
+        R, lever = np.eye(3), lie.apply(poses.rotation[nearest], tip[:3, 3])
     return moved, replace(
         twists, linear=(twists.linear + np.cross(twists.angular, lever)) @ R,
         angular=twists.angular @ R)
