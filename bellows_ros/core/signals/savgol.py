@@ -138,13 +138,9 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         position[centres], rotation[centres] = block[:2]
         twist[centres], acceleration[centres], trusted[centres] = block[2:]
     return Filtered(
-        trajectory.stamps_ns[half_window:len(trajectory) - half_window],
-        frozen(position),
-        frozen(rotation),
-        frozen(twist),
-        frozen(acceleration),
-        trusted & whole_windows(trajectory, half_window),
-        weights=frozen(W))
+        trajectory.stamps_ns[half_window:len(trajectory) - half_window], frozen(position),
+        frozen(rotation), frozen(twist), frozen(acceleration),
+        trusted & whole_windows(trajectory, half_window), weights=frozen(W))
 
 
 def weights_for(trajectory: Trajectory, half_window: int, order: int) -> Array:
@@ -179,12 +175,7 @@ def _filter_block(
     v, w = lie.apply(R_inverse, o_rate), lie.apply(R_inverse, spatial_rate)
     dv = lie.apply(R_inverse, o_rate2) - np.cross(w, v)
     dw = lie.apply(R_inverse, spatial_rate2)
-    return (
-        position[centre] + o,
-        R,
-        np.concatenate([v, w], axis=-1),
-        np.concatenate([dv, dw], axis=-1),
-        largest < MAX_TURN)
+    return position[centre] + o, R, np.hstack([v, w]), np.hstack([dv, dw]), largest < MAX_TURN
 
 
 def _fit(
