@@ -266,12 +266,11 @@ def test_a_bad_plan_is_refused(bag, tmp_path):
 
 
 def test_what_is_no_plan_is_refused(tmp_path):
-    (tmp_path / 'no.yaml').write_text('a: 1\n')
-    with pytest.raises(BellowsError, match="'points'"):
-        figures(tmp_path / 'no.yaml')
-    (tmp_path / 'list.yaml').write_text('- 1\n')
-    with pytest.raises(BellowsError):
-        figures(tmp_path / 'list.yaml')
+    for content, found in (({'a': 1}, "'points'"), ([1], 'names and values'), (
+            {**plan_messages()['multi'], 'joint_names': [5]}, '5 as name')):
+        (tmp_path / 'no.yaml').write_text(yaml.safe_dump(content))
+        with pytest.raises(BellowsError, match=rf"no\.yaml' holds no .*{found}"):
+            figures(tmp_path / 'no.yaml')
     with pytest.raises(BellowsError):
         plan(tmp_path / 'missing', {})  # said before the package's data are asked for
     times, poses, _ = samples()
