@@ -11,6 +11,7 @@ there, as live.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -173,8 +174,8 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
         If it is none of the messages that plans are.
 
     """
-    message = _with_attributes(content)
     try:
+        message: Any = json.loads(json.dumps(content), object_hook=lambda x: SimpleNamespace(**x))
         if 'poses' in content:
             read: PlanMessage | JointPlan = path_points(message)
         else:
@@ -193,13 +194,6 @@ def plan_in_yaml(content: Mapping[str, Any], name: str) -> PlanMessage | JointPl
             f"'{name}' holds no plan: {why}. Expected a {MULTI_DOF}, {PATH} or {JOINTS} as 'ros2 "
             "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."
         ) from None
-
-
-def _with_attributes(content: Any) -> Any:
-    """Return nested mappings whose items are attributes."""
-    if isinstance(content, Mapping):
-        return SimpleNamespace(**{str(k): _with_attributes(v) for k, v in content.items()})
-    return [_with_attributes(item) for item in content] if isinstance(content, list) else content
 
 
 def multi_dof(message: Any) -> PlanMessage:
