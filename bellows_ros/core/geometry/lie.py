@@ -194,33 +194,31 @@ def dexp_inverse(phi: ArrayLike) -> Array:
     return _rotation_polynomial(phi, np.full(t2.shape, -0.5), -0.5 * _delta(t2) / _half_beta(t2))
 
 
-def d2exp(phi: ArrayLike, a: ArrayLike, b: ArrayLike) -> Array:
+def d2exp(phi: ArrayLike, a: ArrayLike) -> Array:
     """
-    Return the derivative of `dexp` along b, applied to a (G.73, with its norms squared).
+    Return the derivative of `dexp` along a, applied to a (G.73 twice along it, norms squared).
 
     This is the right-trivialised geometric Hessian of the exponential map for the (+)
     Cartan-Schouten connection: with R = exp(phi(t)) the spatial angular acceleration is
-    ``d2exp(phi, phi_dot, phi_dot) + dexp(phi) @ phi_ddot`` (4.55). At phi = 0 it is b x a / 2.
+    ``d2exp(phi, phi_dot) + dexp(phi) @ phi_ddot`` (4.55). At phi = 0 it is zero.
 
     Parameters
     ----------
-    phi, a, b : arrays (..., 3)
-        Rotation vectors (rad) and two tangent vectors; leading axes broadcast.
+    phi, a : arrays (..., 3)
+        Rotation vectors (rad) and tangent vectors; leading axes broadcast.
 
     Returns
     -------
     array (..., 3)
 
     """
-    phi, a, b = _array(phi, 3), _array(a, 3), _array(b, 3)
+    phi, a = _array(phi, 3), _array(a, 3)
     t2 = _squared(phi)[..., None]
-    along = np.sum(phi * b, axis=-1, keepdims=True)
-    phi_a, b_a = np.cross(phi, a), np.cross(b, a)
+    along = np.sum(phi * a, axis=-1, keepdims=True)
+    phi_a = np.cross(phi, a)
     twice = np.cross(phi, phi_a)
     return np.asarray(
-        _half_beta(t2) * b_a
-        + _gamma(t2) * (np.cross(b, phi_a) + np.cross(phi, b_a))
-        + along * (_delta(t2) * phi_a + _eps(t2) * twice))
+        _gamma(t2) * np.cross(a, phi_a) + along * (_delta(t2) * phi_a + _eps(t2) * twice))
 
 
 @_in_parts

@@ -42,7 +42,7 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     order : int
         Order of the polynomial, from 2 to 2n.
     rate_hz : float
-        Samples per second.
+        Samples per second, above zero.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     Raises
     ------
     BellowsError
-        If the window or the order leaves no such polynomial, or the rate is not positive.
+        If the window or the order leaves no such polynomial.
 
     """
     if half_window < 1:
@@ -63,8 +63,6 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
             f'The order of a filter with half window {half_window} must be from {MIN_ORDER} '
             f'(accelerations need a second derivative) to {2 * half_window} (a window has '
             f'{2 * half_window + 1} samples), not {order}. Change the order or the half window.')
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise BellowsError(f'The rate of a filter must be positive, in Hz, not {rate_hz}.')
     # Time in half windows keeps the powers within -1..1, so the least-squares problem is well
     # conditioned.
     time = np.arange(-half_window, half_window + 1) / half_window
@@ -171,7 +169,7 @@ def _filter_block(
     R = lie.exp_so3(e0) @ rotation[centre]
     R_inverse = np.swapaxes(R, -1, -2)
     spatial_rate = lie.apply(lie.dexp(e0), e1)
-    spatial_rate2 = lie.d2exp(e0, e1, e1) + lie.apply(lie.dexp(e0), e2)
+    spatial_rate2 = lie.d2exp(e0, e1) + lie.apply(lie.dexp(e0), e2)
     v, w = lie.apply(R_inverse, o_rate), lie.apply(R_inverse, spatial_rate)
     dv = lie.apply(R_inverse, o_rate2) - np.cross(w, v)
     dw = lie.apply(R_inverse, spatial_rate2)
