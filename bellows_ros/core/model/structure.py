@@ -19,7 +19,7 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import hat
+from bellows_ros.core.geometry.lie import adjoint, transform
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
@@ -104,9 +104,7 @@ def is_single(places: Array) -> bool:
 
 def maps(places: Array) -> Array:
     """Return A (n, 6, 6), from strain and twist at the origin to those of each cup."""
-    A = np.tile(np.eye(6), (len(places), 1, 1))
-    A[:, :3, 3:] = -hat(places[:, :3])
-    return A
+    return adjoint(transform(np.eye(3), -places[:, :3]))
 
 
 def composed(matrix: Array, places: Array) -> Array:
