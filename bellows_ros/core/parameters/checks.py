@@ -106,8 +106,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> dict[
     """
     given = {name: validate(name, value) for name, value in values.items()}
     require(given, required)
-    named = {name: value for name, value in given.items() if name not in table.PARAMETERS}
-    filled = {**{p.name: given.get(p.name, p.default) for p in table.PARAMETERS.values()}, **named}
+    filled = {**{name: p.default for name, p in table.PARAMETERS.items()}, **given}
     resolved = {name: value for name, value in filled.items() if value is not None}
     for body in ('filter.tool', 'filter.package'):
         half_window, order = resolved[f'{body}.half_window'], resolved[f'{body}.order']

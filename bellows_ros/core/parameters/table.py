@@ -193,8 +193,8 @@ def lookup(name: str) -> Parameter:
 def _hint(name: str, named: re.Match[str] | None) -> str:
     """Return a hint at the right name."""
     if named:
-        of_cups = [f'cups.{named[1]}.{key[4:]}' for key in PARAMETERS if key.startswith('cup.')]
-        return _nearest(name, [key for key in of_cups if key != f'cups.{named[1]}.name'])
+        return _nearest(name, [f'cups.{named[1]}.{key[4:]}' for key in PARAMETERS
+                               if key.startswith('cup.') and key != 'cup.name'])
     if name.startswith('cups.'):
         return ("A cup's parameters are cups.NAME.stiffness and so on; NAME has letters, digits "
                 'and underscores.')
