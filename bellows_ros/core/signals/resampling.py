@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.signals.trajectory import checked_stamps, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+
+from .trajectory import checked_stamps, frozen, NS_PER_S, PoseStream, Trajectory
 
 # A step of more than this many periods is a gap: at least one sample is missing. Jitter of the
 # stamps adds to it, as many of its standard deviations as here.
@@ -339,9 +340,7 @@ def resample(
         twist[between] = twists
     near = longest_gap_ns is None or stamps[end] - stamps[start] <= longest_gap_ns
     valid[between] &= trajectory.valid[end] & near
-    for array in (wanted, position, rotation):
-        array.setflags(write=False)  # so that none is copied
-    return Trajectory(wanted, position, rotation, twist, valid=valid)
+    return Trajectory(frozen(wanted), frozen(position), frozen(rotation), twist, valid=valid)
 
 
 def _interpolated(
