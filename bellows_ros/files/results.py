@@ -27,21 +27,17 @@ import numpy as np
 
 MAX_FILE_BYTES = 64 * 2**20
 
-POSE_COVARIANCE = ('m^2', 'm rad', 'rad^2')
-"""Units of a covariance of positions and rotations."""
-
 UNIT_OF: Mapping[str, Any] = {
-    **{name: [[UNITS[matrix][(row > 2) + (column > 2)] for column in range(6)]
-              for row in range(6)] for name, matrix in (('stiffness', 'K'), ('damping', 'P'))},
+    **{name: [[units[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]
+       for name, units in (('stiffness', UNITS['K']), ('damping', UNITS['P']),
+                           ('landing_covariance', ('m^2', 'm rad', 'rad^2')))},
     **dict.fromkeys(
         ('rms largest motion noise_rms lip creep measured predicted shake_rms '
          'deflection').split(), POSE_UNITS),
     **{name: unit for unit, names in tomllib.loads(
         Path(__file__).with_name('units.toml').read_text()).items() for name in names.split()},
     **dict.fromkeys(('release_twist', 'landing_twist'), [*3 * ['m/s'], *3 * ['rad/s']]),
-    'release_pose': [*3 * ['m'], *4 * ['1']],
-    'landing_covariance': [
-        [POSE_COVARIANCE[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]}
+    'release_pose': [*3 * ['m'], *4 * ['1']]}
 """Units of numbers by their keys, and of their standard errors."""
 
 UNITLESS = ('settings', 'provenance', 'units')
