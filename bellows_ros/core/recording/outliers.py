@@ -98,28 +98,24 @@ def short_window(increments: Array, step_ns: Stamps, gap: Mask) -> Jumps:
 
 
 def _without_bends(increments: Array, jumps: Jumps, gap: Mask) -> Jumps:
-    """Return jumps without those that are bends of a motion."""
-    for jump, increment, strength in zip(jumps.jump, increments, jumps.strengths, strict=True):
-        jump[_bends(increment, jump, strength, gap)] = 0.0
-    return jumps
-
-
-def _bends(increment: Array, jump: Array, strength: Array, gap: Mask) -> Indices:
-    """Return where an apparent jump is a bend of a motion that is smooth on both sides."""
-    i = np.flatnonzero(strength >= PARTNER_STRENGTH)
-    i = i[(i >= 3) & (i < len(increment) - 3)]
-    around = i[:, None] + np.arange(-3, 4)
-    path = np.concatenate([np.zeros((len(i), 1, 3)), np.cumsum(increment[around], axis=1)], axis=1)
-    before, after = path[:, :4], path[:, :3:-1]  # each from far to near
-    size = np.linalg.norm(jump[i], axis=1)
-    rough = [np.linalg.norm(np.diff(side, 3, axis=1)[:, 0], axis=1) for side in (before, after)]
-    smooth = np.maximum(*rough) < MAX_ROUGHNESS * size
+    """Return jumps without those that are bends of a motion that is smooth on both sides."""
     # Parabolas through samples at -2, -1 and 0, from each side, at times from 0 to 1.
     time, through = np.linspace(0.0, 1.0, 21), np.linalg.inv(np.vander([-2.0, -1.0, 0.0]))
     ahead, behind = (np.vander(t, 3) @ through for t in (time, 1.0 - time))
-    apart = np.linalg.norm(ahead @ before[:, 1:] - behind @ after[:, 1:], axis=2)
-    meets = apart.min(axis=1) < MEETING_DISTANCE * size
-    return np.asarray(i[smooth & meets & ~gap[around].any(axis=1)])
+    for jump, increment, strength in zip(jumps.jump, increments, jumps.strengths, strict=True):
+        i = np.flatnonzero(strength >= PARTNER_STRENGTH)
+        i = i[(i >= 3) & (i < len(increment) - 3)]
+        around = i[:, None] + np.arange(-3, 4)
+        path = np.pad(np.cumsum(increment[around], axis=1), ((0, 0), (1, 0), (0, 0)))
+        before, after = path[:, :4], path[:, :3:-1]  # each from far to near
+        size = np.linalg.norm(jump[i], axis=1)
+        rough = [np.linalg.norm(np.diff(side, 3, axis=1)[:, 0], axis=1)
+                 for side in (before, after)]
+        smooth = np.maximum(*rough) < MAX_ROUGHNESS * size
+        apart = np.linalg.norm(ahead @ before[:, 1:] - behind @ after[:, 1:], axis=2)
+        meets = apart.min(axis=1) < MEETING_DISTANCE * size
+        jump[i[smooth & meets & ~gap[around].any(axis=1)]] = 0.0
+    return jumps
 
 
 def long_window(increments: Array, breaks: Mask) -> Jumps:
