@@ -7,13 +7,13 @@ of (3.35). The header in C (bellows_cup.h, and the numbers behind it) is the mod
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 import re
 import tomllib
 from typing import Any, NamedTuple
 import zlib
 
-from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package, STANDARD_GRAVITY
 from bellows_ros.core.model.grip import cup_of_gripper, Grip
@@ -57,47 +57,18 @@ def limits(target: Target, cup: Cup) -> list[str]:
     return lost
 
 
-def _numbers(values: Array | tuple[float, ...]) -> str:
-    """Return numbers with blanks between, every digit kept."""
-    return ' '.join(repr(float(x)) for x in values)
-
-
-def _inertia(package: Package) -> tuple[float, ...]:
-    """Return ixx, iyy, izz, ixy, ixz, iyz."""
-    tensor = package.inertia
-    return tuple(float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-
-
-def mjcf(cup: Cup, package: Package, *_: Any) -> str:
-    """Return a MuJoCo model (XML)."""
-    return _filled('cup.mjcf', cup, package, _numbers(_inertia(package)))
-
-
-def sdf(cup: Cup, package: Package, *_: Any) -> str:
+def simulator_model(template: str, cup: Cup, package: Package, *_: Any) -> str:
     """
-    Return a model in SDF: six joints in a row, with dummy links between them.
+    Return a model for a simulator (XML), from a template: six joints in the middle of the cup.
 
-    The frame of the package is in the middle of the cup.
+    In SDF they are in a row, with dummy links between them, and the frame of the package is there.
     """
-    moment = DUMMY * float(np.min(np.linalg.eigvalsh(package.inertia)))
-    dummy = (f'      <inertial><mass>{DUMMY * package.mass!r}</mass>\n'
-             f'        {_tensor((moment,) * 3 + (0.0,) * 3)}\n      </inertial>')
-    return _filled('cup.sdf', cup, package, _tensor(_inertia(package)), dummy)
-
-
-def _filled(name: str, cup: Cup, package: Package, inertia: str, dummy: str = '') -> str:
-    """Return a template with cup and package in it."""
-    return Path(__file__).with_name(name).read_text().format(
-        K=np.diag(cup.stiffness).tolist(), P=np.diag(cup.damping).tolist(), dummy=dummy,
-        middle=repr(-cup.length / 2.0), com=_numbers(package.com + [0.0, 0.0, -cup.length / 2.0]),
-        mass=repr(package.mass), inertia=inertia)
-
-
-def _tensor(values: tuple[float, ...]) -> str:
-    """Return the inertia in SDF."""
-    names = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
-    inner = ''.join(f'<{n}>{x!r}</{n}>' for n, x in zip(names, values, strict=True))
-    return f'<inertia>{inner}</inertia>'
+    middle = -cup.length / 2.0
+    return Path(__file__).with_name(template).read_text().format(
+        K=np.diag(cup.stiffness).tolist(), P=np.diag(cup.damping).tolist(), middle=middle,
+        com=(package.com + [0.0, 0.0, middle]).tolist(), mass=package.mass,
+        inertia=package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist(),
+        light=DUMMY * package.mass, moment=DUMMY * float(np.linalg.eigvalsh(package.inertia)[0]))
 
 
 def header(
@@ -160,7 +131,9 @@ def _braced(values: Any) -> str:
     return f'{{{{{inner}}}}}' if matrix else f'{{{inner}}}'
 
 
-WRITERS: Mapping[str, Callable[..., str]] = {'mjcf': mjcf, 'sdf': sdf, 'c': header}
+WRITERS: Mapping[str, Callable[..., str]] = {
+    'mjcf': partial(simulator_model, 'cup.mjcf'), 'sdf': partial(simulator_model, 'cup.sdf'),
+    'c': header}
 """Each takes cup, package, gravity, grip and name; the last three are used in C only."""
 
 TABLES = tomllib.loads(Path(__file__).with_name('exports.toml').read_text())
