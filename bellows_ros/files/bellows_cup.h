@@ -531,3 +531,15 @@ BW int bellows_equilibrium(
 }
 
 #undef BW
+
+#endif
+
+#ifndef $guard
+#define $guard
+
+#if BW_RELAXES != $relaxes
+#error "Either all cups of a program relax, or none: set cup.relaxation of all."
+#endif
+$numbers
+
+#endif

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 import re
+from string import Template
 import tomllib
 from typing import Any, NamedTuple
 import zlib
@@ -99,12 +100,9 @@ def header(
         f'static const double {name}_longest = {equilibrium.largest_step(model)!r};'])
     relaxes = len(model[0]) > 4
     guard = f'BELLOWS_{zlib.crc32(numbers.encode()):08X}'  # other numbers of one name do clash
-    return '\n'.join([
-        *(['#define BELLOWS_RELAXATION 1'] if relaxes else []), HEADER.read_text(),
-        '#endif', '', f'#ifndef {guard}', f'#define {guard}', '',
-        f'#if BW_RELAXES != {int(relaxes)}',
-        '#error "Either all cups of a program relax, or none: set cup.relaxation of all."',
-        '#endif', numbers, '', '#endif', ''])
+    text = Template(HEADER.read_text()).substitute(
+        guard=guard, relaxes=int(relaxes), numbers=numbers)
+    return f'#define BELLOWS_RELAXATION 1\n{text}' if relaxes else text
 
 
 def _grip(name: str, grip: Grip | None, cup: kernels.CupTuple) -> list[str]:
