@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import heapq
 from pathlib import Path
 import sqlite3
-from typing import Literal
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
@@ -20,7 +19,6 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # With zstd: chunks inside an MCAP file, messages in a database.
 _ZSTD = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
-_VERSION: Literal[9] = 9  # of metadata.yaml, as ROS 2 Jazzy writes it
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +116,8 @@ def write_bag(
     if replace:
         require_replaceable(Path(path))
     with atomic.new_folder(path, replace) as folder:
-        writer = Writer(folder, version=_VERSION, storage_plugin=STORAGES[storage])
+        # Of metadata.yaml, as ROS 2 Jazzy writes it, is version 9.
+        writer = Writer(folder, version=9, storage_plugin=STORAGES[storage])
         if zstd:
             writer.set_compression(_ZSTD[storage], CompressionFormat.ZSTD)
         try:

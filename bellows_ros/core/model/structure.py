@@ -29,9 +29,6 @@ THESIS_DAMPING = (66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736)
 THESIS_LENGTH = 0.0481
 """Diagonals of (4.78), N/m and N m/rad, and (4.79), N s/m and N m s/rad; l0 of chapter 3, m."""
 
-CENTRE = (0.0, 0.0, 0.0)
-"""The layout of a single cup."""
-
 MAX_CUPS, REACH, CLEARANCE = 32, 2.0, 5e-3
 """Largest number of cups, and distance (m) from E; smallest distance of two."""
 
@@ -83,7 +80,7 @@ def places_of(values: Mapping[str, Any]) -> Array:
         If cup.layout and cup.open do not describe a gripper that holds.
 
     """
-    positions = positions_of(values.get('cup.layout', CENTRE))
+    positions = positions_of(values.get('cup.layout', (0.0, 0.0, 0.0)))  # a single cup at E
     opened = set(values.get('cup.open', ())) - {-1.0}  # which stands for none
     wrong = sorted(opened - set(range(len(positions))))
     if wrong:
