@@ -51,14 +51,6 @@ def scale_square(factor: float, A: Square) -> Square:
 
 
 @kernel
-def apply_square(A: Square, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Return A [a; b]."""
-    return (
-        t3.add(t3.apply(A[0], a), t3.apply(A[1], b)),
-        t3.add(t3.apply(A[2], a), t3.apply(A[3], b)))
-
-
-@kernel
 def shift_left(c: Vector, A: Square) -> Square:
     """Return X^T A with X = [[I, c^], [0, I]]."""
     return (
@@ -153,10 +145,9 @@ def damper_jacobians(
     at_S2 = turn_right(shift_left(o, shift_right(full, o)), back)
     G = (t3.multiply(back, at_S2[0]), t3.multiply(back, at_S2[1]),
          t3.multiply(back, at_S2[2]), t3.multiply(back, at_S2[3]))
-    F_o, F_R = apply_square(G, v, w)
-    force = t3.hat(F_o)
-    by_pose = add_scaled_square(
-        times_twist(G, v, w), -1.0, (NOTHING, force, force, t3.hat(F_R)))
+    force = t3.hat(t3.add(t3.apply(G[0], v), t3.apply(G[1], w)))
+    moment = t3.hat(t3.add(t3.apply(G[2], v), t3.apply(G[3], w)))
+    by_pose = add_scaled_square(times_twist(G, v, w), -1.0, (NOTHING, force, force, moment))
     return scale_square(0.5, by_pose), scale_square(-0.5, add_scaled_square(full, 1.0, G))
 
 
