@@ -214,20 +214,19 @@ def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterat
     """Yield the lines of one parameter: its sentence, its value, and units in every line."""
     for line in textwrap.wrap(parameter.description, _WIDTH - len(indent)):
         yield f'{indent}# {line}'
+    unit = f'  # {parameter.unit}' if parameter.unit else ''
     if isinstance(value, tuple) and len(value) > _ROW:
         yield f'{indent}{leaf}:'
-        yield from _rows(parameter, value, indent + _INDENT)
+        yield from _rows(parameter.name, value, indent + _INDENT, unit)
     else:
-        unit = f'  # {parameter.unit}' if parameter.unit else ''
         yield f'{indent}{leaf}: {_scalar(value)}{unit}'
 
 
-def _rows(parameter: Parameter, value: tuple[Any, ...], indent: str) -> Iterator[str]:
+def _rows(name: str, value: tuple[Any, ...], indent: str, unit: str) -> Iterator[str]:
     """Yield the lines of a long list, six items a line."""
     texts = [_scalar(x) for x in value]
     width = max(len(text) for text in texts)
-    of_rows = _ROW_UNITS.get(NAMED_CUP.sub(r'cup.\2', parameter.name))
-    unit = f'  # {parameter.unit}' if parameter.unit else ''
+    of_rows = _ROW_UNITS.get(NAMED_CUP.sub(r'cup.\2', name))
     for row, start in enumerate(range(0, len(value), _ROW)):
         cells = ', '.join(text.rjust(width) for text in texts[start:start + _ROW])
         opening = '[' if start == 0 else ' '
