@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros import __version__
 from bellows_ros.core.identification import causes, identifiability, least_squares, methods
-from bellows_ros.core.identification.reduction import reduced, ReducedRecording
+from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model import structure
@@ -36,8 +36,7 @@ if TYPE_CHECKING:  # what a plain identification does without
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.static import StaticResult
 
-Part = Recording | ReducedRecording
-Read = Callable[[Values], tuple[list[Part], list['Failed']]]
+Read = Callable[[Values], tuple[list[AnyRecording], list['Failed']]]
 
 FIT_BEGINS, FIT_ENDS = 0.2, 0.9
 """Fractions of the work at which the fit begins and ends, for the progress."""
@@ -109,7 +108,7 @@ def identify(
     keep = values['fit.method'] != 'least_squares' or values['fit.relaxation'] != 'off' or any(
         values[name] for name in RECORDING_USERS)
 
-    def read(values: Values) -> tuple[list[Part], list[Failed]]:
+    def read(values: Values) -> tuple[list[AnyRecording], list[Failed]]:
         parts, failed = read_all(values, keep, progress, jobs, dask)
         differentiable = methods.are_differentiable(parts, values)
         return least_squares.with_relaxation(parts, values) if differentiable else parts, failed
@@ -122,7 +121,7 @@ def identify(
             raise UnexplainedError(f'{facts} {NOT_FITTED}')
     elif is_output_error and not (static or set(values['fit.free']) - REGISTRATION_NAMES):
         progress(CAUSES, FIT_BEGINS)
-        early = verdict_of(None, _recordings(parts), effective['cup.length'], effective)
+        early = verdict_of(None, whole_recordings(parts), effective['cup.length'], effective)
         if early and early.beyond(allowances(effective)).refusals:
             effective, notes = {**effective, **LEAST_SQUARES}, (*notes, LEAST_SQUARES_NOTE)
     return _identify(
@@ -132,15 +131,10 @@ def identify(
             for file in parameter_files))
 
 
-def _facts(parts: Sequence[Part], values: Values) -> str:
+def _facts(parts: Sequence[AnyRecording], values: Values) -> str:
     """Return what is wrong with the recordings without any fit, '' where nothing is."""
-    return ' '.join(causes.finding_sentence(fact, values) for recording in _recordings(parts)
+    return ' '.join(causes.finding_sentence(fact, values) for recording in whole_recordings(parts)
                     for fact in causes.corrected(recording)[0])
-
-
-def _recordings(parts: Sequence[Part]) -> tuple[Recording, ...]:
-    """Return the parts that are whole recordings."""
-    return tuple(part for part in parts if isinstance(part, Recording))
 
 
 def resolved(settings: Values) -> dict[str, Any]:
@@ -271,7 +265,7 @@ def read_all(
 
 
 def _identify(
-    values: Values, effective: Values, parts: Sequence[Part],
+    values: Values, effective: Values, parts: Sequence[AnyRecording],
     static: 'StaticResult | None', progress: Progress, read: Read, **more: Any,
 ) -> identification.Identification:
     """
@@ -295,14 +289,14 @@ def _identify(
     if fit.freed and fit.converged:
         values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
         parts, _ = read(effective)
-    recordings = _recordings(parts)
+    recordings = whole_recordings(parts)
     progress(CAUSES, FIT_ENDS)
     verdict = verdict_of(
         fit, recordings, fit.standstills.length if fit.standstills else effective['cup.length'],
         effective, [entry.label for entry in result.excitation.parameters if entry.identifiable])
     identified = identification.Identification(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
-        recordings, _consistency(parts, effective, progress), verdict=verdict,
+        tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,
         selection=(selection(recordings, effective, progress, verdict)
                    if values['fit.compare_structures'] else None), **more)
     if static:
@@ -317,7 +311,7 @@ def _identify(
 
 
 def _consistency(
-    parts: Sequence[Part], values: Values, progress: Progress
+    parts: Sequence[AnyRecording], values: Values, progress: Progress
 ) -> 'Consistency | None':
     """Return whether each recording alone gives the same cup, with fit.compare_recordings."""
     if not values['fit.compare_recordings'] or len(parts) < 2:
@@ -328,7 +322,7 @@ def _consistency(
     names = [f'{part.name} ({part.payload.mass:.4g} kg)' if differ else part.name
              for part in parts]
 
-    def alone(part: Part, name: str) -> Fit:
+    def alone(part: AnyRecording, name: str) -> Fit:
         return methods.fitted(
             [part], values, lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS))
 

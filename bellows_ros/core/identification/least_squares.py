@@ -15,7 +15,12 @@ from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.reduction import MAX_STORED, ReducedRecording, Statistics
+from bellows_ros.core.identification.reduction import (
+    AnyRecording,
+    MAX_STORED,
+    Statistics,
+    whole_recordings,
+)
 from bellows_ros.core.identification.result import (
     Fit,
     IN_NULL_SPACE,
@@ -39,7 +44,6 @@ from bellows_ros.core.recording.recording import (
     FilterNoise,
     NO_RELAXATION,
     NOISE_SAMPLES,
-    Recording,
     Relaxation,
 )
 from bellows_ros.errors import UndeterminedError
@@ -310,7 +314,7 @@ def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> s
     )
 
 
-T = TypeVar('T', bound=Recording | ReducedRecording)
+T = TypeVar('T', bound=AnyRecording)
 
 MIN_SQUARED_DISTANCE = 13.8
 """Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""
@@ -386,12 +390,12 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
         If fit.relaxation is 'on' and they do not show any.
 
     """
-    whole = [recording for recording in recordings if isinstance(recording, Recording)]
+    whole = whole_recordings(recordings)
     if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
         return list(recordings)
     structure = given_structure(values)
-    simplest = structure if structure.places else next(
-        iter(STRUCTURES.values()))  # one rubber, one law: a richer one is no better
+    # One rubber, one law: a richer structure is no better.
+    simplest = structure if structure.places else STRUCTURES['axisymmetric']
     relaxation = relaxation_of(
         [samples_of(recording).thinned(MAX_STORED) for recording in whole],
         [recording.noise for recording in whole], values['cup.length'], simplest)

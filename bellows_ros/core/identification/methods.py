@@ -12,10 +12,11 @@ from bellows_ros.core.identification.identifiability import Excitation, excitati
 from bellows_ros.core.identification.least_squares import least_squares, R2_ASSUMED
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.reduction import (
+    AnyRecording,
     reduced,
-    ReducedRecording,
     Statistics,
     statistics,
+    whole_recordings,
 )
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
@@ -61,7 +62,7 @@ class Result:
 
 
 def fit(
-    recordings: Sequence[Recording | ReducedRecording],
+    recordings: Sequence[AnyRecording],
     values: Mapping[str, Any],
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
@@ -130,7 +131,7 @@ def fit(
 
         jacobian = np.zeros(len(result.labels))
         if length_std > 0.0:
-            jacobian = _length_jacobian(_unreduced(recordings), values)
+            jacobian = _length_jacobian(whole_recordings(recordings), values)
         length = Length(values['cup.length'], length_std, jacobian)
         result = joined_with_standstills(
             result, standstills, length, values['gravity.magnitude'], one_cup_of(values).stiffness,
@@ -138,20 +139,20 @@ def fit(
     return Result(result, excitation)
 
 
-def _stand_still(recordings: Sequence[Recording | ReducedRecording]) -> bool:
+def _stand_still(recordings: Sequence[AnyRecording]) -> bool:
     """Return whether tool and package stand still for most of the recorded time."""
     still = total = 0.0
-    for recording in _unreduced(recordings):
+    for recording in whole_recordings(recordings):
         total += float(np.ptp(recording.measured_package.stamps_ns)) / NS_PER_S
         with suppress(BellowsError):  # no standstill
             still += sum(each.duration for each in standstills_of(recording)[0])
     return still >= MIN_REST_SHARE * total
 
 
-def _noise_warning(recordings: Sequence[Recording | ReducedRecording]) -> Iterator[str]:
+def _noise_warning(recordings: Sequence[AnyRecording]) -> Iterator[str]:
     """Yield a sentence if correlated noise biases least squares."""
     names = [
-        recording.name for recording in recordings if isinstance(recording, Recording) and any(
+        recording.name for recording in whole_recordings(recordings) if any(
             noise.correlation > 0.0 and noise.size > negligible for body in recording.ar1_noise
             for noise, negligible in zip(body, MIN_NOISE, strict=True))]
     if names:
@@ -161,24 +162,22 @@ def _noise_warning(recordings: Sequence[Recording | ReducedRecording]) -> Iterat
             'more than the standard errors say. Use fit.method: output_error.')
 
 
-def are_differentiable(
-    parts: Sequence[Recording | ReducedRecording], values: Mapping[str, Any]
-) -> bool:
+def are_differentiable(parts: Sequence[AnyRecording], values: Mapping[str, Any]) -> bool:
     """Return whether accelerations follow from the poses of recordings, with markers as given."""
-    rates = [body.timing.rate_hz for part in parts if isinstance(part, Recording)
+    rates = [body.timing.rate_hz for part in whole_recordings(parts)
              for body in (part.report.tool, part.report.package)]
     return 'package_marker' not in values['fit.free'] and (
         min(rates, default=LOW_RATE_HZ) >= LOW_RATE_HZ)
 
 
 def fitted(
-    recordings: Sequence[Recording | ReducedRecording], values: Mapping[str, Any],
+    recordings: Sequence[AnyRecording], values: Mapping[str, Any],
     progress: Progress | None = None,
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
         return least_squares([reduced(recording, values).statistics for recording in recordings])
-    return _by_output_error(_unreduced(recordings), values, progress)
+    return _by_output_error(whole_recordings(recordings), values, progress)
 
 
 def _report(progress: Progress, iteration: Iteration) -> None:
@@ -215,9 +214,9 @@ def _by_output_error(
         values['fit.relaxation'], given_std(values))
 
 
-def _with_relaxation(result: Fit, recordings: Sequence[Recording | ReducedRecording]) -> Fit:
+def _with_relaxation(result: Fit, recordings: Sequence[AnyRecording]) -> Fit:
     """Return a fit with the relaxation of the recordings, whose errors reach K and P."""
-    whole = _unreduced(recordings)
+    whole = whole_recordings(recordings)
     if not whole or not any(whole[0].relaxation.strengths):
         return result
     relaxation = whole[0].relaxation
@@ -228,11 +227,6 @@ def _with_relaxation(result: Fit, recordings: Sequence[Recording | ReducedRecord
         result, covariance=result.covariance + np.where(np.outer(finite, finite), more, 0.0),
         relaxation=relaxation.strengths, relaxation_std=relaxation.std,
         notes=(*result.notes, *notes))
-
-
-def _unreduced(recordings: Sequence[Recording | ReducedRecording]) -> list[Recording]:
-    """Return recordings, of which none is reduced."""
-    return [recording for recording in recordings if isinstance(recording, Recording)]
 
 
 def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:

@@ -12,7 +12,7 @@ derivative differently, which biases K and P of least squares beyond their stand
 added up over recordings, wherever they were made.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -362,9 +362,15 @@ class ReducedRecording:
         return str(self.report['bag'])
 
 
-def reduced(
-    recording: Recording | ReducedRecording, values: Mapping[str, Any]
-) -> ReducedRecording:
+AnyRecording = Recording | ReducedRecording
+
+
+def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
+    """Return recordings of which more than the sufficient statistics is at hand."""
+    return [recording for recording in recordings if isinstance(recording, Recording)]
+
+
+def reduced(recording: AnyRecording, values: Mapping[str, Any]) -> ReducedRecording:
     """
     Return a recording reduced with the structure and the cup length that parameters name.
 
