@@ -29,7 +29,7 @@ from ..core.model.simulation import ToolRows
 from ..core.planning.arm import Arm, read_arm
 from ..core.planning.limits import NO_LIMITS, stretched
 from ..core.planning.plan import COARSE_STEP_FACTOR, PlanPrediction, PlanSimulation
-from ..core.planning.points import joint_excess, JointPath, Joints, plan_of_joints, rows_of, timed
+from ..core.planning.points import joint_excess, JointPath, Joints, plan_of, plan_of_joints, timed
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, NS_PER_S, tip_of, Trajectory
 from ..errors import BellowsError
@@ -304,7 +304,7 @@ class Planning:
 
 def _standstill() -> ToolRows:
     """Return a plan of a tool that stands."""
-    return rows_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
+    return plan_of(np.arange(9) * 50_000_000, np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1)),
                    np.zeros((9, 6)))
 
 
@@ -335,7 +335,7 @@ class PlanReader:
         message = plan_messages.decode_multi_dof(data)
         self._require_frame(message.frame_id)
         of_package = message.names[:1] == (values['frames.package'],)
-        plan, tip = rows_of(
+        plan, tip = plan_of(
             message.times_ns, message.poses, message.twists, message.accelerations,
             values['tool_twist.frame']), tip_of(values)
         if tip is None or of_package:

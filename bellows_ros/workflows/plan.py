@@ -334,7 +334,7 @@ def plan_with_cup(path: MotionSource, settings: Values, urdf: str = '', topic: s
     """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
     values = with_chosen_cup(checks.resolve(settings, checks.PACKAGE_PARAMETERS))
     if isinstance(path, Trajectory):
-        return Source(_checked_motion(path), '', path='a motion', values=values)
+        return Source(_checked_motion(path, path.twist), '', path='a motion', values=values)
     if not os.path.exists(path):
         raise BellowsError(
             f"Plan '{path}' does not exist. Give a recording, or a YAML, TUM, KITTI or EuRoC "
@@ -375,9 +375,8 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
             return _source_of_motion(content, values)
         return _source_of_plan(plans.plan_in_yaml(content, os.fspath(file)), values, urdf, '')
     if file.suffix.lower() in TEXT:
-        stamps, poses = read_trajectory(file)
-        return Source(at_tip(plan_of(
-            stamps, poses[:, :3], poses[:, 3:], name=f"'{file}'"), tip_of(values)), '')
+        tool = plan_of(*read_trajectory(file), name=f"'{file}'").trajectory()
+        return Source(at_tip(tool, tip_of(values)), '')
     read = plans.plans_in(file, topic)
     if read:
         notes = ([f"'{file}' has {len(read)} plans; using the first, on {read[0][0]}."]
@@ -396,9 +395,8 @@ def _source_of_plan(
         arm = plans.arm_of(urdf, values['tool_link'], recording).with_tip(tip_of(values))
         tool, joints = plan_of_joints(arm, read.names, stamps, *read[4:])
         return Source(tool, arm.root, joints=joints)
-    tool = plan_of(
-        stamps, read.poses[:, :3], read.poses[:, 3:], read.twists, read.accelerations,
-        values['tool_twist.frame'])
+    tool = plan_of(stamps, read.poses, read.twists, read.accelerations,
+                   values['tool_twist.frame']).trajectory()
     moves = (*read.names, '')[0]
     if moves != values['frames.package']:
         tool = at_tip(tool, tip_of(values))
@@ -414,13 +412,15 @@ def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     stamps = recipe.start_ns + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
     tool = alignment.in_world(motion.trajectory(stamps, recipe.start_ns), R_world_level)
-    return Source(_checked_motion(tool), recipe.frame_id)
+    return Source(_checked_motion(tool, tool.twist), recipe.frame_id)
 
 
-def _checked_motion(tool: Trajectory) -> Trajectory:
-    """Return a motion of E, checked as a plan."""
-    return plan_of(tool.stamps_ns, tool.position, rotation_to_quaternion(tool.rotation),
-                   tool.twist, twist_frame='tool', name='The motion')
+def _checked_motion(
+    tool: Trajectory, twist: Array | None, axes: str = 'tool', name: str = 'The motion'
+) -> Trajectory:
+    """Return a motion of E with twists (N, 6) in axes of the tool or the world, as a plan."""
+    poses = np.hstack([tool.position, rotation_to_quaternion(tool.rotation)])
+    return plan_of(tool.stamps_ns, poses, twist, twist_frame=axes, name=name).trajectory()
 
 
 def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:
@@ -443,11 +443,8 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
         name = f"Poses '{poses.name}'"
         motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
-    tool = plan_of(
-        motion.stamps_ns, motion.position, rotation_to_quaternion(motion.rotation), rates,
-        twist_frame=axes, name=name)
-    return Source(at_tip(tool, tip_of(values)), poses.frame_id, contents.notes,
-                  recorded_ns=poses.stamps_ns)
+    return Source(at_tip(_checked_motion(motion, rates, axes, name), tip_of(values)),
+                  poses.frame_id, contents.notes, recorded_ns=poses.stamps_ns)
 
 
 def _with_rates(

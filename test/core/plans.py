@@ -43,8 +43,8 @@ class Move:
         count = round(float(self.duration) * rate_hz)
         stamps = np.round(np.linspace(0.0, float(self.duration), count + 1) * 1e9).astype(np.int64)
         o, R, v = self.at(stamps * 1e-9)
-        twist = v if with_twists else None
-        return plan_of(stamps, o, lie.rotation_to_quaternion(R), twist, twist_frame='tool')
+        poses, twist = np.hstack([o, lie.rotation_to_quaternion(R)]), v if with_twists else None
+        return plan_of(stamps, poses, twist, twist_frame='tool').trajectory()
 
 
 def random_case(rng):

@@ -45,7 +45,7 @@ def message(move=MOVE, rate_hz=500, **changes):
 
 def swing_left(times_ns, poses, twists=None):
     """Return the swing (degrees) at rest after a motion of the tool, by the model alone."""
-    tool = plan_of(times_ns, poses[:, :3], poses[:, 3:], twists, twist_frame='tool')
+    tool = plan_of(times_ns, poses, twists, twist_frame='tool').trajectory()
     return float(np.degrees(PlanSimulation(MODEL, None, tool).predict().figures()['swing_left']))
 
 

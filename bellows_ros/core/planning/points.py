@@ -39,9 +39,9 @@ MIN_FITTED_POINTS, MAX_VELOCITY_MISFIT = 20, 0.5
 
 
 def plan_of(
-    stamps_ns: Stamps, position: Array, quaternion_xyzw: Array, twist: Array | None = None,
+    stamps_ns: Stamps, poses: Array, twist: Array | None = None,
     acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
-) -> Trajectory:
+) -> ToolRows:
     """
     Check the points of a plan; return it with body twists and without long gaps.
 
@@ -49,8 +49,8 @@ def plan_of(
     ----------
     stamps_ns : int array (N,)
         ns.
-    position, quaternion_xyzw : array (N, 3), (N, 4)
-        Of E in the world, m.
+    poses : array (N, 7)
+        Position (m) and quaternion xyzw of E in the world.
     twist, acceleration : array (N, 6), optional
         Velocity of the tool tip and angular velocity (m/s, rad/s), and their rates of change. Left
         out, twists are those of a cubic spline from rest to rest. With accelerations the tool
@@ -67,16 +67,6 @@ def plan_of(
         are not finite, quaternions not of unit length, jumps, velocities of another motion.
 
     """
-    return rows_of(
-        stamps_ns, np.hstack([position, quaternion_xyzw]), twist, acceleration, twist_frame, name,
-    ).trajectory()
-
-
-def rows_of(
-    stamps_ns: Stamps, poses: Array, twist: Array | None = None,
-    acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
-) -> ToolRows:
-    """Return the rows for the kernels from poses (N, 7), in a fifth of the time."""
     _require_points(stamps_ns, (poses, twist, acceleration), name)
     durations = np.diff(stamps_ns) / NS_PER_S
     rows, sizes, fit = np.empty((len(poses), 13)), np.empty((len(poses), 5)), np.zeros(4)
@@ -148,8 +138,8 @@ def plan_of_joints(
     fine = _without_gaps(stamps_ns)
     at = (fine - stamps_ns[0]) / NS_PER_S
     T, twist = arm.tool(curve(at), curve(at, 1))
-    poses = lie.rotation_to_quaternion(T[:, :3, :3])
-    tool = plan_of(fine, T[:, :3, 3], poses, twist, twist_frame='tool')
+    poses = np.hstack([T[:, :3, 3], lie.rotation_to_quaternion(T[:, :3, :3])])
+    tool = plan_of(fine, poses, twist, twist_frame='tool').trajectory()
     return tool, Joints(arm, stamps_ns, q)
 
 

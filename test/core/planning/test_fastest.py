@@ -39,10 +39,10 @@ def shake(size, duration=2.0, cycles=6):
     w = 2 * np.pi * cycles / duration
     swell, slope = np.sin(np.pi * t / duration) ** 2, np.pi / duration * np.sin(
         2 * np.pi * t / duration)
-    o, v = np.zeros((len(t), 3)), np.zeros((len(t), 6))
-    o[:, 0] = size * swell * np.sin(w * t)
+    poses, v = np.tile([0, 0, 0, 0, 0, 0, 1.0], (len(t), 1)), np.zeros((len(t), 6))
+    poses[:, 0] = size * swell * np.sin(w * t)
     v[:, 0] = size * (slope * np.sin(w * t) + swell * w * np.cos(w * t))
-    return plan_of(np.round(t * 1e9).astype(np.int64), o, np.tile([0, 0, 0, 1.0], (len(t), 1)), v)
+    return plan_of(np.round(t * 1e9).astype(np.int64), poses, v).trajectory()
 
 
 def smallest(model, plan, scale):
