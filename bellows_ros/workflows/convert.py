@@ -6,7 +6,7 @@ from itertools import compress
 import os
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros import __version__
 from bellows_ros.core.geometry.arrays import Mask
@@ -66,8 +66,7 @@ class Body:
             data=tuple(compress(self.messages.data, chosen))))
 
 
-@dataclass(frozen=True)
-class Conversion:
+class Conversion(NamedTuple):
     """
     A conversion.
 
@@ -91,7 +90,7 @@ class Conversion:
         """Return the content of the JSON file."""
         bodies = [results.attributes(body, 'topic', 'source', 'poses', 'left_out')
                   for body in self.bodies]
-        return {**vars(self), 'bodies': bodies, 'version': __version__}
+        return {**self._asdict(), 'bodies': bodies, 'version': __version__}
 
 
 def bodies_in_files(

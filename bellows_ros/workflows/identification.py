@@ -395,8 +395,7 @@ class Difference(NamedTuple):
     after: Any
 
 
-@dataclass(frozen=True, eq=False)
-class ResultComparison:
+class ResultComparison(NamedTuple):
     """
     Two result files compared.
 

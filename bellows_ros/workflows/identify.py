@@ -7,11 +7,11 @@ the recordings themselves gets them here.
 """
 
 from collections.abc import Callable, Container, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from operator import itemgetter
 import os
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros import __version__
 from bellows_ros.core.identification import causes, identifiability, least_squares, methods
@@ -303,7 +303,7 @@ def _identify(
         from bellows_ros.workflows.static import with_spring
 
         identified = replace(identified, static=with_spring(
-            replace(static, cup_length=identified.cup_length), cup_of(identified.cup_values()),
+            static._replace(cup_length=identified.cup_length), cup_of(identified.cup_values()),
             values['gravity.magnitude']))
     identified = replace(identified, validations=tuple(_validated(identified, progress)))
     progress('done', 1.0)
@@ -358,8 +358,7 @@ def _validated(result: identification.Identification, progress: Progress) -> 'It
         yield replay(bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})
 
 
-@dataclass(frozen=True, eq=False)
-class StructureAdvice:
+class StructureAdvice(NamedTuple):
     """
     What is identifiable from recordings, and a comparison of structures.
 

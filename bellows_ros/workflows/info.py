@@ -13,7 +13,7 @@ import os
 from pathlib import Path
 import re
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros import __version__
 from bellows_ros.core.geometry.arrays import Array
@@ -112,8 +112,7 @@ class TopicInfo:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Guess:
+class Guess(NamedTuple):
     """
     A topic for a role.
 
@@ -132,8 +131,7 @@ class Guess:
     frame: str = ''
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """
     A tool and the package it holds.
 
@@ -160,8 +158,7 @@ class Pair:
     score: float
 
 
-@dataclass(frozen=True)
-class Info:
+class Info(NamedTuple):
     """
     A recording.
 
@@ -197,7 +194,7 @@ class Info:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return results.with_units({**vars(self), 'valve': self.valve, 'version': __version__})
+        return results.with_units({**self._asdict(), 'valve': self.valve, 'version': __version__})
 
 
 def info(path: File, span: Values = MappingProxyType({})) -> Info:

@@ -6,7 +6,7 @@ from functools import cached_property
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import seldom_collected
@@ -117,8 +117,7 @@ class Source:
         return grip_of(self.values)
 
 
-@dataclass(frozen=True, eq=False)
-class Curves:
+class Curves(NamedTuple):
     """
     What a motion does to the package, over time.
 

@@ -5,8 +5,6 @@ What a motion file may hold, with units, stands in config/motion_example.yaml.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from dataclasses import replace as changed
 import io
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +17,7 @@ from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.parameters.checks import implausible, PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
-from bellows_ros.core.recording.alignment import levelling
+from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic import recipe as sensing
@@ -50,8 +48,7 @@ class Event(NamedTuple):
     start_s: float
 
 
-@dataclass(frozen=True)
-class SimulationReport:
+class SimulationReport(NamedTuple):
     """
     Summary of a simulated recording.
 
@@ -130,10 +127,8 @@ def simulate_recording(
     R_world_level = levelling(values['gravity.direction']).T
     recipe = read_recipe(motion, package_of(values).com)
     if plan:
-        tool = read_plan(plan, values).tool
-        recipe = changed(recipe, motion=Planned(changed(
-            tool, position=tool.position @ R_world_level,
-            rotation=R_world_level.T @ tool.rotation)))
+        tool = in_world(read_plan(plan, values).tool, R_world_level.T)
+        recipe = recipe._replace(motion=Planned(tool))
     bag = Path(out)
     atomic.require_folder_target(bag)
     truth_file = atomic.require_file_target(
@@ -217,7 +212,7 @@ def _record(
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
     tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
-    tracked = changed(plans['package'], sent=plans['package'].sent & at.tracked)
+    tracked = plans['package']._replace(sent=plans['package'].sent & at.tracked)
     recorded = list[bag_writer.Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, tracked)):

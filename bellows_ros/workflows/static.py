@@ -1,10 +1,9 @@
 """Static recordings: the cup's nominal length, and a check of its spring."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 import math
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros import __version__
 from bellows_ros.core.identification import statics
@@ -25,8 +24,7 @@ LENGTHS_AGREE_WITHIN = 3e-4
 """Difference (m) between the given and the estimated cup.length that triggers a warning."""
 
 
-@dataclass(frozen=True, eq=False)
-class StaticResult:
+class StaticResult(NamedTuple):
     """
     The result from static recordings.
 
@@ -173,7 +171,7 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
         raise BellowsError(f'static.length is set, but: {result.no_length}')
     if not np.isfinite(result.length.length_std):
         raise BellowsError(f'static.length is set, but: {result.length.warnings[0]}')
-    return replace(result, cup_length=result.length.length)
+    return result._replace(cup_length=result.length.length)
 
 
 def static_bags(values: Values) -> list[StaticBag]:
@@ -213,7 +211,7 @@ def static_check(
     values = each[0][1]
     result = _read(each, values, progress)
     if result.length is not None and 'cup.length' not in settings:
-        result = replace(result, cup_length=result.length.length)
+        result = result._replace(cup_length=result.length.length)
     if 'cup.stiffness' in settings:
         return with_spring(result, cup_of(values), values['gravity.magnitude'])
     if result.length is None:
@@ -226,7 +224,7 @@ def static_check(
 def with_spring(result: StaticResult, cup: Cup, gravity: float) -> StaticResult:
     """Return the result with a cup's spring checked in every pose, at its length."""
     cup = Cup(cup.stiffness, cup.damping, result.cup_length)
-    return replace(result, spring=statics.check_spring(cup, result.standstills, gravity))
+    return result._replace(spring=statics.check_spring(cup, result.standstills, gravity))
 
 
 def _read(each: Sequence[StaticBag], values: Values, progress: Progress) -> StaticResult:
@@ -245,10 +243,10 @@ def _read(each: Sequence[StaticBag], values: Values, progress: Progress) -> Stat
     result = StaticResult(tuple(recordings), None, '', values['cup.length'],
                           instant=1.0 + sum(values['cup.relaxation']))
     try:
-        return replace(result, length=statics.nominal_length(
+        return result._replace(length=statics.nominal_length(
             result.standstills, values['gravity.magnitude']))
     except UndeterminedError as error:
-        return replace(result, no_length=str(error))
+        return result._replace(no_length=str(error))
 
 
 def save_length(result: StaticResult, path: File) -> None:

@@ -261,8 +261,7 @@ def toss_plan(
 RELEASE_UNITS = {name: table.PARAMETERS[name].unit for name in RELEASE_NAMES}
 
 
-@dataclass(frozen=True, eq=False)
-class ReleaseResult:
+class ReleaseResult(NamedTuple):
     """
     The law of release from recordings of drops and tosses.
 

@@ -165,7 +165,7 @@ def test_each_recording_may_have_its_own_topics(two_packages, root, true_cup, tm
     assert [part.payload.mass for part in result.parts] == [1.8, 1.2]
     assert result.consistency.probability > 1e-3
     assert result.consistency.verdict in set(result.findings) - set(result.warnings)
-    differing = replace(result, consistency=replace(result.consistency, probability=1e-9))
+    differing = replace(result, consistency=result.consistency._replace(probability=1e-9))
     assert differing.consistency.verdict in set(differing.warnings) - set(differing.findings)
     with pytest.raises(BellowsError, match=r'topics\.tool_pose.*package\.files'):
         identify({**own, 'bags': [bags[0], str(tmp_path / 'other')],

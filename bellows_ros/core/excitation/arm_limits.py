@@ -1,7 +1,6 @@
 """Limits of an arm with a package on the cup, and the part of each that a motion uses."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
 
@@ -35,8 +34,7 @@ class Bound(NamedTuple):
     limit: float
 
 
-@dataclass(frozen=True, eq=False)
-class ArmLimits:
+class ArmLimits(NamedTuple):
     """
     Limits of an arm, SI units.
 

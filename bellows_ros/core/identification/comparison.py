@@ -10,6 +10,7 @@ shake. The standard errors of these follow from those of the parameters by first
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, log_so3, quaternion_to_rotation, transform
@@ -65,8 +66,7 @@ DIRECTIONS = ('lateral', 'lateral', 'axial', 'bending', 'bending', 'torsion')
 """Of the six axes."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
+class Fitted(NamedTuple):
     """
     The part of a fit that a comparison needs.
 
@@ -137,8 +137,7 @@ class Change:
         return self.p_value < SIGNIFICANT_P_VALUE
 
 
-@dataclass(frozen=True)
-class FitComparison:
+class FitComparison(NamedTuple):
     """
     The differences between two fits.
 
@@ -216,8 +215,7 @@ def compare_fits(before: Fitted, after: Fitted, package: Package, gravity: float
                          _joint_p_value(values[1] - values[0], covariances[0] + covariances[1]))
 
 
-@dataclass(frozen=True)
-class Mode:
+class Mode(NamedTuple):
     """
     A mode of small motions about the package at rest.
 
@@ -375,8 +373,7 @@ MATERIAL_DIFFERENCE = 0.05
 """Smallest material relative difference of a parameter from the mean."""
 
 
-@dataclass(frozen=True, eq=False)
-class Consistency:
+class Consistency(NamedTuple):
     """
     Outcome of the test.
 

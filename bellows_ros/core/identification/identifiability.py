@@ -7,7 +7,7 @@ bias that it compensates where the noise is given.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.least_squares import noise_bias, Solution, weighted
@@ -46,8 +46,7 @@ def remedy_for(axis: str, structure: Structure) -> str:
     return DIRECTIONS.get(axis, ('', 'move all axes at once'))[1]
 
 
-@dataclass(frozen=True, eq=False)
-class Axis:
+class Axis(NamedTuple):
     """
     How one direction is excited.
 
@@ -76,8 +75,7 @@ class Axis:
     twist_noise: float
 
 
-@dataclass(frozen=True, eq=False)
-class Identifiability:
+class Identifiability(NamedTuple):
     """
     How identifiable one parameter is.
 
@@ -202,8 +200,7 @@ MAX_CORRELATION = 0.95
 """Correlation of two estimates above which they can hardly be separated."""
 
 
-@dataclass(frozen=True, eq=False)
-class Excitation:
+class Excitation(NamedTuple):
     """
     The identifiability of all parameters from recordings.
 

@@ -405,7 +405,7 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
         if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
             raise UndeterminedError(NOT_RELAXING)
         return list(recordings)
-    return [replace(each, relaxation=relaxation) for each in recordings]  # type: ignore[arg-type]
+    return [replace(each, relaxation=relaxation) for each in whole]  # type: ignore[misc]
 
 
 def _relaxing_rows(

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
@@ -53,8 +53,7 @@ LENGTH_STEP = 1e-5
 """Step of numerical derivatives by cup.length, m."""
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+class Result(NamedTuple):
     """A fit, and the identifiability of its parameters."""
 
     fit: Fit
@@ -268,7 +267,7 @@ def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
 
     What is not identifiable, or below zero, is that of the given cup.
     """
-    result = least_squares([replace(part, noise=None) for part in parts])
+    result = least_squares([part._replace(noise=None) for part in parts])
     stiffness, damping = (
         np.where(np.isfinite(error) & (value >= 0.0), value, instead)
         for value, error, instead in (

@@ -9,7 +9,7 @@ nothing remains.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -69,8 +69,7 @@ MIN_SINGULAR_VALUE = 1e-7
 """Singular values below this fraction of the largest count as zero."""
 
 
-@dataclass(frozen=True, eq=False)
-class Ensemble:
+class Ensemble(NamedTuple):
     """
     Recordings, and the same with noise once more.
 
@@ -216,8 +215,7 @@ def _slider_displacements(given: Given) -> Array:
     return np.concatenate([filtered(z, W, index) for z in ends])
 
 
-@dataclass(frozen=True, eq=False)
-class Objective:
+class Objective(NamedTuple):
     """
     What noise does not explain, in wrenches weighted by what is expected of them.
 

@@ -13,7 +13,7 @@ added up over recordings, wherever they were made.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -91,8 +91,7 @@ def noise_products(
     return products.reshape(6, size, 6, size) / part
 
 
-@dataclass(frozen=True, eq=False)
-class Statistics:
+class Statistics(NamedTuple):
     """
     Sufficient statistics of one recording, whatever the weight will be.
 
@@ -259,8 +258,7 @@ class PassBand(NamedTuple):
             (noise.tool_half_window, noise.package_weights.shape[1] // 2))
 
 
-@dataclass(frozen=True, eq=False)
-class Movement:
+class Movement(NamedTuple):
     """
     How the lip moved in one recording, as seen from the tool.
 
@@ -318,8 +316,7 @@ def movement_of(
         Moments.of(noise_motion[1]), np.array(samples.twist_spectrum.band(BAND)), passed)
 
 
-@dataclass(frozen=True, eq=False)
-class ReducedRecording:
+class ReducedRecording(NamedTuple):
     """
     The sufficient statistics of a recording.
 

@@ -76,8 +76,7 @@ def with_unidentifiable(covariance: Array, unidentifiable: Mask) -> Array:
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class Iteration:
+class Iteration(NamedTuple):
     """One step of a minimisation: its number, chi^2 per residual, K and P."""
 
     number: int

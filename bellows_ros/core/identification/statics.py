@@ -273,8 +273,7 @@ def _linear_range(coefficients: Array, largest: float) -> float:
     return float(loads[int(np.argmax(bent))]) if bent.any() else largest
 
 
-@dataclass(frozen=True, eq=False)
-class PoseCheck:
+class PoseCheck(NamedTuple):
     """
     Predicted and measured equilibrium in one pose of the tool.
 
@@ -296,8 +295,7 @@ class PoseCheck:
     verdict: str
 
 
-@dataclass(frozen=True, eq=False)
-class SpringCheck:
+class SpringCheck(NamedTuple):
     """
     The spring model in several poses of the tool.
 

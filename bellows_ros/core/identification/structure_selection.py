@@ -8,7 +8,8 @@ there what the bias of the fit spoils.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.causes import DOUBTED
@@ -80,8 +81,7 @@ class Candidate:
         return float(np.sqrt(np.mean(self.simulated**2)))
 
 
-@dataclass(frozen=True, eq=False)
-class StructureSelection:
+class StructureSelection(NamedTuple):
     """
     The structures compared.
 
@@ -120,7 +120,7 @@ class StructureSelection:
         residuals = (f': with the best one, {self.advised}, residuals are '
                      f'{np.sqrt(1.0 + excess):.2g} times those expected of noise'
                      if 0.0 < excess < np.inf else '')
-        return replace(self, fits=False, advice=(
+        return self._replace(fits=False, advice=(
             ' '.join([f'No structure fits{residuals}{size}.', *causes]), *self.advice))
 
 
@@ -179,7 +179,7 @@ def _candidate(
         for fold, part, first, end in zip(folds, parts, ends, ends[1:], strict=False):
             fold.append(samples.select(slice(first, end)))
             reduced = statistics(fold[-1], cup_length, structure)
-            part.append(replace(reduced, noise=reduced.used * noise))
+            part.append(reduced._replace(noise=reduced.used * noise))
     size = 2 * structure.size
     try:
         usable = least_squares(sum(parts, [])).usable

@@ -1,7 +1,6 @@
 """Kinematics of an arm from its URDF: pose and Jacobian of the tool for joint positions."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from difflib import get_close_matches
 import math
 from typing import NamedTuple
@@ -40,8 +39,7 @@ class Joint(NamedTuple):
     """Maximum, rad/s or m/s."""
 
 
-@dataclass(frozen=True)
-class Arm:
+class Arm(NamedTuple):
     """
     The joints from the root of a URDF to the tool, in this order.
 
@@ -61,7 +59,7 @@ class Arm:
         """Return the arm with E at a pose (4, 4) in its tool link."""
         if tip is None:
             return self
-        return replace(self, joints=(*self.joints, Joint('', 'fixed', tip, np.eye(3)[2])))
+        return self._replace(joints=(*self.joints, Joint('', 'fixed', tip, np.eye(3)[2])))
 
     @property
     def moving(self) -> tuple[str, ...]:

@@ -7,9 +7,8 @@ Hermite curve, and stands still after the last one. Loads are 1 / safety factor 
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
@@ -66,8 +65,7 @@ def flip_sentence(angle: float, since: str = '') -> str:
         'package may flip. Real cups bend some 20 degrees; use smaller or slower motions.')
 
 
-@dataclass(frozen=True, eq=False)
-class PlanPrediction:
+class PlanPrediction(NamedTuple):
     """
     The package along a plan.
 

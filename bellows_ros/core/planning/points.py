@@ -5,7 +5,7 @@ The joints along a path of the tool follow from inverse kinematics, with rates a
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
@@ -437,8 +437,7 @@ def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float,
     return max([(1.0, ''), *(each for each in demands if each[0] > 1.0)])
 
 
-@dataclass(frozen=True, eq=False)
-class Joints:
+class Joints(NamedTuple):
     """
     Joint positions of a plan of an arm's joints.
 

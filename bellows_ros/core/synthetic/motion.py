@@ -8,6 +8,7 @@ rotation vector phi in the tool's axes at the start.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -32,8 +33,7 @@ MIN_MOVE = 0.01
 """Shortest move to a waypoint, s."""
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(NamedTuple):
     """A pose of E in the world: position (3,) in m and R_world_tool (3, 3)."""
 
     position: Array
@@ -212,8 +212,7 @@ class Oscillation(Vibration):
         return float(np.max(self.frequency, initial=0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class MoveAndHold:
+class MoveAndHold(NamedTuple):
     """A move to a pose along a smooth step, and a hold there; times in s."""
 
     goal: Pose

@@ -13,7 +13,7 @@ the plate was not gripped at the markers' centre. Poses are then turned into the
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import math
 import re
 from typing import NamedTuple
@@ -92,8 +92,7 @@ class Sensor:
     latency: float = 0.0
 
 
-@dataclass(frozen=True)
-class TwistSensor:
+class TwistSensor(NamedTuple):
     """How the tool's twist is measured: axes ('world' or 'tool') and noise (m/s, rad/s)."""
 
     frame: str = 'world'
@@ -101,8 +100,7 @@ class TwistSensor:
     angular_noise: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Schedule:
+class Schedule(NamedTuple):
     """
     When a stream's samples are taken, and the fate of each.
 
@@ -309,8 +307,7 @@ _PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'packa
 _TOPIC = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 
 
-@dataclass(frozen=True, eq=False)
-class Recipe:
+class Recipe(NamedTuple):
     """
     How a recording is made: the motion, how both bodies are tracked, and how it is stored.
 
@@ -444,8 +441,7 @@ class Thrown(NamedTuple):
     """As it was drawn, in the order of `RELEASE_NAMES`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
+class Truth(NamedTuple):
     """
     True trajectories of tool E and package B at common stamps, with body twists.
 
@@ -461,8 +457,8 @@ class Truth:
     def at(self, stamps_ns: Stamps) -> 'Truth':
         """Return the samples at some of the stamps."""
         index = np.searchsorted(self.tool.stamps_ns, stamps_ns)
-        return replace(
-            self, tool=self.tool.select(index), package=self.package.select(index),
+        return self._replace(
+            tool=self.tool.select(index), package=self.package.select(index),
             held=self.held[index], tracked=self.tracked[index])
 
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
@@ -202,8 +202,7 @@ class Explained:
     """Mean square of positions and rotations over the noise."""
 
 
-@dataclass(frozen=True, eq=False)
-class ReleaseFit:
+class ReleaseFit(NamedTuple):
     """
     The law of release, and how it explains the drops.
 

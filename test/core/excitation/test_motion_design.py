@@ -1,6 +1,5 @@
 """A designed motion: within its limits by differences and simulation, and better than ours."""
 
-from dataclasses import replace
 
 from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.arm_limits import ArmLimits, limits_from
@@ -83,7 +82,7 @@ def test_ends_with_a_hold_of_a_tilt_within_limits(grip):
     jerk = (far - 2.0 * at + near) / h**2
     assert np.abs(jerk).max() < 1e-2 * LIMITS.rates['angular_jerk']
     assert max(checks.ratios(held).values()) <= 1.0
-    rigid = replace(LIMITS, bending=1e-9)
+    rigid = LIMITS._replace(bending=1e-9)
     assert motion_design._held(checks._replace(limits=rigid), 5.0, 7.0).hold == 0.0
 
 

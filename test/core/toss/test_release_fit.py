@@ -1,6 +1,5 @@
 """The law of release from drops: against what made them, and real ones of masses left out."""
 
-from dataclasses import replace
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.checks import resolve
@@ -112,7 +111,7 @@ def test_residuals_that_all_drops_have_in_common_refute_a_law():
     fit = release_fit.ReleaseFit(
         LAW, (0,), np.eye(8), np.zeros(8),
         (release_fit.Explained(0.8, 0.1, 0.0, 3e-3, 0.0, 1.0, 1.1),), wrong, size)
-    assert not fit.explains and replace(fit, lack=1.0).explains
+    assert not fit.explains and fit._replace(lack=1.0).explains
 
 
 REAL = pytest.mark.skipif(not drops.SHARED.exists(), reason='the measured drops are not here')
