@@ -115,16 +115,13 @@ def sample_stamps(rate_hz: float, duration: float, start_ns: int) -> Stamps:
 
 def smooth_step(s: Array) -> Array:
     """
-    Return the quintic from 0 to 1 and its first three derivatives (4, N).
+    Return the quintic from 0 to 1 and its rate (2, N).
 
     Its velocity and acceleration are zero at both ends; of all such steps it has the least
     integral of the squared jerk. Outside 0..1 it stands still.
     """
     s = np.clip(s, 0.0, 1.0)
-    inside = (s > 0.0) & (s < 1.0)
-    return np.array([
-        s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s - s**2) ** 2,
-        60.0 * (s - s**2) * (1.0 - 2.0 * s), 60.0 * (1.0 - 6.0 * (s - s**2)) * inside])
+    return np.array([s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s - s**2) ** 2])
 
 
 class Vibration(Motion):
@@ -188,12 +185,12 @@ class Oscillation(Vibration):
     def displacement(self, t: Array) -> Array:
         """Return displacement and rotation vector since the start, and their rates (2, N, 6)."""
         tau = t - self.rest_duration
-        ramp, slope = smooth_step(tau / self.ramp_duration)[:2]
+        ramp, slope = smooth_step(tau / self.ramp_duration)
         slope = slope / self.ramp_duration
         moved = np.zeros((2, len(t), 6))
         if self.hold_duration > 0.0:
             begin = self.duration - self.hold_duration - HOLD_MOVE
-            held, rate = smooth_step((t - begin) / HOLD_MOVE)[:2] / [[1.0], [HOLD_MOVE]]
+            held, rate = smooth_step((t - begin) / HOLD_MOVE) / [[1.0], [HOLD_MOVE]]
             ramp, slope = ramp * (1.0 - held), slope * (1.0 - held) - ramp * rate
             moved[:, :, 3:] = np.multiply.outer([held, rate], self.hold)
         for i, axis in enumerate(self.axis):
@@ -254,7 +251,7 @@ class Waypoints(Motion):
         begin, start = self.rest_duration, self.start
         for segment in self.segments:
             now = t >= begin  # what a later segment covers, it overwrites
-            step, slope = smooth_step((t[now] - begin) / segment.move)[:2, :, None]
+            step, slope = smooth_step((t[now] - begin) / segment.move)[:, :, None]
             slope = slope / segment.move
             shift = segment.goal.position - start.position
             turn = lie.log_so3(start.rotation.T @ segment.goal.rotation)
