@@ -14,7 +14,7 @@ import os
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from bellows_ros import __version__
-from bellows_ros.core.identification import causes, identifiability, least_squares, methods
+from bellows_ros.core.identification import causes, identifiability, methods
 from bellows_ros.core.identification.reduction import AnyRecording, reduced, whole_recordings
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import samples_of
@@ -111,7 +111,7 @@ def identify(
     def read(values: Values) -> tuple[list[AnyRecording], list[Failed]]:
         parts, failed = read_all(values, keep, progress, jobs, dask)
         differentiable = methods.are_differentiable(parts, values)
-        return least_squares.with_relaxation(parts, values) if differentiable else parts, failed
+        return methods.with_relaxation(parts, values) if differentiable else parts, failed
 
     parts, failed = read(effective)
     notes = _assumed(settings)
@@ -416,7 +416,7 @@ def structures(settings: Values, progress: Progress = no_progress) -> StructureA
     """
     values = resolved(settings)
     read: list[Recording] = read_all(values, True, progress)[0]
-    recordings = least_squares.with_relaxation(read, values)
+    recordings = methods.with_relaxation(read, values)
     if any(recordings[0].relaxation.strengths):  # least squares alone is biased by noise
         better = methods.fit(recordings, {
             **values, 'fit.method': 'output_error',

@@ -10,17 +10,11 @@ wrench is linear in K, P and r_b K, too: K, P and r are the minimum of the same 
 Without a hold of some seconds r2 is not identifiable.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.reduction import (
-    AnyRecording,
-    MAX_STORED,
-    Statistics,
-    whole_recordings,
-)
+from bellows_ros.core.identification.reduction import Statistics
 from bellows_ros.core.identification.result import (
     Fit,
     IN_NULL_SPACE,
@@ -36,10 +30,9 @@ from bellows_ros.core.identification.samples import (
     regularised,
     SampleEquations,
     Samples,
-    samples_of,
     with_noise,
 )
-from bellows_ros.core.model.structure import given_structure, Structure, STRUCTURES
+from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.recording import (
     FilterNoise,
     NO_RELAXATION,
@@ -314,8 +307,6 @@ def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> s
     )
 
 
-T = TypeVar('T', bound=AnyRecording)
-
 MIN_SQUARED_DISTANCE = 13.8
 """Squared Mahalanobis distance from zero that 1 in 1000 cups without relaxation exceed."""
 
@@ -378,34 +369,6 @@ def relaxation_of(
         return NO_RELAXATION
     unknown = np.diag([0.0, (RATIO_STD * alone.strengths[0]) ** 2])
     return alone._replace(covariance=alone.covariance + unknown, assumed=True)
-
-
-def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[T]:
-    """
-    Return recordings of one cup with its relaxation, where fit.relaxation asks for it.
-
-    Raises
-    ------
-    BellowsError
-        If fit.relaxation is 'on' and they do not show any.
-
-    """
-    whole = whole_recordings(recordings)
-    if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
-        return list(recordings)
-    structure = given_structure(values)
-    # One rubber, one law: a richer structure is no better.
-    simplest = structure if structure.places else STRUCTURES['axisymmetric']
-    relaxation = relaxation_of(
-        [samples_of(recording).thinned(MAX_STORED) for recording in whole],
-        [recording.noise for recording in whole], values['cup.length'], simplest)
-    if simplest is not structure:
-        relaxation = relaxation._replace(by=simplest.within(structure) @ relaxation.by)
-    if not any(relaxation.strengths):
-        if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
-            raise UndeterminedError(NOT_RELAXING)
-        return list(recordings)
-    return [replace(each, relaxation=relaxation) for each in whole]  # type: ignore[misc]
 
 
 def _relaxing_rows(

@@ -5,14 +5,15 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.identifiability import Excitation, excitation_of
-from bellows_ros.core.identification.least_squares import least_squares, R2_ASSUMED
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.reduction import (
     AnyRecording,
+    MAX_STORED,
     reduced,
     Statistics,
     statistics,
@@ -21,14 +22,15 @@ from bellows_ros.core.identification.reduction import (
 from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.cup_package import Cup, one_cup_of, package_of, varied
-from bellows_ros.core.model.structure import given_structure
+from bellows_ros.core.model.structure import given_structure, STRUCTURES
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, Noise, Recording, TimeOffset
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 
 Progress = Callable[[str, float], None]
+T = TypeVar('T', bound=AnyRecording)
 
 TYPICAL_STEPS = 12
 """Typical number of steps of a fit by simulation."""
@@ -118,15 +120,13 @@ def fit(
             "and along the cup at 4-6 Hz; standstills are for 'bellows static' and static.bags."
         )
     if result.method == 'least_squares':
-        result = _with_relaxation(
+        result = _with_relaxation_of(
             replace(result, notes=(*result.notes, *_noise_warning(recordings))), recordings)
     if values['fit.time_offset']:
         result = _with_offsets(result, [part.time_offset for part in parts])
     if standstills:
-        from bellows_ros.core.identification.statics import (  # late: rare
-            joined_with_standstills,
-            Length,
-        )
+        # Late, as it is rare.
+        from bellows_ros.core.identification.statics import joined_with_standstills, Length
 
         jacobian = np.zeros(len(result.labels))
         if length_std > 0.0:
@@ -175,7 +175,8 @@ def fitted(
 ) -> Fit:
     """Return the fit to recordings alone, without standstills and prior knowledge."""
     if values['fit.method'] == 'least_squares':
-        return least_squares([reduced(recording, values).statistics for recording in recordings])
+        return least_squares.least_squares(
+            [reduced(recording, values).statistics for recording in recordings])
     return _by_output_error(whole_recordings(recordings), values, progress)
 
 
@@ -213,13 +214,41 @@ def _by_output_error(
         values['fit.relaxation'], given_std(values))
 
 
-def _with_relaxation(result: Fit, recordings: Sequence[AnyRecording]) -> Fit:
+def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[T]:
+    """
+    Return recordings of one cup with its relaxation, where fit.relaxation asks for it.
+
+    Raises
+    ------
+    BellowsError
+        If fit.relaxation is 'on' and they do not show any.
+
+    """
+    whole = whole_recordings(recordings)
+    if values['fit.relaxation'] == 'off' or values['fit.free'] or len(whole) < len(recordings):
+        return list(recordings)
+    structure = given_structure(values)
+    # One rubber, one law: a richer structure is no better.
+    simplest = structure if structure.places else STRUCTURES['axisymmetric']
+    relaxation = least_squares.relaxation_of(
+        [samples_of(recording).thinned(MAX_STORED) for recording in whole],
+        [recording.noise for recording in whole], values['cup.length'], simplest)
+    if simplest is not structure:
+        relaxation = relaxation._replace(by=simplest.within(structure) @ relaxation.by)
+    if not any(relaxation.strengths):
+        if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
+            raise UndeterminedError(least_squares.NOT_RELAXING)
+        return list(recordings)
+    return [replace(each, relaxation=relaxation) for each in whole]  # type: ignore[misc]
+
+
+def _with_relaxation_of(result: Fit, recordings: Sequence[AnyRecording]) -> Fit:
     """Return a fit with the relaxation of the recordings, whose errors reach K and P."""
     whole = whole_recordings(recordings)
     if not whole or not any(whole[0].relaxation.strengths):
         return result
     relaxation = whole[0].relaxation
-    notes = (R2_ASSUMED,) if relaxation.assumed else ()
+    notes = (least_squares.R2_ASSUMED,) if relaxation.assumed else ()
     finite = np.isfinite(np.diag(result.covariance))
     more = relaxation.by @ relaxation.covariance @ relaxation.by.T
     return replace(
@@ -241,10 +270,10 @@ def _with_offsets(result: Fit, offsets: Sequence[TimeOffset | None]) -> Fit:
 def _length_jacobian(recordings: Sequence[Recording], values: Mapping[str, Any]) -> Array:
     """Return the derivatives (2 n,) of the parameters that least squares finds by cup.length."""
     structure = given_structure(values)
-    ends = []
-    for length in (values['cup.length'] + LENGTH_STEP, values['cup.length'] - LENGTH_STEP):
-        ends.append(least_squares([statistics(samples_of(recording), length, structure)
-                                   for recording in recordings]).parameters)
+    ends = [
+        least_squares.least_squares([
+            statistics(samples_of(recording), values['cup.length'] + step, structure)
+            for recording in recordings]).parameters for step in (LENGTH_STEP, -LENGTH_STEP)]
     return np.asarray((ends[0] - ends[1]) / (2.0 * LENGTH_STEP))
 
 
@@ -267,7 +296,7 @@ def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
 
     What is not identifiable, or below zero, is that of the given cup.
     """
-    result = least_squares([part._replace(noise=None) for part in parts])
+    result = least_squares.least_squares([part._replace(noise=None) for part in parts])
     stiffness, damping = (
         np.where(np.isfinite(error) & (value >= 0.0), value, instead)
         for value, error, instead in (

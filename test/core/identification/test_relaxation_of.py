@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.least_squares import relaxation_of, with_relaxation
-from bellows_ros.core.identification.methods import fit
+from bellows_ros.core.identification.least_squares import relaxation_of
+from bellows_ros.core.identification.methods import fit, with_relaxation
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
