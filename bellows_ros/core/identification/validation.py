@@ -11,12 +11,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.search import (
-    measured_segments,
-    MeasuredSegment,
-    Search,
-    Segment,
-)
+from bellows_ros.core.identification.search import measured_segments, Search, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows
@@ -160,7 +155,12 @@ class Validation(residuals.Comparison):
             parts = measured_segments(self.recording)
         except BellowsError:
             return None
-        segment = Segment(_middle(max(parts, key=lambda part: len(part.package))))
+        longest = max(parts, key=lambda part: len(part.package))
+        stamps = longest.package.stamps_ns
+        edge = max(len(stamps) - MAX_INNOVATIONS, 0) // 2
+        middle = stamps[[edge, len(stamps) - 1 - edge]]
+        segment = Segment(replace(longest, tool=longest.tool.between(*middle),
+                                  package=longest.package.between(*middle)))
         search = Search([segment], STRUCTURES['full'], self.cup, {})
         for _ in range(MOTION_ROUNDS):
             (part,), _, _ = search.system(search.start)
@@ -202,14 +202,6 @@ class Validation(residuals.Comparison):
         if not self.moves.any():
             return 'No axis moves enough for a verdict: record a larger motion.'
         return f'All axes that move are predicted within {part}.'
-
-
-def _middle(part: MeasuredSegment) -> MeasuredSegment:
-    """Return the middle of a part of a recording that is long."""
-    stamps = part.package.stamps_ns
-    edge = max(len(stamps) - MAX_INNOVATIONS, 0) // 2
-    ends = stamps[[edge, len(stamps) - 1 - edge]]
-    return replace(part, tool=part.tool.between(*ends), package=part.package.between(*ends))
 
 
 def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> Validation:
