@@ -24,7 +24,6 @@ from bellows_ros.core.identification.objective import (
     Objective,
     refine,
     ROUNDS,
-    SINGULAR,
     SLIPS,
     Solved,
 )
@@ -52,6 +51,9 @@ MAX_ROUNDS, MAX_STARTS = 3, 3
 
 MAX_LOG_INERTIA = float(np.log(10.0))
 """No inertia is off by more, but by its unit."""
+
+SINGULAR = 1e-10
+"""Eigenvalues of a correlation below this count as zero."""
 
 MIN_CUP_EFFECT = 0.02
 """Part by which an entry of K is otherwise at the largest deflection, at least, to be said."""

@@ -309,9 +309,6 @@ class Solved(NamedTuple):
 UNIDENTIFIABLE_VARIANCE = 1e200
 """Variance of what is not identifiable."""
 
-SINGULAR = 1e-10
-"""Eigenvalues of scaled information below this count as zero."""
-
 
 def covariance_of(solved: Solved, D: Array, of_motion: Array | None = None) -> Array:
     """
