@@ -424,7 +424,7 @@ class ResultComparison(NamedTuple):
             'before': self.paths[0],
             'after': self.paths[1],
             **results.attributes(self.fits, 'matters', 'significant', 'p_value', 'shake_rms'),
-            **{name: [{**vars(each), **results.attributes(each, *derived)} for each in changes]
+            **{name: [{**each._asdict(), **results.attributes(each, *derived)} for each in changes]
                for name, changes in (
                    ('parameters', self.fits.parameters), ('effects', self.fits.effects))},
             'settings': self.settings,

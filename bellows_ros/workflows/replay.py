@@ -1,12 +1,12 @@
 """Predict a recording with a cup, also with measured poses of the package, and rate the cup."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import math
 from operator import itemgetter
 import os
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
@@ -96,8 +96,7 @@ class Margins:
     least: float
 
 
-@dataclass(frozen=True, eq=False)
-class Observed:
+class Observed(NamedTuple):
     """
     The recorded package and three estimates of it, over the same time.
 
@@ -129,10 +128,10 @@ class Observed:
     both: residuals.Comparison
     counts: Mapping[str, int]
     alarms: tuple[tuple[float, Alarm], ...]
-    payload: Payload | None = None
-    calibration: Calibration | None = None
-    parameters: Values = field(default_factory=dict)
-    alarm_calibration: AlarmCalibration | None = None
+    payload: Payload | None
+    calibration: Calibration | None
+    parameters: Values
+    alarm_calibration: AlarmCalibration | None
 
     @property
     def sentence(self) -> str:

@@ -112,7 +112,7 @@ class StaticResult(NamedTuple):
         """Return the content of a JSON file, in SI units."""
         return results.with_units({
             'nominal_length': self.length and {
-                **vars(self.length), **results.attributes(self.length, 'warnings', 'text'),
+                **self.length._asdict(), **results.attributes(self.length, 'warnings', 'text'),
                 'units': {
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],

@@ -329,7 +329,7 @@ class ReleaseResult(NamedTuple):
             'chi2': fit.chi2,
             'lack_of_fit': fit.lack,
             'in_common': fit.common,
-            'drops': [{'bag': bag, **vars(drop)}
+            'drops': [{'bag': bag, **drop._asdict()}
                       for bag, drop in zip(self.used, fit.drops, strict=True)],
             'left_out': self.left_out,
             'warnings': self.warnings,

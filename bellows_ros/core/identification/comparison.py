@@ -9,7 +9,6 @@ shake. The standard errors of these follow from those of the parameters by first
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -87,8 +86,7 @@ class Fitted(NamedTuple):
     covariance: Array
 
 
-@dataclass(frozen=True)
-class Change:
+class Change(NamedTuple):
     """
     One number in both fits.
 

@@ -16,7 +16,7 @@ pose, and of the cup's length, whiten the equations.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
@@ -81,8 +81,7 @@ NOISE_DEVIATIONS = 3.0
 """Standard errors of a mean that count as noise."""
 
 
-@dataclass(frozen=True, eq=False)
-class NominalLength:
+class NominalLength(NamedTuple):
     """
     The cup's length without load (4.2).
 

@@ -8,7 +8,6 @@ there what the bias of the fit spoils.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
@@ -48,8 +47,7 @@ NEGLIGIBLE_ERROR = 5e-3
 """... or if it adds less than this to a simulation without errors: filters add as much."""
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(NamedTuple):
     """
     One candidate.
 

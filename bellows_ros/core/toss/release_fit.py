@@ -182,8 +182,7 @@ class Drop:
         return out
 
 
-@dataclass(frozen=True, eq=False)
-class Explained:
+class Explained(NamedTuple):
     """What a law leaves of a drop."""
 
     mass: float
