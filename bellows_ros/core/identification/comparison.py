@@ -26,7 +26,6 @@ from bellows_ros.core.model.simulation import simulate, state_row
 from bellows_ros.core.model.structure import common_structure, Structure, structure_named
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.synthetic.motion import Oscillation, Pose
-from bellows_ros.errors import BellowsError
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
@@ -407,20 +406,11 @@ def same_cup(fits: Sequence[Fit], names: Sequence[str]) -> Consistency:
     Parameters
     ----------
     fits : sequence of Fit
-        At least two, of different recordings.
+        At least two of one structure, of different recordings.
     names : sequence of str
         Their names, such as the packages' masses.
 
-    Raises
-    ------
-    BellowsError
-        If there are fewer than two, or their parameters are not the same.
-
     """
-    if len(fits) < 2 or any(fit.labels != fits[0].labels for fit in fits):
-        raise BellowsError(
-            'Whether cups are the same needs at least two fits of the same structure.'
-        )
     structure = structure_named(fits[0].structure)
     sizes = structure.sizes(fits[0].stiffness, fits[0].damping)
     sizes[sizes == 0.0] = 1.0
