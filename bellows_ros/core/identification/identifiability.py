@@ -192,8 +192,7 @@ def too_fast(axes: Sequence[Axis], passed: Sequence[PassBand]) -> Iterator[str]:
         yield (
             f'{DIRECTIONS[axis.name][0]} of up to {fastest:.1f} Hz is too fast for the filter, '
             f'which follows up to {end:.1f} Hz: least squares may get its stiffness and damping '
-            f'wrong by more than the standard errors. Use fit.method: output_error{shorter}.'
-        )
+            f'wrong by more than the standard errors. Use fit.method: output_error{shorter}.')
 
 
 MAX_CORRELATION = 0.95

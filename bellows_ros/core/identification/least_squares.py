@@ -33,12 +33,7 @@ from bellows_ros.core.identification.samples import (
     with_noise,
 )
 from bellows_ros.core.model.structure import Structure
-from bellows_ros.core.recording.recording import (
-    FilterNoise,
-    NO_RELAXATION,
-    NOISE_SAMPLES,
-    Relaxation,
-)
+from bellows_ros.core.recording.recording import FilterNoise, NOISE_SAMPLES, Relaxation
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
@@ -126,8 +121,7 @@ def solution(R: Array, structure: Structure) -> Solution:
         inverse,
         ~np.any(np.abs(Vt[~determined]) > IN_NULL_SPACE, axis=0),
         int(np.count_nonzero(determined)),
-        float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
-    )
+        float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf)
 
 
 def least_squares(parts: Sequence[Statistics]) -> Fit:
@@ -158,14 +152,12 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     if 6 * used <= 2 * structure.size:
         raise UndeterminedError(
             f'{used} valid samples are too few for {2 * structure.size} parameters. Record '
-            'longer, or check in the report why samples were rejected.'
-        )
+            'longer, or check in the report why samples were rejected.')
     whitening, (x, inverse, identifiable, _, condition), noise = weighted(parts)
     if not identifiable.any():
         raise UndeterminedError(
             f'{", ".join(structure.labels[:MAX_LISTED])} and all others are not identifiable from '
-            'these recordings: nothing moves. Excite all six directions.'
-        )
+            'these recordings: nothing moves. Excite all six directions.')
     bias = noise_rms = None
     gain = inverse
     if noise is not None:
@@ -191,8 +183,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         noise_rms=noise_rms,
         bias=bias,
         notes=() if significant.any() else (TOO_SHORT,),
-        misfit=_misfit(residual_rms, noise_rms, whitening),
-    )
+        misfit=_misfit(residual_rms, noise_rms, whitening))
 
 
 def weighted(parts: Sequence[Statistics]) -> tuple[Array, Solution, Array | None]:
@@ -303,8 +294,7 @@ def _misfit(residual_rms: Array, noise_rms: Array | None, whitening: Array) -> s
         f'{unit}. Check '
         'recording.world and the other frames, that the topics are not exchanged, package.mass, '
         'package.com and cup.length, and that one clock stamps both streams; or use a richer '
-        'fit.structure, or a shorter filter window if the motion is jerky.'
-    )
+        'fit.structure, or a shorter filter window if the motion is jerky.')
 
 
 MIN_SQUARED_DISTANCE = 13.8
@@ -332,9 +322,9 @@ RELAXATION_STEPS = 20
 def relaxation_of(
     recordings: Sequence[Samples], noises: Sequence[FilterNoise], cup_length: float,
     structure: Structure,
-) -> Relaxation:
+) -> Relaxation | None:
     """
-    Estimate the strengths of the branches.
+    Estimate the strengths of the branches; None without any that exceeds its standard error.
 
     Parameters
     ----------
@@ -350,23 +340,23 @@ def relaxation_of(
     """
     products = _cluster_products(recordings, noises, cup_length, structure)
     if not np.diag(products[1])[:2 * structure.size].min() > 0.0:  # nothing but noise moves it
-        return NO_RELAXATION
+        return None
     _, unexplained = _fit_strengths(products, structure.size, ())
     for free in ((0, 1), (0,), (1,)):
         estimate, remaining = _fit_strengths(products, structure.size, free)
         if min(estimate.strengths) >= 0.0:
             break
     else:
-        return NO_RELAXATION
+        return None
     index, strengths = np.ix_(free, free), np.array(estimate.strengths)[list(free)]
     distance = strengths @ np.linalg.solve(estimate.covariance[index], strengths)
     if distance <= MIN_SQUARED_DISTANCE or remaining > MAX_REMAINING_SHARE * unexplained:
-        return NO_RELAXATION
+        return None
     if 0.0 < estimate.std[1] <= MAX_RELATIVE_ERROR * max(estimate.strengths):
         return estimate
     alone, remaining = _fit_strengths(products, structure.size, (0,), DEFAULT_RATIO)
     if remaining > MAX_REMAINING_SHARE * unexplained:
-        return NO_RELAXATION
+        return None
     unknown = np.diag([0.0, (RATIO_STD * alone.strengths[0]) ** 2])
     return alone._replace(covariance=alone.covariance + unknown, assumed=True)
 

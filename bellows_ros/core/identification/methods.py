@@ -117,8 +117,7 @@ def fit(
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED}, which no weight loads. Move the tool in all directions at 1-3 Hz, '
-            "and along the cup at 4-6 Hz; standstills are for 'bellows static' and static.bags."
-        )
+            "and along the cup at 4-6 Hz; standstills are for 'bellows static' and static.bags.")
     if result.method == 'least_squares':
         result = _with_relaxation_of(
             replace(result, notes=(*result.notes, *_noise_warning(recordings))), recordings)
@@ -233,12 +232,12 @@ def with_relaxation(recordings: Sequence[T], values: Mapping[str, Any]) -> list[
     relaxation = least_squares.relaxation_of(
         [samples_of(recording).thinned(MAX_STORED) for recording in whole],
         [recording.noise for recording in whole], values['cup.length'], simplest)
-    if simplest is not structure:
-        relaxation = relaxation._replace(by=simplest.within(structure) @ relaxation.by)
-    if not any(relaxation.strengths):
+    if relaxation is None:
         if values['fit.relaxation'] == 'on' and values['fit.method'] == 'least_squares':
             raise UndeterminedError(least_squares.NOT_RELAXING)
         return list(recordings)
+    if simplest is not structure:
+        relaxation = relaxation._replace(by=simplest.within(structure) @ relaxation.by)
     return [replace(each, relaxation=relaxation) for each in whole]  # type: ignore[misc]
 
 
@@ -301,9 +300,7 @@ def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
         np.where(np.isfinite(error) & (value >= 0.0), value, instead)
         for value, error, instead in (
             (result.stiffness, result.stiffness_std, given.stiffness),
-            (result.damping, result.damping_std, given.damping),
-        )
-    )
+            (result.damping, result.damping_std, given.damping)))
     return Cup(stiffness, damping, given.length, given.relaxation)
 
 

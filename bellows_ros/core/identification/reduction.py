@@ -163,8 +163,7 @@ def statistics(
         structure, cup_length, samples.count, len(samples.tool) - samples.count,
         Moments.of(samples.lip.wrench), np.concatenate(r_factors),
         samples.lip if structure.couples else None,
-        None if noise is None else noise_products(samples, noise, cup_length, structure),
-    )
+        None if noise is None else noise_products(samples, noise, cup_length, structure))
 
 
 def _component_r_factors(rows: Array) -> Array:

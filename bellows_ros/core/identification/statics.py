@@ -183,8 +183,7 @@ def nominal_length(standstills: Sequence[Standstill], gravity: float) -> Nominal
         raise UndeterminedError(
             'The nominal length needs two or more different masses, held with the tool '
             f'vertical, but there {"is" if different == 1 else "are"} {different}. Record '
-            'standstills with other known masses, and give each its own --mass.'
-        )
+            'standstills with other known masses, and give each its own --mass.')
     pick = _pick_scatter(measured, groups)
     scattered = np.column_stack([loads, lengths, np.hypot(errors, np.nan_to_num(pick))])
     degree = LINEAR_DEGREE
