@@ -210,23 +210,19 @@ class Fit:
     nuisances: Mapping[str, Array] = field(default_factory=dict)
 
     @cached_property
-    def _matrices(self) -> tuple[Array, Array]:
-        return structure_named(self.structure).matrices(self.parameters)
-
-    @cached_property
     def _errors(self) -> tuple[Array, Array]:
         more = 0.0 if self.from_given is None else np.diag(self.from_given)
         return structure_named(self.structure).spread(np.sqrt(np.diag(self.covariance) + more))
 
-    @property
+    @cached_property
     def stiffness(self) -> Array:
         """K (6, 6) of (3.17) in SI units, linear first."""
-        return self._matrices[0]
+        return structure_named(self.structure).matrices(self.parameters)[0]
 
-    @property
+    @cached_property
     def damping(self) -> Array:
         """P (6, 6) of (3.33) in SI units, linear first."""
-        return self._matrices[1]
+        return structure_named(self.structure).matrices(self.parameters)[1]
 
     @property
     def stiffness_std(self) -> Array:
