@@ -1,11 +1,12 @@
 """Poses of files, joints or transforms to recordings, and from recordings to TUM."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import compress
 import os
 from pathlib import Path
 import re
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros import __version__
@@ -26,8 +27,7 @@ TEXT_ENDINGS = ('.tum', '.txt')
 MIN_DATE_NS = 86_400 * 10**9  # a stamp in the first day of 1970 is no date
 
 
-@dataclass(frozen=True, eq=False)
-class Body:
+class Body(NamedTuple):
     """
     The messages of a body.
 
@@ -46,7 +46,7 @@ class Body:
 
     messages: bag_writer.Encoded
     source: str
-    left_out: Mapping[str, int] = field(default_factory=dict)
+    left_out: Mapping[str, int] = MappingProxyType({})
     world: str = 'z_up'
 
     @property
@@ -61,7 +61,7 @@ class Body:
 
     def at(self, chosen: Mask) -> 'Body':
         """Return some of the messages."""
-        return replace(self, messages=replace(
+        return self._replace(messages=replace(
             self.messages, stamps_ns=self.messages.stamps_ns[chosen],
             data=tuple(compress(self.messages.data, chosen))))
 
@@ -122,7 +122,7 @@ def bodies_in_files(
             f'{len(names)} topics are given for {len(bodies)} bodies: '
             f'{", ".join(body.source for body in bodies)}. Give one for each, in this order.')
     if names:
-        bodies = [replace(body, messages=replace(body.messages, topic=bags.absolute(name)))
+        bodies = [body._replace(messages=replace(body.messages, topic=bags.absolute(name)))
                   for body, name in zip(bodies, names, strict=True)]
     chosen = [body.topic for body in bodies]
     if len(set(chosen)) < len(chosen):

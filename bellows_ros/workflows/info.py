@@ -7,7 +7,6 @@ the poses leave a choice.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import permutations
 import os
 from pathlib import Path
@@ -59,8 +58,7 @@ MIN_SHIFT, MIN_TURN = 2e-3, 5e-3  # m and rad in that time: a smaller motion is 
 TWIST_TOLERANCE = 0.3  # relative difference between the two, at most, to belong together
 
 
-@dataclass(frozen=True)
-class TopicInfo:
+class TopicInfo(NamedTuple):
     """
     A topic, and the quality of its messages if they can be read.
 
@@ -105,10 +103,10 @@ class TopicInfo:
     rate_hz: float = float('nan')
     jitter_s: float = float('nan')
     gaps: tuple[tuple[float, float], ...] = ()
-    refused: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[str, int] = MappingProxyType({})
     outliers: int = 0
-    noise: Mapping[str, list[float]] = field(default_factory=dict)
-    motion: Mapping[str, list[float]] = field(default_factory=dict)
+    noise: Mapping[str, list[float]] = MappingProxyType({})
+    motion: Mapping[str, list[float]] = MappingProxyType({})
     warnings: tuple[str, ...] = ()
 
 

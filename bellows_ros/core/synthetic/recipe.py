@@ -13,7 +13,7 @@ the plate was not gripped at the markers' centre. Poses are then turned into the
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import math
 import re
 from typing import NamedTuple
@@ -54,8 +54,7 @@ class Faults:
     rotation: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Sensor:
+class Sensor(NamedTuple):
     """
     How one body is tracked.
 
@@ -84,8 +83,8 @@ class Sensor:
     rate_hz: float
     position_noise: float = 0.0
     rotation_noise: float = 0.0
-    origin: Array = field(default_factory=lambda: np.zeros(3))
-    marker: Array = field(default_factory=lambda: np.zeros(3))
+    origin: Array = np.zeros(3)
+    marker: Array = np.zeros(3)
     jumps: Faults = Faults()
     dropouts: Faults = Faults()
     jitter: float = 0.0
