@@ -1,6 +1,7 @@
 """Change a motion so that the package does not swing: read a plan, steer it, report the gain."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -179,15 +180,13 @@ def steer_plan(
     steered = steer(model, reference, method, of_package)
     arrival = float((reference if method == 'inverse' else steered.tool).seconds[-1])
     motions = {method: _effect(source, steered.tool, steered.package, arrival)}
-    try:
+    with suppress(UnstableError):  # as planned the package falls over: the method stands alone
         planned = tool_above(model, source.tool) if of_package else source.tool
         motions['as planned'] = _effect(source, planned, hanging(model, planned), source.duration)
         if method == 'inverse':
             other = steer(model, reference, 'zvd', of_package)
             motions['zvd'] = _effect(
                 source, other.tool, other.package, float(other.tool.seconds[-1]))
-    except UnstableError:  # as planned the package falls over: the method stands alone
-        pass
     return SteerReport(
         source, method, motions, steered, scale, limit, bool(parameter_std(source.values).any()))
 
