@@ -94,20 +94,6 @@ def demands(tool: Trajectory) -> dict[str, float]:
         float(at[1]) / NS_PER_S)
 
 
-def excess(
-    limits: Limits, tool: Trajectory, safety_factor: float, joints: tuple[float, str] = (1.0, '')
-) -> tuple[float, str]:
-    """Return the factor on time that is needed at least, 1 if none is, and the limit."""
-    rates = demands(tool)
-    inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
-    factors = [
-        *(((rates[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
-          for i, name in enumerate(RATES)),
-        (1.0 if inside.all() else MIN_STRETCH, 'workspace'),
-        (1.0 if safety_factor >= limits.safety_factor else MIN_STRETCH, 'safety_factor'), joints]
-    return max([(1.0, ''), *(each for each in factors if each[0] > 1.0)])
-
-
 def stretched(
     limits: Limits, motion: Callable[[float], tuple[Trajectory, float, tuple[float, str]]]
 ) -> tuple[float, str]:
@@ -130,12 +116,22 @@ def stretched(
 
     """
     def needed(scale: float) -> tuple[float, str]:
+        """Return the factor on time that is needed at least, 1 if none is, and the limit."""
         try:
-            return excess(limits, *motion(scale))
+            tool, safety_factor, *joints = motion(scale)
         except TooFastError as error:
             if scale >= MAX_STRETCH:
                 raise
             return MIN_STRETCH, error.limit
+        rates = demands(tool)
+        inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
+        factors = [
+            *(((rates[name] / limits.rates[name]) ** (1.0 / (1 + i % 3 + STEEPNESS)), name)
+              for i, name in enumerate(RATES)),
+            (1.0 if inside.all() else MIN_STRETCH, 'workspace'),
+            (1.0 if safety_factor >= limits.safety_factor else MIN_STRETCH, 'safety_factor'),
+            *joints]
+        return max([(1.0, ''), *(each for each in factors if each[0] > 1.0)])
 
     below, scale, reason = 1.0, 1.0, ''
     while True:
