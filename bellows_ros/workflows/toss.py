@@ -14,8 +14,7 @@ from bellows_ros.core.planning.plan import flip_sentence, PEAK_MOMENT_BENDING
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
-from bellows_ros.core.toss import release as law
-from bellows_ros.core.toss.release import RELEASE_NAMES, Toss, toss
+from bellows_ros.core.toss.release import HeldMotion, law_of, RELEASE_NAMES, release_of, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bags, File, messages, results, Values
 from bellows_ros.workflows import CommandResult, plan
@@ -232,13 +231,13 @@ def toss_plan(
             'leave it out.')
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
-    release, gravity = law.release_of(source.values), source.gravity
+    release, gravity = release_of(source.values), source.gravity
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
             'plan in a world with z up.')
     progress('following the plan')
-    held = law.HeldMotion(source.model, source.grip, source.tool)
+    held = HeldMotion(source.model, source.grip, source.tool)
     asked = aim = None
     if target is not None:
         asked = None if switched is None else toss(held, release, switched)
@@ -372,7 +371,7 @@ def identify_release(settings: Values, progress: Progress = no_progress) -> Rele
         left_out += [f'{bag}, {text}' for text in not_used]
     progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
-        fit = release_fit.fit_release(drops, law.law_of(values), landing.as_law(np.array(
+        fit = release_fit.fit_release(drops, law_of(values), landing.as_law(np.array(
             [values[f'{name}_std'] for name in RELEASE_NAMES])))
     except UndeterminedError as error:
         raise type(error)(' '.join([str(error), *(f'Not used: {t}.' for t in left_out)])) from None

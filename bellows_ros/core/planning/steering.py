@@ -22,7 +22,6 @@ from bellows_ros.core.model.jacobians import damper_jacobians
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.planning import plan as planning
 from bellows_ros.core.planning.limits import TooFastError
-from bellows_ros.core.planning.plan import PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -371,7 +370,7 @@ def is_smooth(curve: Any) -> bool:
 # -------------------------------------------------------------------------------------- shaping
 
 
-def modes_left(model: ModelTuple, prediction: PlanPrediction) -> list[SwingMode]:
+def modes_left(model: ModelTuple, prediction: planning.PlanPrediction) -> list[SwingMode]:
     """
     Return the modes of the hanging package, and how far each swings after a plan.
 
@@ -488,7 +487,7 @@ def steer(model: ModelTuple, plan: Trajectory, method: str, of_package: bool = F
         first = None if of_package else simulation.state_row(*np.split(row, [3, 7]))
         return Steered(*inverse(model, plan if of_package else hanging(model, plan), first), [])
     tool = tool_above(model, plan) if of_package else plan
-    prediction = PlanSimulation(model, None, tool, tail=0.0).predict()
+    prediction = planning.PlanSimulation(model, None, tool, tail=0.0).predict()
     modes = to_shape(modes_left(model, prediction), method)
     tool = shaped(tool, *impulses(modes, method))
     return Steered(tool, hanging(model, tool), 0.0, modes)

@@ -30,7 +30,6 @@ from bellows_ros.core.model.kernels import ModelTuple, State, ToolSegment
 from bellows_ros.core.model.simulation import body_row, row_state, ToolRows, write_row
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss import free_flight
-from bellows_ros.core.toss.free_flight import Box
 from bellows_ros.errors import BellowsError, NoLandingError
 import numpy as np
 
@@ -283,7 +282,7 @@ class Release(NamedTuple):
     """Data of valve, cup, package and floor."""
 
     law: Law
-    box: Box
+    box: free_flight.Box
     height: float
     """Of the floor, from the world's origin against gravity, m."""
 
