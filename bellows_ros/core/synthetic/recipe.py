@@ -166,21 +166,17 @@ def schedule(
             'Make them fewer or shorter, or the motion longer.')
     order = draw.permutation(len(lengths))
     spread = np.sort(draw.integers(0, max(free, 0) + 1, len(lengths)))
-    starts = first + spread + np.cumsum(lengths[order] + 1) - lengths[order] - 1
-    jumps: list[int] = []
-    dropouts: list[int] = []
-    for start, event in zip(starts.tolist(), order.tolist(), strict=True):
-        samples = slice(start, start + int(lengths[event]))
-        if event < sensor.jumps.count:
-            jump[samples] = len(jumps)
-            jumps.append(start)
-        else:
-            sent[samples] = False
-            dropouts.append(start)
+    ends = first + spread + np.cumsum(lengths[order] + 1) - 1
+    starts, is_jump = ends - lengths[order], order < sensor.jumps.count
+    for number, (start, end) in enumerate(zip(starts[is_jump], ends[is_jump], strict=True)):
+        jump[start:end] = number
+    for start, end in zip(starts[~is_jump], ends[~is_jump], strict=True):
+        sent[start:end] = False
+    jumps, dropouts = (tuple(starts[which].tolist()) for which in (is_jump, ~is_jump))
     largest = MAX_JITTER / sensor.rate_hz
     jitter = np.clip(draw.normal(0.0, sensor.jitter, len(sampled_ns)), -largest, largest)
     stamps_ns = sampled_ns + np.round(jitter * NS_PER_S).astype(np.int64)
-    return Schedule(sampled_ns, stamps_ns, jump, sent, tuple(jumps), tuple(dropouts))
+    return Schedule(sampled_ns, stamps_ns, jump, sent, jumps, dropouts)
 
 
 def measure_poses(
