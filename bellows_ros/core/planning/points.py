@@ -21,6 +21,7 @@ from bellows_ros.core.signals.screening import MAX_TOOL_RATE, MAX_TOOL_SPEED, UN
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
+import scipy  # whose parts are loaded as they are used: the predictor starts without
 
 MAX_POINTS, MAX_TIME = 100_000, 600.0
 """Most points of a plan, and its longest duration (s)."""
@@ -78,11 +79,9 @@ def plan_of(
             'Are its numbers x, y, z, w in this order?')
     _require_reachable(durations, sizes, name)
     if twist is None:
-        from scipy.interpolate import CubicSpline
-
         t = (stamps_ns - stamps_ns[0]) / NS_PER_S
         q = _near_quaternions(lie.quaternion_to_rotation(poses[:, 3:]))
-        curve = CubicSpline(t, np.hstack([poses[:, :3], q]), bc_type='clamped')
+        curve = scipy.interpolate.CubicSpline(t, np.hstack([poses[:, :3], q]), bc_type='clamped')
         rows[:, 7:] = body_twists(q, curve(t, 1))[1]
     elif len(poses) >= MIN_FITTED_POINTS:
         _require_fitting(np.sqrt(fit / (3 * len(durations))), name)
@@ -126,15 +125,14 @@ def plan_of_joints(
         If a joint is missing, and as `plan_of`.
 
     """
-    from scipy.interpolate import CubicHermiteSpline, CubicSpline
-
     columns = arm.columns(names, 'The plan')
     q = position[:, columns]
     rate, bend = (None if part is None else part[:, columns] for part in (velocity, acceleration))
     _require_points(stamps_ns, (q, rate, bend), 'The plan')
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    curve: Any = CubicSpline(t, q, bc_type='clamped') if rate is None else (
-        CubicHermiteSpline(t, q, rate) if bend is None else quintic(t, q, rate, bend))
+    curve: Any = scipy.interpolate.CubicSpline(t, q, bc_type='clamped') if rate is None else (
+        quintic(t, q, rate, bend) if bend is not None else
+        scipy.interpolate.CubicHermiteSpline(t, q, rate))
     fine = _without_gaps(stamps_ns)
     at = (fine - stamps_ns[0]) / NS_PER_S
     T, twist = arm.tool(curve(at), curve(at, 1))
@@ -173,9 +171,7 @@ def curve_of(motion: Trajectory) -> Any:
 
     Of position and quaternion, (..., 7); the latter is of unit length at the motion's points.
     """
-    from scipy.interpolate import CubicHermiteSpline
-
-    return CubicHermiteSpline(motion.seconds, *_path(motion))
+    return scipy.interpolate.CubicHermiteSpline(motion.seconds, *_path(motion))
 
 
 def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
@@ -209,12 +205,10 @@ def _refined(plan: Trajectory, stamps: Stamps, acceleration: Array | None) -> Tr
 
 def quintic(t: Array, value: Array, rate: Array, bend: Array) -> Any:
     """Return quintic polynomials between times (N,) with these values and derivatives (N, M)."""
-    from scipy.interpolate import PPoly
-
     h = np.diff(t)[:, None]
     v, v_end, a, a_end = h * rate[:-1], h * rate[1:], h**2 * bend[:-1], h**2 * bend[1:]
     d, e, f = np.diff(value, axis=0) - v - 0.5 * a, v_end - v - a, a_end - a
-    return PPoly(np.array([
+    return scipy.interpolate.PPoly(np.array([
         (6 * d - 3 * e + 0.5 * f) / h**5, (-15 * d + 7 * e - f) / h**4,
         (10 * d - 4 * e + 0.5 * f) / h**3, 0.5 * bend[:-1], rate[:-1], value[:-1]]), t)
 
@@ -377,8 +371,6 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
         configuration; with the time.
 
     """
-    from scipy.interpolate import CubicSpline  # late: the predictor starts without
-
     seconds = tool.seconds
     position = arm.positions(lie.transform(tool.rotation, tool.position), near)
     J = arm.jacobian(position)
@@ -394,10 +386,11 @@ def joint_path(arm: Arm, tool: Trajectory, near: Array) -> JointPath:
             f'The arm changes its configuration at {seconds[worst]:.3f} s: a joint moves by '
             f'{jumps[worst]:.2g} rad or m between two points, expected at most {MAX_JUMP:g}. '
             'Start in another configuration, or give more points.')
-    slope = CubicSpline(seconds, position)(seconds, 1)
+    slope = scipy.interpolate.CubicSpline(seconds, position)(seconds, 1)
     missing = np.asarray(tool.twist) - lie.apply(J, slope)
     velocity = np.asarray(slope + (np.linalg.pinv(J) @ missing[..., None])[..., 0])
-    return JointPath(seconds, position, velocity, CubicSpline(seconds, velocity)(seconds, 1))
+    acceleration = scipy.interpolate.CubicSpline(seconds, velocity)(seconds, 1)
+    return JointPath(seconds, position, velocity, acceleration)
 
 
 def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float, str]:
@@ -475,8 +468,6 @@ class Joints(NamedTuple):
             As `joint_path`.
 
         """
-        from scipy.interpolate import CubicSpline  # late: the predictor starts without
-
         step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, MAX_SPACING)
         every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
         rows = np.arange(0, len(tool), every)
@@ -484,5 +475,5 @@ class Joints(NamedTuple):
         points = tool.select(rows)
         part = points.seconds / points.seconds[-1]
         since, until = (int(stamp - self.stamps_ns[0]) for stamp in planned.stamps_ns[[0, -1]])
-        near = CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)
+        near = scipy.interpolate.CubicSpline(self.stamps_ns - self.stamps_ns[0], self.position)
         return joint_path(self.arm, points, near(since + part * (until - since)))

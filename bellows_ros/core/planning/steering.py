@@ -26,6 +26,7 @@ from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
+import scipy  # whose parts are loaded as they are used
 
 METHODS = ('inverse', 'zv', 'zvd')
 
@@ -269,10 +270,8 @@ def _reference_states(rows: Array, duration: float, count: int) -> Array:
 
     Of a quintic spline through evenly spaced poses (N, 7), from rest to rest.
     """
-    from scipy.interpolate import make_interp_spline
-
     still: Any = [(1, np.zeros(7)), (2, np.zeros(7))]
-    spline = make_interp_spline(
+    spline = scipy.interpolate.make_interp_spline(
         np.linspace(0.0, duration, len(rows)), rows, 5, bc_type=(still, still))
     t = np.linspace(0.0, duration, 2 * count + 1)
     value, rate, bend = (spline(t, order) for order in range(3))
@@ -332,8 +331,6 @@ def tool_above(model: ModelTuple, package: Trajectory) -> Trajectory:
 
 def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
     """Return poses (N, 7) evenly spaced from rest to rest, smoothed if need be, and how far."""
-    from scipy.ndimage import uniform_filter1d
-
     curve, duration = curve_of(reference), float(reference.seconds[-1])
     rows = curve(np.linspace(0.0, duration, max(6, round(duration / SPACING)) + 1))
     if is_smooth(curve):
@@ -344,7 +341,7 @@ def _smooth_rows(reference: Trajectory) -> tuple[Array, float]:
     quick = curve(np.linspace(0.0, duration, fine + 1 - 2 * reach))
     smooth = np.pad(quick, ((reach, reach), (0, 0)), mode='edge')
     for _ in range(4):
-        smooth = uniform_filter1d(smooth, box, axis=0, mode='nearest')
+        smooth = scipy.ndimage.uniform_filter1d(smooth, box, axis=0, mode='nearest')
     smooth[:, 3:] /= np.linalg.norm(smooth[:, 3:], axis=1)[:, None]
     return smooth[::SUBDIVISION], 2.0 * reach * duration / fine
 
