@@ -7,6 +7,7 @@ instant, so that the shift along the flight is projected out.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 import math
 from typing import Any, NamedTuple
 
@@ -166,18 +167,14 @@ def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCa
     numbers = cup_package.parameter_vector(case.values)
     std = cup_package.parameter_std(case.values)
     factor = release_factor(case.values)
-    until, rows, failed = nominal.release_time + MARGIN, [], 0
+    until, rows = nominal.release_time + MARGIN, []
     for _ in range(count):
         model = cup_package.model_with(
             case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = release_with(case.release, factor @ rng.standard_normal(8))
-        try:
-            thrown = case.with_numbers(model, release, until)
-        except (NoLandingError, UnstableError):
-            failed += 1
-        else:
-            rows.append(case.error(thrown, nominal))
-    return MonteCarlo(np.array(rows).reshape(-1, 6), failed)
+        with suppress(NoLandingError, UnstableError):
+            rows.append(case.error(case.with_numbers(model, release, until), nominal))
+    return MonteCarlo(np.array(rows).reshape(-1, 6), count - len(rows))
 
 
 def ellipse(covariance: Array, count: int) -> Array:
