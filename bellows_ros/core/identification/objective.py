@@ -396,13 +396,11 @@ def _derivatives(
     at: Callable[[Array], Solved], theta: Array, solved: Solved, steps: Array
 ) -> tuple[Array, Array]:
     """Return half the gradient (n,) of the sum of squares, and the residuals' Jacobian (N, n)."""
-    gradient, columns = np.zeros(len(theta)), []
-    for i, step in enumerate(steps):
-        change = np.zeros(len(theta))
-        change[i] = step
+    gradient, columns = [], []
+    for step, change in zip(steps, np.diag(steps), strict=True):
         after, before = at(theta + change), at(theta - change)
-        gradient[i] = 0.25 * solved.residuals * (after.excess - before.excess) / step
-        columns.append(
-            (after.rows - before.rows) @ np.append(solved.x, -1.0) / (2.0 * step))
+        gradient.append(0.25 * solved.residuals * (after.excess - before.excess) / step)
+        columns.append((after.rows - before.rows) @ np.append(solved.x, -1.0) / (2.0 * step))
     D = np.column_stack(columns)
-    return gradient, D - solved.basis @ (solved.basis.T @ D)  # what the cup explains as well
+    D -= solved.basis @ (solved.basis.T @ D)  # what the cup explains as well
+    return np.array(gradient), D
