@@ -70,15 +70,16 @@ class TossProblem(NamedTuple):
     switched: float
     """Time of the valve, s since the first point of the plan."""
 
-    def with_numbers(self, model: ModelTuple, release: Release, until: float) -> Toss:
-        """Return the toss with another model and release, up to a time (s)."""
-        held = HeldMotion(model, self.held.grip, self.held.tool, until=until)
-        return toss(held, release, self.switched)
-
     def error(self, thrown: Toss, nominal: Toss) -> Array:
         """Return by how much a landing differs from a nominal one (6,), m and rad."""
         return np.concatenate(toss_release.landing_error(
             thrown.landing, nominal.landing, self.held.model[2]))
+
+    def error_with(self, model: ModelTuple, release: Release, nominal: Toss) -> Array:
+        """Return the same of the toss with another model and release."""
+        held = HeldMotion(model, self.held.grip, self.held.tool,
+                          until=nominal.release_time + MARGIN)
+        return self.error(toss(held, release, self.switched), nominal)
 
 
 def release_with(release: Release, by: Array) -> Release:
@@ -125,10 +126,8 @@ def beyond_masses(values: Mapping[str, Any]) -> float:
 
 def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
     """Return what cup, package and release contribute, by differences as in `perturbed`."""
-    until = nominal.release_time + MARGIN
     names, parts = cup_package.contributions(
-        case.values, case.held.model,
-        lambda model: case.error(case.with_numbers(model, case.release, until), nominal))
+        case.values, case.held.model, lambda model: case.error_with(model, case.release, nominal))
     every = cup_package.parameter_std(case.values)
     std = [every[cup_package.PARAMETER_NAMES.index(name)] for name in names]
     factor, count = release_factor(case.values), len(names)
@@ -167,13 +166,13 @@ def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCa
     numbers = cup_package.parameter_vector(case.values)
     std = cup_package.parameter_std(case.values)
     factor = release_factor(case.values)
-    until, rows = nominal.release_time + MARGIN, []
+    rows = []
     for _ in range(count):
         model = cup_package.model_with(
             case.held.model, numbers + std * rng.standard_normal(len(std)), places_of(case.values))
         release = release_with(case.release, factor @ rng.standard_normal(8))
         with suppress(NoLandingError, UnstableError):
-            rows.append(case.error(case.with_numbers(model, release, until), nominal))
+            rows.append(case.error_with(model, release, nominal))
     return MonteCarlo(np.array(rows).reshape(-1, 6), count - len(rows))
 
 
