@@ -16,8 +16,8 @@ from bellows_ros.core.identification.validation import MAX_NRMSE, SEED, validate
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.load import ALL, Vacuum
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
-from bellows_ros.core.model import kernels, simulation, validity_range
-from bellows_ros.core.model.cup_package import cup_of, model_tuple, package_of
+from bellows_ros.core.model import simulation, validity_range
+from bellows_ros.core.model.cup_package import cup_of, package_of
 from bellows_ros.core.model.grip import factors_along, grip_of, Margin, margin
 from bellows_ros.core.observer.alarm_calibration import AlarmCalibration, calibrated_alarms
 from bellows_ros.core.observer.alarms import Alarm
@@ -246,14 +246,8 @@ class Replay(CommandResult):
         grip, validation = grip_of(self.values), self.validation
         rows = map(simulation.tool_rows, (validation.tool, validation.package))
         return None if grip is None else margin(
-            grip, factors_along(self.model, grip, *rows),
+            grip, factors_along(validation.model, grip, *rows),
             self.recording.since_start(validation.tool.stamps_ns))
-
-    @property
-    def model(self) -> kernels.ModelTuple:
-        """The cup with the package of the recording."""
-        return model_tuple(
-            cup_of(self.values), self.recording.payload, self.recording.settings.gravity)
 
     @property
     def margins(self) -> 'Margins':
@@ -270,7 +264,7 @@ class Replay(CommandResult):
         if smallest is None:
             raise BellowsError(plan.NO_GRIP)
         along = plan.curves(
-            self.values, self.model, grip_of(self.values), validation.tool,
+            self.values, validation.model, grip_of(self.values), validation.tool,
             None if validation.start == 'equilibrium' else validation.state)
         return Margins(
             self.recording.since_start(validation.tool.stamps_ns), along.values[:, 4:6],

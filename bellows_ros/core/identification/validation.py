@@ -103,11 +103,15 @@ class Validation(residuals.Comparison):
     start: str
     warnings: tuple[str, ...]
 
+    @property
+    def model(self) -> ModelTuple:
+        """The cup with the package of the recording, as the kernels take them."""
+        return model_tuple(self.cup, self.recording.payload, self.recording.settings.gravity)
+
     @cached_property
     def wrench(self) -> Array:
         """Of the cup at the lip in the free simulation, in lip axes, N and N m (N, 6)."""
-        model = model_tuple(self.cup, self.recording.payload, self.recording.settings.gravity)
-        return lip_wrenches(model, self.tool, self.package)
+        return lip_wrenches(self.model, self.tool, self.package)
 
     @cached_property
     def noise(self) -> Array:
