@@ -273,18 +273,18 @@ def causes(
 def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
     """Return whether a minimum leaves no cause to look for, with what was given free."""
     names = [name for name in CANDIDATES if name not in search.places]
-    sound = search.is_plausible(minimum) and (
-        minimum.robust_chi2 * max(search.learned(minimum), 1.0) < MISFIT_CHI2)
-    return sound and max(scores(search, minimum, names).values()) < SIGNIFICANT**2 and (
-        largest_pull(search, minimum, given)[1] < MAX_PULL)
+    return search.fits(minimum) and (
+        max(scores(search, minimum, names).values()) < SIGNIFICANT**2) and (
+            largest_pull(search, minimum, given)[1] < MAX_PULL)
 
 
 def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ...]:
     """
     Return the likeliest causes where a search ended, none if nothing is left to explain.
 
-    Of several ends those at the first that shows a certain one, or else any. What was given and is
-    free may be one, too.
+    Of several ends those at the first that shows a certain one, or else any, but none after one at
+    noise: what was given is exact there, and seems wrong where it is a little off. What was given
+    and is free may be one, too.
     """
     likely: tuple[Finding, ...] = ()
     if is_explained(*next(iter(ends.items())), given):
@@ -296,6 +296,8 @@ def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ..
             if any(reason.certain for reason in reasons):
                 return reasons
             likely = likely or reasons
+        if search.fits(minimum):
+            break
     return likely
 
 

@@ -684,6 +684,11 @@ class Search(Parametrization):
         """Return whether a search converged, and to a cup that damps as rubber may."""
         return minimum.converged and self.largest_damping(minimum.theta) < MAX_DAMPING
 
+    def fits(self, minimum: Minimum) -> bool:
+        """Return whether a search ended at a plausible cup that leaves no more than noise."""
+        return self.is_plausible(minimum) and (
+            minimum.robust_chi2 * max(self.learned(minimum), 1.0) < MISFIT_CHI2)
+
     def learned(self, minimum: Minimum) -> float:
         """Return the variance of slow poses by a fit, in what it may be of those at rest."""
         return max(
