@@ -260,6 +260,8 @@ class Correction:
 
     def body_at_end(self, estimate: Estimate, track: Track) -> State:
         """Return the package at the newest sample of the tool, and write it into the samples."""
+        if estimate.stamp_ns == track.newest_ns:
+            return estimate.body
         return ekf.body_at_end(
             self.row(estimate.lost_cups), self.branches, estimate.theta, estimate.tool,
             estimate.body, *track.rows, track.count, estimate.stamp_ns, track.newest_ns,
