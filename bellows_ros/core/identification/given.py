@@ -14,8 +14,9 @@ it is certain where no other explains half as much, or none anything beside it a
 less; and what is found beside it no more than itself.
 
 With all that was given free, a fit may explain all poses though something given is wrong. The
-cause is then what is off by many of its standard deviations (`outlying`). Where neither is so, no
-cause is looked for; else first with what was given free, then with it as it was given.
+cause is then what is off by many of its standard deviations (`outlying`). A fit that leaves only
+noise, with nothing off by so much, has no cause; others are searched with what was given free
+first, then with it as it was given.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -222,8 +223,8 @@ def causes(
     """
     Return the likeliest cause of what a fit leaves, none where all is as it should be.
 
-    After it comes what is likeliest where that is corrected, up to so many. What was given is none
-    with an uncertainty that was stated.
+    After it comes what is likeliest where that is corrected, up to so many. A given quantity whose
+    uncertainty was stated is no cause.
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
@@ -282,9 +283,9 @@ def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ..
     """
     Return the likeliest causes where a search ended, none if nothing is left to explain.
 
-    Of several ends those at the first that shows a certain one, or else any, but none after one at
-    noise: what was given is exact there, and seems wrong where it is a little off. What was given
-    and is free may be one, too.
+    The first end with a certain cause decides, or else the first with any. Ends after one that
+    leaves only noise do not count: with fewer quantities free, whatever was given a little wrong
+    would seem to be a cause.
     """
     likely: tuple[Finding, ...] = ()
     if is_explained(*next(iter(ends.items())), given):

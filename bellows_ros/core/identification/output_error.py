@@ -33,6 +33,7 @@ from bellows_ros.core.identification.search import (
     measured_segments,
     MeasuredSegment,
     Minimum,
+    MISFIT_CHI2,
     Search,
     Segment,
     WhitenedSegment,
@@ -136,7 +137,10 @@ def output_error(
         if end[0] is stiff or search is not stiff:
             end = with_given(search, minimum, given, record)
     wide, wide_minimum, from_given = end
-    reasons = reasons_at({wide: wide_minimum, search: minimum}, given)
+    ends = {search: minimum}
+    if wide_minimum.robust_chi2 < MISFIT_CHI2:
+        ends = {wide: wide_minimum, **ends}
+    reasons = reasons_at(ends, given)
     wide.restore(wide_minimum)
     return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
 

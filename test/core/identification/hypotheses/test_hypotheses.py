@@ -144,7 +144,7 @@ def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypat
     simulations, system = [], Search.system
     monkeypatch.setattr(Search, 'system', lambda *own: simulations.append(1) or system(*own))
     found, verdict = judged(faulty('yaw', 300, seconds=3.0))
-    assert found.chi2 > 10.0 and 0 < len(simulations) <= 205
+    assert found.chi2 > 10.0 and 0 < len(simulations) <= 154
     assert verdict.refusals and verdict.diagnosis.findings[0].name == 'yaw'
 
 
