@@ -59,6 +59,10 @@ Longer ones are split, as each core whitens one at a time. Two in 26 s make stan
 1 % larger.
 """
 
+MEAN_HALF_WINDOW, MAX_STEP_CHANGE, MIN_IN_MEANS = 5, 0.1, 0.85
+"""Of means of poses: the half window, in poses of one, of the path about which they are taken; the
+largest change of a uniform step; and the part of the valid poses that they must hold."""
+
 BRIDGED_STD = np.repeat([5e-3, 5e-2], 3)
 """Standard deviation of a pose of the tool that is bridged (m, rad)."""
 
@@ -115,7 +119,7 @@ too long has 0.9), and the smallest singular value, in the largest, that counts.
 """
 
 NOISE_TOLERANCE = 0.03
-"""Part by which the noise of slow poses may change in the last step."""
+"""Part below which another noise of slow poses is none."""
 
 MAX_APPROACH_STEPS, MAX_STEPS, MAX_MISFIT_STEPS = 10, 60, 30
 """
@@ -251,7 +255,7 @@ class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
     def __init__(self, measured: MeasuredSegment, half_window: int = 0) -> None:
-        self.measured = measured = _with_means_of_tool(measured)
+        self.measured = measured = _with_means(measured)
         self.tool = bridged(measured.tool)
         self.half_window = half_window or _half_window_of(
             self.tool, measured.tool_noise.correlation)
@@ -321,7 +325,7 @@ class WhitenedSegment(NamedTuple):
     The whitened differences of a segment.
 
     Innovations (6 N,), their derivatives (6 N, m) by the unknowns, the variance (N, 6) of each
-    difference and that (6,) of the white noise of a pose, what is found on the way back: the
+    difference and that (6,) of what is new in a pose's noise, what is found on the way back: the
     tool's changes and the package's first state. And the largest displacements (6,) of the lip, in
     `LARGE_DISPLACEMENT`, where K may change with them.
     """
@@ -329,7 +333,7 @@ class WhitenedSegment(NamedTuple):
     innovations: Array
     jacobian: Array
     variance: Array
-    white_variance: Array
+    new_variance: Array
     tool_change: Array
     start: State
     reach: Array
@@ -596,7 +600,7 @@ class Search(Parametrization):
         min_damping, tolerance, max_steps = (
             (APPROACH_DAMPING, APPROACH_TOLERANCE, MAX_APPROACH_STEPS) if forgetting else
             (0.0, TOLERANCE, MAX_STEPS))
-        damping, settled = min_damping, True
+        damping, settled, is_fresh = min_damping, True, True
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
         largest = MAX_RISE * max(squares(parts), expected)
@@ -612,14 +616,18 @@ class Search(Parametrization):
             except BellowsError:  # no cup is that short or fast, no clock that far off
                 improves = False
             if not improves:  # or nan
-                damping = max(10.0 * damping, 1e-2)
                 history = []
+                if is_fresh:
+                    damping = max(10.0 * damping, 1e-2)
+                else:  # squares are compared in the same noise
+                    (parts, H, g), is_fresh = self.system(theta, forgetting), True
+                    largest = MAX_RISE * max(squares(parts), expected)
                 continue
             history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
             theta, (parts, H, g) = moved, new
             self.accept(parts)
             before = self.noise
-            settled = forgetting > 0.0 or self.update_noise(parts)
+            settled = is_fresh = forgetting > 0.0 or self.update_noise(parts)
             largest = MAX_RISE * max(expected, sum(
                 float(np.sum((part.innovations.reshape(-1, 6) * std / segment.std) ** 2))
                 for segment, part, std in zip(self.segments, parts, before, strict=True)))
@@ -709,11 +717,12 @@ class Search(Parametrization):
         settled = True
         for segment, part in zip(self.segments, parts, strict=True):
             if segment.period * LOW_RATE_HZ > 1.0:
+                correlation = segment.measured.package_noise.correlation
                 total = (MAD_TO_STD * np.median(np.abs(part.residuals), axis=0)) ** 2
-                simulated = np.median(part.variance, axis=0) - part.white_variance
-                before = segment.std
-                segment.std = np.sqrt(np.maximum(total - simulated, 0.1 * total))
-                settled &= bool(np.all(np.abs(segment.std - before) < NOISE_TOLERANCE * before))
+                simulated = np.median(part.variance, axis=0) - part.new_variance
+                std = np.sqrt(np.maximum(total - simulated, 0.1 * total) / (1.0 - correlation**2))
+                if np.any(np.abs(std - segment.std) > NOISE_TOLERANCE * segment.std):
+                    segment.std, settled = std, False
         return settled
 
     def whitened(
@@ -750,7 +759,8 @@ class Search(Parametrization):
             variance = gains[:, :, -1] ** -2
         return WhitenedSegment(
             innovations.ravel(), slopes.reshape(innovations.size, -1), variance,
-            poses.white_variance, first_order(change, segment.measured.tool_noise.correlation),
+            (1.0 - segment.measured.package_noise.correlation**2) * segment.std**2,
+            first_order(change, segment.measured.tool_noise.correlation),
             whitening.with_mean(start, correction[:, None]), reach)
 
     def _poses(
@@ -913,31 +923,46 @@ def _half_window_of(tool: Trajectory, correlation: float) -> int:
     return short
 
 
-def _with_means_of_tool(measured: MeasuredSegment) -> MeasuredSegment:
+def _with_means(measured: MeasuredSegment) -> MeasuredSegment:
+    """Return a segment with means of poses that come quickly, those of one rate at one stamp."""
+    first_ns = int(measured.tool.stamps_ns[0])
+    tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
+    package, package_noise = _means(measured.package, measured.package_noise, first_ns)
+    return replace(measured, tool=tool, tool_noise=tool_noise,
+                   package=package, package_noise=package_noise)
+
+
+def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajectory, BodyNoise]:
     """
-    Return a segment with means of the tool's poses, where those of the package come slowly.
+    Return means of poses that come quickly at a uniform rate, with their noise.
 
     Each is of an odd number of poses, at most `MAX_NODE_STEP` long, about a smooth path, so that
-    no motion is lost.
+    no motion is lost. Poses stay as they are where their means would lose too many.
     """
-    tool, (std, correlation, _), package = measured.tool, measured.tool_noise, measured.package
-    rate = uniform_rate_hz(tool.stamps_ns)
-    half, n = int((MAX_NODE_STEP * rate - 1.0) / 2.0), round(HALF_WINDOWS[-1] * rate)
+    steps, correlation = np.diff(poses.stamps_ns), noise.correlation
+    period = float(np.median(steps))
+    half = int((MAX_NODE_STEP * NS_PER_S / period - 1.0) / 2.0)
     count = 2 * half + 1
-    groups = (len(tool) - 2 * n) // count
-    if half < 1 or groups < 1 or np.median(np.diff(package.stamps_ns)) * LOW_RATE_HZ < NS_PER_S:
-        return measured
-    inner, poses = slice(n, n + groups * count), bridged(tool)
-    path = savgol(poses, n, PATH_ORDER).select(slice(groups * count))
-    mean = _deviation(path, poses.select(inner)).reshape(groups, count, 6).mean(axis=1)
+    n = MEAN_HALF_WINDOW * count
+    start = n + (round((first_ns - poses.stamps_ns[0]) / period) - half - n) % count
+    groups = (len(poses) - n - start) // count
+    if half < 1 or groups < 1 or np.ptp(steps) > MAX_STEP_CHANGE * period:
+        return poses, noise
+    inner = slice(start, start + groups * count)
+    valid = np.asarray(poses.valid[inner].reshape(groups, count).all(axis=1))
+    if count * np.count_nonzero(valid) < MIN_IN_MEANS * np.count_nonzero(poses.valid[inner]):
+        return poses, noise
+    smooth = bridged(poses)
+    path = savgol(smooth, n, PATH_ORDER).select(slice(start - n, start - n + groups * count))
+    mean = _deviation(path, smooth.select(inner)).reshape(groups, count, 6).mean(axis=1)
     path = path.select(slice(half, None, count))
     lags = np.arange(1, count)
-    part = (1.0 + 2.0 * np.sum((1.0 - lags / count) * correlation**lags)) / count
-    return replace(measured, tool=Trajectory(
+    variance = (1.0 + 2.0 * np.sum((1.0 - lags / count) * correlation**lags)) / count
+    again = correlation * np.mean(correlation ** np.arange(count)) ** 2 / variance
+    return Trajectory(
         path.stamps_ns, path.position + lie.apply(path.rotation, mean[:, :3]),
-        path.rotation @ lie.exp_so3(mean[:, 3:]),
-        valid=np.asarray(tool.valid[inner].reshape(groups, count).all(axis=1))),
-        tool_noise=BodyNoise(np.sqrt(part) * std, correlation**count))
+        path.rotation @ lie.exp_so3(mean[:, 3:]), valid=valid,
+    ), noise._replace(std=np.sqrt(variance) * noise.std, correlation=float(again))
 
 
 def _removed(tool: Trajectory, half_window: int, correlation: float) -> tuple[Array, float]:

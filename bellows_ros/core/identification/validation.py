@@ -167,7 +167,7 @@ class Validation(residuals.Comparison):
         search.accept([part])  # the path of the tool comes near to the likeliest
         (part,), _, _ = search.system(search.start)
         white = part.innovations.reshape(-1, 6)
-        scaled = white * np.repeat(self.recording.measured_noise[1], 3)
+        scaled = white * segment.std
         return OneStep(float(np.mean(white**2)), residuals.portmanteau(white),
                        residuals.spectrum(scaled, 1.0 / segment.period))
 

@@ -208,8 +208,8 @@ LINE_SIDE, MIN_LASTING_PART, MIN_SIZE_RATIO = 5, 0.5, 0.5
 FLICKER_COUNT, FLICKER_SAMPLES = 3, 25
 # How many of the jumps around one are tried for cancelling it.
 MAX_PARTNERS = 50
-# Without a cancelling jump, what lies between a jump and an end of the recording is marked up to
-# this time, s.
+# Without a cancelling jump, what lies between a jump and an end of the recording, or a gap that is
+# too long to show one, is marked up to this time, s.
 MAX_END_SECONDS = 1.0
 # A jump over a gap counts when it is larger by this factor than any over equally long parts of
 # the same recording; so many of these are looked at, and at least so many must there be.
@@ -342,7 +342,7 @@ def _thresholds_over(poses: Trajectory, increments: Array, breaks: Mask, slots: 
 
 def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[LastingStep]]:
     """Return the excursions between jumps that cancel, and the remaining steps."""
-    edges = sorted(edges, key=lambda edge: edge.before)
+    edges, seconds = sorted(edges, key=attrgetter('before')), poses.seconds
     flickers = _flickering(edges)
     excursions: list[slice] = []
     used: set[int] = set()
@@ -353,7 +353,9 @@ def paired(edges: list[Edge], poses: Trajectory) -> tuple[list[slice], list[Last
         ends = [(a, b) for a, b in (
             *_cancelled_ahead(edges, k, used), *_cancelled_behind(edges, k, used))
             if edges[b].before - edges[a].before <= LINE_SIDE
-            or not (flickers[a] or flickers[b]) and _persist_alike(edges[a], edges[b])]
+            or not (flickers[a] or flickers[b]) and _persist_alike(edges[a], edges[b])
+            and (min(edges[a].strength, edges[b].strength) >= PARTNER_STRENGTH
+                 or seconds[edges[b].before] - seconds[edges[a].before] < MAX_END_SECONDS)]
         if not ends:
             single.append((edge, flickers[k]))
             continue

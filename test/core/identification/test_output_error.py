@@ -312,6 +312,22 @@ def test_a_slip_is_no_noise_of_a_slow_camera(monkeypatch):
     assert fits[0].robust_chi2 < 1.5 and fits[1].robust_chi2 > 4.0
 
 
+@pytest.mark.parametrize('has_tails', [False, True])
+def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
+    """From one that is stated half as large or four times, from a start far off."""
+    own, rng = measured(2, tool_hz=100.0, duration=8.0, silent=True), np.random.default_rng(0)
+    size, kept = (len(own.package), 6), float(np.exp(-1.0 / 3.0))
+    new = rng.standard_t(3, size) if has_tails else rng.standard_normal(size)
+    noise = np.repeat(CAMERA, 3) * correlated(new, kept)
+    seen, stated = with_errors(own.package, noise), np.repeat(CAMERA, 3) * [1, 0.5, 1, 1, 1, 4]
+    search = Search([Segment(replace(own, package=seen, package_noise=BodyNoise(stated, kept)))],
+                    AXISYMMETRIC, scaled(2.0), {})
+    minimum = search.minimum()
+    assert minimum.converged
+    if not has_tails:  # else its median is that of a smaller one
+        assert_allclose(minimum.noise[0], np.std(noise, axis=0), rtol=0.2)
+
+
 def test_two_wrong_numbers_are_both_named(monkeypatch):
     """With a bound on the simulations: 154 with one cause, and 65 to look for a second."""
     simulations, system = [], Search.system

@@ -160,6 +160,17 @@ def test_a_step_over_a_gap_is_reported():
     assert step.before == 3999
 
 
+@pytest.mark.parametrize('seed', [4, 5])
+def test_a_lasting_step_does_not_end_in_a_lost_pose(seed):
+    """Of a camera, whose lost poses each leave time for a jump: most of what follows is kept."""
+    rng = np.random.default_rng(seed)
+    poses = noisy(rng, shaken(rng, Shake(30.0, 20.0, *CALM)), Noise(1e-3, 5e-3))
+    poses = displaced(
+        poses, slice(len(poses) // 3, None), np.array([0.02, 0, 0]), np.zeros(3), True)
+    kept = poses.select(rng.random(len(poses)) > 0.05)
+    assert np.count_nonzero(~found_in(kept).good) < 0.05 * len(kept)
+
+
 def frozen(poses, run):
     """Give poses that stay at the one before a run of samples."""
     position, rotation = poses.position.copy(), poses.rotation.copy()
