@@ -19,7 +19,7 @@ from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, conventions
-from bellows_ros.core.recording.preparation import lasting_steps, prepare
+from bellows_ros.core.recording.preparation import lasting_steps, MAX_STEPS, prepare
 from bellows_ros.core.recording.recording import LOW_RATE_HZ, NOISE_SAMPLES, Recording
 from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.savgol import savgol
@@ -401,10 +401,10 @@ def _twists(recording: Recording) -> Finding | None:
 
 
 def _jump(recording: Recording) -> Finding | None:
-    """Return that the package, or its marker, jumps and does not return, at the largest jump."""
+    """Return that package or marker jump and do not return, at the largest of a few jumps."""
     stream = recording.report.package
     steps = lasting_steps(stream)
-    if not steps:
+    if not 0 < len(steps) <= MAX_STEPS:
         return None
     R, stamps_ns = stream.recorded.rotation, stream.recorded.stamps_ns
     before = np.array([step.before for step in steps])

@@ -241,7 +241,7 @@ def causes(
     tried = [_freed(search, minimum, name, name == 'slip') for name in ranked[:MAX_TRIED]
              if falls[name] >= DISTINCT * falls[ranked[0]]]
     best = max(tried, key=attrgetter('gain'))
-    if not best.minimum.converged:
+    if best.gain < SIGNIFICANT**2:  # or the search did not converge
         return ()
     theta, std = best.search.estimate(best.minimum, best.name)
     is_far = best.name in ('com', 'package_marker') and _is_as_far_as_com(search, theta[:3])
@@ -291,6 +291,8 @@ def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ..
     if is_explained(*next(iter(ends.items())), given):
         return likely
     for search, minimum in ends.items():
+        if likely and not search.is_plausible(minimum):
+            break
         search.restore(minimum)
         for look in (causes, outlying):
             reasons = look(search, minimum, given)
@@ -397,10 +399,12 @@ def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, floa
     period = max(round(SLIP_PERIOD * NS_PER_S),
                  sum(last - first for first, last in ends) // MAX_SLIPS)
     moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]
+    margin = period // 2  # before that it is a centre of mass elsewhere
     while moments and period > MIN_SLIP_PERIOD * NS_PER_S:
         best = max(moments, key=fall)
         period //= 2
-        moments = [best - period, best, best + period]
+        moments = [stamp for stamp in (best - period, best, best + period) if any(
+            first + margin <= stamp <= last - margin for first, last in ends)]
     return tried[best] if tried else (search, 0.0)
 
 
@@ -478,19 +482,24 @@ def _freed(
         for segment in search.segments:
             segment.reset()
     again = wide.minimum(near=None if from_start else wide.transferred(search, theta))
-    gain = _gain((search, minimum), (wide, again)) if again.converged else -np.inf
+    gain = _gain((search, minimum), (wide, again), name == 'slip') if again.converged else -np.inf
     return _Freed(name, wide, again, gain)
 
 
-def _gain(*ends: tuple[Search, Minimum]) -> float:
+def _gain(
+    before: tuple[Search, Minimum], after: tuple[Search, Minimum], of_poses: bool = False
+) -> float:
     """
     Return by how much squares fall, with those of what was given, from one end to another.
 
-    In the noise that is left, as that of slow poses is fit.
+    In the noise that is left, as that of slow poses is fit. Those of the poses alone for a slip:
+    soon after the beginning it is a centre of mass elsewhere, whose squares it would share.
     """
-    before, after = (np.mean(minimum.residuals**2, axis=0) for _, minimum in ends)
-    given = [search.weights @ minimum.theta**2 for search, minimum in ends]
-    return float(len(ends[1][1].residuals) * np.sum(np.log(before / after)) + given[0] - given[1])
+    powers = [np.mean(minimum.residuals**2, axis=0) for _, minimum in (before, after)]
+    given = [0.0 if of_poses else search.weights @ minimum.theta**2
+             for search, minimum in (before, after)]
+    return float(len(after[1].residuals) * np.sum(np.log(powers[0] / powers[1]))
+                 + given[0] - given[1])
 
 
 def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, float]:

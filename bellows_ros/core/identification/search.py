@@ -129,8 +129,8 @@ So a search simulates a wrong recording 53 times at most (with clocks or frames 
 fit is several: with relaxation, the likeliest causes and what was given free in turn.
 """
 
-MAX_DAMPING = 10.0
-"""Times ordinary damping that rubber hardly has."""
+MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
+"""Times ordinary damping, and the stiffness of the start, that a cup hardly has."""
 
 CHANCE = 3.0
 """Standard deviations by which noise at rest may be smaller by chance."""
@@ -620,7 +620,10 @@ class Search(Parametrization):
                 if is_fresh:
                     damping = max(10.0 * damping, 1e-2)
                 else:  # squares are compared in the same noise
-                    (parts, H, g), is_fresh = self.system(theta, forgetting), True
+                    again = self.system(theta, forgetting)
+                    if not np.all(np.isfinite(again[2])):
+                        break
+                    (parts, H, g), is_fresh = again, True
                     largest = MAX_RISE * max(squares(parts), expected)
                 continue
             history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
@@ -689,8 +692,11 @@ class Search(Parametrization):
         self.accept(minimum.parts)
 
     def is_plausible(self, minimum: Minimum) -> bool:
-        """Return whether a search converged, and to a cup that damps as rubber may."""
-        return minimum.converged and self.largest_damping(minimum.theta) < MAX_DAMPING
+        """Return whether a search converged, and to a cup as rubber may be."""
+        inverse = _symmetric_roots(self.start_cup.stiffness)[1]
+        stiffness = inverse @ self._matrices(minimum.theta)[0] @ inverse
+        return bool(minimum.converged and self.largest_damping(minimum.theta) < MAX_DAMPING
+                    and np.linalg.eigvalsh(stiffness)[-1] < MAX_STIFFENING)
 
     def fits(self, minimum: Minimum) -> bool:
         """Return whether a search ended at a plausible cup that leaves no more than noise."""

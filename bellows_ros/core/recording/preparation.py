@@ -33,6 +33,8 @@ MAX_GAP_FRACTION = 0.5  # of the time; poses with more come in bursts
 MOTION_PERCENTILE = 99.0
 # A step that the motion makes within so many deviations of the stamps' jitter is none.
 STEP_JITTERS = 10.0
+# More steps than that are noise with tails and a memory: no package slips so often.
+MAX_STEPS = 6
 
 
 def prepare(
@@ -229,12 +231,19 @@ def _alignment_warnings(alignment: Alignment, settings: PrepareSettings) -> list
 def stream_warnings(report: StreamReport) -> list[str]:
     """Return what the user should know about the poses of one topic, before or after a fit."""
     recorded, time, name = report.recorded, report.timing, report.recorded.name
+    lasting = lasting_steps(report)
     steps = [
         f"Topic '{name}' jumps by {step.position * 1e3:.1f} mm and {step.rotation * 1e3:.1f} mrad "
         f'{(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S:.3f} s after its '
         'start and does not return, so all later poses are offset from the earlier ones. Use the '
         'recording up to there, or from there on.'
-        for step in lasting_steps(report)]
+        for step in lasting]
+    if len(lasting) > MAX_STEPS:
+        steps = [
+            f"Topic '{name}' jumps {len(lasting)} times by up to "
+            f'{1e3 * max(step.position for step in lasting):.1f} mm and does not return. Its '
+            'noise has heavy tails, or tracking is lost again and again: see that all markers '
+            'are seen.']
     good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)

@@ -120,6 +120,16 @@ def test_a_package_that_slips_under_a_camera_is_named(memory):
     assert not sound
 
 
+def test_a_com_far_off_is_no_slip_soon_after_the_beginning():
+    """Which would share what the centre of mass is off, in its standard deviations."""
+    wrong = replace(measured(3, tool_hz=100.0, duration=10.0), payload=varied(
+        PLATE, com=np.array([0.015, 0.0, 0.0])))
+    (com, *_) = output_error(
+        [wrong], AXISYMMETRIC, TRUTH, given={**USUAL, 'com': np.full(3, 1e-3)}).causes
+    assert com.name == 'com' and com.certain
+    assert_allclose(com.theta, [-0.015, 0.0, 0.0], atol=1e-3)
+
+
 @pytest.mark.parametrize(('seed', 'has_tails'), [(5, False), (27, True)])
 def test_what_was_given_a_little_off_is_no_slip_and_no_turned_marker(seed, has_tails):
     """And is found with K and P where a camera knows it better, with heavy tails of its noise."""

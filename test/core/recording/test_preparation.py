@@ -227,6 +227,15 @@ def test_a_step_as_a_slow_camera_sees_many_is_of_the_motion(rate_hz, size, warne
     assert any('jumps by' in text for text in warnings) is warned
 
 
+@pytest.mark.parametrize(('count', 'said'), [(6, 6), (7, 1)])
+def test_jumps_that_come_again_and_again_are_summed_up(count, said):
+    (poses, _), steps = held(70), [LastingStep(k, 4e-3, 0.02) for k in range(9, 9 + count)]
+    found = replace(find_outliers(poses, 10**9), steps=tuple(steps))
+    warnings = stream_warnings(StreamReport(stream(poses), timing(poses.stamps_ns), found))
+    assert sum(' jumps ' in text for text in warnings) == said
+    assert any(f'{count} times by up to 4.0 mm' in text for text in warnings) is (said == 1)
+
+
 def test_what_cannot_be_prepared_says_why():
     tool, package = held(70)
     settings = PLAIN

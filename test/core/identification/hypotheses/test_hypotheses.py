@@ -241,6 +241,10 @@ def test_a_package_that_jumps_has_slipped_whatever_else_explains():
     assert slip.name == 'slip'
     assert slip.theta[0] == pytest.approx(3e-3, rel=0.1)
     assert slip.theta[2] == pytest.approx((half - 1) / 240.0, abs=2e-3)
+    package = jumped.report.package
+    often = replace(package.outliers, steps=7 * package.outliers.steps)  # of noise
+    assert not implausible_inputs(replace(jumped, report=replace(
+        jumped.report, package=replace(package, outliers=often))))
     every = slice(half % 4, None, 4)
     slow = prepare(own.tool_pose, replace(
         poses, stamps_ns=poses.stamps_ns[every], position=(poses.position + way)[every],
