@@ -943,7 +943,8 @@ def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajecto
     Return means of poses that come quickly at a uniform rate, with their noise.
 
     Each is of an odd number of poses, at most `MAX_NODE_STEP` long, about a smooth path, so that
-    no motion is lost. Poses stay as they are where their means would lose too many.
+    no motion is lost. Poses stay as they are where their means would lose too many, or where noise
+    has a memory, of which quick differences know most.
     """
     steps, correlation = np.diff(poses.stamps_ns), noise.correlation
     period = float(np.median(steps))
@@ -952,7 +953,8 @@ def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajecto
     n = MEAN_HALF_WINDOW * count
     start = n + (round((first_ns - poses.stamps_ns[0]) / period) - half - n) % count
     groups = (len(poses) - n - start) // count
-    if half < 1 or groups < 1 or np.ptp(steps) > MAX_STEP_CHANGE * period:
+    if half < 1 or groups < 1 or correlation**count > math.exp(-1.0) or (
+            np.ptp(steps) > MAX_STEP_CHANGE * period):
         return poses, noise
     inner = slice(start, start + groups * count)
     valid = np.asarray(poses.valid[inner].reshape(groups, count).all(axis=1))
