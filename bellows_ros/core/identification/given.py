@@ -87,7 +87,7 @@ def with_given(
     With its search, and what the rest adds to the covariance (m, m) of the unknowns, SI units.
     Where that leaves a cause to look for, the minimum from the start with all that was given free,
     if it leaves less and nothing is off by more than `SIGNIFICANT` times its standard deviation,
-    or the search did not converge, or to a cup that damps as no rubber does.
+    or the search near it ended at no plausible cup (`Search.is_plausible`).
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
@@ -192,7 +192,7 @@ CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_
 
 MIN_LENGTH_ERROR = 2e-3
 """
-The least error of a length (m) looked for where a cup damps as no rubber does.
+The least error of a length (m) that is searched for where a cup is implausible.
 
 With a length that is too small the weight seems to stretch the cup: K along z is far too soft, and
 only much damping keeps that from swinging. Smaller errors are found with K and P.
@@ -285,7 +285,7 @@ def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ..
 
     The first end with a certain cause decides, or else the first with any. Ends after one that
     leaves only noise do not count: with fewer quantities free, whatever was given a little wrong
-    would seem to be a cause.
+    would seem to be a cause. Nor does an implausible cup after an end with a likely cause.
     """
     likely: tuple[Finding, ...] = ()
     if is_explained(*next(iter(ends.items())), given):
@@ -305,7 +305,7 @@ def reasons_at(ends: Mapping[Search, Minimum], given: Free) -> tuple[Finding, ..
 
 
 def _wrong_length(search: Search, minimum: Minimum) -> Finding | None:
-    """Return another length that explains a cup which damps as no rubber does, if one does."""
+    """Return another length that explains an implausible cup, if one does."""
     explains = minimum.converged and minimum.squares < MISFIT_CHI2 * minimum.residual_count
     if not explains or 'length' in search.places or search.is_plausible(minimum):
         return None
@@ -399,7 +399,7 @@ def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, floa
     period = max(round(SLIP_PERIOD * NS_PER_S),
                  sum(last - first for first, last in ends) // MAX_SLIPS)
     moments = [stamp for first, last in ends for stamp in range(first + period, last, period)]
-    margin = period // 2  # before that it is a centre of mass elsewhere
+    margin = period // 2  # nearer to an end a slip is a centre of mass elsewhere
     while moments and period > MIN_SLIP_PERIOD * NS_PER_S:
         best = max(moments, key=fall)
         period //= 2

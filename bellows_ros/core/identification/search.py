@@ -60,8 +60,8 @@ Longer ones are split, as each core whitens one at a time. Two in 26 s make stan
 """
 
 MEAN_HALF_WINDOW, MAX_STEP_CHANGE, MIN_IN_MEANS = 5, 0.1, 0.85
-"""Of means of poses: the half window, in poses of one, of the path about which they are taken; the
-largest change of a uniform step; and the part of the valid poses that they must hold."""
+"""Of means of poses: the half window of the path about which they are taken, in lengths of a mean;
+the largest change of a uniform step; and the part of the valid poses that must be in them."""
 
 BRIDGED_STD = np.repeat([5e-3, 5e-2], 3)
 """Standard deviation of a pose of the tool that is bridged (m, rad)."""
@@ -119,7 +119,7 @@ too long has 0.9), and the smallest singular value, in the largest, that counts.
 """
 
 NOISE_TOLERANCE = 0.03
-"""Part below which another noise of slow poses is none."""
+"""Relative change of the noise of slow poses below which it is kept."""
 
 MAX_APPROACH_STEPS, MAX_STEPS, MAX_MISFIT_STEPS = 10, 60, 30
 """
@@ -692,7 +692,7 @@ class Search(Parametrization):
         self.accept(minimum.parts)
 
     def is_plausible(self, minimum: Minimum) -> bool:
-        """Return whether a search converged, and to a cup as rubber may be."""
+        """Return whether a search converged to a cup that is not too stiff, nor too damped."""
         inverse = _symmetric_roots(self.start_cup.stiffness)[1]
         stiffness = inverse @ self._matrices(minimum.theta)[0] @ inverse
         return bool(minimum.converged and self.largest_damping(minimum.theta) < MAX_DAMPING
@@ -930,7 +930,7 @@ def _half_window_of(tool: Trajectory, correlation: float) -> int:
 
 
 def _with_means(measured: MeasuredSegment) -> MeasuredSegment:
-    """Return a segment with means of poses that come quickly, those of one rate at one stamp."""
+    """Return a segment with means of quick poses; those of equal rates share their stamps."""
     first_ns = int(measured.tool.stamps_ns[0])
     tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
     package, package_noise = _means(measured.package, measured.package_noise, first_ns)
