@@ -20,12 +20,8 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import poses_of, weak_prior
-from bellows_ros.core.identification.search import (
-    measured_segments,
-    MeasuredSegment,
-    Search,
-    Segment,
-)
+from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import Structure, structure_named

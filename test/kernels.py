@@ -34,7 +34,8 @@ def _model(relaxation=(0.0, 0.0)):
 
 def _compile_plans(relaxation=(0.0, 0.0)):
     """Compile what predicts, steers, tosses, estimates and says how sure it is."""
-    from bellows_ros.core.identification.search import Search, Segment
+    from bellows_ros.core.identification.search import Search
+    from bellows_ros.core.identification.segments import Segment
     from bellows_ros.core.live.flight import Flight
     from bellows_ros.core.live.uncertainty import warm_up_uncertainty
     from bellows_ros.core.model.structure import STRUCTURES

@@ -27,7 +27,8 @@ from bellows_ros.core.excitation.arm_limits import ArmLimits, CHECK_RATE
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3, hat, log_so3, rotation_to_quaternion
 from bellows_ros.core.identification.result import covariance_of
-from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
+from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
 from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
 from bellows_ros.core.model.grip import Grip

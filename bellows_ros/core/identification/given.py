@@ -31,13 +31,8 @@ from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
 from bellows_ros.core.identification.quantities import Free
-from bellows_ros.core.identification.search import (
-    MAX_NOISE_CHI2,
-    Minimum,
-    MISFIT_CHI2,
-    Search,
-    Segment,
-)
+from bellows_ros.core.identification.search import MAX_NOISE_CHI2, Minimum, MISFIT_CHI2, Search
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.model.cup_package import Cup, package_of
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.recording import Recording

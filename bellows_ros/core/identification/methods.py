@@ -193,7 +193,7 @@ def _by_output_error(
     """Return the fit by simulation, with all that is uncertain free beside K and P."""
     from bellows_ros.core.identification.given import given_std
     from bellows_ros.core.identification.output_error import output_error
-    from bellows_ros.core.identification.search import measured_segments
+    from bellows_ros.core.identification.segments import measured_segments
 
     structure = given_structure(values)
     strengths = recordings[0].relaxation.strengths  # by least squares, where poses are fast

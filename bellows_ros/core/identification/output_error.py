@@ -30,14 +30,12 @@ from bellows_ros.core.identification.result import (
 )
 from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
-    measured_segments,
-    MeasuredSegment,
     Minimum,
     MISFIT_CHI2,
     Search,
-    Segment,
     WhitenedSegment,
 )
+from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.recording.alignment import Alignment

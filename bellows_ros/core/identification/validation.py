@@ -11,7 +11,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.identification.search import measured_segments, Search, Segment
+from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.segments import measured_segments, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import lip_wrenches, rest, simulate, state_row, tool_rows

@@ -2,7 +2,8 @@
 
 from bellows_ros.core.excitation import motion_design
 from bellows_ros.core.excitation.motion_design import Tracking
-from bellows_ros.core.identification.search import MeasuredSegment, Search, Segment
+from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES

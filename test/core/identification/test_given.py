@@ -6,7 +6,8 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import given as module
 from bellows_ros.core.identification.given import given_std, outlying, PACKAGE_STD, stated
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.search import Search, Segment
+from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.model.cup_package import varied
 from bellows_ros.core.model.simulation import row_state, simulate, tool_rows
 from bellows_ros.core.model.structure import STRUCTURES

@@ -6,7 +6,7 @@ from bellows_ros.core.identification.least_squares import least_squares
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.reduction import statistics
 from bellows_ros.core.identification.samples import samples_of
-from bellows_ros.core.identification.search import MeasuredSegment
+from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import composition, given_structure, STRUCTURES

@@ -8,12 +8,8 @@ from bellows_ros.core.identification import search as module_of_search
 from bellows_ros.core.identification.given import causes
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
-from bellows_ros.core.identification.search import (
-    _deviation,
-    MeasuredSegment,
-    Search,
-    Segment,
-)
+from bellows_ros.core.identification.search import Search
+from bellows_ros.core.identification.segments import _deviation, MeasuredSegment, Segment
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES

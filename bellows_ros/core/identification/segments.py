@@ -1,0 +1,307 @@
+"""
+The parts of recordings that a fit by simulation goes through.
+
+Each has the tool's poses at a uniform rate, those of the package at any stamps, and the likeliest
+path of the tool so far. Quick poses are taken as means over a few of them.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
+from bellows_ros.core.identification import quantities, whitening
+from bellows_ros.core.model import simulation
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.recording.recording import BodyNoise, Recording
+from bellows_ros.core.signals.resampling import subdivided
+from bellows_ros.core.signals.savgol import bridged, savgol
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
+from bellows_ros.errors import BellowsError, UndeterminedError
+import numpy as np
+
+HALF_WINDOWS, PATH_ORDER, MIN_HALF_WINDOW = (1 / 6, 1 / 8, 1 / 12), 6, 4
+"""Half windows (s) and order of the polynomials of the tool's path, and their fewest samples."""
+
+MAX_REMOVED_POWER = 1.5
+"""Largest power that a longer window removes beyond a shorter one, over that of noise in it."""
+
+MIN_POSE_STD = np.repeat([2e-7, 2e-6], 3)
+"""Smallest noise of a pose (m, rad): interpolation and rounding."""
+
+MAX_GAP, MIN_SEGMENT, MAX_SEGMENT = 0.15, 1.0, 15.0
+"""Longest gap (s) of the tool that is bridged, and shortest and longest segment (s) in between.
+
+Longer ones are split, as each core whitens one at a time. Two in 26 s make standard errors
+1 % larger.
+"""
+
+MEAN_HALF_WINDOW, MAX_STEP_CHANGE, MIN_IN_MEANS = 5, 0.1, 0.85
+"""Of means of poses: the half window of the path about which they are taken, in lengths of a mean;
+the largest change of a uniform step; and the part of the valid poses that must be in them."""
+
+BRIDGED_STD = np.repeat([5e-3, 5e-2], 3)
+"""Standard deviation of a pose of the tool that is bridged (m, rad)."""
+
+SIMULTANEITY_TOLERANCE = 2e-4
+"""Poses of the package this close (s) to a sample of the tool count as simultaneous, so that a
+small change of the clock does not change which comes first. The twist bridges the rest."""
+
+MAX_NODE_STEP = 0.01
+"""Longest step (s) between nodes of the linearised model, and time of a mean of poses."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredSegment:
+    """
+    A part of a recording in which the tool is measured.
+
+    Parameters
+    ----------
+    tool : Trajectory
+        Poses of E in the world at a uniform rate; what is missing or wrong is not valid.
+    package : Trajectory
+        Poses of B, at any stamps.
+    payload : Package
+        Mass, inertia and centre of mass of the package in this recording.
+    gravity : float or array (3,)
+        m/s^2 along -z of the world, or as a vector there.
+    tool_noise, package_noise : BodyNoise
+        Of the measured poses.
+    recording : int
+        Number of the recording it is of.
+    moves_with_com : tuple of 3 bool
+        Components of the centre of mass with which the poses of B move, as those of the lip are
+        known.
+    middle : ndarray (4,), optional
+        Point (m) about which the package's world may be turned, and time (s) since which it may
+        drift; see `quantities.middle_of`.
+
+    """
+
+    tool: Trajectory
+    package: Trajectory
+    payload: Package
+    gravity: Array | float
+    tool_noise: BodyNoise
+    package_noise: BodyNoise
+    recording: int = 0
+    moves_with_com: tuple[bool, bool, bool] = (False, False, False)
+    middle: Array | None = None
+
+
+def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSegment]:
+    """
+    Return the parts of a recording between gaps of the tool that cannot be bridged.
+
+    Raises
+    ------
+    UndeterminedError
+        If there is none that is long enough.
+
+    """
+    bodies = tool, package = recording.aligned_tool, recording.tracked_package
+    noises = (noise._replace(std=np.maximum(noise.std, MIN_POSE_STD))
+              for noise in recording.body_noise)
+    context: tuple[Any, ...] = (
+        recording.payload, recording.settings.gravity, *noises, number,
+        recording.settings.moves_with_com, quantities.middle_of(package))
+    stamps = tool.stamps_ns[tool.valid]
+    cuts = np.flatnonzero(np.diff(stamps) > MAX_GAP * NS_PER_S)
+    motions = []
+    for start, end in zip(
+            stamps[np.append(0, cuts + 1)], stamps[np.append(cuts, -1)], strict=True):
+        count = int((end - start) / NS_PER_S / MAX_SEGMENT) + 1
+        edges = start + np.linspace(0, end - start, count + 1).astype(np.int64)
+        for first, last in pairwise(edges):
+            poses = [body.select((body.stamps_ns >= first) & (body.stamps_ns <= last))
+                     for body in bodies]
+            if last - first > MIN_SEGMENT * NS_PER_S and poses[1].valid.any():
+                motions.append(MeasuredSegment(poses[0], poses[1], *context))
+    if not motions:
+        raise UndeterminedError(
+            f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked. Record '
+            'longer, or check the gaps and outliers in the report.')
+    return motions
+
+
+class Nodes(NamedTuple):
+    """
+    The stamps at which something happens.
+
+    Parameters
+    ----------
+    stamps : int ndarray (M,)
+        ns, by the tool's clock.
+    samples : int ndarray (S,)
+        The nodes at the tool's samples.
+    place : int ndarray (M,)
+        Number of the package's pose at each node, -1 for none.
+    sampled, used : bool ndarray
+        The tool's samples and the package's poses that are used.
+    delays : ndarray (N,)
+        Time (s) from the nodes to the poses used, of those at a sample of the tool.
+
+    """
+
+    stamps: Stamps
+    samples: Places
+    place: Places
+    sampled: Mask
+    used: Mask
+    delays: Array
+
+
+class Segment:
+    """A part of a recording with the likeliest path of the tool and the package's first state."""
+
+    def __init__(self, measured: MeasuredSegment, half_window: int = 0) -> None:
+        self.measured = measured = _with_means(measured)
+        self.tool = bridged(measured.tool)
+        self.half_window = half_window or _half_window_of(
+            self.tool, measured.tool_noise.correlation)
+        self.inner = slice(self.half_window, len(self.tool) - self.half_window)
+        self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
+        # how long (s) each sample of the tool is held
+        self.durations = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
+        valid = measured.tool.valid[:, None]
+        self.variance = np.where(valid, measured.tool_noise.std, BRIDGED_STD)[self.inner] ** 2
+        self.package = measured.package.select(measured.package.valid)
+        self.com_axes = np.array(measured.moves_with_com, dtype=float)
+        self.expected_start = simulation.state_row(
+            self.package.position[0], lie.rotation_to_quaternion(self.package.rotation[:1])[0])
+        self.reset()
+
+    def reset(self) -> None:
+        """Set the tool's path, the package's first state and its noise as they were measured."""
+        self.std, self.start = self.measured.package_noise.std, self.expected_start
+        self.set_path(np.zeros((len(self.variance), 6)))
+
+    def set_path(self, change: Array) -> None:
+        """Smooth the path through the tool's samples after changes (S, 6) in body axes."""
+        tool, shift = self.tool, np.zeros((len(self.tool), 6))
+        shift[self.inner] = change
+        self.path = savgol(Trajectory(
+            tool.stamps_ns, tool.position + lie.apply(tool.rotation, shift[:, :3]),
+            tool.rotation @ lie.exp_so3(shift[:, 3:])), self.half_window, PATH_ORDER)
+        self.deviation = _deviation(self.path, tool.select(self.inner))
+
+    def nodes(self, delay: float) -> Nodes:
+        """Return the nodes, with the tool's stamps late by so many seconds."""
+        grid, poses = self.path.stamps_ns, self.package.stamps_ns + round(delay * NS_PER_S)
+        after = np.clip(np.searchsorted(grid, poses), 1, len(grid) - 1)
+        nearest = np.where(2 * poses < grid[after - 1] + grid[after], grid[after - 1], grid[after])
+        tolerance = np.min(np.diff(poses) // 4, initial=round(SIMULTANEITY_TOLERANCE * NS_PER_S))
+        stamps = np.where(np.abs(poses - nearest) <= tolerance, nearest, poses)
+        used = (stamps >= grid[0]) & (stamps <= grid[-1])
+        if not used.any():
+            raise BellowsError('No package pose lies within the motion of the tool.')
+        both = np.union1d(grid, stamps[used])
+        both = both[both >= stamps[used][0]]
+        parts = np.ceil(np.diff(both) / (MAX_NODE_STEP * NS_PER_S)).astype(np.int64)
+        nodes = subdivided(both, parts)
+        sampled = grid >= nodes[0]
+        place = np.full(len(nodes), -1)
+        place[np.searchsorted(nodes, stamps[used])] = np.arange(np.count_nonzero(used))
+        return Nodes(nodes, np.searchsorted(nodes, grid[sampled]), place, sampled, used,
+                     (poses - stamps)[used] / NS_PER_S)
+
+    def tool_noise(self, nodes: Nodes) -> whitening.ToolNoise:
+        """Return the noise of the tool's samples at the nodes."""
+        correlation, count = self.measured.tool_noise.correlation, len(nodes.stamps)
+        noise = whitening.ToolNoise(
+            np.zeros(count), np.zeros((count, 6)), np.zeros((count, 6)), np.ones(count))
+        new_variance = self.variance[nodes.sampled] * (1.0 - correlation**2)
+        new_variance[0] /= 1.0 - correlation**2
+        for values, sampled in zip(noise, (
+                self.durations[self.inner][nodes.sampled],
+                _innovations(self.deviation[nodes.sampled], correlation),
+                new_variance, correlation), strict=True):
+            values[nodes.samples] = sampled
+        return noise
+
+
+def _half_window_of(tool: Trajectory, correlation: float) -> int:
+    """
+    Return the half window (samples) of the tool's path: the longest that spares the motion.
+
+    Noise in the path is noise in the derivatives, so slow noise needs a long window. Of noise with
+    a memory below one sample the shortest leaves little.
+    """
+    rate = uniform_rate_hz(tool.stamps_ns)
+    *longer, short = (max(round(duration * rate), MIN_HALF_WINDOW) for duration in HALF_WINDOWS)
+    if correlation < math.exp(-1.0):
+        return short
+    removed, share = _removed(tool, short, correlation)
+    noise = np.mean(removed**2, axis=0) / (1.0 - share)
+    for half_window in longer:
+        more, more_share = _removed(tool, half_window, correlation)
+        power = np.mean((more - removed[half_window - short:][:len(more)]) ** 2, axis=0)
+        if np.all(power <= MAX_REMOVED_POWER * (share - more_share) * noise):
+            return half_window
+    return short
+
+
+def _with_means(measured: MeasuredSegment) -> MeasuredSegment:
+    """Return a segment with means of quick poses; those of equal rates share their stamps."""
+    first_ns = int(measured.tool.stamps_ns[0])
+    tool, tool_noise = _means(measured.tool, measured.tool_noise, first_ns)
+    package, package_noise = _means(measured.package, measured.package_noise, first_ns)
+    return replace(measured, tool=tool, tool_noise=tool_noise,
+                   package=package, package_noise=package_noise)
+
+
+def _means(poses: Trajectory, noise: BodyNoise, first_ns: int) -> tuple[Trajectory, BodyNoise]:
+    """
+    Return means of poses that come quickly at a uniform rate, with their noise.
+
+    Each is of an odd number of poses, at most `MAX_NODE_STEP` long, about a smooth path, so that
+    no motion is lost. Poses stay as they are where their means would lose too many, or where noise
+    has a memory, of which quick differences know most.
+    """
+    steps, correlation = np.diff(poses.stamps_ns), noise.correlation
+    period = float(np.median(steps))
+    half = int((MAX_NODE_STEP * NS_PER_S / period - 1.0) / 2.0)
+    count = 2 * half + 1
+    n = MEAN_HALF_WINDOW * count
+    start = n + (round((first_ns - poses.stamps_ns[0]) / period) - half - n) % count
+    groups = (len(poses) - n - start) // count
+    if half < 1 or groups < 1 or correlation**count > math.exp(-1.0) or (
+            np.ptp(steps) > MAX_STEP_CHANGE * period):
+        return poses, noise
+    inner = slice(start, start + groups * count)
+    valid = np.asarray(poses.valid[inner].reshape(groups, count).all(axis=1))
+    if count * np.count_nonzero(valid) < MIN_IN_MEANS * np.count_nonzero(poses.valid[inner]):
+        return poses, noise
+    smooth = bridged(poses)
+    path = savgol(smooth, n, PATH_ORDER).select(slice(start - n, start - n + groups * count))
+    mean = _deviation(path, smooth.select(inner)).reshape(groups, count, 6).mean(axis=1)
+    path = path.select(slice(half, None, count))
+    lags = np.arange(1, count)
+    variance = (1.0 + 2.0 * np.sum((1.0 - lags / count) * correlation**lags)) / count
+    again = correlation * np.mean(correlation ** np.arange(count)) ** 2 / variance
+    return Trajectory(
+        path.stamps_ns, path.position + lie.apply(path.rotation, mean[:, :3]),
+        path.rotation @ lie.exp_so3(mean[:, 3:]), valid=valid,
+    ), noise._replace(std=np.sqrt(variance) * noise.std, correlation=float(again))
+
+
+def _removed(tool: Trajectory, half_window: int, correlation: float) -> tuple[Array, float]:
+    """Return the innovations (N, 6) of what a window removes, and the part of noise it leaves."""
+    path = savgol(tool, half_window, PATH_ORDER)
+    removed = _deviation(path, tool.select(slice(half_window, len(tool) - half_window)))
+    return _innovations(removed, correlation)[1:], float(path.weights[0, half_window])
+
+
+def _deviation(path: Trajectory, poses: Trajectory) -> Array:
+    """Return shifts and turns (N, 6) from a path to poses, in axes of the path."""
+    back = np.swapaxes(path.rotation, 1, 2)
+    return np.hstack([
+        lie.apply(back, poses.position - path.position), lie.log_so3(back @ poses.rotation)])
+
+
+def _innovations(noise: Array, correlation: float) -> Array:
+    """Return the innovations of noise (S, 6) that is correlated from sample to sample."""
+    return np.vstack([noise[:1], noise[1:] - correlation * noise[:-1]])
