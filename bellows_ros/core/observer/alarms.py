@@ -187,6 +187,10 @@ Measurements and time (ns) required after half the threshold is passed: a marker
 with another one, or the pose of a tag flip, for some frames.
 """
 
+MIN_LOSS = 0.5
+"""Part of the force of the cup that is gone at least where a package is lost: a drifting camera
+looks like a small part that has been gone for long, late stamps like a larger one."""
+
 MAX_UNEXPLAINED = 0.2
 """Largest fraction of the misfit that a named cause may leave unexplained."""
 
@@ -302,6 +306,8 @@ class Alarms:
         holding = [k for k in range(len(self._places)) if k not in lost_cups]
         odds = math.exp(min(lead, 14.0))
         cause, error, spread, sentence, size, std = self._fault(evidence, best, holding)
+        if cause is NAMED['lost'] and size < MIN_LOSS:
+            return None
         name = (CAUSES[second] if second < OF_CAUSE[CUP] else
                 self._cup(holding[second - OF_CAUSE[CUP]], '')).name
         message = sentence + _runner_up(name, odds)

@@ -9,6 +9,7 @@ again, so that the outcome is that of measurements that came in order.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
@@ -37,8 +38,8 @@ LOST_AFTER_NS = 25_000_000
 """A package out of reach for so long (ns) is lost: trackers confuse bodies for some frames."""
 
 SILENT_PERIODS, SILENT_NS = 2.5, 50_000_000
-"""After a pose out of reach the camera is silent if this many of its periods pass, and this time
-(ns)."""
+"""After a pose out of reach the camera is silent if this many of its periods pass, the shorter of
+the last two, and this time (ns)."""
 
 REPEATED_NS = 5_000_000_000
 """What stays wrong raises an alarm so often (ns)."""
@@ -104,6 +105,7 @@ class Observer:
         self._pending: list[Measurement] = []  # newer than the tool
         self._newest: Estimate | None = None  # at the newest sample, where it has been asked for
         self._delay_ns = 0  # of the newest measurement, when it came
+        self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool] | None = None  # when, on the tool's clock, and if it holds
         self.alarms: list[Alarm] = []
 
@@ -216,7 +218,7 @@ class Observer:
             self._reprocess(len(self._measurements) - 1)
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
-        if self._estimates[-1].away_ns > 0 and len(self._measurements) > 1:
+        if self._estimates[-1].away_ns > 0:
             self._note_silence(stamp_ns)
         return prediction
 
@@ -262,6 +264,8 @@ class Observer:
             self.counts[verdict] += 1
             return verdict
         others.insert(at, measurement)
+        if stamp_ns > self._last_ns[-1]:
+            self._last_ns.append(stamp_ns)
         if others is self._measurements:
             self._delay_ns = max(newest_ns - stamp_ns, self._delay_ns // 2)
             self._reprocess(at)
@@ -305,8 +309,8 @@ class Observer:
     def _note_silence(self, stamp_ns: int) -> None:
         """Note that the camera sees nothing, after the package has left its reach."""
         alarms = self._correction.alarms
-        before_ns, last_ns = (each.stamp_ns for each in self._measurements[-2:])
-        silence_ns = max(SILENT_PERIODS * (last_ns - before_ns), SILENT_NS)
+        *_, last_ns = self._last_ns
+        silence_ns = max(SILENT_PERIODS * min(np.diff(self._last_ns)), SILENT_NS)
         if alarms is None or stamp_ns - last_ns <= silence_ns + self._delay_ns:
             return
         self._estimates[-1] = self._estimates[-1]._replace(away_ns=-1)
