@@ -271,11 +271,12 @@ def verdict_of(
     package = tested[0].payload
     given = {**values, 'package.mass': package.mass, 'package.com': package.com,
              'package.inertia': np.diag(package.inertia)}
-    if fit is not None and fit.method == 'output_error' and not (
+    if (fit is None or fit.method == 'output_error') and not (
             methods.are_differentiable(tested, given)):
-        diagnosis = Diagnosis(max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0, (
-            *(finding for recording in tested for finding in causes.corrected(recording)[0]),
-            *fit.causes[:1]), fit.causes[1:])
+        facts = [fact for recording in tested for fact in causes.corrected(recording)[0]]
+        diagnosis = Diagnosis(np.inf, tuple(facts), is_open=True) if fit is None else Diagnosis(
+            max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0,
+            (*facts, *fit.causes[:1]), fit.causes[1:])
     else:
         diagnosis = diagnose(tested, length, given_structure(given), identifiable)
     if fit is None:

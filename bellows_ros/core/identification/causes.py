@@ -54,6 +54,9 @@ MAX_SPREAD_RATIO = 0.3
 SAMPLE_STEP = 20
 """Every such sample is used where only the arrangement matters."""
 
+SHORT_STEP, MAX_SHORT = 0.2, 0.3
+"""A step (periods) that no sensor makes again and again, and which part of all may be as short."""
+
 MIN_SWING, MAX_SWING = -0.2, 0.05
 """Time offsets (s) that the swing of the package can explain: it turns after its tool, not before.
 Smaller offsets of clocks are fitted."""
@@ -147,7 +150,7 @@ IN_DEGREES = Finding('topics.tool_twist', 'degrees per second')
 
 def implausible_inputs(recording: Recording) -> tuple[Finding, ...]:
     """Return what is wrong with a recording or what was given with it, without any fit."""
-    tests = (_package, _clocks, _twists, _smoothed, _jump)
+    tests = (_bursts, _package, _clocks, _twists, _smoothed, _jump)
     return tuple(wrong._replace(is_fact=True) for test in tests if (wrong := test(recording)))
 
 
@@ -321,6 +324,16 @@ def radius_of_gyration(payload: Package) -> float:
     return float(np.sqrt(np.trace(payload.inertia) / payload.mass))
 
 
+def _bursts(recording: Recording) -> Finding | None:
+    """Return that many poses come right after another, as messages do and exposures do not."""
+    names = []
+    for report in (recording.report.tool, recording.report.package):
+        steps = np.diff(report.recorded.stamps_ns) * report.timing.rate_hz / NS_PER_S
+        if np.mean(steps < SHORT_STEP) > MAX_SHORT:
+            names.append(f"'{report.recorded.name}'")
+    return Finding('bursts', ' and '.join(names)) if names else None
+
+
 def _package(recording: Recording) -> Finding | None:
     """Return what is wrong with a mass or an inertia that no package has, None where one may."""
     gyration, mass = radius_of_gyration(recording.payload), recording.payload.mass
@@ -465,9 +478,12 @@ def _com_fields(finding: Finding, given: Given) -> Fields:
 
 
 def _marker_fields(finding: Finding, given: Given) -> Fields:
-    """Return by how much a marker frame is moved and turned."""
+    """Return by how much a marker frame is moved and turned, and what corrects it."""
     shift, turn = map(np.linalg.norm, np.split(finding.theta, [len(finding.theta) - 3]))
-    return {'mm': 1e3 * shift, 'degrees': np.rad2deg(turn)}
+    alignment = '' if given.get('recording.align_at_rest') else (
+        'recording.align_at_rest: true if the recording begins at rest, or else ')
+    return {'mm': 1e3 * shift, 'degrees': np.rad2deg(turn),
+            'setting': f'{alignment}fit.free: [package_marker]'}
 
 
 def _drift_fields(finding: Finding, given: Given) -> Fields:
@@ -578,6 +594,9 @@ CAUSES: Mapping[str, FitCause] = {
         'fit.time_offset', 'The stamps of the tool are {offset} {side} those of the package',
         'Stamp both by one clock, or set fit.time_offset: true.', 's', ('ahead of', 'behind'),
         _clock_fields, _by_one_clock),
+    'bursts': FitCause(
+        'the stamps of the poses', 'The poses of {value} come in bursts, as if stamped on arrival',
+        'Stamp them when they are measured.'),
     'tool_twist.frame': FitCause(
         'tool_twist.frame', "The tool's twists match its poses only in axes of the {value}",
         'Set tool_twist.frame: {value}.'),
@@ -603,10 +622,9 @@ CAUSES: Mapping[str, FitCause] = {
         'Measure cup.length under vacuum, or with bellows static, and check package.com.',
         fields=lambda finding, given: {'mm': abs(1e3 * finding.theta[-1])}),
     'package_marker': FitCause(
-        'recording.align_at_rest', 'The marker frame of tool or package is turned by '
-        '{degrees:.1f} degrees, and {mm:.1f} mm aside',
-        'Correct it, set recording.align_at_rest: true if the recording begins at rest, or '
-        'else fit.free: [package_marker].', ['m', 'm', 'rad', 'rad', 'rad'],
+        'the marker frame', 'The marker frame of tool or package is turned by '
+        '{degrees:.1f} degrees, and {mm:.1f} mm off', 'Correct it, or set {setting}.',
+        ['m', 'm', 'rad', 'rad', 'rad'],
         fields=_marker_fields),
     'world_drift': FitCause(
         'the mounting of the camera',

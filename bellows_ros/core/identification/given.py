@@ -182,8 +182,8 @@ MAX_TRIED = 2
 MAX_CAUSES = 2
 """Causes that are looked for, one beside the other, by a search for each quantity tried."""
 
-CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'package_world', 'package_marker',
-              'world_drift', *quantities.OF_CUP)
+CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'gravity', 'package_world',
+              'package_marker', 'world_drift', *quantities.OF_CUP)
 
 MIN_LENGTH_ERROR = 2e-3
 """
@@ -255,9 +255,13 @@ def causes(
     rival = max((gain for name, gain in gains.items() if name not in (best.name, instead)),
                 default=0.0)
     left = best.left(minimum)
-    others = causes(best.search, best.minimum, given, count - 1) if count > 1 else ()
+    others = () if count == 1 else causes(best.search, best.minimum, given, 1) or outlying(
+        best.search, best.minimum, given, 1)
     is_all = count > 1 and not others  # so that what a rival leaves is its own
-    certain = (moved > MIN_SHIFT or left < DISTINCT) and (
+    pulls = [largest_pull(*end, given)[1]
+             for end in ((search, minimum), (best.search, best.minimum))]
+    is_material = moved > MIN_SHIFT or left < DISTINCT or pulls[0] > MAX_PULL > pulls[1]
+    certain = is_material and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
         # what no cause explains may be of another
         bool(others) or best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count)
@@ -353,9 +357,11 @@ def largest_pull(search: Search, minimum: Minimum, given: Free) -> tuple[str, fl
     return max(pulls.items(), key=itemgetter(1))
 
 
-def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ...]:
+def outlying(
+    search: Search, minimum: Minimum, given: Free, count: int = MAX_CAUSES
+) -> tuple[Finding, ...]:
     """
-    Return what is off by most of its standard deviations, from `MAX_PULL` on.
+    Return what is off by most of its standard deviations, from `MAX_PULL` on, up to so many.
 
     With all of it free, a fit may explain the poses by numbers that are not those given.
     """
@@ -363,19 +369,22 @@ def outlying(search: Search, minimum: Minimum, given: Free) -> tuple[Finding, ..
     name, pull = largest_pull(search, minimum, given)
     if not explains or pull < MAX_PULL:
         return ()
-    freed = _freed(search, minimum, name)
-    search.restore(minimum)
+    freed = max((_freed(search, minimum, each) for each in (name, SIMILAR.get(name, ''))
+                 if each in search.places), key=attrgetter('gain'))
+    name = freed.name
     if not freed.minimum.converged:
-        freed = freed._replace(search=search, minimum=minimum)
+        freed, count = freed._replace(search=search, minimum=minimum), 1
     if name in OF_LIP and (frame := _other_frame(search, minimum, freed.gain)):
         search.restore(minimum)
         return (frame,)
     theta, std = freed.search.estimate(freed.minimum, name)
     is_along = np.argmax(np.abs(theta)) == len(theta) - 1  # the cup, as the length is
     moved = moved_between((search, minimum), (freed.search, freed.minimum))
+    others = outlying(freed.search, freed.minimum, given, count - 1) if count > 1 else ()
+    search.restore(minimum)
     return (_finding(freed, theta, std)._replace(
         moved=moved, instead=SIMILAR.get(name, '') if is_along else '',
-        certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count),)
+        certain=minimum.squares < MAX_NOISE_CHI2 * minimum.residual_count), *others)
 
 
 def _with_likeliest_slip(search: Search, minimum: Minimum) -> tuple[Search, float]:
@@ -415,6 +424,9 @@ def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
                        np.append(std[best:best + 2], MIN_SLIP_PERIOD))
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion
         return Finding('inertia', '', -theta, std)
+    if name == 'gravity':
+        size, (x, y) = np.linalg.norm(freed.search.segments[0].measured.gravity), theta
+        return Finding('gravity.direction', '', np.array([-y, x]) / size, std[::-1] / size)
     if name not in quantities.OF_CUP:
         return Finding(name, '', theta, std)
     best = int(np.argmax(np.abs(theta) / std))  # the entry of K that shows it best is enough
@@ -461,7 +473,7 @@ class _Freed(NamedTuple):
 
     def left(self, before: Minimum) -> float:
         """Return the RMS of the differences over that before, 1 mm as much as 10 mrad."""
-        now, then = (np.sum(np.mean(minimum.residuals**2, axis=0) / SQUARED_UNITS)
+        now, then = (np.sum(np.median(minimum.residuals**2, axis=0) / SQUARED_UNITS)
                      for minimum in (self.minimum, before))
         return float(np.sqrt(now / then))
 
@@ -487,14 +499,19 @@ def _gain(
     """
     Return by how much squares fall, with those of what was given, from one end to another.
 
-    In the noise that is left, as that of slow poses is fit. Those of the poses alone for a slip:
-    soon after the beginning it is a centre of mass elsewhere, whose squares it would share.
+    Of noise that is learned it is the logarithm of its likelihood that tells, at any scale of all
+    variances. Of the poses alone for a slip: soon after the beginning it is a centre of mass
+    elsewhere, whose squares it would share.
     """
-    powers = [np.mean(minimum.residuals**2, axis=0) for _, minimum in (before, after)]
-    given = [0.0 if of_poses else search.weights @ minimum.theta**2
-             for search, minimum in (before, after)]
-    return float(len(after[1].residuals) * np.sum(np.log(powers[0] / powers[1]))
-                 + given[0] - given[1])
+    def left(search: Search, minimum: Minimum) -> float:
+        """Return a deviance of each difference, times how many there are, and that of the rest."""
+        logs = sum(float(np.sum(np.log(part.variance))) for part in minimum.parts)
+        count = minimum.residual_count
+        mean = float(np.log(minimum.squares / count)) + logs / count
+        given = 0.0 if of_poses else float(search.weights @ minimum.theta**2)
+        return after[1].residual_count * mean + given
+
+    return left(*before) - left(*after)
 
 
 def scores(search: Search, minimum: Minimum, names: Sequence[str]) -> dict[str, float]:

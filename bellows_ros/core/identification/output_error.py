@@ -115,7 +115,6 @@ def output_error(
         If relaxation is 'on' and none is significant.
 
     """
-    search = Search([Segment(part) for part in measured], structure, start, free)
     iterations: list[Iteration] = []
 
     def record(cup: Cup, chi2: float) -> None:
@@ -123,7 +122,12 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    minimum = search.minimum(record)
+    for means in (True, False):  # a search of a misfit diverges with them more often
+        segments = [Segment(part, means=means) for part in measured]
+        search = Search(segments, structure, start, free)
+        minimum = search.minimum(record)
+        if minimum.converged or segments[0].measured.tool is measured[0].tool:
+            break
     end, is_open = (search, minimum, np.zeros((len(search.units),) * 2)), True
     if given and relaxation != 'on' and not search.is_plausible(minimum):
         end = with_given(search, minimum, given, record)

@@ -290,7 +290,9 @@ class Parametrization:
         if 'relaxation' in free:
             cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
         payload = quantities.payload_of(measured.payload, free)
-        return model_tuple(cup, payload, measured.gravity), free
+        cup_tuple, package, (x, y, z) = model_tuple(cup, payload, measured.gravity)
+        dx, dy = free.get('gravity', (0.0, 0.0))
+        return (cup_tuple, package, (x + dx, y + dy, z)), free
 
     def moved(self, theta: Array, step: Array) -> Array:
         """Return unknowns after a step, K and P along a geodesic."""

@@ -157,8 +157,10 @@ class Nodes(NamedTuple):
 class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
-    def __init__(self, measured: MeasuredSegment, half_window: int = 0) -> None:
-        self.measured = measured = _with_means(measured)
+    def __init__(
+        self, measured: MeasuredSegment, half_window: int = 0, means: bool = True
+    ) -> None:
+        self.measured = measured = _with_means(measured) if means else measured
         self.tool = bridged(measured.tool)
         self.half_window = half_window or _half_window_of(
             self.tool, measured.tool_noise.correlation)

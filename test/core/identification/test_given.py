@@ -131,6 +131,16 @@ def test_a_com_far_off_is_no_slip_soon_after_the_beginning():
     assert_allclose(com.theta, [-0.015, 0.0, 0.0], atol=1e-3)
 
 
+def test_a_world_that_is_not_level_is_named():
+    """Of both bodies, so that gravity is not along its z."""
+    own, tilt = measured(3, tool_hz=100.0), exp_so3(np.array([0.0, 0.12, 0.0]))
+    tilted = replace(own, **{name: replace(body, position=body.position @ tilt.T, rotation=(
+        tilt @ body.rotation)) for name, body in (('tool', own.tool), ('package', own.package))})
+    (gravity, *_) = output_error([tilted], AXISYMMETRIC, TRUTH, given=USUAL).causes
+    assert gravity.name == 'gravity.direction' and gravity.certain
+    assert np.all(np.abs(gravity.theta - [0.0, -0.12]) < 4.0 * gravity.std)
+
+
 @pytest.mark.parametrize(('seed', 'has_tails'), [(5, False), (27, True)])
 def test_what_was_given_a_little_off_is_no_slip_and_no_turned_marker(seed, has_tails):
     """And is found with K and P where a camera knows it better, with heavy tails of its noise."""
