@@ -32,7 +32,7 @@ def test_where_no_structure_fits_the_cause_is_named(fault, word):
     laboratory = Laboratory(74102 if fault else 74100, rate_hz=240.0)
     FAULTS.get(fault, [lambda own: None])[0](laboratory)
     values = {'cup.length': laboratory.said_length, 'fit.structure': 'axisymmetric',
-              'package.com': laboratory.said.com}
+              'fit.free': (), 'package.com': laboratory.said.com}
     found = selection([laboratory.recording()], values, lambda what, part: None)
     assert found.fits is not bool(fault)
     assert found.advice[0].startswith('No structure fits' if fault else 'Use fit.structure')
