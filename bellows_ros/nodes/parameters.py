@@ -147,13 +147,12 @@ class TableNode(GuardedNode):
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Set all or none of some parameters, and say why not."""
+        now = {p.name: self.get_parameter_or(p.name, Parameter(p.name)) for p in parameters}
         changing = [p for p in map(_as_double, parameters) if not self.has_parameter(p.name) or (
-            self.get_parameter_or(p.name, Parameter(p.name)).get_parameter_value()
-            != p.get_parameter_value())]
+            now[p.name].get_parameter_value() != p.get_parameter_value())]
         if not changing:
             return SetParametersResult(successful=True)
         previous = self.values
-        before = [self.get_parameter(p.name) for p in changing if self.has_parameter(p.name)]
         try:
             if not all(p.name for p in changing):
                 raise BellowsError(
@@ -165,7 +164,7 @@ class TableNode(GuardedNode):
             return _refused(_why_unknown(unknown[0], self.get_name()))
         except Exception as error:  # noqa: BLE001 (whatever it is, nothing is to change)
             if self.values is not previous:
-                self.set_parameters_atomically(before)
+                self.set_parameters_atomically([now[p.name] for p in changing])
             if not isinstance(error, BellowsError):
                 self.note_failure(error)
             return _refused(str(error))

@@ -7,6 +7,7 @@ from bellows_ros.files.results import read_result
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from rclpy.parameter import Parameter
 
 from . import conftest
 
@@ -38,6 +39,16 @@ def test_recordings_must_be_named(ros):
     """End with what to set."""
     with pytest.raises(BellowsError):
         make(ros)
+
+
+def test_parameters_are_fixed(ros, tmp_path):
+    """Refuse to change one while the node runs, also an empty list, which ROS has not set."""
+    node = make(ros, bags=[str(tmp_path)])
+    for name, value in (('static.length', True), ('static.bags', ['another'])):
+        result, = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful and name in result.reason
+    with pytest.raises(BellowsError):
+        result_of(ros, node)
 
 
 def test_error_of_the_work_ends_the_node(ros, tmp_path):
