@@ -36,9 +36,10 @@ def outcome(laboratory, cause, other='', quick=False):
         values = parameters(laboratory)
         length = values['cup.length']
         verdict, found = verdict_of(None, recordings, length, values), None
-        if not (verdict.refusals or quick):
-            found = fit(recordings, values).fit
-            verdict = verdict_of(found, recordings, length, values)
+        if not quick and all(len(own.theta) and not own.is_fact for own in verdict.wrong):
+            fitted = fit(recordings, values).fit
+            if fitted.converged or not verdict.wrong:
+                found, verdict = fitted, verdict_of(fitted, recordings, length, values)
     except BellowsError as error:
         named = [own for own in (cause, other) if own and own in str(error)]
         return ('refused otherwise', 'one of two' if other else 'right', 'right')[len(named)], (

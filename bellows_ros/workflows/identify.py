@@ -57,8 +57,8 @@ RECORDING_USERS = ('static.length', 'fit.compare_structures', 'output.report')
 """Parameters that need the recordings themselves, not only their statistics."""
 
 LEAST_SQUARES_NOTE = (
-    'K and P are those of least squares: something given is wrong, so the output error was '
-    'not fitted. --force fits it all the same.')
+    'K and P are those of least squares, as something given is wrong. --force fits the output '
+    'error all the same.')
 
 NOT_FITTED = 'The cup was not fitted; --force fits it all the same.'
 
@@ -114,7 +114,7 @@ def identify(
         return methods.with_relaxation(parts, values) if differentiable else parts, failed
 
     parts, failed = read(effective)
-    notes = _assumed(settings)
+    notes, wrong = _assumed(settings), list[causes.Finding]()
     is_output_error = values['fit.method'] == 'output_error' and not force
     if is_output_error and not methods.are_differentiable(parts, values):
         if facts := _facts(parts, effective):
@@ -122,10 +122,12 @@ def identify(
     elif is_output_error and not (static or set(values['fit.free']) - REGISTRATION_NAMES):
         progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole_recordings(parts), effective['cup.length'], effective)
-        if early and early.beyond(allowances(effective)).refusals:
+        wrong = early.beyond(allowances(effective)).wrong if early else []
+        if any(finding.is_fact or not len(finding.theta) for finding in wrong):
             effective, notes = {**effective, **LEAST_SQUARES}, (*notes, LEAST_SQUARES_NOTE)
     return _identify(
-        values, effective, parts, static, progress, read, failed=tuple(failed), assumed=notes,
+        values, effective, parts, static, progress, read, bool(wrong), failed=tuple(failed),
+        assumed=notes,
         parameter_files=tuple(
             {'path': os.fspath(file), 'files': bag_folder.digests(file)}
             for file in parameter_files))
@@ -266,22 +268,31 @@ def read_all(
 
 def _identify(
     values: Values, effective: Values, parts: Sequence[AnyRecording],
-    static: 'StaticResult | None', progress: Progress, read: Read, **more: Any,
+    static: 'StaticResult | None', progress: Progress, read: Read, is_wrong: bool,
+    assumed: tuple[str, ...], **more: Any,
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
 
-    `effective` are the parameters `values` with the length that standstills have given. What is
+    `effective` are the parameters `values` with the length that standstills have given. Where
+    something is wrong and output error does not converge, least squares show it. What is
     estimated of the package or the cup's length replaces what was given, and the recordings are
     read again with it.
     """
     progress('fitting', FIT_BEGINS)
     length = static.length if static and values['static.length'] else None
-    try:
-        result = methods.fit(
-            parts, effective,
+
+    def fit_with(values: Values) -> methods.Result:
+        return methods.fit(
+            parts, values,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
             static.standstills if static else (), length.length_std if length else 0.0)
+
+    try:
+        result = fit_with(effective)
+        if is_wrong and not result.fit.converged:
+            effective, assumed = {**effective, **LEAST_SQUARES}, (*assumed, LEAST_SQUARES_NOTE)
+            result = fit_with(effective)
     except BellowsError as error:
         facts = _facts(parts, effective)
         raise BellowsError(facts) if facts else error from None
@@ -298,7 +309,7 @@ def _identify(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,
         selection=(selection(recordings, effective, progress, verdict)
-                   if values['fit.compare_structures'] else None), **more)
+                   if values['fit.compare_structures'] else None), assumed=assumed, **more)
     if static:
         from bellows_ros.workflows.static import with_spring
 

@@ -114,12 +114,12 @@ class FitVerdict(NamedTuple):
         return self._replace(
             diagnosis=self.diagnosis._replace(findings=findings, besides=besides))
 
-    def is_wrong(self, finding: causes.Finding) -> bool:
-        """Return whether no cup is right without a cause: certain, or likely, large, and for K."""
-        large = (self.chi2 is not None and finding.name in LOCAL and finding.likely
-                 and finding.moved > causes.MATERIAL)
-        return finding.datum and (
-            finding.certain or large and not _is_within(finding, self.expected))
+    @property
+    def wrong(self) -> list[causes.Finding]:
+        """Without which no cup is right: what is certain, or likely, large, and moves K."""
+        return [finding for finding in self.causing if finding.datum and (
+            finding.certain or self.chi2 is not None and finding.name in LOCAL and finding.likely
+            and finding.moved > causes.MATERIAL and not _is_within(finding, self.expected))]
 
     @property
     def causing(self) -> list[causes.Finding]:
@@ -210,11 +210,9 @@ class FitVerdict(NamedTuple):
                 f'(chi^2 per degree of freedom {self.chi2:.3g}): K and P are not those of the '
                 'lowest minimum, or model or data are wrong. Start from another cup.stiffness, or '
                 'use a simpler fit.structure.')
-        causing = self.causing
-        wrong = [finding for finding in causing if self.is_wrong(finding)]
-        if wrong:
-            line = 'first line says' if wrong[0] is causing[0] else 'lines above say'
-            reasons.append(f'Correct {causes.setting_of(wrong[0])} as the {line}, and fit again.')
+        for finding in self.wrong[:1]:
+            line = 'first line says' if finding is self.causing[0] else 'lines above say'
+            reasons.append(f'Correct {causes.setting_of(finding)} as the {line}, and fit again.')
         return tuple(reasons)
 
     def as_json(self) -> dict[str, Any]:
@@ -282,8 +280,8 @@ def verdict_of(
     if fit is None:
         return FitVerdict((), diagnosis, given)
     expected = allowances(values)
-    log_inertia_ratio = float(
-        np.mean(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
+    log_inertia_ratio = float(  # one of the three moments may hardly be known
+        np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
         'inertia' in fit.nuisances) else 0.0
     length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
     cup = gripper_of(Cup(fit.stiffness, fit.damping, length, fit.relaxation),
@@ -302,11 +300,13 @@ def verdict_of(
     drifts = [cause.name for cause in fit.causes] == ['world_drift']
     is_shown = any(finding.certain or finding.datum and not (drifts and finding.name == 'slip')
                    for finding in diagnosis.findings[:1])
-    if verdict.cause and (is_shown or not any(
-            cause.datum and cause.likely for cause in fit.causes[:1])):
+    is_found = any(cause.datum and cause.likely and (cause.certain or not is_shown)
+                   for cause in fit.causes[:1])
+    if not fit.causes or verdict.cause and not is_found:
         return verdict
-    return verdict._replace(diagnosis=diagnosis._replace(  # wrenches show no cause
-        findings=(*fit.causes[:1], *diagnosis.findings), besides=fit.causes[1:]))
+    rivals = (finding for finding in diagnosis.findings if finding.name != fit.causes[0].name)
+    return verdict._replace(diagnosis=diagnosis._replace(
+        findings=(fit.causes[0], *rivals), besides=fit.causes[1:]))
 
 
 def _found(fit: Fit, values: Values, package: Package, length: float) -> Mapping[str, Array]:

@@ -283,15 +283,24 @@ def test_exchanged_topics_are_refused_before_the_fit(shipped):
 
 
 def test_a_wrong_length_is_suspected(shipped):
-    wrong = {**shipped[0].values, 'cup.length': 0.051, 'fit.method': 'output_error'}
-    result = identify(wrong)
-    assert result.fit.method == 'least_squares'  # no other fit to data that are wrong
-    assert 'the output error was not fitted' in result.warnings[0]
-    assert result.findings[0].startswith('cup.length is 5.0')
-    assert 'mm too long' in result.findings[0] and 'it would be 0.0460' in result.findings[0]
+    """Where wrenches see that something is wrong, the fit finds it with K and P."""
+    values, true_cup = shipped
+    result = identify({**values.values, 'cup.length': 0.051, 'fit.method': 'output_error'})
+    K = np.reshape(true_cup['cup.stiffness'], (6, 6))
+    assert_allclose(np.diag(result.fit.stiffness), np.diag(K), rtol=0.01)
+    (cause, *_) = result.verdict.wrong
+    assert {cause.name, cause.instead} == {'length', 'com'}
+    assert_allclose(cause.theta[-1], -5e-3, atol=3e-4)
     assert not any('does not explain' in text for text in result.warnings)  # the cause does
     content = json.loads(format_json(result.as_json()))
     assert content['usable'] is False and 'cup.length' in content['refusals'][-1]
+
+
+def test_least_squares_show_what_the_output_error_does_not_meet(shipped):
+    """A frame that is turned by a quarter is a setting: the output error is not tried."""
+    result = identify({**shipped[0].values, 'recording.world': 'motive_y_up',
+                       'recording.align_at_rest': False, 'fit.method': 'output_error'})
+    assert result.fit.method == 'least_squares' and '--force' in result.warnings[0]
 
 
 def test_a_refused_cup_is_written_by_force_alone_and_says_so(shipped, tmp_path):

@@ -112,7 +112,7 @@ def test_what_is_not_identifiable_refuses_no_cup(monkeypatch, std, refused):
 
 
 @pytest.mark.parametrize(('seen', 'said'), [
-    ((), []), ((cause('com', [3e-3, 0.0, 0.0]),), ['com', 'length'])])
+    ((), []), ((cause('com', [3e-3, 0.0, 0.0]),), ['com'])])
 def test_wrenches_know_no_more_than_the_fit(monkeypatch, seen, said):
     laboratory = Laboratory(4, seconds=4.0)
     wrong = Diagnosis(0.1, (cause('com', [3e-3, 0.0, 0.0]),), (cause('length', [2e-3]),))

@@ -1,7 +1,8 @@
 """
 What was given with a recording, each number a measurement with a standard deviation.
 
-About the minimum all of it is free at once beside K and P. Directions of it that the recordings
+About the minimum all of it is free at once beside K and P; where poses come quickly, and know it
+far better than most people do, from the start of the search. Directions of it that the recordings
 know better than it was given are found with K and P. The others stay as they were given, and what
 they move K and P by is an error of its own: with mass, inertia, K and P larger by one factor the
 motion is the same, so no recording knows the size of K better than the mass.
@@ -86,9 +87,7 @@ def with_given(
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
-    near = search, minimum, np.zeros((size, size))
-    if more and search.is_plausible(minimum):
-        near = _near_with_given(search, minimum, more, note)
+    near = as_far_as_known(search, minimum, more, note)
     if not more or is_explained(*near[:2], given):
         return near
     for segment in search.segments:
@@ -103,17 +102,24 @@ def with_given(
     return near
 
 
-def _near_with_given(
+def as_far_as_known(
     search: Search, minimum: Minimum, more: Free, note: Callable[[Cup, float], None]
 ) -> tuple[Search, Minimum, Array]:
-    """Return the minimum near one with what the recordings know better free; see `with_given`."""
-    size = len(search.units)
-    wide = search.with_free(minimum.theta, more)
+    """
+    Return the minimum near one with what the recordings know better than it was given free.
+
+    The rest of `more` is as it was given. With search and covariance as `with_given`.
+    """
+    wide = search.with_free(
+        minimum.theta, {name: std for name, std in more.items() if name not in search.places})
+    size = len(wide.units) - sum(wide.places[name].size for name in more)
+    start, unmoved = wide.transferred(search, minimum.theta), np.zeros((len(search.units),) * 2)
+    if not search.is_plausible(minimum):
+        return search, minimum, unmoved
     std = wide.weights[size:] ** -0.5
-    start = wide.transferred(search, minimum.theta)
     parts, H, g = wide.system(start)
     if not np.all(np.isfinite(H)):  # what was given is so wrong that derivatives by it diverge
-        return search, minimum._replace(converged=False), np.zeros((size, size))
+        return search, minimum._replace(converged=False), unmoved
     known = np.sum([part.jacobian.T @ part.jacobian for part in parts], axis=0)  # without a prior
     S = known[size:, size:] - known[size:, :size] @ np.linalg.lstsq(
         known[:size, :size], known[:size, size:])[0]
@@ -121,11 +127,14 @@ def _near_with_given(
     free = int(np.count_nonzero(values > 1.0))
     fixed = vectors[:, :len(std) - free] / std[:, None]
     wide.fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
-    again = wide.minimum(note, start, (parts, H + wide.fixing, g))
+    again = wide.minimum(note, start, (
+        parts, H + wide.fixing, g + wide.fixing @ (wide.start - start)))
     if again.converged:
         search, minimum, H = wide, again, again.information - wide.fixing
     else:
         search.accept(minimum.parts)
+        if len(wide.units) == len(search.units):
+            return search, minimum, unmoved
         free = 0
     by = np.eye(len(H))
     by[size:, size:] = std[:, None] * vectors[:, ::-1]  # the best known first
@@ -239,7 +248,10 @@ def causes(
     if best.gain < SIGNIFICANT**2:  # or the search did not converge
         return ()
     theta, std = best.search.estimate(best.minimum, best.name)
-    is_far = best.name in ('com', 'package_marker') and _is_as_far_as_com(search, theta[:3])
+    shifts = [theta] * (best.name in OF_LIP) + [
+        (search.units * minimum.theta)[search.places[name].ravel()]
+        for name in OF_LIP if name in search.places]
+    is_far = any(_is_as_far_as_com(search, shift[:3]) for shift in shifts)
     if count == MAX_CAUSES and is_far and (frame := _other_frame(search, minimum, best.gain)):
         search.restore(minimum)
         return (frame,)
@@ -264,7 +276,8 @@ def causes(
     certain = is_material and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
         # what no cause explains may be of another
-        bool(others) or best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count)
+        others[0].certain if others else
+        best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count)
     return (_finding(best, theta, std)._replace(
         left=left, moved=moved, certain=certain, instead=instead),
         *(other._replace(certain=other.certain and certain) for other in others))
@@ -499,16 +512,20 @@ def _gain(
     """
     Return by how much squares fall, with those of what was given, from one end to another.
 
-    Of noise that is learned it is the logarithm of its likelihood that tells, at any scale of all
-    variances. Of the poses alone for a slip: soon after the beginning it is a centre of mass
-    elsewhere, whose squares it would share.
+    Of slow poses, whose noise is learned, it is the logarithm of its likelihood that tells, at any
+    scale of all variances. Of the poses alone for a slip: soon after the beginning it is a centre
+    of mass elsewhere, whose squares it would share.
     """
+    is_slow = any(segment.is_slow for segment in before[0].segments)
+
     def left(search: Search, minimum: Minimum) -> float:
-        """Return a deviance of each difference, times how many there are, and that of the rest."""
+        """Return the squares, or a deviance as large as those, and that of what was given."""
+        given = 0.0 if of_poses else float(search.weights @ minimum.theta**2)
+        if not is_slow:
+            return minimum.squares + given
         logs = sum(float(np.sum(np.log(part.variance))) for part in minimum.parts)
         count = minimum.residual_count
         mean = float(np.log(minimum.squares / count)) + logs / count
-        given = 0.0 if of_poses else float(search.weights @ minimum.theta**2)
         return after[1].residual_count * mean + given
 
     return left(*before) - left(*after)

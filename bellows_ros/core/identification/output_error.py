@@ -14,6 +14,7 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import (
+    as_far_as_known,
     NOTHING,
     reasons_at,
     scores,
@@ -122,12 +123,29 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    for means in (True, False):  # a search of a misfit diverges with them more often
-        segments = [Segment(part, means=means) for part in measured]
-        search = Search(segments, structure, start, free)
+    segments = [Segment(part) for part in measured]
+    search = Search(segments, structure, start, free)
+    if given and not any(segment.is_slow for segment in segments):
+        more = {name: std for name, std in given.items() if name not in free}
+        search = search.with_free(search.start, more)
         minimum = search.minimum(record)
-        if minimum.converged or segments[0].measured.tool is measured[0].tool:
-            break
+        if minimum.converged:
+            search, minimum = _with_relaxation(search, minimum, relaxation, record)
+        end = as_far_as_known(search, minimum, more, record)
+        ends = {end[0]: end[1]} if end[1].converged else {}
+    else:
+        end, ends = _given_later(search, given, relaxation, record)
+    wide, wide_minimum, from_given = end
+    reasons = reasons_at(ends, given) if ends else ()
+    wide.restore(wide_minimum)
+    return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
+
+
+def _given_later(
+    search: Search, given: Free, relaxation: str, record: Callable[[Cup, float], None]
+) -> tuple[tuple[Search, Minimum, Array], dict[Search, Minimum]]:
+    """Return where a search ends, as `with_given`, and the ends at which causes are looked for."""
+    minimum = search.minimum(record)
     end, is_open = (search, minimum, np.zeros((len(search.units),) * 2)), True
     if given and relaxation != 'on' and not search.is_plausible(minimum):
         end = with_given(search, minimum, given, record)
@@ -138,13 +156,10 @@ def output_error(
         search, minimum = _with_relaxation(search, minimum, relaxation, record)
         if end[0] is stiff or search is not stiff:
             end = with_given(search, minimum, given, record)
-    wide, wide_minimum, from_given = end
     ends = {search: minimum}
-    if wide_minimum.robust_chi2 < MISFIT_CHI2:
-        ends = {wide: wide_minimum, **ends}
-    reasons = reasons_at(ends, given)
-    wide.restore(wide_minimum)
-    return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
+    if end[1].robust_chi2 < MISFIT_CHI2:
+        ends = {end[0]: end[1], **ends}
+    return end, ends
 
 
 def _with_relaxation(

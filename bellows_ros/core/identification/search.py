@@ -35,7 +35,6 @@ from bellows_ros.core.model.equilibrium import adapted, largest_step, pose_error
 from bellows_ros.core.model.jacobians import DAMPING, WRENCH
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.structure import Structure, STRUCTURES
-from bellows_ros.core.recording.recording import LOW_RATE_HZ
 from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
 from bellows_ros.core.signals.savgol import first_order
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -101,6 +100,10 @@ Largest numbers of steps: of the approach, after that, and after that with a mis
 So a search simulates a wrong recording 53 times at most (with clocks or frames free, 64). A whole
 fit is several: with relaxation, the likeliest causes and what was given free in turn.
 """
+
+MAX_WANDERING_STEPS = 10
+"""Steps that a search goes on after the shortest one, if that is short enough: where noise has
+changed derivatives, it may leave the root again."""
 
 MAX_DAMPING, MAX_STIFFENING = 10.0, 100.0
 """Times ordinary damping, and the stiffness of the start, that a cup hardly has."""
@@ -395,7 +398,11 @@ class Search(Parametrization):
         self, theta: Array, forgetting: float, directions: Array,
         report: Callable[[Cup, float], None], system: System | None = None,
     ) -> Minimum:
-        """Return the root in some directions; the unknown acceleration forgets at a rate (1/s)."""
+        """
+        Return the root in some directions.
+
+        With an unknown acceleration that forgets at a rate (1/s), where the squares were lowest.
+        """
         parts, H, g = system or self.system(theta, forgetting)
         if not np.all(np.isfinite(g)):
             finite = [part._replace(**{name: np.nan_to_num(getattr(part, name), posinf=0.0)
@@ -408,19 +415,22 @@ class Search(Parametrization):
         damping, settled, is_fresh = min_damping, True, True
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
-        largest = MAX_RISE * max(squares(parts), expected)
+        lowest = squares(parts)  # so far, in noise as it is estimated now
+        best, least, best_number = Minimum(theta, parts, H, False, self.noise), math.inf, 0
         for number in range(max_steps):
-            if number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected:
+            is_misfit = number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected
+            if is_misfit or best.converged and number > best_number + MAX_WANDERING_STEPS:
                 break
             step = self._damped_step(theta, H, g, damping, directions)
             moved = self.moved(theta, _anderson_step(step, H, history))
             length = self.squared_length(step, H)
-            try:
-                new = self.system(moved, forgetting)
-                improves = squares(new[0]) < largest
-            except BellowsError:  # no cup is that short or fast, no clock that far off
-                improves = False
-            if not improves:  # or nan
+            merit = squares(parts) if forgetting else length
+            if settled and merit < least:
+                is_near = forgetting == 0.0 and length < LOOSE_TOLERANCE
+                best, least, best_number = (
+                    Minimum(theta, parts, H, is_near, self.noise), merit, number)
+            new = self._system_below(moved, forgetting, MAX_RISE * max(lowest, expected))
+            if new is None:
                 history = []
                 if is_fresh:
                     damping = max(10.0 * damping, 1e-2)
@@ -429,23 +439,36 @@ class Search(Parametrization):
                     if not np.all(np.isfinite(again[2])):
                         break
                     (parts, H, g), is_fresh = again, True
-                    largest = MAX_RISE * max(squares(parts), expected)
+                    lowest = squares(parts)
                 continue
             history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
             theta, (parts, H, g) = moved, new
             self.accept(parts)
             before = self.noise
             settled = is_fresh = forgetting > 0.0 or self.update_noise(parts)
-            largest = MAX_RISE * max(expected, sum(
+            now = sum(
                 float(np.sum((part.innovations.reshape(-1, 6) * std / segment.std) ** 2))
-                for segment, part, std in zip(self.segments, parts, before, strict=True)))
+                for segment, part, std in zip(self.segments, parts, before, strict=True))
+            lowest = min(lowest, now) if is_fresh else now
             settled &= damping <= MAX_FINAL_DAMPING
             damping = max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0
             report(self.cup(theta), squares(parts) / expected)
             if length < tolerance and settled:
                 break
+        is_near = length < LOOSE_TOLERANCE and settled
+        if squares(parts) > least if forgetting else best.converged and not is_near:
+            self.restore(best)
+            return best
         self.update_noise(parts)
-        return Minimum(theta, parts, H, length < LOOSE_TOLERANCE and settled, self.noise)
+        return Minimum(theta, parts, H, is_near, self.noise)
+
+    def _system_below(self, theta: Array, forgetting: float, largest: float) -> System | None:
+        """Return the system at unknowns, none where its squares are not below the largest."""
+        try:
+            system = self.system(theta, forgetting)
+        except BellowsError:  # no cup is that short or fast, no clock that far off
+            return None
+        return system if squares(system[0]) < largest else None  # nor where they are nan
 
     def _damped_step(
         self, theta: Array, H: Array, g: Array, damping: float, directions: Array
@@ -527,7 +550,7 @@ class Search(Parametrization):
         """Estimate the noise of poses that come slowly; return whether it hardly changes."""
         settled = True
         for segment, part in zip(self.segments, parts, strict=True):
-            if segment.period * LOW_RATE_HZ > 1.0:
+            if segment.is_slow:
                 correlation = segment.measured.package_noise.correlation
                 total = (MAD_TO_STD * np.median(np.abs(part.residuals), axis=0)) ** 2
                 simulated = np.median(part.variance, axis=0) - part.new_variance

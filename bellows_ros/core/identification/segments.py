@@ -15,7 +15,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
 from bellows_ros.core.identification import quantities, whitening
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.recording.recording import BodyNoise, Recording
+from bellows_ros.core.recording.recording import BodyNoise, LOW_RATE_HZ, Recording
 from bellows_ros.core.signals.resampling import subdivided
 from bellows_ros.core.signals.savgol import bridged, savgol
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
@@ -157,15 +157,14 @@ class Nodes(NamedTuple):
 class Segment:
     """A part of a recording with the likeliest path of the tool and the package's first state."""
 
-    def __init__(
-        self, measured: MeasuredSegment, half_window: int = 0, means: bool = True
-    ) -> None:
-        self.measured = measured = _with_means(measured) if means else measured
+    def __init__(self, measured: MeasuredSegment, half_window: int = 0) -> None:
+        self.measured = measured = _with_means(measured)
         self.tool = bridged(measured.tool)
         self.half_window = half_window or _half_window_of(
             self.tool, measured.tool_noise.correlation)
         self.inner = slice(self.half_window, len(self.tool) - self.half_window)
         self.period = float(np.median(np.diff(measured.package.stamps_ns))) / NS_PER_S
+        self.is_slow = self.period * LOW_RATE_HZ > 1.0  # its noise is estimated with K and P
         # how long (s) each sample of the tool is held
         self.durations = np.gradient((self.tool.stamps_ns - self.tool.stamps_ns[0]) / NS_PER_S)
         valid = measured.tool.valid[:, None]
