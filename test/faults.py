@@ -60,7 +60,9 @@ def outcome(laboratory, cause, other='', quick=False):
     if verdict.cause and findings:
         return ('right' if cause in named[0] else
                 'wrong and certain' if 'certain' in named[0] else 'wrong, not certain'), said
-    return unnamed(laboratory, verdict, found, said)
+    word, said = unnamed(laboratory, verdict, found, said)
+    first = next(iter(verdict.found), '')  # with K and P, so that nothing is refused
+    return 'right' if word == 'silent' and cause in first else word, f'{first} {said}'
 
 
 def of_two(named, cause, other):

@@ -98,8 +98,11 @@ class FitVerdict(NamedTuple):
     """Standard deviations, SI units, of what output error may correct beside K and P."""
     log_inertia_ratio: float = 0.0
     """Logarithm of inertia over mass as estimated by the fit, relative to what was given."""
-    found: Mapping[str, Array] = MappingProxyType({})
-    """Parameters of package and cup by the fit, where it has changed one notably."""
+    found: Mapping[str, tuple[Array, str]] = MappingProxyType({})
+    """
+    Parameters of package and cup by the fit, where it has changed one notably, and by how much:
+    first what it has changed by most standard deviations.
+    """
 
     def beyond(self, corrected: Free, explains: bool = False) -> 'FitVerdict':
         """
@@ -153,8 +156,8 @@ class FitVerdict(NamedTuple):
                 'is wrong instead, K and P are off by that factor: weigh the package.')
         if self.found:
             found = ', '.join(
-                f'{name} [{", ".join(f"{x:.4g}" for x in values)}]'
-                for name, values in self.found.items())
+                f'{name} [{", ".join(f"{x:.4g}" for x in value)}] ({off} off)'
+                for name, (value, off) in self.found.items())
             sentences.append(f'Found with K and P: {found}. Predictions of this package need '
                              'these values, too.')
         return () if self.refusals else tuple(sentences)
@@ -309,16 +312,24 @@ def verdict_of(
         findings=(fit.causes[0], *rivals), besides=fit.causes[1:]))
 
 
-def _found(fit: Fit, values: Values, package: Package, length: float) -> Mapping[str, Array]:
-    """Return parameters as a fit has found them, if it has changed one notably; length in m."""
+def _found(
+    fit: Fit, values: Values, package: Package, length: float
+) -> Mapping[str, tuple[Array, str]]:
+    """Return `FitVerdict.found` of a fit; length in m."""
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()}
     found = payload_of(package, free)
     parameters = {
         'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
         'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}
-    names = [name for name in parameters if name in free and name in std]
-    is_notable = any(np.any(np.abs(free[name]) > NOTABLE * std[name]) for name in names)
-    return dict(parameters[name] for name in names) if is_notable else {}
+    pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
+             for name in parameters if name in free and name in std}
+    if max(pulls.values(), default=0.0) <= NOTABLE:
+        return {}
+    changes = {name: f'{100.0 * np.max(np.abs(np.expm1(free[name]))):.2g} %'
+               if name == 'inertia' else f'{1e3 * np.linalg.norm(free[name]):.2g} mm'
+               for name in pulls}
+    return {parameters[name][0]: (parameters[name][1], changes[name])
+            for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
 
 
 def _drawn(fit: Fit, cup: Cup, structure: Structure) -> list[Cup]:

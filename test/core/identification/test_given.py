@@ -20,10 +20,11 @@ from numpy.testing import assert_allclose
 import pytest
 
 from .recordings import GRAVITY, PLATE, Shake
-from .test_output_error import AXISYMMETRIC, CAMERA, measured, NUMBERS, scaled, TRUTH
+from .test_output_error import AXISYMMETRIC, CAMERA, CAPTURE, measured, NUMBERS, scaled, TRUTH
 from ..motions import with_errors
 
 QUIET = {'package_noise': (1e-4, 5e-4), 'package_hz': 60.0}
+CAPTURED = {'tool_noise': CAPTURE, 'package_noise': CAPTURE, 'package_hz': 100.0}
 SAID = resolve({'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
                 'package.inertia': [*np.diag(PLATE.inertia).tolist(), 0.0, 0.0, 0.0]})
 USUAL = given_std(SAID)
@@ -131,14 +132,26 @@ def test_a_com_far_off_is_no_slip_soon_after_the_beginning():
     assert_allclose(com.theta, [-0.015, 0.0, 0.0], atol=1e-3)
 
 
-def test_a_world_that_is_not_level_is_named():
+@pytest.mark.parametrize('sensor', [{}, CAPTURED])
+def test_a_world_that_is_not_level_is_named(sensor):
     """Of both bodies, so that gravity is not along its z."""
-    own, tilt = measured(3, tool_hz=100.0), exp_so3(np.array([0.0, 0.12, 0.0]))
+    own, tilt = measured(3, tool_hz=100.0, **sensor), exp_so3(np.array([0.0, 0.12, 0.0]))
     tilted = replace(own, **{name: replace(body, position=body.position @ tilt.T, rotation=(
         tilt @ body.rotation)) for name, body in (('tool', own.tool), ('package', own.package))})
     (gravity, *_) = output_error([tilted], AXISYMMETRIC, TRUTH, given=USUAL).causes
     assert gravity.name == 'gravity.direction' and gravity.certain
     assert np.all(np.abs(gravity.theta - [0.0, -0.12]) < 4.0 * gravity.std)
+
+
+def test_what_is_off_under_motion_capture_is_named_with_all_that_is_a_little_off():
+    """A marker along the cup, which wrenches take for another length."""
+    own = measured(6, tool_hz=100.0, duration=8.0, **CAPTURED)
+    body, shift = own.package, np.array([0.0, 0.0, 0.015])
+    wrong = replace(own, package=replace(body, position=body.position + body.rotation @ shift),
+                    payload=varied(PLATE, com=np.array([1e-3, -8e-4, 0.0]), inertia=0.05))
+    (marker, *_) = output_error([wrong], AXISYMMETRIC, TRUTH, given=USUAL).causes
+    assert marker.name == 'package_marker' and marker.certain
+    assert np.all(np.abs(marker.theta[:3] + shift) < 4.0 * marker.std[:3])
 
 
 @pytest.mark.parametrize(('seed', 'has_tails'), [(5, False), (27, True)])
