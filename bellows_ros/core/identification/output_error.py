@@ -128,7 +128,11 @@ def output_error(
     if given and not any(segment.is_slow for segment in segments):
         more = {name: std for name, std in given.items() if name not in free}
         search = search.with_free(search.start, more)
-        minimum = search.minimum(record)
+        minimum = search.minimum(record, held=more)
+        if not search.is_plausible(minimum):  # what was given may be far off
+            for segment in segments:
+                segment.reset()
+            minimum = search.minimum(record)
         if minimum.converged:
             search, minimum = _with_relaxation(search, minimum, relaxation, record)
         end = as_far_as_known(search, minimum, more, record)

@@ -14,7 +14,7 @@ noise would move anywhere: with an unknown acceleration of the package the diffe
 lies further back than a moment.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import math
@@ -370,28 +370,33 @@ class Search(Parametrization):
 
     def minimum(
         self, report: Callable[[Cup, float], None] = lambda cup, chi2: None,
-        near: Array | None = None, system: System | None = None,
+        near: Array | None = None, system: System | None = None, held: Collection[str] = (),
     ) -> Minimum:
         """
         Find the root, from unknowns near to it, and the system there, where they are given.
 
         A start approaches without couplings, which noise would disturb, or with them where a
         misfit remains without. Clocks and frames of each recording approach first: as long
-        as they are far off, a cup that does not swing explains most.
+        as they are far off, a cup that does not swing explains most. Names that are held stay
+        while it approaches, with which the differences forget what they are known by.
         """
         everything, start = np.eye(len(self.start)), self.start
         if near is not None:
             return self._descend(near, 0.0, everything, report, system)
-        each = [rows.ravel() for name, rows in self.places.items() if KINDS[name].each]
+        each = [rows.ravel() for name, rows in self.places.items()
+                if KINDS[name].each and name not in held]
+        stay = [row for name in held for row in self.places[name].ravel()]
+        moving, approach = (
+            matrix[:, ~np.any(matrix[stay], axis=0)] for matrix in (everything, self.approach))
         if each:
             start = self._descend(
                 start, FORGETTING_RATE, everything[:, np.concatenate(each)], report).theta
-        minimum = self._descend(start, FORGETTING_RATE, self.approach, report)
-        if self.approach.shape != everything.shape and not (
+        minimum = self._descend(start, FORGETTING_RATE, approach, report)
+        if approach.shape != moving.shape and not (
                 minimum.squares < MISFIT_CHI2 * minimum.residual_count):
             for segment in self.segments:
                 segment.reset()
-            minimum = self._descend(start, FORGETTING_RATE, everything, report)
+            minimum = self._descend(start, FORGETTING_RATE, moving, report)
         return self._descend(minimum.theta, 0.0, everything, report)
 
     def _descend(
@@ -415,7 +420,7 @@ class Search(Parametrization):
         damping, settled, is_fresh = min_damping, True, True
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
-        lowest = squares(parts)  # so far, in noise as it is estimated now
+        largest = MAX_RISE * max(squares(parts), expected)
         best, least, best_number = Minimum(theta, parts, H, False, self.noise), math.inf, 0
         for number in range(max_steps):
             is_misfit = number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected
@@ -429,27 +434,26 @@ class Search(Parametrization):
                 is_near = forgetting == 0.0 and length < LOOSE_TOLERANCE
                 best, least, best_number = (
                     Minimum(theta, parts, H, is_near, self.noise), merit, number)
-            new = self._system_below(moved, forgetting, MAX_RISE * max(lowest, expected))
+            new = self._system_below(moved, forgetting, largest)
             if new is None:
                 history = []
                 if is_fresh:
                     damping = max(10.0 * damping, 1e-2)
-                else:  # squares are compared in the same noise
+                else:  # squares are compared along the same path, in the same noise
                     again = self.system(theta, forgetting)
                     if not np.all(np.isfinite(again[2])):
                         break
                     (parts, H, g), is_fresh = again, True
-                    lowest = squares(parts)
+                    largest = MAX_RISE * max(squares(parts), expected)
                 continue
             history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
             theta, (parts, H, g) = moved, new
             self.accept(parts)
-            before = self.noise
-            settled = is_fresh = forgetting > 0.0 or self.update_noise(parts)
-            now = sum(
+            before, is_fresh = self.noise, False
+            settled = forgetting > 0.0 or self.update_noise(parts)
+            largest = MAX_RISE * max(expected, sum(
                 float(np.sum((part.innovations.reshape(-1, 6) * std / segment.std) ** 2))
-                for segment, part, std in zip(self.segments, parts, before, strict=True))
-            lowest = min(lowest, now) if is_fresh else now
+                for segment, part, std in zip(self.segments, parts, before, strict=True)))
             settled &= damping <= MAX_FINAL_DAMPING
             damping = max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0
             report(self.cup(theta), squares(parts) / expected)
