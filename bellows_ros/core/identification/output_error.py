@@ -46,8 +46,9 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
-MAX_NOISE_SHARE, MAX_ERROR_SHARE = 0.9, 0.5
-"""Most noise in information that errors allow for, and in the error of what is identifiable."""
+MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
+"""Most noise in information that errors allow for, and in the error of what is identifiable, if
+that is above a part of its size: the noise may be of another number."""
 
 SEED, NOISE_FACTOR, MIN_NOISE_FACTOR = 0, 3.0, 0.1
 """Of the noise that tests this, and its sizes in that of the poses."""
@@ -127,12 +128,7 @@ def output_error(
     search = Search(segments, structure, start, free)
     if given and not any(segment.is_slow for segment in segments):
         more = {name: std for name, std in given.items() if name not in free}
-        search = search.with_free(search.start, more)
-        minimum = search.minimum(record, held=more)
-        if not search.is_plausible(minimum):  # what was given may be far off
-            for segment in segments:
-                segment.reset()
-            minimum = search.minimum(record)
+        search, minimum = _with_all_given(search, more, record)
         if minimum.converged:
             search, minimum = _with_relaxation(search, minimum, relaxation, record)
         end = as_far_as_known(search, minimum, more, record)
@@ -143,6 +139,29 @@ def output_error(
     reasons = reasons_at(ends, given) if ends else ()
     wide.restore(wide_minimum)
     return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
+
+
+def _with_all_given(
+    search: Search, more: Free, record: Callable[[Cup, float], None]
+) -> tuple[Search, Minimum]:
+    """
+    Return where a search ends, with more free where a misfit is left without.
+
+    It is first held while the search approaches, then free, as it may be far off.
+    """
+    start = search.approach(record)
+    if start.squares < MISFIT_CHI2 * start.residual_count:
+        minimum = search.root_from(start, record)
+        if search.is_plausible(minimum):
+            return search, minimum
+    search = search.with_free(search.start, more)
+    for held in (more, ()):
+        for segment in search.segments:
+            segment.reset()
+        minimum = search.root_from(search.approach(record, held), record)
+        if search.is_plausible(minimum):
+            break
+    return search, minimum
 
 
 def _given_later(
@@ -339,8 +358,9 @@ def _identifiable(
     largest[:size] = MAX_RELATIVE_ERROR * search.structure.sizes(cup.stiffness, cup.damping)
     for name in named:
         largest[search.places[name]] = KINDS[name].max_std
-    identifiable = (std <= largest) & (shares <= MAX_ERROR_SHARE) & minimum.converged
     errors = std / (largest / MAX_RELATIVE_ERROR)
+    is_noise = (shares > MAX_ERROR_SHARE) & (errors > MAX_NOISY_ERROR)
+    identifiable = (std <= largest) & ~is_noise & minimum.converged
     notes = list(_unidentifiable(search, errors, shares, identifiable[:size]))
     total = (np.sqrt(std**2 + np.diag(from_given)) / largest)[:size]
     vague = identifiable[:size] & (total > 1.0)
@@ -406,7 +426,7 @@ def _unidentifiable(
             identifiable.tolist(), strict=True):
         less = MAX_RELATIVE_ERROR / error
         how = remedy_for(label.split()[1], search.structure)
-        if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
+        if not is_identifiable and share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             yield (f'{label} is not identifiable: {share:.0%} of its standard error is of noise '
                    f'that moves it; {how}.')
         elif error >= 1.0:  # the prior limits it

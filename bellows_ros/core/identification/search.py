@@ -125,6 +125,9 @@ MAX_RISE = 1.2
 """Factor by which the sum of squares, in noise as it is estimated now, may rise in a step: their
 weights change, too."""
 
+MAX_SMALL_RISE = 1.02
+"""Factor of a rise after which the next step is shorter."""
+
 
 class WhitenedSegment(NamedTuple):
     """
@@ -148,6 +151,14 @@ class WhitenedSegment(NamedTuple):
     def residuals(self) -> Array:
         """The differences (N, 6) themselves, m and rad."""
         return np.asarray(self.innovations.reshape(-1, 6) * np.sqrt(self.variance))
+
+
+Report = Callable[[Cup, float], None]
+"""Called with the cup after a step, and chi^2."""
+
+
+def no_report(cup: Cup, chi2: float) -> None:
+    """Report nothing."""
 
 
 System = tuple[list[WhitenedSegment], Array, Array]
@@ -245,13 +256,13 @@ class Parametrization:
             self.weights[place] = (np.asarray(std) / kind.unit) ** -2
         self.fixing = np.zeros((ends[-1],) * 2)  # more information on the start
         self.start = np.pad(structure.parameters(start.stiffness, start.damping) / units, more)
-        self.approach = np.eye(len(self.start))  # directions in which a start approaches
+        self.uncoupled = np.eye(len(self.start))  # directions without couplings
         if self.count > 2 * STRUCTURES['diagonal'].size:
             diagonal = [structure.parameters(*pair) / units
                         for unit in STRUCTURES['diagonal'].basis
                         for pair in ((unit, 0.0 * unit), (0.0 * unit, unit))]
-            self.approach = np.vstack([
-                np.pad(diagonal, ((0, 0), more)), self.approach[self.count:]]).T
+            self.uncoupled = np.vstack([
+                np.pad(diagonal, ((0, 0), more)), self.uncoupled[self.count:]]).T
 
     def cup(self, theta: Array) -> Cup:
         """Return the cup of the unknowns, one of those of a gripper."""
@@ -369,39 +380,49 @@ class Search(Parametrization):
             cup, relaxation=(0.0, 0.0)), {**free, **more}, self.slip_ns)
 
     def minimum(
-        self, report: Callable[[Cup, float], None] = lambda cup, chi2: None,
-        near: Array | None = None, system: System | None = None, held: Collection[str] = (),
+        self, report: Report = no_report, near: Array | None = None, system: System | None = None
     ) -> Minimum:
-        """
-        Find the root, from unknowns near to it, and the system there, where they are given.
-
-        A start approaches without couplings, which noise would disturb, or with them where a
-        misfit remains without. Clocks and frames of each recording approach first: as long
-        as they are far off, a cup that does not swing explains most. Names that are held stay
-        while it approaches, with which the differences forget what they are known by.
-        """
-        everything, start = np.eye(len(self.start)), self.start
+        """Find the root, from unknowns near to it, and the system there, where they are given."""
         if near is not None:
-            return self._descend(near, 0.0, everything, report, system)
+            return self._descend(near, 0.0, np.eye(len(near)), report, system)
+        return self.root_from(self.approach(report), report)
+
+    def root_from(self, start: Minimum, report: Report) -> Minimum:
+        """Find the root from where an approach ended."""
+        try:
+            return self._descend(start.theta, 0.0, np.eye(len(start.theta)), report)
+        except BellowsError:  # the long steps of the approach took a cup that is too fast
+            return start._replace(converged=False)
+
+    def approach(self, report: Report, held: Collection[str] = ()) -> Minimum:
+        """
+        Return where the search comes near to the root.
+
+        Without couplings, which noise would disturb, or with them where a misfit remains without.
+        Clocks and frames of each recording approach first: as long as they are far off, a cup that
+        does not swing explains most. Names that are held stay: the differences forget what they
+        are known by.
+        """
+        stay = [row for name in held for row in self.places[name].ravel()]
+        everything, diagonal = (matrix[:, ~np.any(matrix[stay], axis=0)] for matrix in (
+            np.eye(len(self.start)), self.uncoupled))
         each = [rows.ravel() for name, rows in self.places.items()
                 if KINDS[name].each and name not in held]
-        stay = [row for name in held for row in self.places[name].ravel()]
-        moving, approach = (
-            matrix[:, ~np.any(matrix[stay], axis=0)] for matrix in (everything, self.approach))
+        start = self.start
         if each:
-            start = self._descend(
-                start, FORGETTING_RATE, everything[:, np.concatenate(each)], report).theta
-        minimum = self._descend(start, FORGETTING_RATE, approach, report)
-        if approach.shape != moving.shape and not (
+            start = self._descend(start, FORGETTING_RATE, np.eye(len(start))[
+                :, np.concatenate(each)], report).theta
+        minimum = self._descend(start, FORGETTING_RATE, diagonal, report)
+        if diagonal.shape != everything.shape and not (
                 minimum.squares < MISFIT_CHI2 * minimum.residual_count):
             for segment in self.segments:
                 segment.reset()
-            minimum = self._descend(start, FORGETTING_RATE, moving, report)
-        return self._descend(minimum.theta, 0.0, everything, report)
+            minimum = self._descend(start, FORGETTING_RATE, everything, report)
+        return minimum
 
     def _descend(
         self, theta: Array, forgetting: float, directions: Array,
-        report: Callable[[Cup, float], None], system: System | None = None,
+        report: Report, system: System | None = None,
     ) -> Minimum:
         """
         Return the root in some directions.
@@ -447,6 +468,7 @@ class Search(Parametrization):
                     largest = MAX_RISE * max(squares(parts), expected)
                 continue
             history = [*history, (step, moved - theta)][-ANDERSON_DEPTH:]
+            rises = squares(new[0]) > MAX_SMALL_RISE * max(squares(parts), expected)
             theta, (parts, H, g) = moved, new
             self.accept(parts)
             before, is_fresh = self.noise, False
@@ -455,7 +477,8 @@ class Search(Parametrization):
                 float(np.sum((part.innovations.reshape(-1, 6) * std / segment.std) ** 2))
                 for segment, part, std in zip(self.segments, parts, before, strict=True)))
             settled &= damping <= MAX_FINAL_DAMPING
-            damping = max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0
+            damping = max(10.0 * damping, 1e-3) if rises else (
+                max(0.1 * damping, min_damping) if damping > 1e-5 else 0.0)
             report(self.cup(theta), squares(parts) / expected)
             if length < tolerance and settled:
                 break
