@@ -438,8 +438,7 @@ def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
     if name == 'mass':  # K and P scaled with mass and inertia make the same motion
         return Finding('inertia', '', -theta, std)
     if name == 'gravity':
-        size, (x, y) = np.linalg.norm(freed.search.segments[0].measured.gravity), theta
-        return Finding('gravity.direction', '', np.array([-y, x]) / size, std[::-1] / size)
+        return Finding('gravity.direction', '', theta, std)
     if name not in quantities.OF_CUP:
         return Finding(name, '', theta, std)
     best = int(np.argmax(np.abs(theta) / std))  # the entry of K that shows it best is enough

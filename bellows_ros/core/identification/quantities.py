@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model.cup_package import Package, varied
+from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
 from bellows_ros.core.model.jacobians import COM, GRAVITY, INERTIA, LENGTH, MASS
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
@@ -44,7 +44,7 @@ KINDS: Mapping[str, Kind] = {
     'length': Kind(1e-3, 1, 1e-3, False, 0.02),
     'inertia': Kind(1e-2, 3, 0.1, False, 0.7),
     'mass': Kind(1e-2, 1, 0.1, False, 0.7),
-    'gravity': Kind(1e-2, 2, 0.05, False, 3.0),
+    'gravity': Kind(1e-3, 2, 5e-3, False, 0.3),
     'package_world': Kind(1e-3, 6, 5e-3, True, 0.2),
     'package_marker': Kind(1e-3, 6, 5e-3, True, 0.1),
     'world_drift': Kind(1e-5, 6, 1e-4, True, 1e-3),
@@ -58,12 +58,13 @@ By their names in fit.free.
 
 By how much the tool's stamps are behind the package's, s; the centre of mass beside the given one
 in axes of the lip, m; the length beside the given one, m; logarithms of the factors of the moments
-of inertia and of the mass; x and y of gravity in the world, m/s^2; shift and turn of the package's
-world about the middle of the package's way, and of B in its own axes against the measured pose, m
-and rad; by how much that world moves and turns per second, m/s and rad/s; the strengths of
-relaxation beside those of the start; parts by which the diagonal of K changes from beginning to
-end, and up to displacements of the size `LARGE_DISPLACEMENT`; and by how much x and y of the
-centre of mass change at some moment as the package slips on the lip, m.
+of inertia and of the mass; by what angle the world is turned about x and y, so that gravity is
+turned back, rad; shift and turn of the package's world about the middle of the package's way, and
+of B in its own axes against the measured pose, m and rad; by how much that world moves and turns
+per second, m/s and rad/s; the strengths of relaxation beside those of the start; parts by which
+the diagonal of K changes from beginning to end, and up to displacements of the size
+`LARGE_DISPLACEMENT`; and by how much x and y of the centre of mass change at some moment as the
+package slips on the lip, m.
 """
 
 OF_CUP = ('drift', 'cubic')
@@ -77,7 +78,6 @@ LARGE_DISPLACEMENT = np.repeat([5e-3, 0.1], 3)
 
 COLUMNS: Mapping[str, slice | list[int]] = {
     'length': LENGTH, 'com': COM, 'relaxation': slice(-2, None),
-    'gravity': slice(GRAVITY.start, GRAVITY.start + 2),
     'slip': slice(COM.start, COM.start + 2), **dict.fromkeys(OF_CUP, [0, 6, 11, 15, 18, 20])}
 """Derivatives of the model by quantities, among `jacobians.PARAMETERS`."""
 
@@ -142,9 +142,22 @@ def _since(package: Trajectory, middle: Array) -> Array:
     return np.asarray(package.stamps_ns / NS_PER_S - middle[3])[:, None]
 
 
-def model_columns(name: str, payload: Package, count: int) -> Array:
+def gravity_of(gravity: Array | float, free: Free) -> Array:
+    """Return the vector (3,) of gravity in a world that is not level."""
+    return np.asarray(lie.exp_so3(-np.append(free.get('gravity', (0.0, 0.0)), 0.0))
+                      @ gravity_vector(gravity))
+
+
+def model_columns(
+    name: str, payload: Package, gravity: Array | float, free: Free, count: int
+) -> Array:
     """Return derivatives (count, size) of the model's parameters by a free quantity."""
     parameters = np.eye(count)
+    if name == 'gravity':
+        after, before = (np.transpose([
+            gravity_of(gravity, {name: free[name] + step}) for step in size * np.eye(2)])
+            for size in (1e-4, -1e-4))
+        return np.asarray(parameters[:, GRAVITY] @ (after - before) / 2e-4)
     if name in COLUMNS:
         return parameters[:, COLUMNS[name]]
     if name == 'mass':

@@ -304,9 +304,7 @@ class Parametrization:
         if 'relaxation' in free:
             cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
         payload = quantities.payload_of(measured.payload, free)
-        cup_tuple, package, (x, y, z) = model_tuple(cup, payload, measured.gravity)
-        dx, dy = free.get('gravity', (0.0, 0.0))
-        return (cup_tuple, package, (x + dx, y + dy, z)), free
+        return model_tuple(cup, payload, quantities.gravity_of(measured.gravity, free)), free
 
     def moved(self, theta: Array, step: Array) -> Array:
         """Return unknowns after a step, K and P along a geodesic."""
@@ -650,7 +648,8 @@ class Search(Parametrization):
         columns = np.zeros((whitening.PARAMETER_COUNT, len(self.units) + 1))
         columns[:DAMPING.stop, :self.count] = self.structure.upper
         for name, place in places.items():
-            columns[:, place] = quantities.model_columns(name, payload, len(columns))
+            columns[:, place] = quantities.model_columns(
+                name, payload, segment.measured.gravity, free, len(columns))
         columns[:, :-1] *= self.units
         return whitening.Unknowns(
             WRENCH.start if np.any(columns[DAMPING.stop:]) else DAMPING.stop,

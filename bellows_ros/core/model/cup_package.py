@@ -232,12 +232,16 @@ def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> Model
     """
     Return the model as the kernels take it.
 
-    Gravity is the acceleration's size along -z of the world (m/s^2), or its vector (3,) there.
+    Gravity is that of `gravity_vector`.
     """
+    vector = frozen_array(gravity_vector(gravity), (3,), 'gravity')
+    return cup.as_tuple, package.as_tuple, _tuple(vector)
+
+
+def gravity_vector(gravity: float | ArrayLike) -> Array:
+    """Return gravity in the world by its size along -z (m/s^2), or by its vector (3,) there."""
     vector = np.asarray(gravity, dtype=np.float64)
-    if vector.ndim == 0:
-        vector = np.array([0.0, 0.0, -float(vector)])
-    return cup.as_tuple, package.as_tuple, _tuple(frozen_array(vector, (3,), 'gravity'))
+    return np.array([0.0, 0.0, -float(vector)]) if vector.ndim == 0 else vector
 
 
 def regressor(
