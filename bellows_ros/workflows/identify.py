@@ -123,7 +123,9 @@ def identify(
         progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole_recordings(parts), effective['cup.length'], effective)
         wrong = early.beyond(allowances(effective)).wrong if early else []
-        if any(finding.is_fact or not len(finding.theta) for finding in wrong):
+        if any(finding.is_fact or not (  # a fit finds numbers, and lip or centre of mass
+                len(finding.theta) or finding.name == 'recording.package_frame')
+                for finding in wrong):
             effective, notes = {**effective, **LEAST_SQUARES}, (*notes, LEAST_SQUARES_NOTE)
     return _identify(
         values, effective, parts, static, progress, read, bool(wrong), failed=tuple(failed),

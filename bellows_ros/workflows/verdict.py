@@ -295,7 +295,8 @@ def verdict_of(
               for number, recording in enumerate(tested) if fit.usable),
         diagnosis, given, fit.robust_chi2, expected, log_inertia_ratio,
         _found(fit, values, package, length))
-    explains = fit.method == 'output_error' and not fit.causes and verdict.is_at_noise
+    explains = fit.method == 'output_error' and not fit.causes and (
+        verdict.is_at_noise or fit.converged and not fit.misfit)
     verdict = verdict.beyond(
         {name: std for name, std in expected.items() if name in fit.nuisances}, explains)
     diagnosis = verdict.diagnosis

@@ -78,8 +78,12 @@ of the differences that motion leaves little of."""
 NOISE_HZ, NYQUIST_PART = 25.0, 0.9
 """Frequency (Hz) above which poses have noise alone, and up to which part of the highest one."""
 
-MAX_NOISE_ORDER = 3.0
-"""Power of frequency with which the density of noise falls; behind a filter of second order, 4."""
+MAX_NOISE_ORDER = 3.4
+"""Power of frequency with which the density of noise falls: 2 where it has a memory, with heavy
+tails up to 3; behind a filter of second order, 4."""
+
+TAIL_SHARE = 0.25
+"""Part of a jump by which other poses jump, too, where the noise has heavy tails."""
 
 MAX_SLIP_ANGLE = 1.2
 """Angle (rad) beyond which no package turns on the lip between two poses."""
@@ -422,11 +426,12 @@ def _jump(recording: Recording) -> Finding | None:
     R, stamps_ns = stream.recorded.rotation, stream.recorded.stamps_ns
     before = np.array([step.before for step in steps])
     turns = np.linalg.norm(lie.log_so3(np.swapaxes(R[before], 1, 2) @ R[before + 1]), axis=1)
-    name, largest = 'slip', max(steps, key=attrgetter('position'))
-    sizes = [largest.position, 0.0]
+    *others, largest = sorted(steps, key=attrgetter('position'))
+    name, sizes = 'slip', [largest.position, 0.0]
+    has_tails = any(step.position > TAIL_SHARE * largest.position for step in others)
     if turns.max() > MAX_SLIP_ANGLE:
         name, largest, sizes = 'flip', steps[np.argmax(turns)], [turns.max()]
-    elif stream.timing.rate_hz < LOW_RATE_HZ:  # the fit tells a slip from tails of the noise
+    elif has_tails or stream.timing.rate_hz < LOW_RATE_HZ:  # the fit tells a slip from tails
         return None
     since = (stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S
     return Finding(name, '', np.array([*sizes, since]), np.zeros(len(sizes) + 1))

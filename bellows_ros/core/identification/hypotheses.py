@@ -332,8 +332,8 @@ def _is_within(name: str, theta: Array, given: variations.Given) -> bool:
     largest = {
         'length': 0.5 * given.length, 'com': radius, 'slip': given.length,
         'inertia': MAX_LOG_INERTIA, 'gravity.direction': MAX_ANGLE, 'package_marker': MAX_ANGLE}
-    numbers = theta[:2] if name == 'slip' else theta
-    return float(np.linalg.norm(numbers)) < largest.get(name, np.inf)
+    numbers, since = (theta[:2], theta[2]) if name == 'slip' else (theta, 0.0)
+    return bool(np.linalg.norm(numbers) < largest.get(name, np.inf) and since >= 0.0)
 
 
 def _ranked(trials: Iterable[_Trial]) -> list[_Trial]:
