@@ -7,7 +7,8 @@ Each recording is simulated: a robot (500 Hz, 0.02 mm, 0.05 mrad) and a camera (
 2.5 mrad) that is late, in a frame of its own, and sees a marker in any pose some 30 mm from the
 centre of mass. Every second one ends with three tilts of 2 s, and of every four two have noise
 that is correlated over 50 ms. World, clock and marker are free; the search starts from the default
-cup. The Cramer-Rao bound is the information along the true motion with the same free. Poses are
+cup. The Cramer-Rao bound is the information along the true motion with the same free, and with
+mass, inertia and centre of mass as uncertain as they are by default. Poses are
 linear in the flexibility 1/K, so K z, which is known to some 15 %, is off by more than its bound
 at the truth where it is too large, and by less where it is too small; 1/K is not.
 """
@@ -18,6 +19,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, log_so3
+from bellows_ros.core.identification.given import given_std
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.segments import MeasuredSegment
@@ -110,7 +112,7 @@ def line(seed: int) -> tuple[str, Array]:
         return f'{about} refused: {str(error)[:60]} | | | | |', np.empty((3, 0))
     error = np.diag(found.stiffness - cup.stiffness)[SHOWN]
     z, ratio = error / np.diag(found.stiffness_std)[SHOWN], error / bound_of(
-        cup, structure_named('axisymmetric'), true, weak_prior(FREE))[:4]
+        cup, structure_named('axisymmetric'), true, {**given_std(values), **weak_prior(FREE)})[:4]
     of_flexibility = ratio * (np.diag(cup.stiffness) / np.diag(found.stiffness))[SHOWN]
     verdict = verdict_of(both, [recording], values['cup.length'], values)
     refused = verdict is not None and bool(verdict.refusals)

@@ -108,11 +108,13 @@ class FitVerdict(NamedTuple):
         """
         Return it without what a fit corrects, no further off than by three standard deviations.
 
-        And without any number where the fit explains all: it tests all that wrenches show.
+        And where the fit explains all, without anything given, which it tests better than wrenches
+        show it, and without what the cup may be other than for certain.
         """
         findings, besides = (
-            tuple(finding for finding in each if finding.is_fact or not finding.datum
-                  or not explains and not _is_within(finding, corrected))
+            tuple(finding for finding in each if finding.is_fact or (
+                not explains and not _is_within(finding, corrected) if finding.datum
+                else finding.certain or not explains))
             for each in (self.diagnosis.findings, self.diagnosis.besides))
         return self._replace(
             diagnosis=self.diagnosis._replace(findings=findings, besides=besides))

@@ -149,7 +149,7 @@ def _with_all_given(
 
     It is first held while the search approaches, then free, as it may be far off.
     """
-    start = search.approach(record)
+    start = search.approach(record, couples=False)
     if start.squares < MISFIT_CHI2 * start.residual_count:
         minimum = search.root_from(start, record)
         if search.is_plausible(minimum):

@@ -392,14 +392,16 @@ class Search(Parametrization):
         except BellowsError:  # the long steps of the approach took a cup that is too fast
             return start._replace(converged=False)
 
-    def approach(self, report: Report, held: Collection[str] = ()) -> Minimum:
+    def approach(
+        self, report: Report, held: Collection[str] = (), couples: bool = True
+    ) -> Minimum:
         """
         Return where the search comes near to the root.
 
-        Without couplings, which noise would disturb, or with them where a misfit remains without.
-        Clocks and frames of each recording approach first: as long as they are far off, a cup that
-        does not swing explains most. Names that are held stay: the differences forget what they
-        are known by.
+        Without couplings, which noise would disturb, or with them where a misfit remains without,
+        if they are wanted. Clocks and frames of each recording approach first: as long as they are
+        far off, a cup that does not swing explains most. Names that are held stay: the differences
+        forget what they are known by.
         """
         stay = [row for name in held for row in self.places[name].ravel()]
         everything, diagonal = (matrix[:, ~np.any(matrix[stay], axis=0)] for matrix in (
@@ -411,7 +413,7 @@ class Search(Parametrization):
             start = self._descend(start, FORGETTING_RATE, np.eye(len(start))[
                 :, np.concatenate(each)], report).theta
         minimum = self._descend(start, FORGETTING_RATE, diagonal, report)
-        if diagonal.shape != everything.shape and not (
+        if couples and diagonal.shape != everything.shape and not (
                 minimum.squares < MISFIT_CHI2 * minimum.residual_count):
             for segment in self.segments:
                 segment.reset()
