@@ -114,7 +114,7 @@ def identify(
         return methods.with_relaxation(parts, values) if differentiable else parts, failed
 
     parts, failed = read(effective)
-    notes, wrong = _assumed(settings), list[causes.Finding]()
+    attempts: Sequence[Values] = ({},)
     is_output_error = values['fit.method'] == 'output_error' and not force
     if is_output_error and not methods.are_differentiable(parts, values):
         if facts := _facts(parts, effective):
@@ -123,13 +123,12 @@ def identify(
         progress(CAUSES, FIT_BEGINS)
         early = verdict_of(None, whole_recordings(parts), effective['cup.length'], effective)
         wrong = early.beyond(allowances(effective)).wrong if early else []
-        if any(finding.is_fact or not (  # a fit finds numbers, and lip or centre of mass
-                len(finding.theta) or finding.name == 'recording.package_frame')
-                for finding in wrong):
-            effective, notes = {**effective, **LEAST_SQUARES}, (*notes, LEAST_SQUARES_NOTE)
+        is_setting = any(finding.is_fact or not (  # a fit finds numbers, and lip or com
+            len(finding.theta) or finding.name == 'recording.package_frame') for finding in wrong)
+        attempts = ({},) * (not is_setting) + (LEAST_SQUARES,) * bool(wrong)
     return _identify(
-        values, effective, parts, static, progress, read, bool(wrong), failed=tuple(failed),
-        assumed=notes,
+        values, effective, attempts, parts, static, progress, read, failed=tuple(failed),
+        assumed=_assumed(settings),
         parameter_files=tuple(
             {'path': os.fspath(file), 'files': bag_folder.digests(file)}
             for file in parameter_files))
@@ -269,34 +268,30 @@ def read_all(
 
 
 def _identify(
-    values: Values, effective: Values, parts: Sequence[AnyRecording],
-    static: 'StaticResult | None', progress: Progress, read: Read, is_wrong: bool,
-    assumed: tuple[str, ...], **more: Any,
+    values: Values, given: Values, attempts: Sequence[Values], parts: Sequence[AnyRecording],
+    static: 'StaticResult | None', progress: Progress, read: Read, assumed: tuple[str, ...],
+    **more: Any,
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
 
-    `effective` are the parameters `values` with the length that standstills have given. Where
-    something is wrong and output error does not converge, least squares show it. What is
-    estimated of the package or the cup's length replaces what was given, and the recordings are
-    read again with it.
+    `given` are the parameters `values` with the length that standstills have given, and attempts
+    are changes of them until a fit converges. What is estimated of the package or the cup's length
+    replaces what was given, and the recordings are read again with it.
     """
     progress('fitting', FIT_BEGINS)
     length = static.length if static and values['static.length'] else None
-
-    def fit_with(values: Values) -> methods.Result:
-        return methods.fit(
-            parts, values,
-            lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), length.length_std if length else 0.0)
-
     try:
-        result = fit_with(effective)
-        if is_wrong and not result.fit.converged:
-            effective, assumed = {**effective, **LEAST_SQUARES}, (*assumed, LEAST_SQUARES_NOTE)
-            result = fit_with(effective)
+        for changes in attempts:
+            effective = {**given, **changes}
+            result = methods.fit(
+                parts, effective,
+                lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
+                static.standstills if static else (), length.length_std if length else 0.0)
+            if result.fit.converged:
+                break
     except BellowsError as error:
-        facts = _facts(parts, effective)
+        facts = _facts(parts, given)
         raise BellowsError(facts) if facts else error from None
     fit = result.fit
     if fit.freed and fit.converged:
@@ -311,7 +306,8 @@ def _identify(
         fit, result.excitation, values, tuple(reduced(part, effective) for part in parts),
         tuple(recordings), _consistency(parts, effective, progress), verdict=verdict,
         selection=(selection(recordings, effective, progress, verdict)
-                   if values['fit.compare_structures'] else None), assumed=assumed, **more)
+                   if values['fit.compare_structures'] else None),
+        assumed=(*assumed, LEAST_SQUARES_NOTE) if changes else assumed, **more)
     if static:
         from bellows_ros.workflows.static import with_spring
 

@@ -119,6 +119,26 @@ class FitVerdict(NamedTuple):
         return self._replace(
             diagnosis=self.diagnosis._replace(findings=findings, besides=besides))
 
+    def with_causes(self, found: Sequence[causes.Finding]) -> 'FitVerdict':
+        """
+        Return it with the causes of a fit first, where they are certain or wrenches show none.
+
+        What was seen without any fit stays first.
+        """
+        seen = self.diagnosis.findings
+        # A slip shows in the fit as a drift, too, but as one that leaves more causes.
+        drifts = [cause.name for cause in found] == ['world_drift']
+        is_shown = any(finding.certain or finding.datum and not (drifts and finding.name == 'slip')
+                       for finding in seen[:1])
+        is_fact = any(finding.is_fact for finding in seen[:1])
+        is_found = any(cause.datum and cause.likely and (
+            cause.certain and not is_fact or not is_shown) for cause in found[:1])
+        if not found or self.cause and not is_found:
+            return self
+        rivals = (finding for finding in seen if finding.name != found[0].name)
+        return self._replace(diagnosis=self.diagnosis._replace(
+            findings=(found[0], *rivals), besides=tuple(found[1:])))
+
     @property
     def wrong(self) -> list[causes.Finding]:
         """Without which no cup is right: what is certain, or likely, large, and moves K."""
@@ -158,7 +178,7 @@ class FitVerdict(NamedTuple):
                 'is wrong instead, K and P are off by that factor: weigh the package.')
         if self.found:
             found = ', '.join(
-                f'{name} [{", ".join(f"{x:.4g}" for x in value)}] ({off} off)'
+                f'{name} [{", ".join(f"{x:.4g}" for x in value)}] (given {off} off)'
                 for name, (value, off) in self.found.items())
             sentences.append(f'Found with K and P: {found}. Predictions of this package need '
                              'these values, too.')
@@ -301,18 +321,7 @@ def verdict_of(
         verdict.is_at_noise or fit.converged and not fit.misfit)
     verdict = verdict.beyond(
         {name: std for name, std in expected.items() if name in fit.nuisances}, explains)
-    diagnosis = verdict.diagnosis
-    # A slip shows in the fit as a drift, too, but as one that leaves more causes.
-    drifts = [cause.name for cause in fit.causes] == ['world_drift']
-    is_shown = any(finding.certain or finding.datum and not (drifts and finding.name == 'slip')
-                   for finding in diagnosis.findings[:1])
-    is_found = any(cause.datum and cause.likely and (cause.certain or not is_shown)
-                   for cause in fit.causes[:1])
-    if not fit.causes or verdict.cause and not is_found:
-        return verdict
-    rivals = (finding for finding in diagnosis.findings if finding.name != fit.causes[0].name)
-    return verdict._replace(diagnosis=diagnosis._replace(
-        findings=(fit.causes[0], *rivals), besides=fit.causes[1:]))
+    return verdict.with_causes(fit.causes)
 
 
 def _found(

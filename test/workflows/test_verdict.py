@@ -49,6 +49,12 @@ def test_what_is_off_no_more_than_expected_comes_last():
     assert 'package.inertia as the first line' in found.refusals[0]
 
 
+def test_what_is_seen_without_a_fit_comes_first():
+    fact = cause('time_offset', [2.0])._replace(is_fact=True)
+    found = judged(fact).with_causes((cause('com', [3e-3, 0.0, 0.0]),))
+    assert found.causing[0] is fact
+
+
 @pytest.mark.parametrize(('heavier', 'said'), [(0.09, '0.914 times'), (-0.09, '1.09'), (0.03, '')])
 def test_an_inertia_that_was_corrected_makes_the_mass_doubtful(heavier, said):
     found = judged()._replace(log_inertia_ratio=heavier)

@@ -20,7 +20,7 @@ noise, with nothing off by so much, has no cause; others are searched with what 
 first, then with it as it was given.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from operator import attrgetter, itemgetter
@@ -32,9 +32,15 @@ from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.identification import quantities
 from bellows_ros.core.identification.causes import DISTINCT, Finding, SIGNIFICANT
 from bellows_ros.core.identification.quantities import Free
-from bellows_ros.core.identification.search import MAX_NOISE_CHI2, Minimum, MISFIT_CHI2, Search
+from bellows_ros.core.identification.search import (
+    MAX_NOISE_CHI2,
+    Minimum,
+    MISFIT_CHI2,
+    Report,
+    Search,
+)
 from bellows_ros.core.identification.segments import Segment
-from bellows_ros.core.model.cup_package import Cup, package_of
+from bellows_ros.core.model.cup_package import package_of
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.residuals import AXES
@@ -75,7 +81,7 @@ def stated(given: Free) -> list[str]:
 
 
 def with_given(
-    search: Search, minimum: Minimum, given: Free, note: Callable[[Cup, float], None],
+    search: Search, minimum: Minimum, given: Free, report: Report
 ) -> tuple[Search, Minimum, Array]:
     """
     Return the minimum near one with what was given free, by its standard deviations.
@@ -87,13 +93,13 @@ def with_given(
     """
     more = {name: std for name, std in given.items() if name not in search.places}
     size = len(search.units)
-    near = as_far_as_known(search, minimum, more, note)
+    near = near_with_given(search, minimum, more, report)
     if not more or is_explained(*near[:2], given):
         return near
     for segment in search.segments:
         segment.reset()
     wide = search.with_free(search.start, more)
-    again = wide.minimum(note)
+    again = wide.minimum(report)
     off = np.abs(again.theta[size:]) * np.sqrt(wide.weights[size:])
     if again.converged and (not near[0].is_plausible(near[1]) or np.all(off < SIGNIFICANT)
                             and again.squares <= near[1].squares):
@@ -102,13 +108,13 @@ def with_given(
     return near
 
 
-def as_far_as_known(
-    search: Search, minimum: Minimum, more: Free, note: Callable[[Cup, float], None]
+def near_with_given(
+    search: Search, minimum: Minimum, more: Free, report: Report
 ) -> tuple[Search, Minimum, Array]:
     """
-    Return the minimum near one with what the recordings know better than it was given free.
+    Return the minimum near one with that part of `more` free which the recordings know better.
 
-    The rest of `more` is as it was given. With search and covariance as `with_given`.
+    The rest stays as it was given. With search and covariance as `with_given`.
     """
     wide = search.with_free(
         minimum.theta, {name: std for name, std in more.items() if name not in search.places})
@@ -127,7 +133,7 @@ def as_far_as_known(
     free = int(np.count_nonzero(values > 1.0))
     fixed = vectors[:, :len(std) - free] / std[:, None]
     wide.fixing[size:, size:] = FIXED_INFORMATION * fixed @ fixed.T
-    again = wide.minimum(note, start, (
+    again = wide.minimum(report, start, (
         parts, H + wide.fixing, g + wide.fixing @ (wide.start - start)))
     if again.converged:
         search, minimum, H = wide, again, again.information - wide.fixing

@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import Finding
 from bellows_ros.core.identification.given import (
-    as_far_as_known,
+    near_with_given,
     NOTHING,
     reasons_at,
     scores,
@@ -33,6 +33,7 @@ from bellows_ros.core.identification.search import (
     MAX_NOISE_CHI2,
     Minimum,
     MISFIT_CHI2,
+    Report,
     Search,
     WhitenedSegment,
 )
@@ -45,6 +46,9 @@ from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError
 import numpy as np
+
+Ends = tuple[tuple[Search, Minimum, Array], dict[Search, Minimum]]
+"""Where a search ends, as of `with_given`, and the ends at which causes are looked for."""
 
 MAX_NOISE_SHARE, MAX_ERROR_SHARE, MAX_NOISY_ERROR = 0.9, 0.5, 0.1
 """Most noise in information that errors allow for, and in the error of what is identifiable, if
@@ -124,61 +128,55 @@ def output_error(
         if progress is not None:
             progress(iterations[-1])
 
-    segments = [Segment(part) for part in measured]
-    search = Search(segments, structure, start, free)
-    if given and not any(segment.is_slow for segment in segments):
-        more = {name: std for name, std in given.items() if name not in free}
-        search, minimum = _with_all_given(search, more, record)
-        if minimum.converged:
-            search, minimum = _with_relaxation(search, minimum, relaxation, record)
-        end = as_far_as_known(search, minimum, more, record)
-        ends = {end[0]: end[1]} if end[1].converged else {}
-    else:
-        end, ends = _given_later(search, given, relaxation, record)
-    wide, wide_minimum, from_given = end
+    search = Search([Segment(part) for part in measured], structure, start, free)
+    are_slow = any(segment.is_slow for segment in search.segments)
+    (wide, minimum, from_given), ends = (_from_slow_poses if are_slow else _from_quick_poses)(
+        search, given, relaxation, record)
     reasons = reasons_at(ends, given) if ends else ()
-    wide.restore(wide_minimum)
-    return _fit(wide, wide_minimum, from_given, iterations, named, reasons)
+    wide.restore(minimum)
+    return _fit(wide, minimum, from_given, iterations, named, reasons)
 
 
-def _with_all_given(
-    search: Search, more: Free, record: Callable[[Cup, float], None]
-) -> tuple[Search, Minimum]:
+def _from_quick_poses(search: Search, given: Free, relaxation: str, report: Report) -> Ends:
     """
-    Return where a search ends, with more free where a misfit is left without.
+    Return where a search ends whose recordings may know what was given better than the user.
 
-    It is first held while the search approaches, then free, as it may be far off.
+    Where a misfit is left without, that is free, too: held at first while the search approaches,
+    then free from the start, as it may be far off.
     """
-    start = search.approach(record, couples=False)
-    if start.squares < MISFIT_CHI2 * start.residual_count:
-        minimum = search.root_from(start, record)
-        if search.is_plausible(minimum):
-            return search, minimum
-    search = search.with_free(search.start, more)
+    more = {name: std for name, std in given.items() if name not in search.places}
+    minimum = search.approach(report, with_couplings=False)
+    if minimum.squares < MISFIT_CHI2 * minimum.residual_count:
+        minimum = search.root_from(minimum, report)
+    else:
+        minimum = minimum._replace(converged=False)
     for held in (more, ()):
-        for segment in search.segments:
-            segment.reset()
-        minimum = search.root_from(search.approach(record, held), record)
         if search.is_plausible(minimum):
             break
-    return search, minimum
+        search = search.with_free(search.start, {
+            name: std for name, std in more.items() if name not in search.places})
+        for segment in search.segments:
+            segment.reset()
+        minimum = search.root_from(search.approach(report, held), report)
+    if minimum.converged:
+        search, minimum = _with_relaxation(search, minimum, relaxation, report)
+    end = near_with_given(search, minimum, more, report)
+    return end, {end[0]: end[1]} if end[1].converged else {}
 
 
-def _given_later(
-    search: Search, given: Free, relaxation: str, record: Callable[[Cup, float], None]
-) -> tuple[tuple[Search, Minimum, Array], dict[Search, Minimum]]:
-    """Return where a search ends, as `with_given`, and the ends at which causes are looked for."""
-    minimum = search.minimum(record)
+def _from_slow_poses(search: Search, given: Free, relaxation: str, report: Report) -> Ends:
+    """Return where a search ends that estimates the noise of poses, too."""
+    minimum = search.minimum(report)
     end, is_open = (search, minimum, np.zeros((len(search.units),) * 2)), True
     if given and relaxation != 'on' and not search.is_plausible(minimum):
-        end = with_given(search, minimum, given, record)
+        end = with_given(search, minimum, given, report)
         is_open = not end[1].converged or (
             end[1].squares > MAX_NOISE_CHI2 * end[1].residual_count)
     if is_open:  # rubber may be why
         stiff = search
-        search, minimum = _with_relaxation(search, minimum, relaxation, record)
+        search, minimum = _with_relaxation(search, minimum, relaxation, report)
         if end[0] is stiff or search is not stiff:
-            end = with_given(search, minimum, given, record)
+            end = with_given(search, minimum, given, report)
     ends = {search: minimum}
     if end[1].robust_chi2 < MISFIT_CHI2:
         ends = {end[0]: end[1], **ends}
@@ -186,30 +184,30 @@ def _given_later(
 
 
 def _with_relaxation(
-    search: Search, minimum: Minimum, relaxation: str, record: Callable[[Cup, float], None]
+    search: Search, minimum: Minimum, relaxation: str, report: Report
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation where they are significant, else without."""
     if relaxation == 'off':
         return search, minimum
     if 'relaxation' not in search.places:
-        search, minimum = _relaxed(search, minimum, record)
+        search, minimum = _relaxed(search, minimum, report)
     elif not _relaxes(search, minimum):  # as least squares, which noise disturbs, has it
         stiff = search.with_free(minimum.theta, {}, relaxes=False)
         near = stiff.transferred(search, minimum.theta)
-        search, minimum = stiff, stiff.minimum(record, near)
+        search, minimum = stiff, stiff.minimum(report, near)
     if relaxation == 'on' and 'relaxation' not in search.places:
         raise UndeterminedError(least_squares.NOT_RELAXING)
     return search, minimum
 
 
 def _relaxed(
-    search: Search, minimum: Minimum, record: Callable[[Cup, float], None]
+    search: Search, minimum: Minimum, report: Report
 ) -> tuple[Search, Minimum]:
     """Return the search with strengths of relaxation if they explain most, else as it is."""
     (score,) = scores(search, minimum, ['relaxation']).values()
     if score > least_squares.MIN_SQUARED_DISTANCE:
         wide = search.with_free(minimum.theta, weak_prior(['relaxation']))
-        relaxed = wide.minimum(record, wide.transferred(search, minimum.theta))
+        relaxed = wide.minimum(report, wide.transferred(search, minimum.theta))
         noise = MAX_NOISE_CHI2 * relaxed.residual_count
         limit = max(least_squares.MAX_REMAINING_SHARE * (minimum.squares - noise), 0.0)
         if relaxed.converged and relaxed.squares - noise <= limit and _relaxes(wide, relaxed):
@@ -424,15 +422,17 @@ def _unidentifiable(
     for label, error, share, is_identifiable in zip(
             search.structure.labels, errors[:size].tolist(), shares[:size].tolist(),
             identifiable.tolist(), strict=True):
+        if is_identifiable:
+            continue
         less = MAX_RELATIVE_ERROR / error
         how = remedy_for(label.split()[1], search.structure)
-        if not is_identifiable and share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
+        if share > MAX_ERROR_SHARE and (1.0 - share) * error < 1.0:
             yield (f'{label} is not identifiable: {share:.0%} of its standard error is of noise '
                    f'that moves it; {how}.')
         elif error >= 1.0:  # the prior limits it
             yield (f'{label} is not identifiable: its standard error is as large as itself or '
                    f'larger; {how}, or measure with less noise.')
-        elif not is_identifiable:
+        else:
             yield (
                 f'{label} is not identifiable from this motion with this noise: its standard '
                 f'error is {100.0 * error:.2g} % of its size. {1e2 * less:.0f} % of the noise '

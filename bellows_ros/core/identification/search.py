@@ -393,13 +393,13 @@ class Search(Parametrization):
             return start._replace(converged=False)
 
     def approach(
-        self, report: Report, held: Collection[str] = (), couples: bool = True
+        self, report: Report, held: Collection[str] = (), with_couplings: bool = True
     ) -> Minimum:
         """
         Return where the search comes near to the root.
 
-        Without couplings, which noise would disturb, or with them where a misfit remains without,
-        if they are wanted. Clocks and frames of each recording approach first: as long as they are
+        Without couplings, which noise would disturb; with them, if they are wanted, where a misfit
+        remains without. Clocks and frames of each recording approach first: as long as they are
         far off, a cup that does not swing explains most. Names that are held stay: the differences
         forget what they are known by.
         """
@@ -413,7 +413,7 @@ class Search(Parametrization):
             start = self._descend(start, FORGETTING_RATE, np.eye(len(start))[
                 :, np.concatenate(each)], report).theta
         minimum = self._descend(start, FORGETTING_RATE, diagonal, report)
-        if couples and diagonal.shape != everything.shape and not (
+        if with_couplings and diagonal.shape != everything.shape and not (
                 minimum.squares < MISFIT_CHI2 * minimum.residual_count):
             for segment in self.segments:
                 segment.reset()
@@ -442,7 +442,7 @@ class Search(Parametrization):
         history: list[tuple[Array, Array]] = []  # steps, and how far the search went after each
         expected = sum(len(part.innovations) for part in parts)  # with noise as it was assumed
         largest = MAX_RISE * max(squares(parts), expected)
-        best, least, best_number = Minimum(theta, parts, H, False, self.noise), math.inf, 0
+        best, lowest, best_number = Minimum(theta, parts, H, False, self.noise), math.inf, 0
         for number in range(max_steps):
             is_misfit = number >= MAX_MISFIT_STEPS and squares(parts) > MISFIT_CHI2 * expected
             if is_misfit or best.converged and number > best_number + MAX_WANDERING_STEPS:
@@ -450,11 +450,11 @@ class Search(Parametrization):
             step = self._damped_step(theta, H, g, damping, directions)
             moved = self.moved(theta, _anderson_step(step, H, history))
             length = self.squared_length(step, H)
-            merit = squares(parts) if forgetting else length
-            if settled and merit < least:
+            cost = squares(parts) if forgetting else length
+            if settled and cost < lowest:
                 is_near = forgetting == 0.0 and length < LOOSE_TOLERANCE
-                best, least, best_number = (
-                    Minimum(theta, parts, H, is_near, self.noise), merit, number)
+                best, lowest, best_number = (
+                    Minimum(theta, parts, H, is_near, self.noise), cost, number)
             new = self._system_below(moved, forgetting, largest)
             if new is None:
                 history = []
@@ -483,7 +483,7 @@ class Search(Parametrization):
             if length < tolerance and settled:
                 break
         is_near = length < LOOSE_TOLERANCE and settled
-        if squares(parts) > least if forgetting else best.converged and not is_near:
+        if squares(parts) > lowest if forgetting else best.converged and not is_near:
             self.restore(best)
             return best
         self.update_noise(parts)
@@ -495,7 +495,7 @@ class Search(Parametrization):
             system = self.system(theta, forgetting)
         except BellowsError:  # no cup is that short or fast, no clock that far off
             return None
-        return system if squares(system[0]) < largest else None  # nor where they are nan
+        return system if squares(system[0]) < largest else None  # or nan
 
     def _damped_step(
         self, theta: Array, H: Array, g: Array, damping: float, directions: Array
