@@ -219,7 +219,7 @@ OF_LIP = ('com', 'length', 'package_marker')
 SIMILAR: Mapping[str, str] = {'com': 'length', 'length': 'com'}
 """What recordings can hardly tell apart."""
 
-SLIP_PERIOD, MIN_SLIP_PERIOD, MAX_SLIPS = 1.0, 0.1, 30
+SLIP_PERIOD, MIN_SLIP_PERIOD, MAX_SLIPS = 1.0, 0.03, 30
 """Times (s) between the moments at which a slip is tried, and between the last and the best; and
 at how many it is tried at first, as each is a simulation of all recordings."""
 
@@ -234,15 +234,16 @@ def causes(
     Return the likeliest cause of what a fit leaves, none where all is as it should be.
 
     After it comes what is likeliest where that is corrected, up to so many. A given quantity whose
-    uncertainty was stated is no cause.
+    uncertainty was stated is no cause. Of a search that did not converge only a slip may be.
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
     falls = scores(search, minimum, [
-        name for name in CANDIDATES if name not in (*search.places, *stated(given))])
+        name for name in CANDIDATES * minimum.converged
+        if name not in (*search.places, *stated(given))])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
-            max(falls.values(), default=0.0) > SIGNIFICANT**2
+            not minimum.converged or max(falls.values(), default=0.0) > SIGNIFICANT**2
             or largest_pull(search, minimum, given)[1] > MAX_PULL):  # a slip moves the com, too
         search, falls['slip'] = _with_likeliest_slip(search, minimum)
     ranked = sorted(falls, key=falls.__getitem__, reverse=True)
@@ -257,7 +258,8 @@ def causes(
     shifts = [theta] * (best.name in OF_LIP) + [
         (search.units * minimum.theta)[search.places[name].ravel()]
         for name in OF_LIP if name in search.places]
-    is_far = any(_is_as_far_as_com(search, shift[:3]) for shift in shifts)
+    is_far = minimum.converged and any(
+        _is_as_far_as_com(search, shift[:3]) for shift in shifts)
     if count == MAX_CAUSES and is_far and (frame := _other_frame(search, minimum, best.gain)):
         search.restore(minimum)
         return (frame,)
@@ -281,9 +283,9 @@ def causes(
     is_material = moved > MIN_SHIFT or left < DISTINCT or pulls[0] > MAX_PULL > pulls[1]
     certain = is_material and (
         rival < DISTINCT * best.gain or is_all and best.gain - rival > least) and (
-        # what no cause explains may be of another
-        others[0].certain if others else
-        best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count)
+        # what this one does not explain may be of another
+        best.minimum.squares < MISFIT_CHI2 * best.minimum.residual_count
+        or any(other.certain for other in others))
     return (_finding(best, theta, std)._replace(
         left=left, moved=moved, certain=certain, instead=instead),
         *(other._replace(certain=other.certain and certain) for other in others))

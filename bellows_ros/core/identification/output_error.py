@@ -132,7 +132,7 @@ def output_error(
     are_slow = any(segment.is_slow for segment in search.segments)
     (wide, minimum, from_given), ends = (_from_slow_poses if are_slow else _from_quick_poses)(
         search, given, relaxation, record)
-    reasons = reasons_at(ends, given) if ends else ()
+    reasons = reasons_at(ends, given)
     wide.restore(minimum)
     return _fit(wide, minimum, from_given, iterations, named, reasons)
 
@@ -145,11 +145,9 @@ def _from_quick_poses(search: Search, given: Free, relaxation: str, report: Repo
     then free from the start, as it may be far off.
     """
     more = {name: std for name, std in given.items() if name not in search.places}
-    minimum = search.approach(report, with_couplings=False)
-    if minimum.squares < MISFIT_CHI2 * minimum.residual_count:
-        minimum = search.root_from(minimum, report)
-    else:
-        minimum = minimum._replace(converged=False)
+    start = minimum = search.approach(report, with_couplings=False)
+    if start.squares < MISFIT_CHI2 * start.residual_count:
+        minimum = search.root_from(start, report)
     for held in (more, ()):
         if search.is_plausible(minimum):
             break
@@ -157,11 +155,15 @@ def _from_quick_poses(search: Search, given: Free, relaxation: str, report: Repo
             name: std for name, std in more.items() if name not in search.places})
         for segment in search.segments:
             segment.reset()
-        minimum = search.root_from(search.approach(report, held), report)
-    if minimum.converged:
+        start = search.approach(report, held)
+        minimum = search.root_from(start, report)
+    if not minimum.converged:  # it may have run far away
+        minimum = start
+        search.restore(minimum)
+    else:
         search, minimum = _with_relaxation(search, minimum, relaxation, report)
     end = near_with_given(search, minimum, more, report)
-    return end, {end[0]: end[1]} if end[1].converged else {}
+    return end, {end[0]: end[1]}
 
 
 def _from_slow_poses(search: Search, given: Free, relaxation: str, report: Report) -> Ends:

@@ -390,7 +390,7 @@ class Search(Parametrization):
         try:
             return self._descend(start.theta, 0.0, np.eye(len(start.theta)), report)
         except BellowsError:  # the long steps of the approach took a cup that is too fast
-            return start._replace(converged=False)
+            return start
 
     def approach(
         self, report: Report, held: Collection[str] = (), with_couplings: bool = True
@@ -418,7 +418,7 @@ class Search(Parametrization):
             for segment in self.segments:
                 segment.reset()
             minimum = self._descend(start, FORGETTING_RATE, everything, report)
-        return minimum
+        return minimum._replace(converged=False)
 
     def _descend(
         self, theta: Array, forgetting: float, directions: Array,

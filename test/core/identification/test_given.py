@@ -97,14 +97,14 @@ def test_a_lip_that_is_lower_than_it_seems_is_no_soft_cup(off):
     assert np.all(np.abs(wrong.theta + off) < 4.0 * wrong.std)
 
 
-@pytest.mark.parametrize('memory', [0.0, 0.1])
-def test_a_package_that_slips_under_a_camera_is_named(memory):
+@pytest.mark.parametrize(('memory', 'sensor'), [(0.0, {}), (0.1, {}), (0.0, CAPTURED)])
+def test_a_package_that_slips_is_named(memory, sensor):
     """
     Where the noise of slow poses is learned, so that a fit leaves no more than that.
 
     And where that noise has a memory (s), and a centre of mass in between explains a part.
     """
-    own, kept = measured(4, tool_hz=100.0), np.exp(-1.0 / (30.0 * memory)) if memory else 0.0
+    own, kept = measured(4, tool_hz=100.0, **sensor), np.exp(-1.0 / (30.0 * max(memory, 1e-9)))
     truth, rng = Shake(4).trajectory(12.1, 500.0), np.random.default_rng(5)
     half, slipped = len(truth) // 2, varied(PLATE, com=np.array([6e-3, -4e-3, 0.0]))
     first = simulate(TRUTH, PLATE, truth.select(slice(half + 1)), gravity=GRAVITY)
@@ -113,7 +113,7 @@ def test_a_package_that_slips_under_a_camera_is_named(memory):
     body = Trajectory(*(np.concatenate([getattr(first, name)[:half], getattr(second, name)])
                         for name in ('stamps_ns', 'position', 'rotation', 'twist')))
     noise = correlated(rng.standard_normal((len(own.package), 6)), kept)
-    seen = with_errors(resample(body, own.package.stamps_ns), noise * np.repeat(CAMERA, 3))
+    seen = with_errors(resample(body, own.package.stamps_ns), noise * own.package_noise.std)
     (slip, *_), sound = (output_error([each], AXISYMMETRIC, TRUTH, given=USUAL).causes
                          for each in (replace(own, package=seen), own))
     assert slip.name == 'slip' and slip.certain
