@@ -116,6 +116,8 @@ class FitVerdict(NamedTuple):
                 not explains and not _is_within(finding, corrected) if finding.datum
                 else finding.certain or not explains))
             for each in (self.diagnosis.findings, self.diagnosis.besides))
+        if findings[:1] != self.diagnosis.findings[:1] and besides:
+            findings, besides = besides, ()  # others explain what the fit corrects
         return self._replace(
             diagnosis=self.diagnosis._replace(findings=findings, besides=besides))
 
@@ -141,10 +143,13 @@ class FitVerdict(NamedTuple):
 
     @property
     def wrong(self) -> list[causes.Finding]:
-        """Without which no cup is right: what is certain, or likely, large, and moves K."""
-        return [finding for finding in self.causing if finding.datum and (
-            finding.certain or self.chi2 is not None and finding.name in LOCAL and finding.likely
-            and finding.moved > causes.MATERIAL and not _is_within(finding, self.expected))]
+        """Without which no cup is right: what is certain, or first, likely, large, and moves K."""
+        return [finding for number, finding in enumerate(self.causing) if (
+            finding.certain and (
+                finding.datum or finding.name == 'structure' and finding.left < causes.DISTINCT**2)
+            or finding.datum and number == 0 and self.chi2 is not None and finding.name in LOCAL
+            and finding.likely and finding.moved > causes.MATERIAL
+            and not _is_within(finding, self.expected))]
 
     @property
     def causing(self) -> list[causes.Finding]:

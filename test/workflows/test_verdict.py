@@ -55,17 +55,27 @@ def test_what_is_seen_without_a_fit_comes_first():
     assert found.causing[0] is fact
 
 
+def test_what_the_fit_corrects_comes_before_nothing_else():
+    """Leave what was beside it, where it was the likeliest, and none of its rivals."""
+    small, rival, other = (cause(name, [5e-4]) for name in ('com', 'yaw', 'inertia'))
+    found = judged()._replace(diagnosis=Diagnosis(9.0, (small, rival), (other,)))
+    assert found.beyond(EXPECTED).causing == [other]
+
+
 @pytest.mark.parametrize(('heavier', 'said'), [(0.09, '0.914 times'), (-0.09, '1.09'), (0.03, '')])
 def test_an_inertia_that_was_corrected_makes_the_mass_doubtful(heavier, said):
     found = judged()._replace(log_inertia_ratio=heavier)
     assert said in ' '.join(found.sentences) and bool(found.sentences) == bool(said)
 
 
-@pytest.mark.parametrize(('turned', 'refused'), [(5e-3, False), (5e-2, True)])
-def test_a_marker_that_wrenches_show_turned_is_allowed_for(turned, refused):
-    """Its shift along the cup is no number of theirs."""
-    found = judged(cause('package_marker', [1e-3, 0.0, turned, 0.0, 0.0])).beyond(EXPECTED)
-    assert bool(found.refusals) == refused
+@pytest.mark.parametrize(('name', 'turned', 'left', 'refused'), [
+    ('package_marker', 5e-3, 0.3, False), ('package_marker', 5e-2, 0.3, True),
+    ('structure', 0.0, 0.13, True), ('structure', 0.0, 0.42, False)])
+def test_what_is_a_little_off_is_allowed_for(name, turned, left, refused):
+    """A marker by less than is usual, not its shift along the cup; or another structure."""
+    found = cause(name, [1e-3, 0.0, turned, 0.0, 0.0], left)._replace(datum=name != 'structure')
+    likely = [cause('com', [0.0, 0.0, 0.02], certain=False)] * (name == 'structure')
+    assert bool(judged(found, *likely).beyond(EXPECTED).refusals) == refused
 
 
 @pytest.mark.parametrize(('along', 'left', 'chi2', 'refused'), [

@@ -127,10 +127,17 @@ def diagnose(
             finding.certain if first.is_explained else finding.likely))
         return Diagnosis(np.inf, facts, besides, not (
             first.is_explained or any(finding.certain for finding in best)))
+    if len(best) > 1:  # a turned frame looks like couplings
+        is_coupled = any(finding.name == 'structure' and finding.certain for finding in best)
+        best = [finding._replace(certain=finding.certain and not (
+            is_coupled and finding.name == 'package_marker')) for finding in best]
+        if best[1].certain and not best[0].certain and best[1].left < best[0].left:
+            best.reverse()
+        return Diagnosis(first.before.excess, (best[0],), tuple(best[1:]))
     findings = [_finding(trial, first, identifiable) for trial in first.trials[:MAX_FINDINGS]]
-    if first.is_explained and len(rankings) == 1:
+    if first.is_explained:
         findings = [finding for finding in findings if finding.certain]
-    return Diagnosis(first.before.excess, tuple(findings), tuple(best[1:]))
+    return Diagnosis(first.before.excess, tuple(findings))
 
 
 def _rankings(
