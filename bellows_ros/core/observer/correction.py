@@ -33,7 +33,7 @@ MIN_SAMPLES = 4096
 INITIAL_STD = np.repeat([0.01, 0.1, 0.5, 1.0], 3)
 """Standard deviations at the start: m, rad, m/s, rad/s."""
 
-MASS_SHARE, COM_UNCERTAIN = 0.1, 0.01
+MASS_SHARE, COM_UNCERTAIN = 0.05, 0.01
 """Default standard deviations of the payload: relative mass, centre of mass (m)."""
 
 UNCALIBRATED = 0.03, 0.05, 0.05
@@ -298,7 +298,9 @@ class Correction:
             memory = np.r_[self.first_memory[:11], after.memory[11:]]
             after = after._replace(  # the fault was taken for noise, too
                 body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
-                evidence=self._evidence(stamp_ns, lost_cups, False),
+                evidence=NO_EVIDENCE._replace(from_start=False) if (
+                    fault.alarm.cause == 'latency') else self._evidence(
+                    stamp_ns, lost_cups, False),  # late poses seem to show many faults
                 covariance=after.covariance + fault.spread @ fault.spread.T)
         elif name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
@@ -316,6 +318,6 @@ class Correction:
         _, _, onsets, _, from_start = estimate.evidence
         # a fault found so early has been there since the beginning
         from_start &= bool(onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
-        return after._replace(
-            memory=memory, gated_ns=(), away_ns=0,
-            evidence=self._evidence(stamp_ns, estimate.lost_cups, from_start))
+        evidence = estimate.evidence if not len(estimate.evidence.signatures) else (
+            self._evidence(stamp_ns, estimate.lost_cups, from_start))
+        return after._replace(memory=memory, gated_ns=(), away_ns=0, evidence=evidence)

@@ -374,7 +374,8 @@ def updated(
     spread = math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
     verdict = USED
-    if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach + 5.0 * spread:
+    late = 3.0 * math.sqrt(P[ekf.LATENCY, ekf.LATENCY]) + abs(theta[ekf.LATENCY - STATE])
+    if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach + 5.0 * spread + late * t3.norm(tool[2]):
         verdict = OUT_OF_REACH
     elif innovation[3] > gate:
         verdict = OUTSIDE

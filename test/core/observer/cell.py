@@ -195,8 +195,8 @@ class Cell:
             if self.fault == 'cup':
                 left = gripper_of(self.one_cup, np.delete(LAYOUT, self.lost, axis=0))
                 return body, model_tuple(left, self.package, 9.81)
-            part = max(1.0 - since / 0.15, 1e-9) if self.fault == 'peel' else 1e-9
-            return body, model(part=part)
+            left = {'peel': 1.0 - since / 0.15, 'soften': 0.5 ** (self.size * since / 3.0)}
+            return body, model(part=max(left.get(self.fault, 0.0), 1e-9))
 
         self.turn = np.array([0.0, 0.0, turn])
         return change

@@ -38,17 +38,15 @@ def first_of(seed, kind, wrong=None, seconds=4.0, **more):
 
 
 @pytest.mark.parametrize(('kind', 'named', 'within'), [
-    ('slip', 'slip', 1.2), ('turn', 'slip', 0.3), ('leak', 'leak', 1.5), ('wear', 'wear', 4.0),
-    ('payload', 'payload', 2.0), ('drop', 'lost', 0.3), ('peel', 'lost', 0.45),
-    ('camera', 'camera', 1.0)])
+    ('slip', 'slip', 1.2), ('turn', 'slip', 0.3), ('leak', 'leak', 1.5), ('soften', 'leak', 3.0),
+    ('wear', 'wear', 4.0), ('payload', 'payload', 2.0), ('drop', 'lost', 0.3),
+    ('peel', 'lost', 0.45), ('camera', 'camera', 1.0)])
 def test_cause_of_a_fault_is_named(kind, named, within):
     """Say of a few faults what they are, once, none before it is there; with size and odds."""
     for seed in range(1, 3):  # of payloads 7 in 8 are named rightly: see the benchmark
         alarms, cell = first_of(seed, kind)
-        cause, after = alarms[0]
-        assert cause == named
-        assert 0.0 < after < within
-        assert len(alarms) == 1
+        (cause, after), = alarms
+        assert (cause, 0.0 < after < within) == (named, True)
         first = cell.made.alarms[0]
         assert first.second != first.cause and first.odds > 1.0
 
@@ -110,8 +108,7 @@ def test_lost_cup_of_a_gripper_is_named(lost):
     """Say which cup is lost, once, and go on without it: the error is what it was before."""
     cell = Cell(lost, 6.0, {}, 'cup', at=3.0, lost=lost, **EXACTLY)
     ((cause, seconds),), rms = run_with_errors(cell)
-    assert cause == f'cup {lost}'
-    assert 0.0 < seconds < 0.45
+    assert (cause, 0.0 < seconds < 0.45) == (f'cup {lost}', True)
     (alarm,) = cell.made.alarms
     assert alarm.cup == lost
     assert f'Cup {lost} of cup.layout, at x {1e3 * LAYOUT[lost, 0]:.0f} mm' in alarm.message
@@ -123,8 +120,8 @@ def test_lost_cup_of_a_gripper_is_named(lost):
 
 
 def test_gripper_whose_cups_hold_raises_no_alarm():
-    """Say nothing of a gripper in an ordinary cell."""
-    for name in ('all, small', 'memory 100 ms'):
+    """Say nothing of a gripper in an ordinary cell, but where noise lasts long."""
+    for name in ('all, small', 'memory 33 ms'):
         assert Cell(1, 10.0, CONDITIONS[name], lost=0).run() == []
 
 
@@ -262,7 +259,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
         return result
 
     monkeypatch.setattr(alarms, 'filter_step', processing)
-    monkeypatch.setattr('bellows_ros.core.observer.alarms.CONFIRMED', 1000)  # no alarm
+    monkeypatch.setattr(alarms.Alarms, 'detected', lambda *given: None)
     Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.28, size=1.5).run()
     assert len(totals) > 12
     assert totals[-1] == pytest.approx(_dense_total(given), rel=1e-5)
@@ -288,10 +285,10 @@ def test_likeliest_onsets_keep_their_slots():
     add(ekf.ONSETS, 1 | 1 << taken)
     changed = statistics != before
     changed[:1 + ekf.ONSETS] = False
-    leak = alarms.HYPOTHESES.index(alarms.NAMED['leak'])
-    scores = changed[alarms.STATISTICS[leak]:][:ekf.ONSETS]
+    slip = alarms.HYPOTHESES.index(alarms.NAMED['slip'])
+    scores = changed[alarms.STATISTICS[slip]:][:ekf.ONSETS]
     assert scores.sum() == 1 and not scores[taken - 1]
-    column = alarms.COLUMNS[leak] + taken - 1
+    column = alarms.COLUMNS[slip] + taken - 1
     assert (E[:, column] == 7.0).all() and onsets[1, taken] == stamp_ns
     assert (onsets[1] == now_ns).sum() == 1
 

@@ -271,7 +271,7 @@ def test_payload_is_kept_for_this_package_alone():
     made.forget()
     made.start(int(stamps[0]), tool[0], body[0])
     assert made.payload.mass == PACKAGE.mass
-    assert made.payload.mass_std == pytest.approx(0.1 * PACKAGE.mass)
+    assert made.payload.mass_std == pytest.approx(0.05 * PACKAGE.mass)
 
 
 def watched(away, vacuum, moves=True):
