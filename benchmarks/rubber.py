@@ -13,6 +13,7 @@ from bellows_ros.core.geometry.jit import kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import add, add_scaled, apply, rotation_matrix, scale
 from bellows_ros.core.identification.methods import fit
+from bellows_ros.core.identification.quantities import payload_of
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -149,11 +150,14 @@ def recorded(loss_factor: float, seed: int, path: Path, seconds: float) -> Recor
     return prepare(*streams, PrepareSettings(payload=PLATE, gravity=GRAVITY))
 
 
-def error(cup: Cup, loss_factor: float, path: Path, seconds: float) -> float:
-    """Return the error of a predicted bending over its size, both RMS."""
-    tool = driven(path, seconds)
+def error(fit: Fit, loss_factor: float, path: Path, seconds: float) -> float:
+    """Return the error of a bending predicted with all that was found, over its size, both RMS."""
+    tool, free = driven(path, seconds), {name: row[0] for name, row in fit.nuisances.items()}
+    cup = Cup(fit.stiffness, fit.damping, CUP.length + float(free.get('length', [0.0])[0]),
+              fit.relaxation)
     true, found = (log_so3(np.swapaxes(tool.rotation, 1, 2) @ body.rotation) for body in (
-        rubber_moves(loss_factor, tool), simulate(cup, PLATE, tool, gravity=GRAVITY)))
+        rubber_moves(loss_factor, tool),
+        simulate(cup, payload_of(PLATE, free), tool, gravity=GRAVITY)))
     return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
@@ -184,8 +188,7 @@ def study(loss_factor: float, seed: int = 1) -> tuple[dict[str, Fit], dict[str, 
     """Return fits to a multisine with one hold, and errors (parts of the motion) of each."""
     recording = recorded(loss_factor, seed, multisine(seed), 30.0)
     fits = {name: identified(recording, name) for name in ('off', 'auto')}
-    cups = [Cup(own.stiffness, own.damping, CUP.length, own.relaxation) for own in fits.values()]
-    return fits, {name: [error(cup, loss_factor, *motion) for cup in cups]
+    return fits, {name: [error(own, loss_factor, *motion) for own in fits.values()]
                   for name, motion in VALIDATIONS.items()}
 
 

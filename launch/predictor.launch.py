@@ -52,7 +52,7 @@ def generate_launch_description():
 
 
 def parameter_files(value):
-    """Return the parameter files; the last prevails, as cup files hold a package, too."""
+    """Return the parameter files; the last prevails."""
     return [file for file in (value['cup_file'], value['params_file']) if file]
 
 

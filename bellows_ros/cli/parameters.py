@@ -66,7 +66,7 @@ def template_with(required: list[Parameter], values: Values, header: Sequence[st
     """Return a parameter file with values, and required ones as comments to fill in."""
     text = format_parameters(values, header)
     head, body = text.split(SECTION, 1)
-    lines = [f"{INDENT}# CHANGE THESE (examples), and remove the '#' before their names."]
+    lines = [f"{INDENT}# SET THESE where they apply: remove the '#', and change the example."]
     for parameter in required:
         comment = f'{INDENT}# '
         lines += textwrap.wrap(

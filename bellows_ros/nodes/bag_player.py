@@ -26,9 +26,11 @@ import numpy as np
 import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import Trigger
 
 from .conversions import read_pose, TOOL_POSES
@@ -98,6 +100,13 @@ def play(
 
     """
     first_ns = messages[0].log_time_ns
+    for name in names.values():
+        try:
+            validate_topic_name(name)
+        except InvalidTopicNameException:
+            raise BellowsError(
+                f"'{name}' is not a ROS topic name: expected letters, digits, _ and /, no digit "
+                'after a slash and none at the end.') from None
     with player_node('bellows_player') as (node, executor):
         publishers = {topic: publisher(node, topic, names[topic.name])
                       for topic in dict.fromkeys(m.topic for m in messages)}

@@ -502,9 +502,14 @@ def _drift_fields(finding: Finding, given: Given) -> Fields:
 
 def _gravity_fields(finding: Finding, given: Given) -> Fields:
     """Return by how much a world is not level, and where things fall in it."""
-    down = alignment.levelling(given.get('gravity.direction', alignment.DOWN)).T @ (
-        lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN)
-    return {'degrees': np.rad2deg(np.hypot(*finding.theta)), 'down': _listed(down)}
+    down = lie.exp_so3(np.append(-finding.theta, 0.0)) @ alignment.DOWN
+    return {'degrees': np.rad2deg(np.hypot(*finding.theta)), 'down': _down(given, down)}
+
+
+def _down(given: Given, down: Array) -> str:
+    """Return where things fall in the world, by how they do where gravity.direction is level."""
+    level = alignment.levelling(given.get('gravity.direction', alignment.DOWN))
+    return _listed(level.T @ down)
 
 
 def _unit_fields(finding: Finding, given: Given) -> Fields:
@@ -652,9 +657,9 @@ CAUSES: Mapping[str, FitCause] = {
         'gravity.direction', 'Gravity is {degrees:.1f} degrees off gravity.direction',
         'Level the world, or set gravity.direction: {down}.', 'rad', fields=_gravity_fields),
     'axis of gravity': FitCause(
-        'gravity.direction', 'Gravity is not along -z of the world',
-        'Set gravity.direction: {to}.', fields=lambda finding, given: {
-            'to': finding.value.removeprefix('gravity ')}),
+        'gravity.direction', 'Gravity is not along gravity.direction',
+        'Set gravity.direction: {down}.', fields=lambda finding, given: {'down': _down(
+            given, np.array(finding.value[len('gravity ['):-1].split(','), float))}),
     'recording.world': FitCause(
         'recording.world', 'The world of the recording is {value}',
         'Set recording.world: {value}.'),

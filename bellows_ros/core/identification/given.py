@@ -128,7 +128,7 @@ def near_with_given(
         return search, minimum._replace(converged=False), unmoved
     known = np.sum([part.jacobian.T @ part.jacobian for part in parts], axis=0)  # without a prior
     S = known[size:, size:] - known[size:, :size] @ np.linalg.lstsq(
-        known[:size, :size], known[:size, size:])[0]
+        known[:size, :size], known[:size, size:], rcond=None)[0]
     values, vectors = np.linalg.eigh(std[:, None] * S * std)  # what was given has 1
     free = int(np.count_nonzero(values > 1.0))
     fixed = vectors[:, :len(std) - free] / std[:, None]

@@ -349,7 +349,7 @@ def relaxation_of(
     else:
         return None
     index, strengths = np.ix_(free, free), np.array(estimate.strengths)[list(free)]
-    distance = strengths @ np.linalg.solve(estimate.covariance[index], strengths)
+    distance = strengths @ np.linalg.pinv(estimate.covariance[index]) @ strengths
     if distance <= MIN_SQUARED_DISTANCE or remaining > MAX_REMAINING_SHARE * unexplained:
         return None
     if 0.0 < estimate.std[1] <= MAX_RELATIVE_ERROR * max(estimate.strengths):

@@ -122,8 +122,8 @@ def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSeg
                 motions.append(MeasuredSegment(poses[0], poses[1], *context))
     if not motions:
         raise UndeterminedError(
-            f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked. Record '
-            'longer, or check the gaps and outliers in the report.')
+            f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked: record longer, '
+            "and without gaps. 'bellows info' lists them.")
     return motions
 
 

@@ -28,6 +28,8 @@ AUTOMATIC_HALF_WINDOW = 1 / 12
 # Warned about: a lip so far aside at rest (m), so large a lateral centre of mass (m), so many
 # poses repeated in motion (part of them), travel (m) that is no cell's, but millimetres.
 MAX_LATERAL_OFFSET, MAX_LATERAL_COM, MAX_REPEAT_FRACTION, MAX_TRAVEL = 5e-3, 1e-6, 0.05, 20.0
+# So many poses in a row that are lost are interpolated, if it is no longer than this (s).
+MAX_LOST, MAX_LOST_TIME = 2, 0.01
 MAX_GAP_FRACTION = 0.5  # of the time; poses with more come in bursts
 # A step that a slow camera sees at least as often as the rest (%) in the motion is none.
 MOTION_PERCENTILE = 99.0
@@ -88,7 +90,7 @@ def prepare(
     report = Report(of_tool, of_package, (*warnings, *_alignment_warnings(alignment, settings)))
     return _joined(Recording(
         settings, tool, package, tool_twist, filters, *aligned,
-        filters[1].poses if of_package.timing.uniform else alignment.package(tracked),
+        aligned[1] if of_package.timing.uniform else alignment.package(tracked),
         alignment, report))
 
 
@@ -165,8 +167,11 @@ def _naming(topic: str) -> Iterator[None]:
 
 def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filter:
     """Return the filter of the poses of a topic."""
+    rate_hz, good = trajectory.uniform_rate_hz(poses.stamps_ns), poses.select(poses.valid)
+    if 1 < len(good) < len(poses):
+        poses = resampling.filled(
+            poses, good, round(min((MAX_LOST + 1.5) / rate_hz, MAX_LOST_TIME) * NS_PER_S))
     if half_window == 0:
-        rate_hz = trajectory.uniform_rate_hz(poses.stamps_ns)
         half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
     with _naming(name):
         return Filter(poses, half_window, order, weights_for(poses, half_window, order))

@@ -415,3 +415,14 @@ def on_grid(trajectory: Trajectory, timing: Timing) -> Trajectory:
         stamps = trajectory.stamps_ns[0] + np.rint(
             np.arange(int(span / period) + 1) * period).astype(np.int64)
     return resample(trajectory, stamps, timing.longest_step_ns)
+
+
+def filled(poses: Trajectory, known: Trajectory, longest_gap_ns: int | None = None) -> Trajectory:
+    """Return poses with those that are missing as `resample` has them between known ones."""
+    missing = ~poses.valid & (
+        poses.stamps_ns > known.stamps_ns[0]) & (poses.stamps_ns < known.stamps_ns[-1])
+    between = resample(known, poses.stamps_ns[missing], longest_gap_ns)
+    position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
+    position[missing], rotation[missing] = between.position, between.rotation
+    valid[missing] = between.valid
+    return Trajectory(poses.stamps_ns, position, rotation, valid=valid)

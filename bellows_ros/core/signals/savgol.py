@@ -11,7 +11,7 @@ from math import pi
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.signals.resampling import resample
+from bellows_ros.core.signals.resampling import filled
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -285,19 +285,13 @@ def displaced(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
 
 def bridged(poses: Trajectory) -> Trajectory:
     """Return poses with gaps bridged by cubics that meet poses and twists on both sides."""
-    missing = ~poses.valid
-    if not missing.any():
+    if poses.valid.all():
         return poses
     quartic = savgol(poses, BRIDGE_HALF_WINDOW, BRIDGE_ORDER)
     valid = quartic.select(quartic.valid)
     if not len(valid):
         return poses
-    missing &= (poses.stamps_ns > valid.stamps_ns[0]) & (poses.stamps_ns < valid.stamps_ns[-1])
-    bridge = resample(valid, poses.stamps_ns[missing])
-    position, rotation, is_valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
-    position[missing], rotation[missing] = bridge.position, bridge.rotation
-    is_valid[missing] = bridge.valid
-    return Trajectory(poses.stamps_ns, position, rotation, valid=is_valid)
+    return filled(poses, valid)
 
 
 def correlated(white: Array, ar1: float) -> Array:

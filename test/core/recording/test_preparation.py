@@ -246,24 +246,24 @@ def test_jumps_that_come_again_and_again_are_summed_up(count, said):
 
 def test_what_cannot_be_prepared_says_why():
     tool, package = held(70)
-    settings = PLAIN
     later = replace(stream(package, '/package'), stamps_ns=package.stamps_ns + 60_000_000_000)
     with pytest.raises(BellowsError, match="'/tool'.*'/package'"):
-        prepare(stream(tool), later, settings)
+        prepare(stream(tool), later, PLAIN)
     with pytest.raises(BellowsError, match=r"'/tool'.*\b51\b"):
-        prepare(stream(tool, '/tool', slice(0, 40)), stream(package, '/package'), settings)
+        prepare(stream(tool, '/tool', slice(0, 40)), stream(package, '/package'), PLAIN)
     with pytest.raises(BellowsError, match=r"'/tool'.*\b3\b"):
-        prepare(stream(tool, '/tool', slice(0, 2)), stream(package, '/package'), settings)
+        prepare(stream(tool, '/tool', slice(0, 2)), stream(package, '/package'), PLAIN)
     with pytest.raises(BellowsError):
         prepare(stream(tool, '/tool', slice(0, 1040)),
-                stream(package, '/package', slice(1000, None)), settings)
-    holes = np.flatnonzero(np.arange(len(tool)) % 40)
+                stream(package, '/package', slice(1000, None)), PLAIN)
+    lost = np.arange(len(tool)) % 40
+    assert prepare(stream(tool, '/tool', lost > 1), stream(package), PLAIN).whole.all()
+    holes = np.flatnonzero(lost > 2)
     with pytest.raises(BellowsError, match=r"'/tool'.*\b179\b"):
-        prepare(stream(tool, '/tool', holes), stream(package, '/package'), settings)
-    zeros = np.zeros((2, 3))
-    twist = TwistStream('/twist', 'world', tool.stamps_ns[:2], zeros, zeros)
+        prepare(stream(tool, '/tool', holes), stream(package, '/package'), PLAIN)
+    twist = TwistStream('/twist', 'world', tool.stamps_ns[:2], *np.zeros((2, 2, 3)))
     with pytest.raises(BellowsError, match=r'\b2\b'):
-        prepare(stream(tool), stream(package, '/package'), settings, twist)
+        prepare(stream(tool), stream(package, '/package'), PLAIN, twist)
 
 
 @pytest.mark.parametrize('at', [0, -1])
