@@ -8,7 +8,7 @@ that the user can correct are printed without a traceback and end with 2.
 
 from collections.abc import Sequence
 import importlib.util
-from itertools import takewhile
+from itertools import pairwise, takewhile
 import os
 from pathlib import Path
 from pkgutil import resolve_name
@@ -167,6 +167,9 @@ def _initialise(argv: Sequence[str]) -> None:
 
     from ..core.parameters.table import short
 
+    for flag, file in pairwise(argv):
+        if flag == '--params-file' and not Path(file).is_file():
+            raise BellowsError(f"Parameter file '{file}' does not exist.")
     try:
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of all errors of rcl

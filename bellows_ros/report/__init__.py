@@ -146,8 +146,8 @@ def print_cup(fit: Fit, out: Writer, title: str = '') -> None:
     if given:
         out.paragraph(
             'The first error is from these recordings alone, the second with what was given '
-            '(package.*_std, cup.length_std, recording.*_std): with mass, inertia, K and P larger '
-            'by one factor the motion is the same.')
+            '(package.*_std, cup.length_std, recording.*_std): no motion shows a factor common to '
+            'mass, inertia, K and P.')
     print_relaxation(fit.relaxation, fit.relaxation_std, out)
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]

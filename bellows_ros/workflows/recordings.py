@@ -130,8 +130,9 @@ def interval_masks(all_stamps: Sequence[Stamps], values: Values) -> list[Mask]:
     chosen = [(stamps >= begins) & (stamps <= ends) for stamps in all_stamps]
     if ends <= begins or not any(mask.any() for mask in chosen):
         raise BellowsError(
-            f'There are no messages from recording.start, {start:g} s, to recording.end, {end:g} '
-            f's (0: the end); the recording lasts {(last - first) / NS_PER_S:.1f} s.')
+            f'There are no messages from recording.start, {start:g} s, to '
+            + (f'recording.end, {end:g} s' if end else 'the end')
+            + f'; the recording lasts {(last - first) / NS_PER_S:.1f} s.')
     return chosen
 
 

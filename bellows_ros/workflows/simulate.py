@@ -70,7 +70,7 @@ class SimulationReport(NamedTuple):
     warnings : tuple of str
         What to know before using the recording.
     margin : Margin or None
-        The smallest safety factor of the grip while the package is held; None if unknown.
+        The smallest safety factor of the grip while the valve is on; None if unknown.
     tosses : tuple of Thrown
         With valve and blow-off as they were drawn.
 
@@ -150,7 +150,7 @@ def simulate_recording(
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
         {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
-        angle, worst, (*implausible(values), *warnings), _smallest_margin(values, truth),
+        angle, worst, (*implausible(values), *warnings), _smallest_margin(values, truth, recipe),
         truth.tosses)
 
 
@@ -164,14 +164,17 @@ def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Even
     return tuple(sorted(events, key=lambda event: (event.topic, event.start_s)))
 
 
-def _smallest_margin(values: Values, truth: Truth) -> Margin | None:
-    """Return the smallest safety factor while the package is held; None if unknown."""
+def _smallest_margin(values: Values, truth: Truth, recipe: Recipe) -> Margin | None:
+    """Return the smallest safety factor while the valve is on; None if unknown."""
     grip = grip_of(values)
     if grip is None:
         return None
     model = model_tuple(cup_of(values), package_of(values), values['gravity.magnitude'])
-    tool, package = (tool_rows(each)[truth.held] for each in (truth.tool, truth.package))
-    return margin(grip, factors_along(model, grip, tool, package), truth.tool.seconds[truth.held])
+    seconds, held = truth.tool.seconds, truth.held.copy()
+    for off in recipe.releases:
+        held &= (seconds <= off) | (seconds > off + recipe.pickup)
+    tool, package = (tool_rows(each)[held] for each in (truth.tool, truth.package))
+    return margin(grip, factors_along(model, grip, tool, package), seconds[held])
 
 
 def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> Truth:

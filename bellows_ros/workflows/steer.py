@@ -104,7 +104,7 @@ class SteerReport(CommandResult):
         """Return notes on the motion."""
         return (*self.source.notes, *implausible(self.source.values), *(
             text for text, applies in (
-                ('The plan is not C^4, so it was driven faster and smoothed over '
+                ('The plan has jumps in its first four derivatives, so it was smoothed over '
                  f'{1e3 * self.steered.smoothed:.0f} ms, in the same time. At bends the package '
                  'cuts corners.', self.steered.smoothed > 0.0),
                 (f'Slowed down to {self.time_scale:.3f} times the duration, for the limit '

@@ -140,7 +140,7 @@ def test_a_cup_of_a_gripper_is_opened_and_closed_live(node, caller):
 
 @pytest.mark.parametrize(('name', 'value', 'named'), [
     ('', 1.0, ''), ('package.com', '[0, 0, -0.05]', '0.0, not 0'),
-    ('package.mass', '2,5', '2,5 (str)'), ('cup.name', 'a\x1b[31mb', "'a?[31mb'"),
+    ('package.mass', '2,5', "the text '2,5'"), ('cup.name', 'a\x1b[31mb', "'a?[31mb'"),
     ('x\x1b[31m\n', 1.0, "'x?[31m?'")])
 def test_what_is_wrong_with_a_value_is_named(name, value, named, node, caller):
     """In both services, in printable characters."""

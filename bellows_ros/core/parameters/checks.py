@@ -249,7 +249,9 @@ def _number(parameter: Parameter, value: object, where: str = '') -> int | float
     is_integer = parameter.kind == 'integer'
     kinds = (int, np.integer) if is_integer else (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
-        raise _refuse(parameter, f'{table.short(value)} ({type(value).__name__}){where}')
+        is_text = isinstance(value, str)
+        raise _refuse(parameter, (f"the text '{table.short(value)}'{where}" if is_text else
+                                  f'{table.short(value)} ({type(value).__name__}){where}'))
     low = -math.inf if parameter.minimum is None else parameter.minimum
     high = math.inf if parameter.maximum is None else parameter.maximum
     above = -math.inf if parameter.above is None else parameter.above
