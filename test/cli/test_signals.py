@@ -48,7 +48,7 @@ def handlers():
     (signal.SIGHUP, 'Ended by SIGHUP'), (signal.SIGINT, 'Interrupted')])
 def test_a_signal_ends_in_order(number, said, workshop, tmp_path, user_environment):
     """Say so, end with 128 and its number, and leave what was there; twice is as good as once."""
-    motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 60.0})
+    motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 150.0})
     before = contents(tmp_path)
     process = start(user_environment, 'simulate', '--params', workshop / 'cup.yaml',
                     '--motion', motion, '--out', tmp_path / 'long', cwd=workshop)

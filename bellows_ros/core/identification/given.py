@@ -240,7 +240,8 @@ def causes(
         return (wrong,)
     falls = scores(search, minimum, [
         name for name in CANDIDATES * minimum.converged
-        if name not in (*search.places, *stated(given))])
+        if name not in (*search.places, *stated(given)) and (
+            name != 'couplings' or not search.structure.couples)])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
             not minimum.converged or max(falls.values(), default=0.0) > SIGNIFICANT**2
@@ -250,7 +251,8 @@ def causes(
     if not ranked or falls[ranked[0]] < SIGNIFICANT**2:
         return ()
     tried = [_freed(search, minimum, name, name == 'slip') for name in ranked[:MAX_TRIED]
-             if falls[name] >= DISTINCT * falls[ranked[0]]]
+             if falls[name] >= DISTINCT * falls[ranked[0]]
+             and (name != 'couplings' or name == ranked[0])]
     best = max(tried, key=attrgetter('gain'))
     if best.gain < SIGNIFICANT**2:  # or the search did not converge
         return ()
@@ -288,12 +290,14 @@ def causes(
         or any(other.certain for other in others))
     return (_finding(best, theta, std)._replace(
         left=left, moved=moved, certain=certain, instead=instead),
-        *(other._replace(certain=other.certain and certain) for other in others))
+        # a frame that is turned looks like couplings
+        *(other._replace(certain=other.certain and certain and best.name != 'couplings')
+          for other in others))
 
 
 def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
     """Return whether a minimum leaves no cause to look for, with what was given free."""
-    names = [name for name in CANDIDATES if name not in search.places]
+    names = [name for name in CANDIDATES if name not in (*search.places, 'couplings')]
     return search.fits(minimum) and (
         max(scores(search, minimum, names).values()) < SIGNIFICANT**2) and (
             largest_pull(search, minimum, given)[1] < MAX_PULL)
@@ -447,6 +451,8 @@ def _finding(freed: '_Freed', theta: Array, std: Array) -> Finding:
         return Finding('inertia', '', -theta, std)
     if name == 'gravity':
         return Finding('gravity.direction', '', theta, std)
+    if name == 'couplings':
+        return Finding('structure', 'full', datum=False)
     if name not in quantities.OF_CUP:
         return Finding(name, '', theta, std)
     best = int(np.argmax(np.abs(theta) / std))  # the entry of K that shows it best is enough

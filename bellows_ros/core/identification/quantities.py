@@ -51,6 +51,7 @@ KINDS: Mapping[str, Kind] = {
     'relaxation': Kind(1e-2, 2, 0.1, False, 1.0),
     'drift': Kind(1e-2, 6, 0.1, False, 1.0),
     'cubic': Kind(1e-2, 6, 0.1, False, 1.0),
+    'couplings': Kind(1e-2, 15, 0.1, False, 1.0),
     'slip': Kind(1e-3, 2, 3e-3, True, 0.05),
 }
 """
@@ -63,11 +64,11 @@ turned back, rad; shift and turn of the package's world about the middle of the 
 of B in its own axes against the measured pose, m and rad; by how much that world moves and turns
 per second, m/s and rad/s; the strengths of relaxation beside those of the start; parts by which
 the diagonal of K changes from beginning to end, and up to displacements of the size
-`LARGE_DISPLACEMENT`; and by how much x and y of the centre of mass change at some moment as the
-package slips on the lip, m.
+`LARGE_DISPLACEMENT`; couplings of directions in the roots of their stiffnesses; and by how much x
+and y of the centre of mass change at some moment as the package slips on the lip, m.
 """
 
-OF_CUP = ('drift', 'cubic')
+OF_CUP = ('drift', 'cubic', 'couplings')
 """Deviations of the cup itself."""
 
 CHANGING = (*OF_CUP, 'slip')
@@ -76,9 +77,13 @@ CHANGING = (*OF_CUP, 'slip')
 LARGE_DISPLACEMENT = np.repeat([5e-3, 0.1], 3)
 """m, rad."""
 
+DIAGONAL = [0, 6, 11, 15, 18, 20]
+"""Of a symmetric matrix (6, 6), in its upper triangle, row by row."""
+
 COLUMNS: Mapping[str, slice | list[int]] = {
     'length': LENGTH, 'com': COM, 'relaxation': slice(-2, None),
-    'slip': slice(COM.start, COM.start + 2), **dict.fromkeys(OF_CUP, [0, 6, 11, 15, 18, 20])}
+    'slip': slice(COM.start, COM.start + 2), 'drift': DIAGONAL, 'cubic': DIAGONAL,
+    'couplings': [k for k in range(21) if k not in DIAGONAL]}
 """Derivatives of the model by quantities, among `jacobians.PARAMETERS`."""
 
 

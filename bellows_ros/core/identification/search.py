@@ -676,6 +676,7 @@ class Search(Parametrization):
         K = np.diag(gripper_of(self.cup(theta), self.structure.places).stiffness)
         profiles = {'drift': K * (np.asarray((stamps - first) / (last - first))[:, None] - 0.5),
                     'cubic': K * displacement**2,
+                    'couplings': np.sqrt(np.outer(K, K))[np.triu_indices(6, 1)],
                     'slip': ((stamps >= self.slip_ns) & (self.slip_ns >= first))[:, None]}
         scales, extra = np.ones((len(stamps), len(theta))), np.zeros(len(theta))
         for name, places in self.places_of(segment).items():

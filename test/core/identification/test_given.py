@@ -143,6 +143,14 @@ def test_a_world_that_is_not_level_is_named(sensor):
     assert np.all(np.abs(gravity.theta - [0.0, -0.12]) < 4.0 * gravity.std)
 
 
+def test_a_cup_that_couples_directions_is_no_tilted_world():
+    root = np.sqrt(np.diag(TRUTH.stiffness))
+    cup = replace(TRUTH, stiffness=TRUTH.stiffness + 0.1 * np.outer(root, root) * np.eye(6)[::-1])
+    (first, *_) = output_error(
+        [measured(3, tool_hz=100.0, cup=cup)], AXISYMMETRIC, TRUTH, given=USUAL).causes
+    assert (first.name, first.value, first.certain) == ('structure', 'full', True)
+
+
 def test_what_is_off_under_motion_capture_is_named_with_all_that_is_a_little_off():
     """A marker along the cup, which wrenches take for another length."""
     own = measured(6, tool_hz=100.0, duration=8.0, **CAPTURED)
