@@ -5,8 +5,8 @@ Alarms of simulated cells, counted: false ones an hour, and how soon faults are 
 error of the state (12 where the covariance is right); `--faults` lets so many faults of each kind
 happen in one condition, and prints how many causes are right, and after how many seconds half and
 90 % of them are named; beside it, after how many likelihood-ratio tests find them that know time
-and size of each fault, with the same threshold: one knows its direction, too, one averages over
-all. `--drops` lets packages fall, seen
+and size of each fault, at the threshold for one false alarm an hour: one knows its direction, too,
+one averages over all. `--drops` lets packages fall, seen
 at 30 and at 10 Hz until 0.55 m below. `--slips` lets so many packages slip by 3 to 10 mm, at once
 and within 0.25 s, and prints how many first alarms are right, and the errors in each half second
 since, relative to the 2 s before.

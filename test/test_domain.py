@@ -5,6 +5,8 @@ import subprocess
 import sys
 
 from bellows_ros import demo
+from bellows_ros.errors import BellowsError
+import pytest
 
 SEEKER = """
 import sys
@@ -25,6 +27,13 @@ def test_seekers_at_the_same_time_find_different_domains():
         seeker.communicate()
     assert len(set(found)) == 8
     assert all(1 <= number <= demo.DOMAINS for number in found)
+
+
+def test_the_search_ends_where_all_are_taken(monkeypatch):
+    """Say so instead of sharing one."""
+    monkeypatch.setattr(demo, '_reserve', lambda number: False)
+    with pytest.raises(BellowsError):
+        demo.unused_domain()
 
 
 def test_what_reaches_other_machines_is_dropped(monkeypatch):

@@ -6,13 +6,20 @@ import re
 import pytest
 import yaml
 
+DISPLAYS = ('Grid', 'Pose', 'MarkerArray', 'Path')  # of the plugins that come with RViz
+
+
+def topics_of(content):
+    """Return all topics in a layout."""
+    return set(re.findall(r'/(?:tool_arm|package|cup)/\w+', json.dumps(content)))
+
 
 @pytest.mark.parametrize('name', ['predictor.rviz', 'predictor.foxglove.json'])
 def test_layouts_show_topics_of_the_predictor(name, root):
     """Name no topic that no node has."""
     text = (root / 'config' / name).read_text()
     content = yaml.safe_load(text) if name.endswith('.rviz') else json.loads(text)
-    shown = set(re.findall(r'/(?:tool_arm|package|cup)/\w+', json.dumps(content)))
+    shown = topics_of(content)
     nodes = ''.join(path.read_text() for path in (root / 'bellows_ros' / 'nodes').glob('*.py'))
     assert {'/tool_arm/pose', '/package/pose', '/package/measured', '/package/plan_path',
             '/package/landing_markers'} <= shown
@@ -41,9 +48,10 @@ def test_every_display_of_rviz_has_a_class_and_a_topic(root):
     """Give each display what RViz asks for, with policies as RViz spells them."""
     content = yaml.safe_load((root / 'config' / 'predictor.rviz').read_text())
     for display in content['Visualization Manager']['Displays']:
-        assert re.fullmatch('rviz_default_plugins/(Grid|Pose|MarkerArray|Path)', display['Class'])
+        assert display['Class'] in {f'rviz_default_plugins/{name}' for name in DISPLAYS}
         assert display['Enabled'] and display['Value']
-        topic = display.get('Topic', {})
-        assert (topic.get('History Policy') == 'Keep Last') == (display['Name'] != 'Grid')
-        assert topic.get('Reliability Policy', 'Reliable') in ('Best Effort', 'Reliable')
-        assert topic.get('Durability Policy', 'Volatile') in ('Volatile', 'Transient Local')
+        if display['Name'] != 'Grid':
+            topic = display['Topic']
+            assert topic['Reliability Policy'] in ('Best Effort', 'Reliable')
+            assert topic['Durability Policy'] in ('Volatile', 'Transient Local')
+            assert (topic['History Policy'], topic['Depth'] > 0) == ('Keep Last', True)

@@ -184,7 +184,8 @@ def _print_samples(result: 'Identification', out: Writer) -> None:
                    for name in ('tool_pose', 'package_pose')):
         counts = {f'{reason.replace("_", " ")} message': len(indices)
                   for reason, indices in stream['refused'].items()}
-        counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps'])}
+        counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps']),
+                   'interpolated pose': stream['interpolated_poses']}
         faults = [many(count, what) for what, count in counts.items() if count]
         if faults:
             rejected = many(stream['filtered_samples_left_out'], 'filtered sample')

@@ -21,8 +21,7 @@ def test_what_filters_take_is_not_doubted(off, left, said):
     """Doubt what was given, or the cup, only where poses are predicted worse than noise."""
     noise = np.repeat([1e-4, 5e-4], 3)
     rms = noise * np.where(np.arange(6) == 4, off, 1.0)
-    none = np.empty(0)
-    finding = Finding('structure', 'full', none, none, left, 0.0, False, False, '')
+    finding = cause('structure', [], left, certain=False)._replace(datum=False)
     found = FitVerdict(
         (Simulated('recording', rms, noise, 100.0 * noise, ()),), Diagnosis(2.7, (finding,)), {})
     assert len(found.cause) == bool(said) and said in ' '.join(found.cause)
@@ -51,8 +50,7 @@ def test_what_is_off_no_more_than_expected_comes_last():
 
 def test_what_is_seen_without_a_fit_comes_first():
     fact = cause('time_offset', [2.0])._replace(is_fact=True)
-    found = judged(fact).with_causes((cause('com', [3e-3, 0.0, 0.0]),))
-    assert found.causing[0] is fact
+    assert judged(fact).with_causes((cause('com', [3e-3, 0.0, 0.0]),)).causing[0] is fact
 
 
 def test_what_the_fit_corrects_comes_before_nothing_else():

@@ -8,6 +8,7 @@ and by simulation (`given`): all of them end in a `Finding`.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+import json
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -659,7 +660,7 @@ CAUSES: Mapping[str, FitCause] = {
     'axis of gravity': FitCause(
         'gravity.direction', 'Gravity is not along gravity.direction',
         'Set gravity.direction: {down}.', fields=lambda finding, given: {'down': _down(
-            given, np.array(finding.value[len('gravity ['):-1].split(','), float))}),
+            given, np.array(json.loads(finding.value.removeprefix('gravity '))))}),
     'recording.world': FitCause(
         'recording.world', 'The world of the recording is {value}',
         'Set recording.world: {value}.'),

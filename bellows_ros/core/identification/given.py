@@ -198,7 +198,7 @@ MAX_CAUSES = 2
 """Causes that are looked for, one beside the other, by a search for each quantity tried."""
 
 CANDIDATES = ('time_offset', 'com', 'length', 'mass', 'gravity', 'package_world',
-              'package_marker', 'world_drift', *quantities.OF_CUP)
+              'package_marker', 'world_drift', 'drift', 'cubic')
 
 MIN_LENGTH_ERROR = 2e-3
 """
@@ -238,10 +238,10 @@ def causes(
     """
     if count == MAX_CAUSES and (wrong := _wrong_length(search, minimum)):
         return (wrong,)
+    candidates = (*CANDIDATES, *['couplings'] * (not search.structure.couples))
     falls = scores(search, minimum, [
-        name for name in CANDIDATES * minimum.converged
-        if name not in (*search.places, *stated(given)) and (
-            name != 'couplings' or not search.structure.couples)])
+        name for name in candidates * minimum.converged
+        if name not in (*search.places, *stated(given))])
     falls = {name: fall for name, fall in falls.items() if np.isfinite(fall)}
     if 'slip' not in search.places and (
             not minimum.converged or max(falls.values(), default=0.0) > SIGNIFICANT**2
@@ -252,6 +252,7 @@ def causes(
         return ()
     tried = [_freed(search, minimum, name, name == 'slip') for name in ranked[:MAX_TRIED]
              if falls[name] >= DISTINCT * falls[ranked[0]]
+             # as they have most numbers, they explain a part of anything
              and (name != 'couplings' or name == ranked[0])]
     best = max(tried, key=attrgetter('gain'))
     if best.gain < SIGNIFICANT**2:  # or the search did not converge
@@ -297,7 +298,7 @@ def causes(
 
 def is_explained(search: Search, minimum: Minimum, given: Free) -> bool:
     """Return whether a minimum leaves no cause to look for, with what was given free."""
-    names = [name for name in CANDIDATES if name not in (*search.places, 'couplings')]
+    names = [name for name in CANDIDATES if name not in search.places]
     return search.fits(minimum) and (
         max(scores(search, minimum, names).values()) < SIGNIFICANT**2) and (
             largest_pull(search, minimum, given)[1] < MAX_PULL)

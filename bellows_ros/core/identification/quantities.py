@@ -8,6 +8,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
 from bellows_ros.core.model.jacobians import COM, GRAVITY, INERTIA, LENGTH, MASS
+from bellows_ros.core.model.structure import UPPER
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
@@ -77,13 +78,14 @@ CHANGING = (*OF_CUP, 'slip')
 LARGE_DISPLACEMENT = np.repeat([5e-3, 0.1], 3)
 """m, rad."""
 
-DIAGONAL = [0, 6, 11, 15, 18, 20]
-"""Of a symmetric matrix (6, 6), in its upper triangle, row by row."""
+DIAGONAL, COUPLINGS = (
+    np.flatnonzero(is_one).tolist() for is_one in (UPPER[0] == UPPER[1], UPPER[0] != UPPER[1]))
+"""Places of the two in the upper triangle of a matrix (6, 6), row by row."""
 
 COLUMNS: Mapping[str, slice | list[int]] = {
     'length': LENGTH, 'com': COM, 'relaxation': slice(-2, None),
     'slip': slice(COM.start, COM.start + 2), 'drift': DIAGONAL, 'cubic': DIAGONAL,
-    'couplings': [k for k in range(21) if k not in DIAGONAL]}
+    'couplings': COUPLINGS}
 """Derivatives of the model by quantities, among `jacobians.PARAMETERS`."""
 
 

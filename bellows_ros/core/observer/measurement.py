@@ -348,7 +348,8 @@ def updated(
     position, quaternion_xyzw, noise, marker
         Of the measurement, and of `PoseSensor`.
     reach : float
-        How far (m) a lip can be from where it is without load.
+        How far (m) a lip can be from where it is without load, beside what late stamps make of a
+        tool that moves.
     gate : float
         The largest squared Mahalanobis distance.
 

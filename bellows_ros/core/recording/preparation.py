@@ -82,8 +82,9 @@ def prepare(
         _filter(aligned[1], settings.package_half_window, settings.package_order, package.name))
     of_tool, of_package = (
         replace(report, overlapping_gap=int(np.count_nonzero(
-            of_body.poses.between(*of_body.stamps_ns[[0, -1]]).valid & ~of_body.whole)))
-        for report, of_body in zip((of_tool, of_package), filters, strict=True))
+            of_body.poses.between(*of_body.stamps_ns[[0, -1]]).valid & ~of_body.whole)),
+            interpolated=int(np.count_nonzero(of_body.poses.valid & ~poses.valid)))
+        for report, of_body, poses in zip((of_tool, of_package), filters, aligned, strict=True))
     warnings = [*stream_warnings(of_tool), *stream_warnings(of_package)]
     if as_they_are:
         warnings += rest_of(tool_poses, package_poses).turned_sentence

@@ -324,6 +324,8 @@ class StreamReport:
         Which poses are marked, steps by sample, and the noise.
     overlapping_gap : int
         Filtered samples left out because their windows touch invalid ones.
+    interpolated : int
+        Poses lost or marked, one or two in a row, that the filter has interpolated.
     arrivals : ArrivalStamps or None
         What the recorded stamps were, if they were replaced by those of the sampling.
 
@@ -333,6 +335,7 @@ class StreamReport:
     timing: Timing
     outliers: Outliers
     overlapping_gap: int = 0
+    interpolated: int = 0
     arrivals: ArrivalStamps | None = None
 
     @property
@@ -350,6 +353,7 @@ class StreamReport:
             'arrival_stamps_replaced': self.arrivals.replaced if self.arrivals else 0,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
+            'interpolated_poses': self.interpolated,
             'filtered_samples_left_out': self.overlapping_gap}
 
 

@@ -190,13 +190,12 @@ class Cell:
                 steps, n = k - self.first + 1, self.steps
                 body = moved_by(body, np.r_[by / n, np.zeros(9)]) if steps <= n else body
                 return body, model(self.package.com + min(steps / n, 1.0) * by)
-            if self.fault == 'leak':
-                return body, model(longer=rate * since)
             if self.fault == 'cup':
                 left = gripper_of(self.one_cup, np.delete(LAYOUT, self.lost, axis=0))
                 return body, model_tuple(left, self.package, 9.81)
-            left = {'peel': 1.0 - since / 0.15, 'soften': 0.5 ** (self.size * since / 3.0)}
-            return body, model(part=max(left.get(self.fault, 0.0), 1e-9))
+            left = {'leak': 1.0, 'peel': 1.0 - since / 0.15,
+                    'soften': 0.5 ** (self.size * since / 3.0)}.get(self.fault, 0.0)
+            return body, model(None, max(left, 1e-9), (self.fault == 'leak') * rate * since)
 
         self.turn = np.array([0.0, 0.0, turn])
         return change
