@@ -107,8 +107,7 @@ CAUSES = (
           ((0, 3, 1e3), (3, 6, 1e3))),
     Cause('latency', ((ekf.LATENCY,),), (0.05,), (1,), 0.1, True, False,
           'The stamps of the camera are late by {} ms: stamp the exposure, or set '
-          'measured.latency_std. Until the next package, only a lost package is looked for.',
-          least=0.015),
+          'measured.latency_std.', least=0.015),
     Cause('cup', ((),), (0.15,), (1,), 0.1, False, True,
           'Cup {:.0f} of cup.layout, at x {:.0f} mm, y {:.0f} mm, holds no more ({}): check its '
           'lip and its vacuum, and add it to cup.open.', ((0, 1, 100.0),), mean=1.0),

@@ -25,6 +25,13 @@ RESTART_COUNT, RESTART_NS = 8, 100_000_000
 """Consecutive measurements outside the gate, and their time (ns), after which the filter restarts
 from them."""
 
+NONLINEAR_LATENCY = 5e-3
+"""
+Latency (s) beyond which poses are read earlier than their stamps. Where it is as uncertain, and
+changes by as much with a measurement, the filter is not linear in it: the change is about as
+uncertain as it is large, and evidence of faults begins again.
+"""
+
 NO_MEASUREMENT = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
 
 MIN_SAMPLES = 4096
@@ -123,6 +130,20 @@ def cups_of(model: ModelTuple, places: Array) -> Array:
         M = np.swapaxes(A, 1, 2) @ np.block([[oo, oR], [oR.T, RR]]) @ A
         each += [M[:, :3, :3], M[:, :3, 3:], M[:, 3:, 3:]]
     return np.stack(each, axis=1).reshape(len(places), NUMBERS)
+
+
+def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
+    """
+    Return when a measurement was made, by its stamp and the latency as it is estimated (ns).
+
+    It stays behind the one before, by at least half of the time between their stamps. A short
+    latency is left to `measurement.at_exposure`.
+    """
+    late_ns, last_ns = int(1e9 * before.theta[ekf.LATENCY - STATE]), before.late_ns
+    if late_ns < 1e9 * NONLINEAR_LATENCY:
+        return stamp_ns
+    most_ns = last_ns + (stamp_ns - before.stamp_ns - last_ns) // 2
+    return max(stamp_ns - max(min(late_ns, most_ns), 0), before.stamp_ns)
 
 
 class Track:
@@ -242,14 +263,17 @@ class Correction:
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0,
     ) -> tuple[int, Estimate, alarms.Likeliest]:
         """Return verdict, estimate and faults by `filter_step`; only propagate with gate 0."""
-        evidence = before.evidence
+        evidence, theta = before.evidence, before.theta.copy()
+        late = (measurement.stamp_ns - stamp_ns) * 1e-9 if gate > 0.0 else 0.0
+        theta[ekf.LATENCY - STATE] -= late  # the rest of it is in the poses
         after = alarms.filter_step(
-            self.row(before.lost_cups), self.branches, before.theta, before.tool, before.body,
+            self.row(before.lost_cups), self.branches, theta, before.tool, before.body,
             before.covariance, before.memory, *track.rows, is_recorded, track.count,
             before.stamp_ns, stamp_ns, self.max_step, self._drive, self._walk, *evidence[:3],
             evidence.from_start, self._steps, self._holding(before.lost_cups), gate > 0.0,
             *measurement[1:], self._marker, self.reach, gate)
         verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest = after
+        theta[ekf.LATENCY - STATE] += late
         return verdict, Estimate(
             stamp_ns, tool, body, theta, P, memory,
             Evidence(E, statistics, onsets, *evidence[3:]), *before[7:]), likeliest
@@ -276,7 +300,7 @@ class Correction:
         With the verdict (`used`, `recovered`, `gate` or `out_of_reach`), and an alarm if one is
         raised.
         """
-        stamp_ns, lost_cups = measurement.stamp_ns, before.lost_cups
+        stamp_ns, lost_cups = _exposure_ns(before, measurement.stamp_ns), before.lost_cups
         verdict, after, likeliest = self._step(
             before, track, stamp_ns, is_recorded, measurement, GATE)
         if verdict == OUT_OF_REACH:
@@ -285,22 +309,26 @@ class Correction:
         name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
         fault, evidence = None, after.evidence
-        if self.alarms is not None:  # what came back within the gate confirms nothing before
+        row = ekf.LATENCY
+        change = after.theta[row - STATE] - before.theta[row - STATE]
+        if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
+            after.covariance[row, row] += change**2
+            evidence = self._evidence(stamp_ns, lost_cups, evidence.from_start)
+        elif self.alarms is not None:  # what came back within the gate confirms nothing before
             is_back = before.gated_ns and not gated
             evidence = evidence._replace(suspect_ns=self.alarms.suspect_ns(
                 () if is_back else evidence.suspect_ns, stamp_ns, likeliest[0]))
             fault = self.alarms.detected(evidence, stamp_ns, likeliest, lost_cups)
         after = after._replace(
-            evidence=evidence, gated_ns=gated, away_ns=before.away_ns if gated else 0)
+            evidence=evidence, gated_ns=gated, away_ns=before.away_ns if gated else 0,
+            late_ns=measurement.stamp_ns - stamp_ns)
         if fault is not None:
             lost_cups += (fault.cup,) if fault.cup >= 0 else ()
             body, theta = changed_by(after.body, after.theta, fault.error)
             memory = np.r_[self.first_memory[:11], after.memory[11:]]
             after = after._replace(  # the fault was taken for noise, too
                 body=body, theta=theta, memory=memory, gated_ns=(), lost_cups=lost_cups,
-                evidence=NO_EVIDENCE._replace(from_start=False) if (
-                    fault.alarm.cause == 'latency') else self._evidence(
-                    stamp_ns, lost_cups, False),  # late poses seem to show many faults
+                evidence=self._evidence(stamp_ns, lost_cups, False),
                 covariance=after.covariance + fault.spread @ fault.spread.T)
         elif name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
@@ -311,13 +339,13 @@ class Correction:
     ) -> Estimate:
         """Return an estimate as uncertain as at the start, corrected with a measurement there."""
         rows = np.r_[:STATE, ekf.WRENCH:ekf.WRENCH + 6]
-        P, stamp_ns = estimate.covariance.copy(), measurement.stamp_ns
+        P, stamp_ns = estimate.covariance.copy(), estimate.stamp_ns
         P[rows, rows] += np.square(self.prior[rows])
         restarted = estimate._replace(covariance=P, memory=memory, evidence=NO_EVIDENCE)
         _, after, _ = self._step(restarted, track, stamp_ns, True, measurement, math.inf)
         _, _, onsets, _, from_start = estimate.evidence
         # a fault found so early has been there since the beginning
         from_start &= bool(onsets[0].max(initial=0) < alarms.MIN_NOISE_COUNT)
-        evidence = estimate.evidence if not len(estimate.evidence.signatures) else (
-            self._evidence(stamp_ns, estimate.lost_cups, from_start))
-        return after._replace(memory=memory, gated_ns=(), away_ns=0, evidence=evidence)
+        return after._replace(
+            memory=memory, gated_ns=(), away_ns=0,
+            evidence=self._evidence(stamp_ns, estimate.lost_cups, from_start))

@@ -153,9 +153,9 @@ def corrected_pose(
 
 @kernel
 def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> State:
-    """Return the package by the estimated latency earlier."""
+    """Return the package earlier by what is left of the latency, to second order."""
     late = theta[ekf.LATENCY - STATE]
-    if late == 0.0:
+    if abs(late) < 1e-9:  # a stamp has no more digits
         return body
     bias, half = wrench_bias(theta), 0.5 * late * late
     dv, dw = kernels.body_acceleration(model, tool, body)
@@ -378,7 +378,7 @@ def updated(
     late = 3.0 * math.sqrt(P[ekf.LATENCY, ekf.LATENCY]) + abs(theta[ekf.LATENCY - STATE])
     if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach + 5.0 * spread + late * t3.norm(tool[2]):
         verdict = OUT_OF_REACH
-    elif innovation[3] > gate:
+    elif not innovation[3] <= gate:  # nor is what is no number
         verdict = OUTSIDE
     else:
         body, theta = corrected(body, theta, P, innovation)
