@@ -32,6 +32,9 @@ changes by as much with a measurement, the filter is not linear in it: the chang
 uncertain as it is large, and evidence of faults begins again.
 """
 
+LARGEST_LOAD = 5.0
+"""A cup that holds is displaced by at most its length and what so many weights do."""
+
 NO_MEASUREMENT = Measurement(0, *ORIGIN[:2], np.zeros((6, 6)))
 
 MIN_SAMPLES = 4096
@@ -202,10 +205,12 @@ class Correction:
     model : tuple
         Nominal.
     max_step, reach : float
-        The longest step (s) of the model, and how far (m) a lip can be.
+        The longest step (s) of the model, and how far (m) a lip can be where it is predicted.
 
     Attributes
     ----------
+    holding_reach : float
+        How far (m) the lip of a cup that holds can be from where it is without load.
     alarms : Alarms or None
 
     """
@@ -216,6 +221,9 @@ class Correction:
     ) -> None:
         """Set what is uncertain."""
         self.nominal, self.max_step, self.reach = model, max_step, reach
+        softest = float(np.linalg.eigvalsh(np.reshape(model[0][2][0], (3, 3)))[0])
+        sag = model[1][0] * math.hypot(*model[2]) / softest
+        self.holding_reach = model[0][1] + LARGEST_LOAD * sag
         self.branches = model[0][4:]
         self._row = model_row(model)
         self.prior, self._walk = prior_std(values, model), walk_variances(values, model)
@@ -271,7 +279,7 @@ class Correction:
             before.covariance, before.memory, *track.rows, is_recorded, track.count,
             before.stamp_ns, stamp_ns, self.max_step, self._drive, self._walk, *evidence[:3],
             evidence.from_start, self._steps, self._holding(before.lost_cups), gate > 0.0,
-            *measurement[1:], self._marker, self.reach, gate)
+            *measurement[1:], self._marker, self.holding_reach, gate)
         verdict, tool, body, theta, P, memory, E, statistics, onsets, likeliest = after
         theta[ekf.LATENCY - STATE] += late
         return verdict, Estimate(

@@ -348,8 +348,8 @@ def updated(
     position, quaternion_xyzw, noise, marker
         Of the measurement, and of `PoseSensor`.
     reach : float
-        How far (m) a lip can be from where it is without load, beside what late stamps make of a
-        tool that moves.
+        How far (m) a lip can be from where it is without load, beside what is not known of centre
+        of mass and camera, and what late stamps make of a tool that moves.
     gate : float
         The largest squared Mahalanobis distance.
 
@@ -376,7 +376,11 @@ def updated(
     o = kernels.lip_relative_to_tool(com, tool, (position, q, ZERO, ZERO))[0]
     verdict = USED
     late = 3.0 * math.sqrt(P[ekf.LATENCY, ekf.LATENCY]) + abs(theta[ekf.LATENCY - STATE])
-    if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach + 5.0 * spread + late * t3.norm(tool[2]):
+    unknown = 0.0
+    for i in range(3):
+        unknown += P[COM + i, COM + i] + P[ekf.CAMERA + i, ekf.CAMERA + i]
+    reach += 5.0 * spread + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
+    if t3.norm((o[0], o[1], o[2] + model[0][1])) > reach:
         verdict = OUT_OF_REACH
     elif not innovation[3] <= gate:  # nor is what is no number
         verdict = OUTSIDE

@@ -303,7 +303,7 @@ class Observer:
         if stamp_ns - away_ns < LOST_AFTER_NS:
             return estimate
         self._raise(alarms.lost(
-            stamp_ns, self._is_held_since(away_ns), reach=self._correction.reach))
+            stamp_ns, self._is_held_since(away_ns), reach=self._correction.holding_reach))
         return estimate._replace(away_ns=-1)
 
     def _note_silence(self, stamp_ns: int) -> None:

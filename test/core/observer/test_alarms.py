@@ -40,7 +40,7 @@ def first_of(seed, kind, wrong=None, seconds=4.0, **more):
 @pytest.mark.parametrize(('kind', 'named', 'within'), [
     ('slip', 'slip', 1.2), ('turn', 'slip', 0.3), ('leak', 'leak', 1.5), ('soften', 'leak', 3.0),
     ('wear', 'wear', 4.0), ('payload', 'payload', 2.0), ('drop', 'lost', 0.3),
-    ('peel', 'lost', 0.45), ('camera', 'camera', 1.0)])
+    ('peel', 'lost', 0.3), ('camera', 'camera', 1.0)])
 def test_cause_of_a_fault_is_named(kind, named, within):
     """Say of a few faults what they are, once, none before it is there; with size and odds."""
     for seed in range(1, 3):  # of payloads 7 in 8 are named rightly: see the benchmark
@@ -175,14 +175,14 @@ def test_pose_that_is_wrong_for_some_frames_raises_no_alarm(rate_hz, frames, shi
     assert 3 * frames <= wrong <= 3 * frames + 3
 
 
-@pytest.mark.parametrize(('rate_hz', 'within'), [(125 / 4, 0.3), (125 / 12, 0.6)])
+@pytest.mark.parametrize(('rate_hz', 'within'), [(125 / 4, 0.3), (125 / 12, 0.4)])
 @pytest.mark.parametrize('kind', ['drop', 'peel'])
 def test_drop_is_always_noticed(kind, rate_hz, within):
     """Notice what falls, though the camera loses sight of it after 0.55 m."""
     for seed in range(4):
         alarms, _ = first_of(seed, kind, CONDITIONS['all, small'], 1.0, rate_hz=rate_hz)
         named, after = alarms[0]
-        assert (named, after - 0.15 * (kind == 'peel') <= within) == ('lost', True)
+        assert (named, after <= within) == ('lost', True)
 
 
 def _dense_transition(model, theta, tool, body, P, memory, *track):
@@ -267,7 +267,7 @@ def test_ratios_are_those_of_dense_matrices(kind, monkeypatch):
 
     monkeypatch.setattr(alarms, 'filter_step', processing)
     monkeypatch.setattr(alarms.Alarms, 'detected', lambda *given: None)
-    Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.28, size=1.5).run()
+    Cell(3, 0.52, CONDITIONS['all, small'], kind, at=0.32, size=1.5).run()
     assert len(totals) > 12
     assert totals[-1] == pytest.approx(_dense_total(given), rel=1e-5)
     assert totals[-1] > totals[8] + 1.0
