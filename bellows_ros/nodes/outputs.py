@@ -233,15 +233,20 @@ class Outputs:
             self._was_ok = ok
             self._ok.publish(Bool(data=ok))
 
-    def publish_state(self, state: str) -> None:
-        """Publish the state, and if all is well, when they change; late subscribers get both."""
+    def publish_state(self, state: str, is_above: bool = False) -> None:
+        """
+        Publish the state, and if all is well, when they change; late subscribers get both.
+
+        A package above its tool is not where it is predicted.
+        """
         if state != self._last_state:
             self._last_state = state
             self._state.publish(String(data=state))
             if state in ('detached', 'lost', 'inactive') and self._markers.subscribed:
                 self._markers.publish(MarkerArray(markers=[
                     Marker(ns=NAMESPACE, action=Marker.DELETEALL)]))
-        self._publish_ok(state in OK_STATES and time.monotonic_ns() >= self._safe_from_ns)
+        self._publish_ok(not is_above and state in OK_STATES and (
+            time.monotonic_ns() >= self._safe_from_ns))
 
 
 NAMESPACE = 'bellows_ros'

@@ -18,7 +18,7 @@ from .outputs import Outputs, Tossing
 from .parameters import Values
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
-from ..core.geometry.tuples import Quaternion, Vector
+from ..core.geometry.tuples import dot, norm, Quaternion, rotation_matrix, Vector
 from ..core.live import flight, health, LivePredictor, load, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
 from ..core.signals.trajectory import tip_of
@@ -34,6 +34,9 @@ MAX_TWIST_WAIT_NS = 40_000_000
 
 LOAD_TICKS = 3
 """Ticks between two comparisons of the cup's deflection with its validity range."""
+
+MIN_UPWARD_GRAVITY = 0.5
+"""Above this fraction of gravity along z of the tool the package is above the tool."""
 
 MAX_CLOCK_OFFSET_NS = 500_000_000
 """If the node's clock differs by more (ns), the valve is switched at the newest pose."""
@@ -107,6 +110,14 @@ class Pipeline:
         """The newest prediction of a held package."""
         now = self.latest
         return None if now is None or now.flies else now
+
+    @property
+    def is_above(self) -> bool:
+        """Whether z of the tool points down, so that the package is above it."""
+        if self.latest is None:
+            return False
+        down, gravity = rotation_matrix(self.latest.tool[1])[2::3], self.live.model[2]
+        return dot(down, gravity) > MIN_UPWARD_GRAVITY * norm(gravity)
 
     def reset(self) -> None:
         """Start from rest at the next tool pose."""
@@ -243,7 +254,8 @@ class Pipeline:
         """Publish the state when it changes."""
         alarm = self.observing.alarm
         self.outputs.publish_state(
-            f'alarm: {alarm.cause}' if alarm else self.live.phase(time.monotonic_ns()))
+            f'alarm: {alarm.cause}' if alarm else self.live.phase(time.monotonic_ns()),
+            self.is_above)
 
     # ------------------------------------------------------------- parameters
 

@@ -17,7 +17,6 @@ from std_srvs.srv import Trigger
 
 from .parameters import ManagedNode, QOS_PREFIX, Values
 from .pipeline import Pipeline
-from ..core.geometry.tuples import rotation_matrix
 from ..core.live import health
 from ..core.live.load import check_live, Load
 from ..core.model.grip import grip_of
@@ -163,9 +162,6 @@ ERROR_LINES = ('prediction', 'load')
 LOG_DELAY, LOG_INTERVAL = 5.0, 30.0
 """Seconds that a fault must last before it is logged, and before it is logged again."""
 
-MIN_UPWARD_GRAVITY = 0.5
-"""Above this fraction of gravity along z of the tool the package is above the tool."""
-
 
 class Diagnostics:
     """
@@ -207,13 +203,11 @@ class Diagnostics:
             self._due.clear()
             return [health.prediction_status('prediction', health.PredictionReport(
                 state, 'none', 'none', np.empty(0), {}, {}, 'unknown'))]
-        live, last = pipeline.live, pipeline.latest
+        live = pipeline.live
         now = Counter({**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
         new, pipeline.reported = now - pipeline.reported, now
         restarts = {reason: new[reason] for reason in live.restarts}
-        gravity = checks.gravity_of(pipeline.values)
-        down = rotation_matrix(last.tool[1])[2::3] if last else (0.0, 0.0, 0.0)  # z of the tool
-        above = bool(np.dot(down, gravity) > MIN_UPWARD_GRAVITY * np.linalg.norm(gravity))
+        above = pipeline.is_above
         failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
         lines = [health.prediction_status('prediction', health.PredictionReport(
             state, live.phase(time.monotonic_ns()), pipeline.values['cup.name'] or 'cup.*',

@@ -93,10 +93,13 @@ def test_another_type_on_the_topic_is_named(make_predictor, listener):
 
 def test_poses_that_cannot_be_meant_are_said(listener, partner):
     """Name a tool frame with z out of the flange, and count NaN poses: drivers publish both."""
+    heard = partner.hears(Bool, 'package/ok', decode=lambda message: message.data)
     with sending(partner, xyzw=(1.0, 0.0, 0.0, 0.0)):
         assert listener.sees('prediction', ERROR, 'The package is above the tool: z of the tool')
+    assert not any(heard)
     with sending(partner):
         assert listener.sees('prediction', OK, 'Predicting.')
+        assert heard[-1]
         with sending(partner, 0.02, position=(math.nan, 0.0, 0.0)):
             assert listener.sees('tool pose', WARN, ' nan (a number in it is not finite).')
     assert int(listener.value('tool pose', 'refused: nan')) > 0
