@@ -6,7 +6,7 @@ ROS is installed. Ctrl-C and SIGTERM end a node in order, with exit code 0; erro
 that the user can correct are printed without a traceback and end with 2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import importlib.util
 from itertools import pairwise, takewhile
 import os
@@ -107,9 +107,24 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
         require_ros()
         _run_node([name, *arguments], node or NODES[name])
     except BellowsError as error:
-        print(f'{name}: {error}', file=sys.stderr)
+        causes = list(map(str, _file_errors(name, arguments)))
+        if str(error) not in ' '.join(causes):
+            causes.append(str(error))
+        print(*(f'{name}: {cause}' for cause in causes), sep='\n', file=sys.stderr)
         return error.exit_code
     return 0
+
+
+def _file_errors(name: str, arguments: Sequence[str]) -> Iterator[BellowsError]:
+    """Yield what is wrong with parameter files for a node of this name, as ROS leaves that out."""
+    from ..files.parameter_files import read_parameters
+
+    for flag, file in pairwise(arguments):
+        if flag == '--params-file' and Path(file).is_file() and '__node' not in str(arguments):
+            try:
+                read_parameters(file, name)
+            except BellowsError as error:
+                yield error
 
 
 def _run_node(argv: Sequence[str], node: str) -> None:

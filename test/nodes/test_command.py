@@ -1,6 +1,7 @@
 """The commands as a user types them: help without ROS, plain errors, an orderly end."""
 
 from itertools import count
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -77,6 +78,7 @@ def test_numpy_waits_for_the_limit_of_its_threads(user_environment, root):
     (['--ros-args', *GIVEN, '-p', 'cup.stiffness:=[1.0, 2]'], '2.0'),
     (['--ros-args', *GIVEN, '-p', 'cup.length:=long'], 'cup.length'),
     (['--ros-args', '--params-file', 'nowhere.yaml'], "'nowhere.yaml'"),
+    (['--ros-args', '--params-file', 'typo.yaml'], '/predicter'),
     (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], 'use_sim_time'),
     (['a\x1b[31mb'], "'a?[31mb'"), (['package.yaml'], "'package.yaml'"),
 ])
@@ -84,6 +86,7 @@ def test_what_the_user_can_put_right_ends_with_2(arguments, named, tmp_path, mon
     """Print what is wrong and no traceback."""
     pytest.importorskip('rclpy', reason="no rclpy here (pip install '.[ros]')")
     monkeypatch.chdir(tmp_path)
+    Path('typo.yaml').write_text('/predicter: {ros__parameters: {package.mass: 1.0}}')
     assert run_node('predictor', arguments) == 2
     printed = capfd.readouterr().err
     assert named in printed and 'Traceback' not in printed
