@@ -1,6 +1,7 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
 from collections import Counter
+from threading import Timer
 import time
 from typing import Any
 
@@ -24,6 +25,9 @@ from ..core.parameters import checks, table
 from ..errors import BellowsError
 
 REPORT_PERIOD = 1.0
+
+COMPILE_TIME = 1.0
+"""A start that takes longer (s) compiles the model, and says so."""
 
 ANY_BACKWARD_JUMP = Duration(nanoseconds=-1)
 
@@ -76,7 +80,13 @@ class PredictorNode(ManagedNode):
     def configure(self) -> None:
         """Make all that predicts."""
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self.pipeline = Pipeline(self)
+        notice = Timer(COMPILE_TIME, self.get_logger().info, (
+            'Compiling the model: the first start on a machine takes some 10 s.',))
+        notice.start()
+        try:
+            self.pipeline = Pipeline(self)
+        finally:
+            notice.cancel()
         self._log_model(self.pipeline)
         for name in self._parameter_overrides:
             if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
