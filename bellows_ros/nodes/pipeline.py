@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
+import math
+from operator import mul
 import time
 from typing import Any
 
@@ -18,7 +20,7 @@ from .outputs import Outputs, Tossing
 from .parameters import Values
 from .planning import Planning
 from ..core.geometry.jit import release_compiler
-from ..core.geometry.tuples import dot, norm, Quaternion, rotation_matrix, Vector
+from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import flight, health, LivePredictor, load, Prediction, uncertainty, warm_up
 from ..core.model.cup_package import cup_of, model_tuple, package_of
 from ..core.signals.trajectory import tip_of
@@ -116,8 +118,9 @@ class Pipeline:
         """Whether z of the tool points down, so that the package is above it."""
         if self.latest is None:
             return False
-        down, gravity = rotation_matrix(self.latest.tool[1])[2::3], self.live.model[2]
-        return dot(down, gravity) > MIN_UPWARD_GRAVITY * norm(gravity)
+        (x, y, z, w), gravity = self.latest.tool[1], self.live.model[2]
+        z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+        return sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity)
 
     def reset(self) -> None:
         """Start from rest at the next tool pose."""
